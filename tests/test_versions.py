@@ -12,7 +12,7 @@ from mbds_xsim.reference.solution import solve
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
-from mbds_xsim.simulate import registry
+from mbds_xsim.simulate import registry, rounding
 from mbds_xsim.simulate.adapter import Adapter, Settings
 from mbds_xsim.simulate.timed import simulate
 from tests.golden import check_golden, shadow
@@ -58,14 +58,17 @@ def test_golden_checks() -> None:
 
 
 def test_golden_adapter(adapter: Adapter) -> None:
-    figures = {}
+    """Single precision gives other last bits on other processors, in each of a hundred numbers."""
+    figures, method = {}, next(iter(adapter.methods.values()))
+    rounded = rounding.stepped(method, 20 * _FRAMES)
     for name in _SCENES:
         scene, batch = _drawn(name)
-        settings = Settings(next(iter(adapter.methods)), scene.clock.frame / 20)
+        settings = Settings(method.name, scene.clock.frame / 20)
         if adapter.refusals(scene, settings.method):
             continue
         motion = simulate(scene, batch, adapter.name, settings).trajectory
         for key, value in _shadows(motion, "position", "angular_velocity").items():
             figures[f"{name} {key}"] = value
 
-    check_golden(f"adapter {adapter.name}", adapter.revision, figures)
+    about = f"adapter {adapter.name}", adapter.revision, figures
+    check_golden(*about, rtol=max(1e-8, rounded), atol=max(1e-10, 100 * rounded))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import mujoco
@@ -13,7 +13,6 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.joint_space import BodyStates, to_links
 from mbds_xsim.scene.mechanism import Link, Mechanism, PlacedJoint
-from mbds_xsim.scene.servo import with_pushes
 from mbds_xsim.scene.spin import carried
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import (
@@ -36,7 +35,13 @@ _STATES = 16_000  # of bodies that are worked on at a time
 
 
 class ModelRun(Run):
-    """One native model and its state."""
+    """One native model and its state, which other steppers of MuJoCo's models read too."""
+
+    model: Any
+    """MjModel."""
+    data: Any
+    """MjData."""
+    coordinates: Coordinates
 
     def __init__(
         self,
@@ -52,25 +57,25 @@ class ModelRun(Run):
         self._idle = np.zeros((mechanism.body_count, 3)) if idle is None else idle
         self._division = division
         self._xml = text(mjcf(mechanism, stepping, self._idle))
-        self._model: Any = mujoco.MjModel.from_xml_string(self._xml)
-        self._data: Any = mujoco.MjData(self._model)
+        self.model = mujoco.MjModel.from_xml_string(self._xml)
+        self.data = mujoco.MjData(self.model)
         self._hanger = Hanger(mechanism, self._idle)
-        self._coordinates = Coordinates(self._model, mechanism, self._idle)
+        self.coordinates = Coordinates(self.model, mechanism, self._idle)
         # MuJoCo numbers bodies depth first, so only names tell.
         names = [body.name for body in mechanism.scene.bodies]
-        self._bodies = np.array([self._model.body(name).id for name in names])
+        self._bodies = np.array([self.model.body(name).id for name in names])
         self._order = np.argsort(self._bodies)
-        self._spheres = SphereGeoms(self._model, mechanism)
+        self._spheres = SphereGeoms(self.model, mechanism)
         self._stepper: Stepper = OneCall(count)
         if division:
-            self._stepper = FinerNearGround(self._model, self._spheres, method, count, division)
-        elif turn and (turning := turning_rates(self._model)).size:
-            self._stepper = FinerWhereFast(self._model, turning, count, turn)
-        mujoco.mj_forward(self._model, self._data)
+            self._stepper = FinerNearGround(self.model, self._spheres, method, count, division)
+        elif turn and (turning := turning_rates(self.model)).size:
+            self._stepper = FinerWhereFast(self.model, turning, count, turn)
+        mujoco.mj_forward(self.model, self.data)
         self.size = ModelSize(
-            coordinates=self._model.nv,
-            constraints=self._data.ne,
-            contact_pairs=self._model.npair,
+            coordinates=self.model.nv,
+            constraints=self.data.ne,
+            contact_pairs=self.model.npair,
         )
 
     def rollout(self, batch: Batch) -> Trajectory:
@@ -85,9 +90,9 @@ class ModelRun(Run):
         return Trajectory.joined([part for part, _ in parts]), np.concatenate([b for _, b in parts])
 
     def _simulate(self, batch: Batch) -> tuple[Trajectory, Array]:
-        qpos, qvel = self._start(batch)
+        qpos, qvel = self.start(batch)
         frames = self.frames(len(batch), batch.steps + 1)
-        bends = np.zeros((len(batch), batch.steps + 1, len(self._coordinates.second)))
+        bends = np.zeros((len(batch), batch.steps + 1, len(self.coordinates.second)))
         reasons = []
         with _captured_warnings() as warnings:
             for row in range(len(batch)):
@@ -95,38 +100,35 @@ class ModelRun(Run):
                 self._record(batch[[row]], frames, row, bends[row], warnings)
                 reasons.append(warnings[0] if warnings else None)
                 warnings.clear()
-        bodies = frames.states()
-        if self._idle.any():
-            start = self._mechanism.native_rotation(batch.orientation)
-            bodies = carried(self._idle, start, bodies, self._mechanism.scene.clock.frame)
         bend = np.abs(bends).max(axis=(1, 2), initial=0.0)
-        return self._trajectory(bodies, reasons), bend
+        return self.finished(batch, frames.states(), reasons), bend
 
     def frames(self, count: int, length: int) -> Frames:
         """Make room for trajectories of some length."""
-        return Frames(self._model, self._data, self._bodies, count, length)
+        return Frames(self.model, self.data, self._bodies, count, length)
 
-    def _start(self, batch: Batch) -> tuple[Array, Array]:
+    def start(self, batch: Batch) -> tuple[Array, Array]:
+        """Give qpos and qvel of the batch's starts, shapes (trajectory, nq) and (…, nv)."""
         bodies = BodyStates.of(self._mechanism, batch)
         if self._idle.any():
             bodies = self._hanger.hung(bodies)
-        return self._coordinates.from_links(to_links(self._mechanism, bodies))
+        return self.coordinates.from_links(to_links(self._mechanism, bodies))
 
     def _put(self, qpos: Array, qvel: Array) -> None:
         """Start afresh, without the solver's memory of an earlier trajectory."""
-        mujoco.mj_resetData(self._model, self._data)
-        self._data.qpos[:], self._data.qvel[:] = qpos, qvel
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[:], self.data.qvel[:] = qpos, qvel
 
     def _record(
         self, one: Batch, frames: Frames, row: int, bends: Array, warnings: list[str]
     ) -> None:
         """Step through one trajectory; frames from a warning on stay as they are."""
-        model, data = self._model, self._data
+        model, data = self.model, self.data
         frame, placed = self._stepper.frame, self._stepper.placed
         # At the centre of mass and along W in every stage of a step. MuJoCo's first body is W.
         push, force = data.xfrc_applied[1:, :3], one.force[0][:, self._order]
-        drive, torque = data.ctrl, with_pushes(self._mechanism.drives, one.torque[0])
-        qpos, second = data.qpos, self._coordinates.second
+        drive, torque = data.ctrl, one.torque[0]
+        qpos, second = data.qpos, self.coordinates.second
         frames.keep(row, 0)
         for k in range(one.steps):
             push[...] = force[k]
@@ -138,9 +140,20 @@ class ModelRun(Run):
             if len(second):
                 bends[k + 1] = qpos[second]
 
-    def _trajectory(self, bodies: BodyStates, warned: list[str | None]) -> Trajectory:
-        """Cut every trajectory off at its first frame that is not a number or a blow-up."""
+    def finished(
+        self, batch: Batch, bodies: BodyStates, warned: Sequence[str | None]
+    ) -> Trajectory:
+        """Cut every trajectory off at its first frame that is not a number or a blow-up.
+
+        Args:
+            batch: What was simulated.
+            bodies: Its frames; rods without spin are turned as their axes carry them along.
+            warned: By trajectory, why it ended before that.
+        """
         mechanism = self._mechanism
+        if self._idle.any():
+            start = mechanism.native_rotation(batch.orientation)
+            bodies = carried(self._idle, start, bodies, mechanism.scene.clock.frame)
         blown = too_fast(mechanism, bodies.velocity)
         sunk = np.any(mechanism.sphere_heights(bodies.position, bodies.native) < 0.0, axis=-1)
 
@@ -153,10 +166,14 @@ class ModelRun(Run):
         return recorded(mechanism, bodies, first_failures(blown | sunk, reason))
 
     def readback(self, batch: Batch) -> Readback:
-        model, data = self._model, self._data
-        qpos, qvel = self._start(batch[:1])
+        qpos, qvel = self.start(batch[:1])
         self._put(qpos[0], qvel[0])
-        mujoco.mj_forward(model, data)
+        mujoco.mj_forward(self.model, self.data)
+        return self.read()
+
+    def read(self) -> Readback:
+        """Read the model back, and the bodies as its state places them."""
+        model, data = self.model, self.data
         principal = rotation.matrix(model.body_iquat[self._bodies])
         twists = np.array([self._twist(body) for body in self._bodies])
         return Readback(
@@ -181,27 +198,26 @@ class ModelRun(Run):
             armature=model.dof_armature[self._dofs(self._mechanism.rotors)],
             friction=model.dof_frictionloss[self._dofs(self._mechanism.frictional)],
             limits=self._limits(),
-            drive=self._drives(),
         )
 
     def _twist(self, body: int) -> Array:
         """Angular velocity, then velocity of the centre of mass, in W."""
         twist = np.zeros(6)
-        mujoco.mj_objectVelocity(self._model, self._data, mujoco.mjtObj.mjOBJ_BODY, body, twist, 0)
+        mujoco.mj_objectVelocity(self.model, self.data, mujoco.mjtObj.mjOBJ_BODY, body, twist, 0)
         return twist
 
     def _axis(self, link: Link) -> Array:
         assert link.joint is not None
-        return np.asarray(self._data.joint(link.joint.name).xaxis)
+        return np.asarray(self.data.joint(link.joint.name).xaxis)
 
     def _loop_axis(self, hinge: PlacedJoint) -> Array:
         """The line through the two points that close it."""
-        ends = [self._data.site(f"{closing_point(hinge, k)} parent").xpos for k in (0, 1)]
+        ends = [self.data.site(f"{closing_point(hinge, k)} parent").xpos for k in (0, 1)]
         return np.asarray((ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0]))
 
     def _link_anchor(self, link: Link) -> tuple[Array, Array] | None:
         """A fixed joint has no place in MuJoCo, both hinges of a Cardan joint have the same."""
-        model, body = self._model, self._bodies[link.body]
+        model, body = self.model, self._bodies[link.body]
         if not model.body_jntnum[body]:
             return None
         point = model.jnt_pos[model.body_jntadr[body]]
@@ -210,7 +226,7 @@ class ModelRun(Run):
 
     def _anchors(self) -> Array:
         """As fixed in the parent and in the child, in W."""
-        data, anchors = self._data, joint_anchors(self._mechanism, self._link_anchor)
+        data, anchors = self.data, joint_anchors(self._mechanism, self._link_anchor)
         for loop in self._mechanism.loops:
             points = range(len(CLOSING_POINTS[loop.kind]))
             for end, side in enumerate(("parent", "child") if points else ()):
@@ -220,47 +236,41 @@ class ModelRun(Run):
 
     def _springs(self) -> Array:
         """Of the tendons behind those of the distance links; a slack range is no rest length."""
-        model, first = self._model, len(self._mechanism.distances)
+        model, first = self.model, len(self._mechanism.distances)
         shortest, longest = model.tendon_lengthspring[first:].T
         rest = np.where(shortest == longest, longest, np.nan)
-        length = self._data.ten_length[first:]
+        length = self.data.ten_length[first:]
         constants = (model.tendon_stiffness[first:], model.tendon_damping[first:], rest, length)
         return np.stack(constants, axis=1)
 
     def _couplings(self) -> Array:
-        model, kind = self._model, mujoco.mjtEq.mjEQ_JOINT
+        model, kind = self.model, mujoco.mjtEq.mjEQ_JOINT
         laws = [model.eq_data[e, :5] for e in range(model.neq) if model.eq_type[e] == kind]
         return np.array(laws).reshape(-1, 5)[:, [1, 0]]
 
     def _law(self, _link: Link, joint: PlacedJoint) -> tuple[float, float, float]:
-        model, number = self._model, self._model.joint(joint.name).id
+        model, number = self.model, self.model.joint(joint.name).id
         damping = model.dof_damping[self._dof(joint)]
         return model.jnt_stiffness[number], damping, model.qpos_spring[model.jnt_qposadr[number]]
 
     def _limits(self) -> Array:
-        numbers = [self._model.joint(joint.name).id for joint in self._mechanism.limited]
-        held = self._model.jnt_limited[numbers].astype(bool)
-        return np.where(held[:, None], self._model.jnt_range[numbers], np.inf)
-
-    def _drives(self) -> Array:
-        model, first = self._model, len(self._mechanism.hinges)
-        limited = model.actuator_forcelimited[first:].astype(bool)
-        limit = np.where(limited, model.actuator_forcerange[first:, 1], 0.0)
-        return np.column_stack([-model.actuator_biasprm[first:, 1:3], limit])
+        numbers = [self.model.joint(joint.name).id for joint in self._mechanism.limited]
+        held = self.model.jnt_limited[numbers].astype(bool)
+        return np.where(held[:, None], self.model.jnt_range[numbers], np.inf)
 
     def _dof(self, joint: PlacedJoint) -> int:
-        return int(self._model.jnt_dofadr[self._model.joint(joint.name).id])
+        return int(self.model.jnt_dofadr[self.model.joint(joint.name).id])
 
     def _dofs(self, joints: tuple[PlacedJoint, ...]) -> list[int]:
         return [self._dof(joint) for joint in joints]
 
     def _place(self, body: int, point: Array) -> Array:
         """Place a point of MuJoCo's body in W."""
-        turn = self._data.xmat[body].reshape(3, 3)
-        return np.asarray(self._data.xpos[body] + turn @ point)
+        turn = self.data.xmat[body].reshape(3, 3)
+        return np.asarray(self.data.xpos[body] + turn @ point)
 
     def _unasked_damping(self) -> Array:
-        model = self._model
+        model = self.model
         asked = [0.0] * len(self._mechanism.distances)
         asked += [spring.damping for spring in self._mechanism.springs]
         damping = model.dof_damping.copy()
@@ -289,13 +299,11 @@ class ModelRun(Run):
         )
 
     def native(self, batch: Batch) -> str:
-        qpos, qvel = self._start(batch)
-        inputs = np.zeros((1, len(self._mechanism.hinges)))
-        command = with_pushes(self._mechanism.drives, inputs)[0]
-        return with_start(self._xml, qpos[0], qvel[0], command, self._stepper.remark)
+        qpos, qvel = self.start(batch)
+        return with_start(self._xml, qpos[0], qvel[0], self._stepper.remark)
 
     def close(self) -> None:
-        self._model = self._data = None
+        self.model = self.data = None
 
 
 @contextlib.contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 
@@ -10,12 +11,32 @@ from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.spin import STILL, spin_about
 from mbds_xsim.scene.state import Batch, Trajectory
-from mbds_xsim.simulate.adapter import Readback, Run
-
-from .run import ModelRun
+from mbds_xsim.simulate.adapter import ModelSize, Readback, Run
 
 _BENT = 1.0
 """Cardan joints lock at a right angle; near it their rates are large, and so are errors [rad]."""
+
+
+class Bending(Protocol):
+    """A run of a model with Cardan joints."""
+
+    size: ModelSize
+
+    def simulate(self, batch: Batch) -> tuple[Trajectory, Array]:
+        """Roll out; tell too how far Cardan joints were bent at frames [rad], (trajectory,)."""
+        ...
+
+    def readback(self, batch: Batch) -> Readback:
+        """As `Run.readback`."""
+        ...
+
+    def native(self, batch: Batch) -> str:
+        """As `Run.native`."""
+        ...
+
+    def close(self) -> None:
+        """As `Run.close`."""
+        ...
 
 
 class SpinlessRun(Run):
@@ -29,7 +50,7 @@ class SpinlessRun(Run):
     """
 
     def __init__(
-        self, mechanism: Mechanism, idle: Array, spinless: ModelRun, load: Callable[[], Run]
+        self, mechanism: Mechanism, idle: Array, spinless: Bending, load: Callable[[], Run]
     ) -> None:
         self._mechanism, self._idle = mechanism, idle
         self._spinless, self._load = spinless, load

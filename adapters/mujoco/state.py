@@ -34,7 +34,7 @@ class Coordinates:
             "cardan" if idle[link.body].any() else link.joint.kind if link.joint else "free"
             for link in mechanism.links
         ]
-        self._sizes = (model.nq, model.nv)
+        self._sizes, self._count = (model.nq, model.nv), len(mechanism.links)
         # MuJoCo numbers bodies depth first, the links breadth first: only names tell.
         bodies = [model.body(mechanism.scene.bodies[link.body].name).id for link in mechanism.links]
         first = model.body_jntadr[bodies]
@@ -83,6 +83,26 @@ class Coordinates:
             [links.velocity[..., free, :], links.angular_velocity[..., free, :]], axis=-1
         )
         return qpos, qvel
+
+    def to_links(self, qpos: Array, qvel: Array) -> LinkStates:
+        """Read links off coordinates (…, nq) and (…, nv); their quaternions become unit ones."""
+        lead, scalar, free = qpos.shape[:-1], self._scalar, self._free
+        turn, spin, place, speed = (np.zeros((*lead, self._count, size)) for size in (4, 3, 3, 3))
+        coordinate, rate = (np.zeros((*lead, self._count)) for _ in range(2))
+        coordinate[..., scalar] = qpos[..., self._scalar_at[0]]
+        rate[..., scalar] = qvel[..., self._scalar_at[1]]
+        turn[..., self._ball, :], spin[..., self._ball, :] = (
+            values[..., at] for values, at in zip((qpos, qvel), self._ball_at, strict=True)
+        )
+        place[..., free, :], turn[..., free, :] = np.split(qpos[..., self._free_at[0]], [3], -1)
+        speed[..., free, :], spin[..., free, :] = np.split(qvel[..., self._free_at[1]], [3], -1)
+        turn[..., self._cardan, :], spin[..., self._cardan, :] = _turned(
+            qpos[..., self._cardan_at[0]], qvel[..., self._cardan_at[1]], self._cross
+        )
+        size = rotation.norm(turn)[..., None]
+        return LinkStates(
+            np.divide(turn, size, out=turn, where=size > 0.0), spin, coordinate, rate, place, speed
+        )
 
 
 class Frames:
@@ -193,3 +213,10 @@ def _angles(turn: Array, rate: Array, cross: Array) -> tuple[Array, Array]:
     rates = np.einsum("...ji,jki->...jk", rate, cross)
     rates[..., 0] /= np.cos(both[..., 1])
     return both, rates
+
+
+def _turned(both: Array, rates: Array, cross: Array) -> tuple[Array, Array]:
+    """Undo `_angles`: turns (…, joint, 4), and angular velocities in the children's frames."""
+    first, second = (rotation.from_vector(both[..., [k]] * cross[:, k]) for k in range(2))
+    carried = rotation.rotate(rotation.conjugate(second), rates[..., :1] * cross[:, 0])
+    return rotation.multiply(first, second), carried + rates[..., 1:] * cross[:, 1]

@@ -12,6 +12,7 @@ from mbds_xsim.checks.coordinates import coupling_errors
 from mbds_xsim.checks.finding import Figures, Record, check
 from mbds_xsim.scene.joint_space import BodyStates, taken
 from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint, PointPair
+from mbds_xsim.simulate import rounding
 
 _UNIT = 1e-9
 _SAME_START = 1e-12
@@ -37,14 +38,18 @@ def finite(record: Record) -> Figures:
 
 
 @check("precision", _MOST_SINGLE)
-def precision(record: Record) -> Figures:
+def precision(record: Record) -> Figures | None:
     """Find states that were rounded to single precision: of 24 significant bits, not of 53.
+
+    None where the method says that they are.
 
     The figure is the share of float32 values among the numbers of a state array that move from
     frame to frame and are not short by nature. Counted are those that no sound computation leaves
     short: where the frame interval itself is a float32 number, as 1/64 s is, motion may be exact,
     so that orientations alone are looked at, and what starts with more bits.
     """
+    if record.method is not None and record.method.single:
+        return None
     found, batch = record.trajectory, record.batch
     exact = not _bits(np.array([record.frame]), _SINGLE).any()
     parts = np.zeros((len(batch), len(found.time), len(_STATE)))
@@ -71,7 +76,7 @@ def precision(record: Record) -> Figures:
     return Figures(parts, names)
 
 
-@check("start", _SAME_START)
+@check("start", lambda record: max(_SAME_START, rounding.held(record.mechanism, record.method)))
 def start(record: Record) -> Figures:
     """Compare frame 0 with the drawn start, relative to the largest value of each kind.
 

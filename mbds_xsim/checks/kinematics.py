@@ -13,6 +13,7 @@ from mbds_xsim.checks.finding import Figures, Record, check
 from mbds_xsim.checks.mismatch import Mismatch
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.simulate import rounding
 
 _NOISE = 1e-4  # of the largest speed; solvers' tolerances leave up to 4e-5
 _LAG = 0.1  # of a step: a fifth of the half step that must be seen
@@ -27,7 +28,7 @@ def kinematics(record: Record) -> Figures | None:
     A step's displacement less the integral of its velocities, as RMS velocity over the largest
     RMS speed: over the mass of all, and over points at the ends of each body, so that what turns
     counts by what it carries. What the frames do not resolve is left out, and so is what a method
-    of its order may leave between positions and velocities.
+    of its order, and rounding places in each step, may leave between positions and velocities.
     """
     mismatch = _mismatch(record)
     if mismatch is None:
@@ -35,8 +36,10 @@ def kinematics(record: Record) -> Figures | None:
     if mismatch.frame[0] == 1 and (record.mechanism.loops or record.mechanism.distances):
         mismatch = dataclasses.replace(mismatch, left=_started(record, mismatch))
     order, step = record.order, _step(record)
+    steps = max(1, round(record.frame / step))
+    rounded = rounding.stepped(record.method, steps) * record.scene.length / record.frame
     whole, each = (
-        _beyond(measure, mismatch, jerk, blur, step, order)
+        _beyond(measure, mismatch, jerk, blur + rounded, step, order)
         for measure, jerk, blur in (
             (mismatch.rms, mismatch.jerk, mismatch.blur),
             (mismatch.each, mismatch.jerk_each, mismatch.blur_each),
@@ -79,7 +82,7 @@ def _started(record: Record, mismatch: Mismatch) -> Array:
     left = mismatch.left.copy()
     known = np.flatnonzero(np.isfinite(left[:, 0]).all(axis=(1, 2, 3)))
     start = record.bodies[known, 0]
-    load = record.batch.force[known, 0], record.torque[known, 0]
+    load = record.batch.force[known, 0], record.batch.torque[known, 0]
     change = mismatch.as_bodies(left[known, 0], start.native)
     kept = unexplained_by_loops(record.mechanism, start, change, load, _step(record))
     left[known, 0] = mismatch.as_points(*kept, start.native)

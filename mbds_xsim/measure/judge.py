@@ -10,8 +10,7 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks import Finding, Record, agreement, audit, audited
 from mbds_xsim.checks.eccentric import impact_coefficients
-from mbds_xsim.measure.outcome import Outcome, ReferenceOutcome
-from mbds_xsim.measure.refinement import convergence
+from mbds_xsim.measure.campaign import Outcome, ReferenceOutcome, convergence
 from mbds_xsim.measure.result import EngineResult, FindingResult, ReferenceResult
 from mbds_xsim.reference import FirstImpact
 from mbds_xsim.scene.mechanism import Mechanism
@@ -202,9 +201,9 @@ def _agreed(scene: Scene, error: Array, truth: Trajectory) -> float | None:
 
 def _readback_differences(scene: Scene, batch: Batch, outcome: Outcome) -> list[str]:
     for rows, part in zip(outcome.rows, outcome.simulations, strict=False):
-        lines = readback.compare(
-            Mechanism.of(scene), batch[rows], outcome.contender.settings, part.readback
-        )
+        settings = outcome.contender.settings
+        method = registry.load_adapter(outcome.contender.engine).methods[settings.method]
+        lines = readback.compare(Mechanism.of(scene), batch[rows], settings, part.readback, method)
         if lines and outcome.contender.profile == "matched":
             return [f"read-back: {line}" for line in lines]
     return []

@@ -22,7 +22,6 @@ from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.markers import marker_positions, markers
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
-from mbds_xsim.scene.servo import with_pushes
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
 
 Progress = Callable[[int, int], None]
@@ -104,7 +103,7 @@ def _problem(scene: Scene, batch: Batch, rtol: float, progress: Progress | None)
         dynamics=dynamics_of(mechanism),
         start=start_states(mechanism, batch),
         force=batch.force,
-        torque=with_pushes(mechanism.drives, batch.torque),
+        torque=batch.torque,
         rtol=rtol,
         progress=progress,
     )

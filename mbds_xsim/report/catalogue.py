@@ -54,7 +54,9 @@ _METHODS = """
 
 Methods of one family are one vote when engines are compared: their agreement is no evidence.
 “Order” is the order of convergence, “with loops” the same where constraints are solved beside the
-coordinates. Recorded velocities belong to the frame's time plus “velocity lag” times the step.
+coordinates. Recorded velocities belong to the frame's time plus “velocity lag” times the step. What
+steps in single precision is allowed what rounding to 24 significant bits leaves of a model and of a
+start, and no more of a scene's budgets than others.
 """
 _ASPECTS = {
     "non-penetration": "normal",
@@ -84,6 +86,8 @@ class MethodRow(msgspec.Struct, frozen=True):
     """Recorded velocities belong to (frame time + lag · step)."""
     refuses: dict[str, str]
     """What it, unlike the engine, cannot do, with the reason."""
+    single: bool = False
+    """Whether it steps in single precision."""
 
 
 class OptionRow(msgspec.Struct, frozen=True):
@@ -218,6 +222,7 @@ def _method_row(method: Method) -> MethodRow:
         loop_order=method.order if method.loop_order is None else method.loop_order,
         velocity_lag=method.velocity_lag,
         refuses=_in_words(method.refuses),
+        single=method.single,
     )
 
 
@@ -293,7 +298,7 @@ def _method(method: MethodRow, row: EngineRow) -> list[str]:
     closes = any(f.value not in {**row.limits, **method.refuses} for f in _CONSTRAINED)
     return [
         f"`{method.name}`",
-        method.family,
+        method.family + (", single precision" if method.single else ""),
         str(method.order),
         str(method.loop_order) if closes else "–",
         f"{method.velocity_lag:g}",

@@ -17,7 +17,9 @@ from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
 from mbds_xsim.scene.scene import WORLD
 from mbds_xsim.scene.spin import idle_axes
 from mbds_xsim.scene.state import Batch
+from mbds_xsim.simulate import rounding
 from mbds_xsim.simulate.adapter import Readback, Settings
+from mbds_xsim.simulate.claims import Method
 
 _Quantity = tuple[str, Array | None, Array, float, list[str]]
 """What it is, as read and as wanted, the least scale of a difference, and the rows' names."""
@@ -26,26 +28,30 @@ _TOLERANCE = 1e-9
 _MISSING = 1e-6
 _PAIR = ("radius of contact [m]", "friction", "restitution")
 _LAW = ("stiffness", "damping", "coordinate at rest")
-_SERVO = ("stiffness of the servo", "damping of the servo", "limit of the servo")
 _SPRING = ("stiffness [N/m]", "damping [N·s/m]", "rest length [m]", "length at the start [m]")
 
 
 def compare(
-    mechanism: Mechanism, batch: Batch, settings: Settings, readback: Readback
+    mechanism: Mechanism,
+    batch: Batch,
+    settings: Settings,
+    readback: Readback,
+    method: Method | None = None,
 ) -> list[str]:
     """List what the engine holds differently from the scene, each in one line.
 
     Figures are relative to the largest element of the expected array, or to the scene's length
-    for positions.
+    for positions. The method tells in what precision they are held; double where it is left out.
     """
-    lines = []
+    lines, allowed = [], max(_TOLERANCE, rounding.held(mechanism, method))
     for what, got, wanted, floor, names in _quantities(mechanism, batch, readback):
         if got is not None and (len(wanted) or got.size):
-            lines += _differences(what, got, wanted, floor, names)
+            lines += _differences(what, got, wanted, floor, names, allowed)
     off = 0.0 if readback.step is None else abs(readback.step - settings.step)
-    if not off <= _TOLERANCE * settings.step:
+    if not off <= allowed * settings.step:
         lines.append(f"step: got {readback.step:.9g} s, the settings say {settings.step:.9g} s")
-    if readback.damping is not None and np.any(readback.damping):
+    slack = rounding.held(mechanism, method) * _most_damping(mechanism)
+    if readback.damping is not None and np.any(np.abs(readback.damping) > slack):
         lines.append(f"damping: got up to {np.abs(readback.damping).max():g}, the scene has none")
     return lines
 
@@ -108,6 +114,12 @@ def joint_laws(
     return laws
 
 
+def _most_damping(mechanism: Mechanism) -> float:
+    """Give the largest coefficient of the scene, of which an engine's surplus is the rest."""
+    asked = [spring.damping for spring in mechanism.springs]
+    return max(asked + [joint.damping for joint in mechanism.compliant], default=0.0)
+
+
 def _quantities(mechanism: Mechanism, batch: Batch, readback: Readback) -> Iterator[_Quantity]:
     """Give everything that both sides hold."""
     scene, length = mechanism.scene, mechanism.scene.length
@@ -139,9 +151,6 @@ def _quantities(mechanism: Mechanism, batch: Batch, readback: Readback) -> Itera
     stops = np.array([joint.limits for joint in mechanism.limited])
     names = [joint.name for joint in mechanism.limited]
     yield from _columns("joints", ("lower limit", "upper limit"), readback.limits, stops, names)
-    driven = np.array([drive.as_read() for drive in mechanism.drives])
-    names = [drive.joint.name for drive in mechanism.drives]
-    yield from _columns("servos", _SERVO, _known(readback.drive, driven), driven, names)
     tied = np.array([(each.ratio, each.offset) for each in mechanism.couplings])
     names = [each.name for each in mechanism.couplings]
     yield from _columns("couplings", ("ratio", "offset"), readback.coupling, tied, names)
@@ -254,15 +263,17 @@ def _placed(mechanism: Mechanism, batch: Batch, body: int, point: Array) -> Arra
     return np.asarray(batch.position[0, body] + rotation.rotate(turn, point))
 
 
-def _differences(what: str, got: Array, wanted: Array, floor: float, names: list[str]) -> list[str]:
+def _differences(
+    what: str, got: Array, wanted: Array, floor: float, names: list[str], allowed: float
+) -> list[str]:
     if got.shape != wanted.shape:
         return [f"{what}: got shape {got.shape}, the scene has {wanted.shape}"]
     scale = max(floor, float(np.abs(wanted).max())) or 1.0
     off = np.abs(got - wanted).reshape(len(wanted), -1).max(axis=1) / scale
-    if np.all(off <= _TOLERANCE):
+    if np.all(off <= allowed):
         return []
     worst = int(np.nanargmax(np.where(np.isfinite(off), off, np.inf)))
     return [
         f"{what} of {names[worst]}: got {np.round(got[worst], 9).tolist()}, the scene says "
-        f"{np.round(wanted[worst], 9).tolist()} ({np.sum(~(off <= _TOLERANCE))} differ)"
+        f"{np.round(wanted[worst], 9).tolist()} ({np.sum(~(off <= allowed))} differ)"
     ]

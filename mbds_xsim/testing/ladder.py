@@ -8,6 +8,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.simulate import rounding
 from mbds_xsim.simulate.adapter import Adapter, Settings
 from mbds_xsim.simulate.claims import RTOL, Method
 from mbds_xsim.testing.case import Case
@@ -36,6 +37,19 @@ def measured_order(
         return np.inf, errors
     slope = np.polyfit(np.log(finer), -np.log(np.maximum(errors, 1e-300)), 1)[0]
     return float(slope), errors
+
+
+def answer_known_to(
+    case: Case, method: Method, steps_per_frame: int = STEPS_PER_FRAME[-1]
+) -> float:
+    """Give the error below which a method has met a case's answer [m].
+
+    It cannot be told from what rounding adds up in the steps, of the farthest place that is met.
+    """
+    frames = np.arange(case.scene.clock.steps + 1.0)
+    place = np.abs(case.exact(case.scene.clock.frame * frames)).max()
+    steps = steps_per_frame * case.scene.clock.steps
+    return max(EXACT, rounding.stepped(method, steps) * max(case.scene.length, float(place)))
 
 
 def case_error(adapter: Adapter, case: Case, settings: Settings) -> float:

@@ -10,6 +10,7 @@ import pytest
 from mbds_xsim.checks import Record
 from mbds_xsim.checks.integrity import finite, planarity, precision, start
 from mbds_xsim.scene.state import Failure
+from mbds_xsim.simulate.claims import Method
 
 
 def test_a_good_trajectory_is_finite_and_starts_where_it_was_drawn(pendulum: Any) -> None:
@@ -135,3 +136,21 @@ def test_sideways_motion_is_measured_over_the_length(pendulum: Any) -> None:
     finding = planarity.finding(Record(flat, pendulum.batch, pendulum.exact))
     sideways = np.abs(pendulum.exact.position[..., 1] - pendulum.exact.position[:, :1, :, 1])
     assert np.allclose(finding.figure, sideways.max(axis=(1, 2)) / flat.length)
+
+
+def test_a_method_in_single_precision_is_held_to_what_24_bits_can_tell(pendulum: Any) -> None:
+    """A start may be off by rounding, and not by a tenth of a millimetre."""
+    single = Method("RK4", "RK4", 4, single=True)
+    short = dataclasses.replace(
+        pendulum.exact,
+        **{name: getattr(pendulum.exact, name).astype(np.float32) * 1.0 for name in _STATE},
+    )
+    position = short.position.copy()
+    position[2] += 1e-4
+
+    about = pendulum.scene, pendulum.batch
+    moved = Record(*about, dataclasses.replace(short, position=position), single)
+
+    assert not start.finding(Record(*about, short)).passed.any()
+    assert start.finding(moved).passed.tolist() == [True, True, False]
+    assert precision(moved) is None

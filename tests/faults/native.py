@@ -68,6 +68,7 @@ def no_reaction(engine: str) -> AbstractContextManager[object]:
     """Let hinge torques act on the child alone."""
     one_sided = {
         "mujoco": _one_sided_mujoco,
+        "mujoco-warp": _one_sided_mujoco,
         "pybullet": _one_sided_pybullet,
         "dart": _one_sided_dart,
         "exudyn": _one_sided_exudyn,

@@ -71,6 +71,7 @@ ANDREWS_ACCURACY = {
     "dart": 1e-3,
     "pybullet": 1e-3,
     "pinocchio": 1e-6,
+    "mujoco-warp": 2e-5,
 }
 """What the matched settings leave of the crank's 15.8 rad [rad]."""
 
@@ -95,6 +96,7 @@ BRICARD_ACCURACY = {
     "dart": 5e-4,
     "pybullet": 5e-4,
     "pinocchio": 1e-7,
+    "mujoco-warp": 1e-4,
 }
 """What the matched settings leave of the path of P3 [m]."""
 

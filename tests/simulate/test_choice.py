@@ -22,7 +22,7 @@ LINKED = Scene(
 
 def test_engines_that_cannot_do_a_scene_are_left_out_with_the_reason() -> None:
     contenders, left_out = Choice.parse().contenders(LINKED)
-    assert {contender.engine for contender in contenders} == {"mujoco", "exudyn"}
+    assert {contender.engine for contender in contenders} == {"mujoco", "mujoco-warp", "exudyn"}
     assert set(left_out) == {"dart", "pinocchio", "pybullet"}
     assert all("distance link" in reason for reason in left_out.values())
 
@@ -69,6 +69,8 @@ def test_engines_that_hold_no_body_so_small_are_left_out_with_the_reason() -> No
         ("dart", 1e-30, 1e-24),
         ("exudyn", 1e-30, 1e-24),
         ("pinocchio", 1e-30, 2.23e-16),
+        ("mujoco-warp", 1.001e-14, 1.001e-8),
+        ("mujoco-warp", 1.001e-14, 1.001e-15),
     ],
 )
 def test_what_an_engine_holds_it_moves(name: str, moment: float, mass: float) -> None:

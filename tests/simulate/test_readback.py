@@ -25,7 +25,8 @@ def _held(adapter: Adapter, scene: Scene, other: Scene) -> tuple[Readback, list[
     batch, settings = draw_batch(scene, [0]), settings_for(scene, adapter, "matched")
     with adapter.open(scene, settings) as run:
         found = run.readback(batch)
-    return found, readback.compare(Mechanism.of(other), batch, settings, found)
+    method = adapter.methods[settings.method]
+    return found, readback.compare(Mechanism.of(other), batch, settings, found, method)
 
 
 def _with_anchor(scene: Scene, joint: str, shift: float) -> Scene:

@@ -12,7 +12,8 @@ from mbds_xsim.simulate.claims import FAMILIES, Method, Sweep, check_claims, own
 
 
 def test_the_engines_are_registered() -> None:
-    assert registry.engine_names() == ["dart", "exudyn", "mujoco", "pinocchio", "pybullet"]
+    names = ["dart", "exudyn", "mujoco", "mujoco-warp", "pinocchio", "pybullet"]
+    assert registry.engine_names() == names
 
 
 @pytest.mark.parametrize(

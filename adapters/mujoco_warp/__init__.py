@@ -1,0 +1,64 @@
+"""MuJoCo Warp (https://github.com/google-deepmind/mujoco_warp): MuJoCo's equations as kernels that
+step whole batches, in single precision."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import partial
+from importlib.util import find_spec
+from typing import ClassVar
+
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.spin import idle_axes
+from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings
+from mbds_xsim.simulate.claims import CONTACTS, Option
+
+from ..mujoco import MuJoCo
+
+__all__ = ["MuJoCoWarp"]
+
+if find_spec("mujoco_warp") is None:  # to import it takes seconds
+    raise ImportError("No module named 'mujoco_warp'")
+
+_METHOD, _LOOP, _LINK, _DEVICE = "RK4", "loop_time_constant", "link_time_constant", "device"
+_SHARED = (_LOOP, _LINK)
+_NO_CONTACT = (
+    "steps are equal for all trajectories, and impacts need fifty times finer ones near the ground"
+)
+
+
+class MuJoCoWarp(Adapter):
+    """MuJoCo's tree joints and soft constraints; many trajectories at the price of a few."""
+
+    name = "mujoco-warp"
+    package = "mujoco-warp"
+    methods: ClassVar = {_METHOD: dataclasses.replace(MuJoCo.methods[_METHOD], single=True)}
+    options: ClassVar = {
+        **{name: MuJoCo.options[name] for name in _SHARED},
+        _DEVICE: Option("cpu", "what steps, as Warp calls it: cpu, or cuda:0 for the first GPU"),
+    }
+    sweeps: ClassVar = {name: MuJoCo.sweeps[name] for name in _SHARED}
+    limits: ClassVar = {**MuJoCo.limits, **dict.fromkeys(CONTACTS, _NO_CONTACT)}
+    coordinates = "reduced"
+    smallest = MuJoCo.smallest
+
+    def cannot_hold(self, scene: Scene) -> str:
+        return MuJoCo().cannot_hold(scene)
+
+    def settings(self, scene: Scene, profile: Profile) -> Settings:
+        own = MuJoCo().settings(scene, profile)
+        options = {name: value for name, value in own.options.items() if name in self.options}
+        return Settings(_METHOD, own.step, options)
+
+    def load(self, scene: Scene, settings: Settings) -> Run:
+        from ..mujoco.spinless import SpinlessRun
+        from .run import WarpRun, stepping
+
+        option = partial(self.option, settings)
+        count = settings.substeps(scene.clock.frame)
+        steps = stepping(scene.clock.frame / count, option(_LOOP), option(_LINK))
+        mechanism, idle = Mechanism.of(scene), idle_axes(scene)
+        run = partial(WarpRun, mechanism, steps, count, option(_DEVICE))
+        # Rods without inertia about themselves have mass matrices too steep for 24 bits.
+        return SpinlessRun(mechanism, idle, run(idle), run) if idle.any() else run()

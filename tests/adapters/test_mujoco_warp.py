@@ -1,0 +1,69 @@
+"""MuJoCo Warp: what the contract suite does not see."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+from mbds_xsim.base.errors import UnknownName
+from mbds_xsim.checks.finding import Record
+from mbds_xsim.checks.integrity import gap
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.simulate.adapter import Settings
+from mbds_xsim.simulate.registry import load_adapter, load_scene
+from mbds_xsim.testing import CASES
+
+pytest.importorskip("mujoco_warp")
+
+ENGINE = load_adapter("mujoco-warp")
+
+
+def test_a_device_that_is_not_there_is_told_in_a_line() -> None:
+    scene = load_scene("2pendulum")
+
+    with pytest.raises(UnknownName, match=r"no device of Warp is called 'cuda:7'.*cpu"):
+        ENGINE.open(scene, Settings("RK4", scene.clock.frame, {"device": "cuda:7"}))
+
+
+def test_what_is_read_back_are_the_numbers_of_the_kernels() -> None:
+    scene = load_scene("workbench")
+
+    with ENGINE.open(scene, ENGINE.settings(scene, "matched")) as run:
+        held = run.readback(draw_batch(scene, [0]))
+
+    mass = Mechanism.of(scene).mass
+    np.testing.assert_array_equal(held.mass, mass.astype(np.float32).astype(float))
+    assert (held.mass != mass).any()
+
+
+def test_loops_are_closed_by_the_velocities_of_now() -> None:
+    """With those of the evaluation before they open by 0.36 mm."""
+    (case,) = (case for case in CASES if case.name == "parallelogram")
+    batch = draw_batch(case.scene, [0])
+
+    with ENGINE.open(case.scene, Settings("RK4", case.scene.clock.frame)) as run:
+        motion = run.rollout(batch)
+
+    (opened,) = gap.finding(Record(case.scene, batch, motion)).figure
+    assert opened < 5e-6
+
+
+def test_what_blows_up_ends_and_what_is_stepped_beside_it_goes_on() -> None:
+    """One of two masses is let go where its stiff spring is slack, the other 0.1 m further out."""
+    (soft,) = (case.scene for case in CASES if case.name == "spring")
+    spring = msgspec.structs.replace(soft.springs[0], stiffness=1e8, damping=0.0)
+    scene = msgspec.structs.replace(soft, springs=(spring,))
+    batch = draw_batch(scene, [0, 1])
+    batch.position[0] = (1.0, 0.0, 0.0)
+
+    with ENGINE.open(scene, Settings("RK4", scene.clock.frame)) as run:
+        motion = run.rollout(batch)
+
+    slack, stretched = motion.failures
+    assert slack is None
+    assert np.abs(motion.position[0] - [1.0, 0.0, 0.0]).max() < 1e-7
+    assert stretched is not None
+    assert "a body's speed passes" in stretched.reason
+    assert np.isnan(motion.position[1, stretched.frame :]).all()
