@@ -6,7 +6,8 @@
 
 PACKAGES is a folder into which the wheels of the extra `wild` are installed; nothing is copied from
 it. What was found of a model is kept by its content and the versions, so that an interrupted run
-goes on where it was. `--validate` also runs models in all engines: that many, smallest first.
+goes on where it was. `--validate` also runs models in all engines: that many, smallest first. What
+engines' own readers make of the models is looked at last.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ _MOVES = {
 }
 _INCLUDES = re.compile(r"<include\s+file\s*=\s*[\"']([^\"']+)")
 _ROOT = re.compile(r"<(mujoco|robot)\b")
-_REVISION = 3
+_REVISION = 4
 """Of what is found; raised, all models are looked at anew."""
 
 
@@ -91,17 +92,18 @@ def main(words: list[str]) -> None:
         msgspec.json.decode(target.read_bytes(), type=list[SurveyRow]) if target.exists() else []
     )
     rows = {row.key: row for row in known}
-    found = list(_models(packages))
-    for done, path in enumerate(found):
-        key = _key(path)
+    kept = {_key(path): path for path in _models(packages)}
+    for done, (key, path) in enumerate(kept.items()):
         if key not in rows:
             rows[key] = _surveyed(path, packages, key)
-            print(f"{done + 1}/{len(found)} {rows[key].path}", file=sys.stderr, flush=True)
-            _save(target, (rows[_key(p)] for p in found if _key(p) in rows))
-    kept = {_key(path): path for path in found}
+            print(f"{done + 1}/{len(kept)} {rows[key].path}", file=sys.stderr, flush=True)
+            _save(target, (rows[k] for k in kept if k in rows))
     if "--validate" in words:
         _validate_some(kept, rows, target, int(words[words.index("--validate") + 1]), packages)
-    _save(target, (rows[key] for key in kept))
+    for key, path in kept.items():
+        if not (rows[key].refused or rows[key].readers):
+            _let_engines_read(rows[key], path, packages)
+            _save(target, (rows[k] for k in kept))
 
 
 def _save(target: Path, rows: Iterable[SurveyRow]) -> None:
@@ -157,13 +159,18 @@ def _surveyed(path: Path, packages: Path, key: str) -> SurveyRow:
     if row.format == "URDF":
         with suppress(ValueError):
             row.from_second = _from_pinocchio(path, imported, packages)
+    return row
+
+
+def _let_engines_read(row: SurveyRow, path: Path, packages: Path) -> None:
+    """Look at what engines' own readers make of a model that is imported."""
+    imported = read_model(path, folder=packages)
     for reading in compared(imported, path, _ENGINES).readings:
         row.readers[reading.engine] = (
             f"refuses: {reading.refused}" if reading.refused else _fields(reading.differences)
         )
         if reading.moved_m is not None:
             row.moved_m[reading.engine] = reading.moved_m
-    return row
 
 
 def _fields(differences: Iterable[Difference]) -> str:

@@ -28,7 +28,7 @@ from mbds_xsim.simulate.registry import load_adapter, read_model
 
 ENGINES = ("mujoco", "pybullet", "dart", "exudyn")
 _FRAMES = 25
-_LIMIT = 120  # [s] of processor time: how busy a machine is does not matter
+_LIMIT = 60  # [s] of processor time: how busy a machine is does not matter
 
 
 class Verdicts(msgspec.Struct):

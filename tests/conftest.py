@@ -14,8 +14,9 @@ import pytest
 from mbds_xsim import __main__ as cli
 from mbds_xsim.base import isolate
 from mbds_xsim.base.errors import EngineMissing
+from mbds_xsim.checks.kernels import CHECKS
 from mbds_xsim.measure import quick
-from mbds_xsim.reference.kernels import compile_once
+from mbds_xsim.reference.kernels import REFERENCE, compile_once
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Adapter
 from tests.command_line import CommandLine, Ended
@@ -25,14 +26,14 @@ _WITHOUT = quick._without
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Have interruptions work, and the reference compiled before many processes need it.
+    """Have interruptions work, and machine code there before many processes need it.
 
     A shell has what it starts in the background ignore SIGINT, which tests send.
     """
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     if not hasattr(config, "workerinput"):
-        compile_once(print, workers=None)
+        compile_once(print, workers=None, kernels=[REFERENCE, CHECKS])
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -20,6 +20,7 @@ from mbds_xsim.base.process import redirected
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
 from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.servo import with_pushes
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
 from mbds_xsim.simulate.adapter import ModelSize, Readback, Run, Settings, recorded
 from mbds_xsim.simulate.readback import joint_anchors, joint_axes, joint_laws
@@ -79,10 +80,11 @@ class DartRun(Run):
         start_q, start_u = self._start(batch)
         q = np.full((len(batch), batch.steps + 1, model.coordinate_count), np.nan)
         u = np.full_like(q, np.nan)
+        inputs = with_pushes(self._mechanism.drives, batch.torque)
         with _error_reduction(self._error_reduction), _caught_warnings() as caught:
             failures = tuple(
-                self._roll(batch, row, start_q[row], start_u[row], q[row], u[row], caught)
-                for row in range(len(batch))
+                self._roll((batch.force[row], inputs[row]), *start, caught)
+                for row, start in enumerate(zip(start_q, start_u, q, u, strict=True))
             )
         bodies = model.body_states(q, u)
         if self._mechanism.scene.contacts:
@@ -94,8 +96,7 @@ class DartRun(Run):
 
     def _roll(
         self,
-        batch: Batch,
-        row: int,
+        inputs: tuple[Array, Array],
         start_q: Array,
         start_u: Array,
         q: Array,
@@ -107,8 +108,8 @@ class DartRun(Run):
         self._model.set_state(start_q, start_u)
         self._contact.restart()
         q[0], u[0] = start_q, start_u
-        for k in range(batch.steps):
-            self._loads.hold(batch.force[row, k], batch.torque[row, k])
+        for k, held in enumerate(zip(*inputs, strict=True)):
+            self._loads.hold(*held)
             self._stepper.advance(self._step_count)
             here, rate = skeleton.getPositions(), skeleton.getVelocities()
             if caught.size() > printed:
@@ -144,6 +145,7 @@ class DartRun(Run):
             anchor=joint_anchors(self._mechanism, self._link_anchor),
             spring=self._loads.springs(),
             law=joint_laws(self._mechanism, self._law),
+            drive=np.array([drive.as_read() for drive in self._mechanism.drives]),
             friction=np.array([j.getCoulombFriction(0) for j in self._held("frictional")]),
             limits=np.array([_limits(joint) for joint in self._held("limited")]).reshape(-1, 2),
         )

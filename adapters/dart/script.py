@@ -192,17 +192,22 @@ def _running(mechanism: Mechanism, q: Array, u: Array, step: str, count: int) ->
     for shape in shapes(mechanism):
         points = ", ".join(map(repr, shape.points))
         yield f"show({shape.body}, {shape.radius!r}, {points})"
+    bodies = {link.joint.index: link.body for link in mechanism.links if link.joint}
     yield f"skeleton.setPositions({q.tolist()!r})"
     yield f"skeleton.setVelocities({u.tolist()!r})"
-    if mechanism.springs:
+    if mechanism.springs or mechanism.drives:
         yield _SPRINGS
+        for drive in mechanism.drives:
+            at = f"joints[{bodies[drive.joint.index]}]"
+            yield f"    angle, rate = {at}.getPosition(0), {at}.getVelocity(0)"
+            yield f"    {at}.setForce(0, {drive.formula()})"
         for spring in mechanism.springs:
             yield pull_call(spring, "bodies[{}]".format, spring.in_body)
         yield "\n"
     yield _VIEW
     if step:
         yield f"for _ in range({count}):"
-        yield from ["    load()"] if mechanism.springs else []
+        yield from ["    load()"] if mechanism.springs or mechanism.drives else []
         yield f"    {step}"
     else:
         yield "# The steps are the toolkit's: RK4 on skeleton.computeForwardDynamics()."

@@ -11,6 +11,7 @@ import numpy as np
 
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.mechanism import WORLD_INDEX, PointPair
+from mbds_xsim.scene.servo import PlacedDrive
 from mbds_xsim.simulate.turning_rk4 import TurningRK4
 
 from .model import SkeletonModel
@@ -45,9 +46,18 @@ class FrameLoads:
             if hinge.index not in loops
         ]
         self._looped = [(k, hinge) for k, hinge in hinges if hinge.index in loops]
+        self._servos = [
+            (k, drive, model.joints[carried[drive.joint.index]])
+            for k, drive in enumerate(model.mechanism.drives, len(hinges))
+        ]
 
     def hold(self, force: Array, torque: Array) -> None:
-        """Take the inputs of a frame: forces in W (body, 3) [N], hinge torques (hinge,) [N·m]."""
+        """Take the inputs of a frame.
+
+        Args:
+            force: In W, shape (body, 3) [N].
+            torque: Of hinges, and behind them pushes of drives, shape (hinge + drive,) [N·m or N].
+        """
         bodies = self._model.bodies
         for k, joint in self._driven:
             joint.setForce(0, torque[k])
@@ -57,6 +67,10 @@ class FrameLoads:
         self.forces = [(bodies[k].setExtForce, force[k]) for k in sorted(pushed)]
         self.others = [partial(bodies[k].addExtTorque, twist[k], True) for k in sorted(twist)]
         self.others += [spring.pull for spring in self._springs]
+        for k, drive, joint in self._servos:
+            turning = drive.joint in self._model.mechanism.hinges
+            held = joint.getForce(0) if turning else 0.0  # what hinges have was set just above
+            self.others.append(partial(_lead, joint, drive, float(torque[k]), held))
 
     def _twist(self, torque: Array) -> dict[int, Array]:
         """Torques of the driven loop hinges, by body and in its native frame [N·m]."""
@@ -77,6 +91,11 @@ class FrameLoads:
             push(force)
         for act in self.others:
             act()
+
+
+def _lead(joint: Any, drive: PlacedDrive, push: float, held: float) -> None:
+    """Let a servo act on a joint at its present place and rate, beside what is held."""
+    joint.setForce(0, held + drive.at(push, joint.getPosition(0), joint.getVelocity(0)))
 
 
 class _Spring:

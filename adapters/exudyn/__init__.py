@@ -55,6 +55,8 @@ _ONLY_A_TREE = {
     "ball joint are singular when the second turns by 90°",
     Feature.FIXED: "a kinematic tree has hinges and sliders only; make the two bodies one",
     Feature.FREE_BODY: "a kinematic tree stands on the world",
+    Feature.DRIVE: "the adapter limits servos by a function of markers, and coordinates of "
+    "Exudyn's trees have none",
     **dict.fromkeys(
         (Feature.JOINT_FRICTION, Feature.JOINT_LIMITS, Feature.COUPLING),
         "Exudyn's friction, stops and gears are of markers, and coordinates of its trees have none",

@@ -1,4 +1,4 @@
-"""What acts on coordinates of joints in Exudyn's terms: dry friction, stops and gears.
+"""What acts on coordinates of joints in Exudyn's terms: dry friction, stops, gears and servos.
 
 Friction and stops are as hard as a step h resolves, by what a coordinate moves at the scene's
 start, m with all other joints free, M with all held. A stop is a damper d of 2m/h, which takes a
@@ -22,6 +22,15 @@ _FIXED = (
     "fixed = mbs.AddMarker(items.MarkerNodeCoordinate("
     "nodeNumber=mbs.AddNode(items.NodePointGround()), coordinate=0))"
 )
+_SATURATED = """
+
+def saturated(limit):
+    def force(mbs, time, item, place, rate, stiffness, damping, push):
+        return min(max(stiffness * place + damping * rate - push, -limit), limit)
+
+    return force
+
+"""
 _KINDS = {"hinge": "Rotation", "slider": "Translation"}
 
 
@@ -38,7 +47,7 @@ def brakes_listing(mechanism: Mechanism, step: float) -> Iterator[str]:
         step: Of the solver [s].
     """
     joints = braked(mechanism)
-    if joints:
+    if joints or mechanism.drives:
         yield _FIXED
     least, most = (values.tolist() for values in moved_inertias(mechanism, joints))
     for joint, free, whole in zip(joints, least, most, strict=True):
@@ -46,6 +55,24 @@ def brakes_listing(mechanism: Mechanism, step: float) -> Iterator[str]:
             f"brakes.append(mbs.AddObject(items.CoordinateSpringDamperExt(markerNumbers=[fixed, "
             f"{_coordinate(joint)}], nodeNumber={_data(3)}, {_law(joint, free, whole, step)})))"
         )
+
+
+def drives_listing(mechanism: Mechanism) -> Iterator[str]:
+    """Lines that make `drives`, whose offsets are what their targets exert."""
+    if mechanism.drives:
+        yield _SATURATED
+    for drive in mechanism.drives:
+        servo, push = drive.servo, float(drive.pushes(1)[0])
+        yield (
+            f"drives.append(mbs.AddObject(items.CoordinateSpringDamper(markerNumbers=[fixed, "
+            f"{_coordinate(drive.joint)}], stiffness={servo.stiffness!r}, "
+            f"damping={servo.damping!r}, offset={push!r}, "
+            f"springForceUserFunction=saturated({_number(drive.limit)}))))"
+        )
+
+
+def _number(value: float) -> str:
+    return repr(value) if np.isfinite(value) else "np.inf"
 
 
 def couplings_listing(mechanism: Mechanism) -> Iterator[str]:

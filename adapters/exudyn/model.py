@@ -19,7 +19,7 @@ from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
 from mbds_xsim.scene.shapes import THIN, shapes
 
-from .brakes import brakes_listing, couplings_listing
+from .brakes import brakes_listing, couplings_listing, drives_listing
 
 # Exudyn wants names that no other item has, so the scene's names are comments.
 HEAD = """\
@@ -32,7 +32,7 @@ container = exu.SystemContainer()
 mbs = container.AddSystem()
 ground = mbs.CreateGround()
 bodies, joints, frames, springs, laws, brakes = [], [], [], [], [], []
-couplings, forces, torques = [], [], []"""
+drives, couplings, forces, torques = [], [], [], []"""
 _CALLS = {
     "fixed": "CreateGenericJoint",
     "hinge": "CreateRevoluteJoint",
@@ -140,6 +140,7 @@ class RigidBodies(Formulation):
         for joint in mechanism.compliant:
             yield (_turning_law if joint.kind == "hinge" else _sliding_law)(joint)
         yield from brakes_listing(mechanism, self.step)
+        yield from drives_listing(mechanism)
         yield from couplings_listing(mechanism)
 
     def ends(self, pair: PointPair) -> str:

@@ -11,6 +11,7 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint
+from mbds_xsim.scene.servo import with_pushes
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import (
     ModelSize,
@@ -116,9 +117,9 @@ class ExudynRun(Run):
         carried on from the last frame's, a jump of the loads would cost an order of accuracy.
         """
         self._put(positions[0], velocities[0])
-        data = self._mbs.systemData
+        data, torque = self._mbs.systemData, with_pushes(self._mechanism.drives, row.torque)
         for k in range(row.steps):
-            self._load(row.force[0, k], row.torque[0, k])
+            self._load(row.force[0, k], torque[0, k])
             try:
                 self._names["next_frame"]()
             except Exception as error:
@@ -135,9 +136,10 @@ class ExudynRun(Run):
         put = self._mbs.SetLoadParameter
         for load, value in zip(self._names["forces"], force, strict=True):
             put(load, "loadVector", value)
-        for joint, pair, moment in zip(
-            self._mechanism.hinges, self._names["torques"], torque, strict=True
-        ):
+        hinges = self._mechanism.hinges
+        for drive, push in zip(self._names["drives"], torque[len(hinges) :], strict=True):
+            self._mbs.SetObjectParameter(drive, "offset", push)
+        for joint, pair, moment in zip(hinges, self._names["torques"], torque, strict=False):
             for load, sign in zip(pair, (1.0, -1.0), strict=True):
                 if load is not None:
                     put(load, "loadVector", sign * moment * joint.axis)
@@ -168,6 +170,7 @@ class ExudynRun(Run):
             anchor=self._model.anchors(self._names, com, turn),
             spring=self._springs(),
             law=self._model.laws(self._names),
+            drive=np.array([self._drive(number) for number in self._names["drives"]]),
             coupling=np.array([self._coupling(number) for number in self._names["couplings"]]),
             friction=self._held("dynamicFrictionForce", self._mechanism.frictional),
             limits=np.column_stack(
@@ -178,6 +181,11 @@ class ExudynRun(Run):
     def _coupling(self, number: Any) -> tuple[float, float]:
         tie = self._mbs.GetObject(number)
         return 1.0 / tie["factor1"], tie["offset"] / tie["factor1"]
+
+    def _drive(self, number: Any) -> tuple[float, float, float]:
+        """Its limit is in the function that makes its force, of which Exudyn tells nothing."""
+        law = self._mbs.GetObject(number)
+        return law["stiffness"], law["damping"], np.nan
 
     def _held(self, key: str, joints: tuple[PlacedJoint, ...]) -> Array:
         return held(self._names, self._mechanism, key, joints)

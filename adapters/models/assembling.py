@@ -272,16 +272,17 @@ class _Builder:
 
     def _drive(self, drive: Drive) -> None:
         joint = self._joint_names.get(drive.joint)
+        element, _ = self._model.labels.get("drive", ("actuator", ""))
         if joint is None:
-            self._tell("dropped", "actuator", _TIES_NOTHING, drive.name, moves=False)
+            self._tell("dropped", element, _TIES_NOTHING, drive.name, moves=False)
             return
-        k, c = drive.stiffness, drive.damping
-        self.servos.append(Servo(joint, (drive.position,), (drive.velocity,), k, c))
-        if drive.limited:
-            reason = "a servo at its command of 0, without the limit of its torque"
-            self._tell("approximated", "actuator", reason, drive.name)
+        k, c, place, speed = drive.stiffness, drive.damping, (drive.position,), (drive.velocity,)
+        self.servos.append(Servo(joint, place, speed, k, c, limit=drive.limit))
+        if drive.unkept:
+            reason = f"a servo {drive.led}, without the limit of its torque: {drive.unkept}"
+            self._tell("approximated", element, reason, drive.name)
         else:
-            self._tell("kept", "actuator", "a servo at its command of 0", drive.name)
+            self._tell("kept", element, f"a servo {drive.led}", drive.name)
 
     def _couple(self, coupling: ModelCoupling) -> None:
         element, attribute = self._model.labels["coupling"]

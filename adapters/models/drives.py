@@ -13,6 +13,7 @@ from .parts import Drive
 from .ties import named
 
 _IDLE = "exerts nothing without a command, and a scene has none"
+_NO_LIMIT = (-np.inf, np.inf)
 _NOT_LINEAR = "its force is not linear in place and rate"
 
 
@@ -46,15 +47,13 @@ def _drive(mujoco: Any, model: Any, k: int) -> Drive | str:
         return _IDLE
     if model.actuator_trntype[k] > int(mujoco.mjtTrn.mjTRN_JOINTINPARENT):
         return "it does not act on a joint"
-    slides = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
-    if not slides and model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
+    kinds = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
+    if model.jnt_type[joint] not in kinds:
         return "the scene description has servos of hinges and sliders alone"
     if not still:
         return "its activation changes by itself"
     if stiffness < 0 or damping < 0 or not (stiffness or damping):
         return "it has a negative gain, or none"
-    if slides and push and not stiffness:
-        return "the scene description has no servo of a slider's speed alone"
     push *= gear[0]
     start = float(model.qpos0[model.jnt_qposadr[joint]])
     return Drive(
@@ -64,8 +63,23 @@ def _drive(mujoco: Any, model: Any, k: int) -> Drive | str:
         damping=float(damping),
         position=float(push / stiffness) - start if stiffness else 0.0,
         velocity=0.0 if stiffness else float(push / damping),
-        limited=bool(model.actuator_forcelimited[k] or model.jnt_actfrclimited[joint]),
+        **_limits(model, k, joint, abs(float(gear[0]))),
     )
+
+
+def _limits(model: Any, k: int, joint: int, gear: float) -> dict[str, Any]:
+    """Give the limit of an actuator's torque, or why there is none, as `Drive` has it."""
+    own = gear * model.actuator_forcerange[k] if model.actuator_forcelimited[k] else _NO_LIMIT
+    whole = model.jnt_actfrcrange[joint] if model.jnt_actfrclimited[joint] else _NO_LIMIT
+    shared = np.count_nonzero(model.actuator_trnid[:, 0] == joint) > 1
+    if shared and np.isfinite(whole).any():
+        return {"unkept": "several actuators share the limit of their joint"}
+    low, high = max(own[0], whole[0]), min(own[1], whole[1])
+    if np.isinf(high) and np.isinf(low):
+        return {}
+    if not 0 < high == -low:
+        return {"unkept": f"{low:g} to {high:g} is not as much either way"}
+    return {"limit": float(high)}
 
 
 def _activation(model: Any, k: int) -> tuple[float, bool]:

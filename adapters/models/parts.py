@@ -119,8 +119,12 @@ class Drive:
     position: float
     """[rad or m], counted from the reference pose."""
     velocity: float
-    limited: bool = False
-    """Whether the file limits its torque."""
+    limit: float | None = None
+    """Of its torque [N·m] or force [N], either way."""
+    unkept: str = ""
+    """Why a limit of the file is not kept."""
+    led: str = "at its command of 0"
+    """To what, in words."""
 
 
 @dataclass(frozen=True, eq=False)

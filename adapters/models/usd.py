@@ -17,13 +17,14 @@ from mbds_xsim.scene.imported import Fate, Imported
 
 from .assembling import assemble
 from .graph import Node, Tie, tree_of
-from .parts import Freedom, Line, Mass, Parts
+from .parts import Drive, Freedom, Line, Mass, Parts
+from .usd_drives import drive_of
 from .usd_fates import fates_of
 from .usd_masses import mass_of
 
 _LARGEST_FILE = 64 * 10**6  # bytes
 _MET = 1e-5  # gap of a joint's two frames over the model's extent: places are of single precision
-_LABELS = {"limits": ("Physics…Joint", "physics:lowerLimit")}
+_LABELS = {"limits": ("Physics…Joint", "physics:lowerLimit"), "drive": ("drive", "")}
 _KINDS = {"RevoluteJoint": "hinge", "PrismaticJoint": "slider", "SphericalJoint": "ball",
           "FixedJoint": "fixed", "D6Joint": "several"}  # fmt: skip
 
@@ -89,6 +90,7 @@ class _Reading:
         self._places = UsdGeom.XformCache()
         self._found = UsdPhysics.UsdPhysicsLoadStageFromPrimRange(stage, ["/"])
         self.fates: list[Fate] = []
+        self._drives: list[Drive] = []
 
     def model(self, name: str) -> Parts:
         bodies = [desc for desc in self._all("RigidBody") if desc.rigidBodyEnabled]
@@ -106,7 +108,17 @@ class _Reading:
         parts, closings = tree_of(nodes, ties)
         place = {part.name: k for k, part in enumerate(parts)}
         lines = tuple(self._lines(index, [place[node.name] for node in nodes]))
-        return Parts(name, parts, self._gravity(), closings, (), lines, _LABELS)
+        drives = tuple(self._tree_drives({f.name for part in parts for f in part.freedoms}))
+        return Parts(name, parts, self._gravity(), closings, (), lines, _LABELS, drives)
+
+    def _tree_drives(self, freedoms: set[str]) -> Iterator[Drive]:
+        """Give the drives of joints that carry bodies; those that close loops have no servos."""
+        for drive in self._drives:
+            if drive.joint in freedoms:
+                yield drive
+            else:
+                reason = "its joint closes a loop"
+                self.fates.append(Fate("drive", (), "dropped", reason, True, (drive.joint,)))
 
     def _all(self, what: str) -> list[Any]:
         kind = getattr(self._physics.ObjectType, what)
@@ -180,19 +192,38 @@ class _Reading:
         if kind == "fixed":
             return Tie(name, ends, (), point)
         limits = self._limits(getattr(desc, "limit", None), kind, start)
+        if kind != "ball":
+            self._lead(desc.drive, name, kind, start)
         freedom = Freedom(name, kind, point, axis if kind != "ball" else np.zeros(3), limits)  # type: ignore[arg-type]
         return Tie(name, ends, (freedom,), point)
 
     def _freedoms(self, desc: Any, name: str, point: Array, axes: Array) -> Iterator[Freedom]:
         """Give the degrees of freedom that a general joint does not lock."""
         limits = {pair.first.name: pair.second for pair in desc.jointLimits}
+        drives = {pair.first.name: pair.second for pair in desc.jointDrives}
         for kind, letter in (("slider", "Trans"), ("hinge", "Rot")):
             for k, axis in enumerate("XYZ"):
                 limit = limits.get(f"{letter}{axis}")
                 if limit is not None and limit.enabled and limit.lower > limit.upper:
                     continue
                 own = f"{name} {letter.lower()} {axis.lower()}"
+                if (drive := drives.pop(f"{letter}{axis}", None)) is not None:
+                    self._lead(drive, own, kind, 0.0)
                 yield Freedom(own, kind, point, axes[:, k], self._limits(limit, kind, 0.0))  # type: ignore[arg-type]
+
+        for freedom in drives:
+            reason = "what it leads is locked, or no axis"
+            self.fates.append(Fate("drive", (freedom,), "dropped", reason, False, (name,)))
+
+    def _lead(self, drive: Any, joint: str, kind: str, start: float) -> None:
+        """Let a drive lead a freedom, if it can."""
+        if not drive.enabled:
+            return
+        found = drive_of(drive, joint, kind, start, (self._metre, self._kilogram))
+        if isinstance(found, Drive):
+            self._drives.append(found)
+        else:
+            self.fates.append(Fate("drive", (), "dropped", found, True, (joint,)))
 
     def _limits(self, limit: Any, kind: str, start: float) -> dict[str, tuple[float, float]]:
         if limit is None or not limit.enabled or kind == "ball":

@@ -33,7 +33,7 @@ for _outcome, _moves, _reason, _names in (
      "physics:approximation physics:filteredPairs physics:simulationOwner"),
     ("dropped", True, "the model starts in the reference pose, at rest",
      "physics:velocity physics:angularVelocity"),
-    ("dropped", True, "servos are not yet in the scene description", "drive"),
+    ("dropped", True, "it is not of a hinge or slider, or PhysicsDriveAPI is not applied", "drive"),
     ("dropped", True, "joints do not break", "physics:breakForce physics:breakTorque"),
     ("dropped", False, "a setting of an engine, not of the mechanism", "physics:startsAsleep"),
     ("dropped", True, "not yet in the scene description",
@@ -41,6 +41,8 @@ for _outcome, _moves, _reason, _names in (
 ):  # fmt: skip
     _TABLE |= dict.fromkeys(_names.split(), (_outcome, _moves, _reason))  # type: ignore[arg-type]
 _LIMITS = ("physics:lowerLimit", "physics:upperLimit")
+_DRIVEN = ("PhysicsRevoluteJoint", "PhysicsPrismaticJoint", "PhysicsJoint")
+"""What becomes of the drives of these is told drive by drive."""
 _SIMULATORS = ("physx", "mjc", "newton", "isaac")
 
 
@@ -56,13 +58,20 @@ def fates_of(stage: Any, *, limited: bool) -> Iterator[Fate]:
         kind = str(prim.GetTypeName()) or "Prim"
         for attribute in prim.GetAuthoredProperties():
             name = attribute.GetName()
-            if name in _LIMITS and limited:
+            if (name in _LIMITS and limited) or _is_of_drive(prim, name):
                 continue
             found[kind, _fate(name)].append((name, prim.GetName()))
     for (kind, (outcome, moves, reason)), pairs in found.items():
         names = tuple(dict.fromkeys(name for name, _ in pairs))
         places = tuple(dict.fromkeys(place for _, place in pairs))
         yield Fate(kind, names, outcome, reason, moves, places, len(places))
+
+
+def _is_of_drive(prim: Any, name: str) -> bool:
+    """Whether a property is of a drive that the library parses."""
+    first, _, rest = name.partition(":")
+    applied = f"PhysicsDriveAPI:{rest.partition(':')[0]}" in prim.GetAppliedSchemas()
+    return first == "drive" and applied and prim.GetTypeName() in _DRIVEN
 
 
 def _fate(name: str) -> _Row:

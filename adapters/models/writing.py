@@ -16,7 +16,7 @@ from mbds_xsim.scene.scene import WORLD, Scene
 from mbds_xsim.scene.servo import Servo
 
 from ..mujoco.contact import numbers
-from ..mujoco.model import mechanics, text
+from ..mujoco.model import limit_force, mechanics, text
 
 _SETTING = "how the scene is run, which no model says"
 _START = "the model stands in the reference pose"
@@ -132,7 +132,7 @@ def _servo(actuators: Element, servo: Servo) -> None:
     """Write a servo that is at its first target without a command, which moves the target."""
     push = servo.stiffness * servo.position[0] + servo.damping * servo.velocity[0]
     gain, bias = servo.stiffness or servo.damping, (push, -servo.stiffness, -servo.damping)
-    SubElement(
+    element = SubElement(
         actuators,
         "general",
         joint=servo.joint,
@@ -140,6 +140,7 @@ def _servo(actuators: Element, servo: Servo) -> None:
         biastype="affine",
         biasprm=numbers(bias),
     )
+    limit_force(element, servo.limit)
 
 
 def _targets(scene: Scene) -> Iterator[Fate]:

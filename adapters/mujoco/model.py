@@ -16,6 +16,7 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint, PointPair
+from mbds_xsim.scene.servo import PlacedDrive
 
 from .contact import Impact, add_ground, cone_options, numbers, stop_law
 from .state import slim
@@ -34,8 +35,8 @@ CLOSING_POINTS: dict[str, tuple[float, ...]] = {
 
 
 _NOT_IN_MJCF = (
-    " Held over each recorded frame: forces as xfrc_applied, hinge torques as ctrl. The keyframe "
-    "is the start."
+    " Held over each recorded frame: forces as xfrc_applied, hinge torques as ctrl, and behind "
+    "these what targets exert. The keyframe is the start."
 )
 
 
@@ -81,8 +82,10 @@ def mjcf(mechanism: Mechanism, stepping: StepOptions, idle: Array) -> Element:
         assert element is not None
         element.attrib.update({f"{key}limit": value for key, value in law.items()})
     add_ground(root, bodies, mechanism, stepping.impact)
-    if mechanism.hinges:
-        _motors(SubElement(root, "actuator"), bodies, mechanism)
+    if mechanism.hinges or mechanism.drives:
+        actuators = SubElement(root, "actuator")
+        _motors(actuators, bodies, mechanism)
+        _drives(actuators, mechanism.drives)
     return root
 
 
@@ -130,12 +133,14 @@ def closing_point(joint: PlacedJoint, k: int) -> str:
     return f"{joint.name} {k}"
 
 
-def with_start(xml: str, qpos: Array, qvel: Array, remark: str) -> str:
+def with_start(xml: str, qpos: Array, qvel: Array, command: Array, remark: str) -> str:
     """Add the scene's start as a keyframe, and say what MJCF has no place for."""
     root = ElementTree.fromstring(xml)
     root.insert(0, ElementTree.Comment(f"{_NOT_IN_MJCF}{remark} "))
     keyframe = SubElement(root, "keyframe")
-    SubElement(keyframe, "key", name="start", qpos=numbers(qpos), qvel=numbers(qvel))
+    key = SubElement(keyframe, "key", name="start", qpos=numbers(qpos), qvel=numbers(qvel))
+    if command.any():
+        key.set("ctrl", numbers(command))
     return text(root)
 
 
@@ -164,7 +169,7 @@ def _option(root: Element, mechanism: Mechanism, stepping: StepOptions) -> None:
 def _idle(mechanism: Mechanism) -> list[str]:
     """Name the parts of a step that have nothing to do; a tenth of the time of a short chain."""
     parts = {
-        "actuation": mechanism.hinges,
+        "actuation": (*mechanism.hinges, *mechanism.drives),
         "spring": (*mechanism.springs, *mechanism.compliant),
         "damper": (*mechanism.springs, *mechanism.compliant),
         "contact": mechanism.scene.contacts,
@@ -318,6 +323,22 @@ def _tendon(tendons: Element, bodies: dict[int, Element], pair: PointPair, name:
     for end, (body, point) in enumerate(zip(pair.bodies, pair.in_body, strict=True)):
         SubElement(tendon, "site", site=_site(bodies[body], f"{name} {end}", point))
     return tendon
+
+
+def _drives(actuators: Element, drives: tuple[PlacedDrive, ...]) -> None:
+    """Add servos that may saturate, whose commands are what their targets exert."""
+    for drive in drives:
+        law = (0.0, -drive.servo.stiffness, -drive.servo.damping)
+        element = SubElement(
+            actuators, "general", joint=drive.joint.name, biastype="affine", biasprm=numbers(law)
+        )
+        limit_force(element, drive.servo.limit)
+
+
+def limit_force(actuator: Element, limit: float | None) -> None:
+    """Limit the force of an actuator."""
+    if limit is not None:
+        actuator.attrib.update(forcelimited="true", forcerange=numbers((-limit, limit)))
 
 
 def _motors(actuators: Element, bodies: dict[int, Element], mechanism: Mechanism) -> None:

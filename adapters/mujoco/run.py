@@ -13,6 +13,7 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.joint_space import BodyStates, to_links
 from mbds_xsim.scene.mechanism import Link, Mechanism, PlacedJoint
+from mbds_xsim.scene.servo import with_pushes
 from mbds_xsim.scene.spin import carried
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import (
@@ -127,7 +128,7 @@ class ModelRun(Run):
         frame, placed = self._stepper.frame, self._stepper.placed
         # At the centre of mass and along W in every stage of a step. MuJoCo's first body is W.
         push, force = data.xfrc_applied[1:, :3], one.force[0][:, self._order]
-        drive, torque = data.ctrl, one.torque[0]
+        drive, torque = data.ctrl, with_pushes(self._mechanism.drives, one.torque[0])
         qpos, second = data.qpos, self.coordinates.second
         frames.keep(row, 0)
         for k in range(one.steps):
@@ -198,6 +199,7 @@ class ModelRun(Run):
             armature=model.dof_armature[self._dofs(self._mechanism.rotors)],
             friction=model.dof_frictionloss[self._dofs(self._mechanism.frictional)],
             limits=self._limits(),
+            drive=self._drives(),
         )
 
     def _twist(self, body: int) -> Array:
@@ -258,6 +260,12 @@ class ModelRun(Run):
         held = self.model.jnt_limited[numbers].astype(bool)
         return np.where(held[:, None], self.model.jnt_range[numbers], np.inf)
 
+    def _drives(self) -> Array:
+        model, first = self.model, len(self._mechanism.hinges)
+        limited = model.actuator_forcelimited[first:].astype(bool)
+        limit = np.where(limited, model.actuator_forcerange[first:, 1], 0.0)
+        return np.column_stack([-model.actuator_biasprm[first:, 1:3], limit])
+
     def _dof(self, joint: PlacedJoint) -> int:
         return int(self.model.jnt_dofadr[self.model.joint(joint.name).id])
 
@@ -300,7 +308,9 @@ class ModelRun(Run):
 
     def native(self, batch: Batch) -> str:
         qpos, qvel = self.start(batch)
-        return with_start(self._xml, qpos[0], qvel[0], self._stepper.remark)
+        inputs = np.zeros((1, len(self._mechanism.hinges)))
+        command = with_pushes(self._mechanism.drives, inputs)[0]
+        return with_start(self._xml, qpos[0], qvel[0], command, self._stepper.remark)
 
     def close(self) -> None:
         self.model = self.data = None

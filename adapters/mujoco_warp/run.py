@@ -9,6 +9,7 @@ import numpy as np
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.joint_space import to_bodies
 from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.servo import with_pushes
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import Readback, Run
 
@@ -66,8 +67,10 @@ class WarpRun(Run):
 
     def simulate(self, batch: Batch) -> tuple[Trajectory, Array]:
         """Roll out; tell too how far Cardan joints were bent at frames [rad], (trajectory,)."""
-        host, inputs = self._host, (batch.force, batch.torque)
-        q, u = self._worlds.stepped(host.start(batch), *inputs, self._bodies, self._count)
+        host, torque = self._host, with_pushes(self._mechanism.drives, batch.torque)
+        q, u = self._worlds.stepped(
+            host.start(batch), batch.force, torque, self._bodies, self._count
+        )
         bodies = to_bodies(self._mechanism, host.coordinates.to_links(q, u))
         bend = np.abs(q[..., host.coordinates.second]).max(axis=(1, 2), initial=0.0)
         return host.finished(batch, bodies, [None] * len(batch)), bend

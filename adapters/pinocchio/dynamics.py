@@ -28,8 +28,8 @@ class PinocchioDynamics:
         constraints: That close its loops.
         springs: Between points of bodies.
         ends: Of each spring.
-        laws: Of the joints with a spring or damper: place among the coordinates and among their
-            velocities, stiffness, damping and coordinate at rest, shape (joint, 5).
+        laws: Of springs and dampers of joints, and of servos: place among the coordinates and among
+            their velocities, stiffness, damping, coordinate at rest and limit, shape (law, 6).
         softness: Of the proximal steps by which the constraints are solved.
     """
 
@@ -56,7 +56,8 @@ class PinocchioDynamics:
         self._pool = pin.ModelPool(model, 1)
         self._springs = list(zip(springs, ends, strict=True))
         self._place, self._speed = laws[:, 0].astype(int), laws[:, 1].astype(int)
-        self._stiffness, self._damping, self._rest = laws[:, 2:].T
+        self._stiffness, self._damping, self._rest, self._limit = laws[:, 2:].T
+        self._onto = np.equal.outer(self._speed, np.arange(model.nv)).astype(float)
         self._frames = list(bodies)
         joints = [model.frames[k].parentJoint for k in self._frames]
         moving = [joint for joint in range(model.njoints) for _ in range(model.nvs[joint])]
@@ -64,6 +65,8 @@ class PinocchioDynamics:
         self._carries = np.array([[float(j in below) for below in supports] for j in moving])
         self.torque: Array | float = 0.0
         """Held on the velocity coordinates, shape (state, coordinate)."""
+        self.push: Array | float = 0.0
+        """What targets of servos exert, shape (law,); 0 of springs."""
         self.force: Array | None = None
         """In W on the bodies' frames [N], shape (state, body, 3)."""
         self.turning: Array | None = None
@@ -83,7 +86,8 @@ class PinocchioDynamics:
         load = np.zeros_like(u) + self.torque
         if len(self._place):
             stretch = q[:, self._place] - self._rest
-            load[:, self._speed] -= self._stiffness * stretch + self._damping * u[:, self._speed]
+            pull = self._stiffness * stretch + self._damping * u[:, self._speed]
+            load += np.clip(self.push - pull, -self._limit, self._limit) @ self._onto
         if self.force is not None or self.turning is not None or self._springs:
             for row in range(len(q)):
                 load[row] += self._pushed(row, q[row], u[row])

@@ -15,6 +15,7 @@ from mbds_xsim.scene import mechanism as mechanisms
 from mbds_xsim.scene.joint_space import BodyStates, to_bodies, to_links
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism
 from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.servo import with_pushes
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import turning_rk4
 from mbds_xsim.simulate.adapter import (
@@ -60,12 +61,16 @@ class PinocchioRun(Run):
         places, speeds = list(model.idx_qs), list(model.idx_vs)
         self._coordinates = PinocchioCoordinates(mechanism, layout, places, speeds)
         native = layout.native
+        laws = [(j, (j.stiffness, j.damping, j.rest, np.inf)) for j in mechanism.compliant]
+        laws += [
+            (drive.joint, (drive.servo.stiffness, drive.servo.damping, 0.0, drive.limit))
+            for drive in mechanism.drives
+        ]
+        at = [(places[native[joint.index]], speeds[native[joint.index]]) for joint, _ in laws]
         self._laws = np.array(
-            [
-                (places[native[j.index]], speeds[native[j.index]], j.stiffness, j.damping, j.rest)
-                for j in mechanism.compliant
-            ]
-        ).reshape(-1, 5)
+            [(*place, *law) for place, (_, law) in zip(at, laws, strict=True)]
+        ).reshape(-1, 6)
+        self._pushes = self._pushed(scene.clock.steps)
         self._ends = [tuple(zip(s.bodies, s.in_body, strict=True)) for s in mechanism.springs]
         self._softness = softness
         more = mechanism.springs, self._ends, self._laws, softness
@@ -78,6 +83,12 @@ class PinocchioRun(Run):
         self._looped = [(k, hinge) for k, hinge in hinges if hinge.index not in native]
         rows = sum(constraint.residualSize() for constraint in names["constraints"])
         self.size = ModelSize(model.nv, rows)
+
+    def _pushed(self, steps: int) -> Array:
+        """Give what targets exert by every law of a joint, shape (step, law)."""
+        springs = np.zeros((steps, len(self._mechanism.compliant)))
+        none = np.zeros((steps, 0))
+        return np.concatenate([springs, with_pushes(self._mechanism.drives, none)], axis=1)
 
     def rollout(self, batch: Batch) -> Trajectory:
         start_q, start_u = self._start(batch)
@@ -110,7 +121,7 @@ class PinocchioRun(Run):
         force, torque = batch.force[rows, frame], batch.torque[rows, frame]
         held = np.zeros((len(rows), self._model.nv))
         held[:, self._driven_at] = torque[:, self._driven]
-        self._dynamics.torque = held
+        self._dynamics.torque, self._dynamics.push = held, self._pushes[frame]
         self._dynamics.force = force if force.any() else None
         turning = np.zeros_like(force)
         for k, hinge in self._looped:
@@ -145,6 +156,7 @@ class PinocchioRun(Run):
             anchor=joint_anchors(self._mechanism, self._anchors),
             spring=self._springs(),
             law=joint_laws(self._mechanism, lambda _, j: (j.stiffness, j.damping, j.rest)),
+            drive=np.array([drive.as_read() for drive in self._mechanism.drives]),
             armature=np.array([model.armature[model.idx_vs[joint]] for joint in rotors]),
         )
 
@@ -191,6 +203,7 @@ class PinocchioRun(Run):
             springs=", ".join(springs),
             ends=ends,
             laws=self._laws.tolist(),
+            push=self._pushes[0].tolist(),
             softness=self._softness,
             turns=turns,
             q=q.tolist(),
@@ -232,13 +245,15 @@ Array = Index = np.ndarray
 {dynamics}
 
 
-springs, laws = [{springs}], np.array({laws}).reshape(-1, 5)
+inf = np.inf
+springs, laws = [{springs}], np.array({laws}).reshape(-1, 6)
 ends = [[(body, np.array(point)) for body, point in pair] for pair in {ends}]
 frames = [bodies[k] for k in sorted(bodies)]
 held = PinocchioDynamics(model, frames, constraints, springs, ends, laws, {softness})
 turns = np.array({turns}, dtype=int).reshape(-1, 3)
 rk4 = TurningRK4(model.nv, turns, np.ones(len(turns)))
 q, u = np.array({q}), np.array({u})
+held.push = np.array({push})
 # Inputs are left out. Of a frame: held.torque on the coordinates, held.force on the bodies.
 for _ in range({count}):
     q, u = rk4.step({step!r}, q, u, held.rate, held.moved)

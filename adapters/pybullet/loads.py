@@ -32,6 +32,9 @@ class StepLoads:
         self._driven = {link.joint.index: link.body for link in tree if link.joint is not None}
         self._tell = client.function("getJointState")
         self._sprung = sprung(model)
+        self._servos = [
+            (drive, *model.address(self._driven[drive.joint.index])) for drive in mechanism.drives
+        ]
 
     def change_within_frame(self, torque: Array) -> bool:
         """Whether something follows the motion, so that each step needs it anew.
@@ -40,20 +43,21 @@ class StepLoads:
         of one call.
         """
         loops = [joint.index in self._closures for joint in self._hinges]
-        return bool(self._springs or self._compliant) or bool(torque[..., loops].any())
+        follows = self._springs or self._compliant or self._servos
+        return bool(follows) or bool(torque[..., : len(loops)][..., loops].any())
 
     def apply(self, force: Array, torque: Array, reading: Array) -> None:
-        """Apply a frame's inputs, shapes (body, 3) and (hinge,), and the springs.
+        """Apply a frame's inputs, shapes (body, 3) and (hinge + drive,), and the springs.
 
         Args:
             force: In W on centres of mass [N].
-            torque: About the hinges [N·m].
+            torque: About the hinges [N·m], and behind them pushes of drives.
             reading: What `Multibodies.read` tells of the present state.
         """
         for body in np.flatnonzero(force.any(axis=-1)).tolist():
             self._push(body, force[body], reading[body, :3])
-        turning = []
-        for k in np.flatnonzero(torque).tolist():
+        turning, hinges = [], len(self._hinges)
+        for k in np.flatnonzero(torque[:hinges]).tolist():
             joint = self._hinges[k]
             if joint.index in self._closures:
                 turning.append((joint, float(torque[k])))
@@ -64,6 +68,9 @@ class StepLoads:
                 self._drive(number, link, self._as_torque, force=float(torque[k]))
         for number, link, stiffness, rest in self._sprung:
             effort = -stiffness * (self._tell(number, link)[0] - rest)
+            self._drive(number, link, self._as_torque, force=effort)
+        for push, (drive, number, link) in zip(torque[hinges:].tolist(), self._servos, strict=True):
+            effort = drive.at(push, *self._tell(number, link)[:2])
             self._drive(number, link, self._as_torque, force=effort)
         if turning or self._springs:
             state = self._model.states(reading)
@@ -123,11 +130,19 @@ def sprung(model: Multibodies) -> list[tuple[int, int, float, float]]:
 
 def spring_calls(model: Multibodies) -> list[str]:
     """Write what `StepLoads.apply` does about them in each step."""
-    return [
+    calls = [
         f"p.setJointMotorControl2({number}, {link}, p.TORQUE_CONTROL, "
         f"force=-{stiffness!r} * (p.getJointState({number}, {link})[0] - {rest!r}))"
         for number, link, stiffness, rest in sprung(model)
     ]
+    bodies = {link.joint.index: link.body for link in model.mechanism.links if link.joint}
+    for drive in model.mechanism.drives:
+        at = "{}, {}".format(*model.address(bodies[drive.joint.index]))
+        calls += [
+            f"angle, rate, *_ = p.getJointState({at})",
+            f"p.setJointMotorControl2({at}, p.TORQUE_CONTROL, force={drive.formula()})",
+        ]
+    return calls
 
 
 def _ends(pair: PointPair, state: BodyStates) -> tuple[tuple[Array, Array], Array]:

@@ -13,6 +13,7 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PointPair
 from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.servo import with_pushes
 from mbds_xsim.scene.shapes import TENSION, pull_call
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
 from mbds_xsim.simulate.adapter import Readback, Run, Settings, first_failures, recorded
@@ -95,21 +96,23 @@ class PyBulletRun(Run):
     def rollout(self, batch: Batch) -> Trajectory:
         shape = (len(batch), batch.steps + 1, self._mechanism.body_count, 13)
         reading = np.full(shape, np.nan)
-        each_step = self._loads.change_within_frame(batch.torque)
+        driving = with_pushes(self._mechanism.drives, batch.torque)
+        each_step = self._loads.change_within_frame(driving)
         self._set_stepping(1 if each_step else self._substeps)
         for row in range(len(batch)):
-            self._roll(batch, row, reading[row], self._substeps if each_step else 1)
+            calls = self._substeps if each_step else 1
+            self._roll(batch, row, driving[row], reading[row], calls)
         states = self._model.states(reading)
         failures = self._failures(reading, states)
         return recorded(self._mechanism, states.each(np.copy), failures)
 
-    def _roll(self, batch: Batch, row: int, reading: Array, calls: int) -> None:
+    def _roll(self, batch: Batch, row: int, driving: Array, reading: Array, calls: int) -> None:
         """Fill in what Bullet tells of every frame (frame, body, 13), up to a blow-up."""
         read, apply, advance = self._model.read, self._loads.apply, self._advance
         self._start(batch, row)
         here = reading[0] = read()
         for k in range(batch.steps):
-            force, torque = batch.force[row, k], batch.torque[row, k]
+            force, torque = batch.force[row, k], driving[k]
             if self._contact:
                 self._contact.turn(self._model.states(here), self._frame)
             for _ in range(calls):
@@ -183,6 +186,7 @@ class PyBulletRun(Run):
             sphere=self._contact.centers(self._model.address, reading) if self._contact else None,
             anchor=self._model.anchors(reading),
             spring=self._loads.springs(state),
+            drive=np.array([drive.as_read() for drive in self._mechanism.drives]),
         )
 
     def native(self, batch: Batch) -> str:

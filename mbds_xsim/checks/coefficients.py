@@ -42,6 +42,7 @@ _ERRORS = 6.0  # standard errors (measured: 3.0)
 _ERRORS_OF_BODIES = 20.0  # the same of a single mass: what methods leave is most like these (12.6)
 _LIGHT = 1e-5  # of all mass: what methods leave looks like more or less of so small a part of it
 _OWN = 1e-3  # of a body's exchange of kinetic and potential energy
+_ALONE = 0.5  # of what a body gains, that at least something else must lose
 _UNKNOWN = 0.5  # of a step, by which velocities of an unknown method may lag
 _FEW = 10.0  # steps that count; fewer tell nothing
 _NEAR = 4  # steps to either side that tell how well a step is balanced
@@ -118,7 +119,7 @@ def parts_of(record: Record) -> list[BalancePart]:
         products += counts * np.einsum("tsc,tsc->ts", rest, gain.given)
         squares += counts * np.einsum("tsc,tsc->ts", gain.given, gain.given)
     found = [_part("inputs", products, squares, _ERRORS)]
-    for name, part, errors in _parts(record, here):
+    for name, part, errors in _parts(record, here, left):
         found.append(_part(name, weight * left[..., 0] * part, weight * part**2, errors))
     return found
 
@@ -144,8 +145,14 @@ def _part(name: str, products: Array, squares: Array, errors: float) -> BalanceP
     return BalancePart(name, share, rest / total, np.asarray(counting), errors)
 
 
-def _parts(record: Record, here: Array) -> Iterator[tuple[str, Array, float]]:
-    """Names of other parts, what they give in each step [J], and errors that are no finding."""
+def _parts(record: Record, here: Array, left: Array) -> Iterator[tuple[str, Array, float]]:
+    """Names of other parts, what they give in each step [J], and errors that are no finding.
+
+    Args:
+        record: Of the motion.
+        here: Work of the inputs in each step [J].
+        left: Of the balance of each step [J], shape (trajectory, step, 1).
+    """
     yield "inputs a frame late", _work(record, -1) - here, _ERRORS
     yield "inputs a frame early", _work(record, 1) - here, _ERRORS
     bodies = record.mechanism.body_count
@@ -158,6 +165,8 @@ def _parts(record: Record, here: Array) -> Iterator[tuple[str, Array, float]]:
     # A body that keeps its own energy tells nothing of its mass: what changes is the method's.
     least = np.maximum(_OWN * (np.abs(moving) + np.abs(lifted)), faint[..., None])
     whole = np.where(np.abs(moving + lifted) < least, 0.0, moving + lifted)
+    # Nor does one that gains what nothing else loses: however heavy, it should not.
+    whole = np.where(np.abs(left - whole) < _ALONE * np.abs(whole), 0.0, whole)
     mass = record.mechanism.mass
     for k in np.flatnonzero(mass >= _LIGHT * mass.sum()):
         yield f"mass of {record.scene.bodies[k].name}", whole[..., k], _ERRORS_OF_BODIES
@@ -183,7 +192,7 @@ def _left(record: Record) -> Array:
     left = np.diff(energy, axis=1)
     if record.lag:
         left = left - record.lag * _power_gained(record)
-    seen = record.flying() & steady(record.mechanism, record.world)
+    seen = record.flying() & steady(record.mechanism, record.world, record.torque)
     return np.where(seen, left, np.nan)
 
 
@@ -205,6 +214,14 @@ def _power_gained(record: Record) -> Array:
     for joint in mechanism.compliant:
         rate = joint_rate(joint, record.world)
         gained += np.diff(joint.effort(coordinate_of(record, joint), rate) * rate, axis=1)
+    for k, drive in enumerate(mechanism.drives, len(mechanism.hinges)):
+        rate, angle = joint_rate(drive.joint, record.world), coordinate_of(record, drive.joint)
+        push = record.torque[:, steps, k]
+        begin, end = (
+            drive.effort(push, angle[:, s], rate[:, s]) * rate[:, s]
+            for s in (slice(-1), slice(1, None))
+        )
+        gained += end - begin
     for joint in mechanism.frictional:
         gained -= joint.friction * np.diff(np.abs(joint_rate(joint, record.world)), axis=1)
     return gained

@@ -14,6 +14,7 @@ from mbds_xsim.checks.coordinates import coordinate_of, hinge_turns
 from mbds_xsim.checks.finding import Figures, Record, check
 from mbds_xsim.checks.flights import summed
 from mbds_xsim.checks.integrity import pair_distance, pair_rate
+from mbds_xsim.checks.joint_work import drive_loss, friction_loss
 from mbds_xsim.scene.joint_space import joint_rate
 from mbds_xsim.scene.mechanism import WORLD_INDEX
 
@@ -139,38 +140,17 @@ def damper_loss(record: Record) -> tuple[Array, Array]:
     """Energy taken by dampers [J], shape (trajectory, frame), and its error, (trajectory,).
 
     Simpson's rule on the frames; the error is its change when every other frame is left out. With
-    that of dry friction.
+    that of dry friction, and less what drives give.
     """
     loss, error = _of_dampers(record)
-    if record.mechanism.frictional:
-        rubbed, vague = _of_friction(record)
-        loss, error = loss + rubbed, error + vague
+    for given, find in (
+        (record.mechanism.frictional, friction_loss),
+        (record.mechanism.drives, drive_loss),
+    ):
+        if given:
+            taken, vague = find(record)
+            loss, error = loss + taken, error + vague
     return loss, error
-
-
-def _of_friction(record: Record) -> tuple[Array, Array]:
-    """Give the same of dry friction, which takes by the way that joints go.
-
-    In a step in which one turns back it goes by the cubic that meets places and rates; all of the
-    way there and back is left open.
-    """
-    loss, vague = np.zeros(record.finite.shape), np.zeros(len(record.finite))
-    for joint in record.mechanism.frictional:
-        moved = np.diff(coordinate_of(record, joint), axis=1)
-        rate = record.frame * joint_rate(joint, record.world)
-        begin, end = rate[:, :-1], rate[:, 1:]
-        bend, twist = 3 * moved - 2 * begin - end, begin + end - 2 * moved
-        root = np.sqrt(np.maximum(bend**2 - 3 * begin * twist, 0.0))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            # Both are exact where the cubic is nearly a parabola.
-            last = -bend - np.where(bend < 0.0, -root, root)
-            turns = np.nan_to_num([last / (3 * twist), begin / last])
-        turns = np.sort(np.clip(turns, 0.0, 1.0), axis=0)
-        places = turns * (begin + turns * (bend + turns * twist))
-        way = np.abs(np.diff([0.0 * moved, *places, moved], axis=0)).sum(axis=0)
-        loss[:, 1:] += joint.friction * np.cumsum(way, axis=1)
-        vague += joint.friction * np.nansum(way - np.abs(moved), axis=1)
-    return loss, vague
 
 
 def _of_dampers(record: Record) -> tuple[Array, Array]:

@@ -131,7 +131,7 @@ class Consistency:
                 near,
             )
             energies = ("consistency of energy", levels, floor, predictable, scene.budget.energy)
-            compare = functools.partial(_compare, mechanism.braked)
+            compare = functools.partial(_compare, mechanism.braked or mechanism.saturates)
             both = [compare(each, *energies) for each in (order, lower)]
             return [compare(order, *positions), _either(*both) if lower < order else both[0]]
 
@@ -151,9 +151,9 @@ def extrapolate(
         runs: Shape (trajectory, frame, component) each, coarsest first.
         order: Declared order of convergence.
         floor: Differences up to this are rounding, shape (trajectory, frame).
-        bumps: Whether joints stick or run into stops. Where in a step they do changes with the
-            step, so that errors fall with it in no regular way: the finest run is the limit, and
-            what the runs differ by is uncertain.
+        bumps: Whether joints stick or run into stops, or servos saturate. Where in a step they do
+            changes with the step, so that errors fall with it in no regular way: the finest run is
+            the limit, and what the runs differ by is uncertain.
 
     Raises:
         InputError: There are neither two nor three runs.

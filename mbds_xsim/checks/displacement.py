@@ -35,6 +35,7 @@ _LATE = 0.5  # of a frame; what is late by a whole one must show
 _SYSTEMATIC = 0.5  # of the allowance for bending, in the mean over a trajectory
 _STEADY = 0.1  # of the floor, in the same
 _ERRORS = 4.0  # standard errors
+_FAINT = 1e-12  # squares of gains over what is allowed, all together: less is rounding
 _TINY = np.finfo(float).tiny
 
 
@@ -95,6 +96,7 @@ def _of_many(record: Record) -> Array:
         errors=_ERRORS,
         steady=_STEADY,
         slope=_LATE,
+        faint=_FAINT,
     )
     motion = record.motion
     found = np.full((5 * motion.bodies + 1, motion.frames, motion.rows), np.nan)
@@ -294,7 +296,7 @@ def _delay(record: Record, place: _Residual, turn: _Residual) -> Array:
             [(place, place.left), (turn, turn.left)],
         )
     )
-    square = np.maximum(sum(each.sum(axis=1) for each in squares), _TINY)
+    square = np.maximum(sum(each.sum(axis=1) for each in squares), _FAINT)
     slope = sum(each.sum(axis=1) for each in products) / square
     rests = [b - slope[:, None] * a for a, b in zip(squares, products, strict=True)]
     error = np.sqrt(sum(np.sum(rest**2, axis=1) for rest in rests)) / square

@@ -68,6 +68,7 @@ class Rule(NamedTuple):
     errors: float
     steady: float
     slope: float
+    faint: float
 
 
 @entered
@@ -250,7 +251,7 @@ def _delay(m, rule, work, found, t):
         for k in range(2):
             square = square + load(work, STEP * s + SQUARE + k)
             product = product + load(work, STEP * s + PRODUCT + k)
-    square = larger(square, spread(_TINY))
+    square = larger(square, spread(rule.faint))
     slope = product / square
     for s in range(m.frames - 1):
         for k in range(2):

@@ -186,7 +186,7 @@ def yielding(record: Record, bodies: BodyStates, sphere: Index) -> Array:
 
 def _acceleration(record: Record, hits: Impacts, bodies: BodyStates) -> Array:
     """Of the lowest point without the ground [m/s²], shape (impact, 3)."""
-    inputs = (values[hits.row, hits.step] for values in (record.batch.force, record.batch.torque))
+    inputs = (values[hits.row, hits.step] for values in (record.batch.force, record.torque))
     force, torque = inputs
     ends = []
     for moment in (-_MOMENT, _MOMENT):

@@ -19,6 +19,7 @@ from mbds_xsim.checks.spheres import Spheres, spheres_of
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Ground, Scene
+from mbds_xsim.scene.servo import with_pushes
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.claims import Method
 
@@ -114,6 +115,11 @@ class Record:
         return np.asfortranarray(self.batch.force[:, : self.steps])
 
     @functools.cached_property
+    def torque(self) -> Array:
+        """Held torques of hinges, and behind them pushes of drives, (trajectory, step, input)."""
+        return with_pushes(self.mechanism.drives, self.batch.torque)
+
+    @functools.cached_property
     def spheres(self) -> Spheres:
         """The contact spheres, shape (trajectory, frame, sphere)."""
         return spheres_of(self.mechanism, self.bodies)
@@ -164,8 +170,8 @@ class Record:
             self.mechanism,
             self.bodies,
             self.batch.force,
-            self.batch.torque,
-            self.flying() & steady(self.mechanism, self.world),
+            self.torque,
+            self.flying() & steady(self.mechanism, self.world, self.torque),
             frame=self.frame,
             lag=self.lag,
             steps=self.steps_compared,

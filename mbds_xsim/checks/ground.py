@@ -309,7 +309,7 @@ def _at_touch(
     Forwards from the step's first frame, backwards from its last; NaN where it stays clear.
     """
     bodies = record.bodies[row, frame]
-    force, torque = record.batch.force[row, step], record.batch.torque[row, step]
+    force, torque = record.batch.force[row, step], record.torque[row, step]
     sense = np.where(frame > step, -1.0, 1.0)
     time, limit = np.zeros(len(row)), 1.5 * record.frame
     there, here = bodies, one_sphere(record, bodies, sphere)

@@ -82,7 +82,7 @@ def _started(record: Record, mismatch: Mismatch) -> Array:
     left = mismatch.left.copy()
     known = np.flatnonzero(np.isfinite(left[:, 0]).all(axis=(1, 2, 3)))
     start = record.bodies[known, 0]
-    load = record.batch.force[known, 0], record.batch.torque[known, 0]
+    load = record.batch.force[known, 0], record.torque[known, 0]
     change = mismatch.as_bodies(left[known, 0], start.native)
     kept = unexplained_by_loops(record.mechanism, start, change, load, _step(record))
     left[known, 0] = mismatch.as_points(*kept, start.native)

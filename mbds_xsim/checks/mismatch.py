@@ -127,7 +127,7 @@ def mismatch_of(
         mechanism: Whose motion.
         bodies: Recorded states, NaN where they are lost, shape (trajectory, frame, body, …).
         force: [N], shape (trajectory, step, body, 3).
-        torque: [N·m], shape (trajectory, step, hinge).
+        torque: [N·m], with the pushes of drives, shape (trajectory, step, hinge + drive).
         flying: Steps outside contact, shape (trajectory, step).
         frame: Interval of the frames [s].
         lag: Recorded velocities belong to frame time + lag [s].
@@ -142,7 +142,8 @@ def mismatch_of(
     both, count = np.concatenate([first, first + 1]), len(first)
     ends = bodies[:, both]
     free, force, torque = (np.concatenate([each, each], axis=1) for each in (free, force, torque))
-    torque = torque + (_wound(mechanism, bodies)[:, both] if mechanism.compliant else 0.0)
+    if mechanism.compliant or mechanism.drives:
+        torque = torque + _wound(mechanism, bodies)[:, both]
     points = _points_at(flow, ends, free, force, torque, lag)
     halves = slice(0, count), slice(count, None)
     begin, end = (_Points(*(each[:, half] for each in points)) for half in halves)
@@ -174,11 +175,14 @@ def mismatch_of(
 
 
 def _wound(mechanism: Mechanism, bodies: BodyStates) -> Array:
-    """Torques of springs for whole turns, which states do not show [N·m], (…, frame, hinge)."""
-    torque = np.zeros((*bodies.position.shape[:2], len(mechanism.hinges)))
-    for k, joint in enumerate(mechanism.hinges):
-        angle = joint_coordinate(joint, bodies.position, bodies.native)
-        torque[..., k] = joint.stiffness * (angle - np.unwrap(angle, axis=1))
+    """Torques of springs for whole turns, which states do not show [N·m], (…, frame, input)."""
+    springs = [(joint, joint.stiffness) for joint in mechanism.hinges]
+    springs += [(drive.joint, drive.servo.stiffness) for drive in mechanism.drives]
+    torque = np.zeros((*bodies.position.shape[:2], len(springs)))
+    for k, (joint, stiffness) in enumerate(springs):
+        if joint.kind == "hinge":
+            angle = joint_coordinate(joint, bodies.position, bodies.native)
+            torque[..., k] = stiffness * (angle - np.unwrap(angle, axis=1))
     return torque
 
 
@@ -358,12 +362,15 @@ class Flow:
         return filled
 
 
-def steady(mechanism: Mechanism, world: BodyStates) -> Mask:
-    """Tell in which steps no dry friction of a joint changes its sense, (trajectory, step).
+def steady(mechanism: Mechanism, world: BodyStates, torque: Array) -> Mask:
+    """Tell in which steps no force has a jump or kink, (trajectory, step).
+
+    No dry friction of a joint changes its sense, and no servo saturates or lets go.
 
     Args:
         mechanism: Whose motion.
         world: Recorded states, with the world.
+        torque: [N·m], with the pushes of drives, shape (trajectory, step, hinge + drive).
     """
     found = np.ones(world.position[:, 1:, 0, 0].shape, dtype=bool)
     for joint in mechanism.frictional:
@@ -371,6 +378,12 @@ def steady(mechanism: Mechanism, world: BodyStates) -> Mask:
         least = _STEADY * np.nanmax(np.abs(rate), axis=1, keepdims=True, initial=0.0)
         begin, end = rate[:, :-1], rate[:, 1:]
         found &= np.minimum(end * np.sign(begin), np.abs(begin)) > least
+    for k, drive in enumerate(mechanism.drives, len(mechanism.hinges)):
+        angle = np.unwrap(joint_coordinate(drive.joint, world.position, world.native), axis=1)
+        rate, push = joint_rate(drive.joint, world), torque[..., : angle.shape[1] - 1, k]
+        ends = (drive.wanted(push, angle[:, s], rate[:, s]) for s in (slice(-1), slice(1, None)))
+        begin, end = (np.sign(u) * (np.abs(u) > drive.limit) for u in ends)
+        found &= begin == end
     return found
 
 

@@ -200,9 +200,7 @@ def _moved(record: Record, push: Push) -> Array:
 
 def _same_inputs(record: Record) -> Mask:
     """Tell whether a step has the inputs of the one before, shape (trajectory, step)."""
-    force, torque = (
-        values[:, : record.steps] for values in (record.batch.force, record.batch.torque)
-    )
+    force, torque = (values[:, : record.steps] for values in (record.batch.force, record.torque))
     changed = np.zeros(force.shape[:2], dtype=bool)
     changed[:, 1:] = (np.diff(force, axis=1) != 0.0).any(axis=(2, 3))
     changed[:, 1:] |= (np.diff(torque, axis=1) != 0.0).any(axis=2)

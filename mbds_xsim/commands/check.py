@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -57,9 +58,11 @@ def validate(
         mbds-xsim validate my.toml --engines mujoco
     """
     from mbds_xsim.measure.result import to_json
+    from mbds_xsim.report.losses import loss_section
     from mbds_xsim.report.terminal import print_report
     from mbds_xsim.scene.sampling import Starts
     from mbds_xsim.simulate.choice import Choice
+    from mbds_xsim.simulate.registry import is_model, read_model
     from mbds_xsim.studies.validate import validate_with_evidence
     from mbds_xsim.studies.validate.present import present
 
@@ -76,6 +79,9 @@ def validate(
         )
     print_report(present(validation), to.console)
     shown = present(validation, evidence if to.paged else None)
+    if is_model(scene) and (to.paged or to.markdown):
+        losses = loss_section(read_model(Path(scene)))
+        shown = replace(shown, blocks=(*shown.blocks, losses))
     to.give([shown], validation.scene, to_json(validation))
     raise Exit(0 if validation.verdict != "fail" else 1)
 

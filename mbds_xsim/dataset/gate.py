@@ -22,17 +22,10 @@ from mbds_xsim.checks.coefficients import BalanceEvidence, evidence_of, shared_f
 from mbds_xsim.checks.consistency import LEAST_SPAN
 from mbds_xsim.checks.mismatch import EVERY_SECOND
 from mbds_xsim.dataset.layout import INTEGRITY, sampled
-from mbds_xsim.measure.campaign import (
-    RTOL,
-    Outcome,
-    ReferenceOutcome,
-    convergence,
-    further_step,
-    other_steps,
-    reference_of,
-    smooth,
-)
+from mbds_xsim.measure.campaign import RTOL, reference_of
 from mbds_xsim.measure.judge import error_findings, failed_lines
+from mbds_xsim.measure.outcome import Outcome, ReferenceOutcome
+from mbds_xsim.measure.refinement import compared, convergence, further_step, other_steps, smooth
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import STATES, Batch, Trajectory
@@ -257,14 +250,15 @@ def limit_faults(
     if solved is None or not steps or not any(smooth(scene, solved)):
         return []
     outcome = Outcome(contender, rows=[rows], sample=rows)
+    brief = compared(batch, solved)
 
     def run(step: float) -> None:
         other = Settings(settings.method, step, settings.options)
-        made = _made(scene, batch, contender.engine, other)
+        made = _made(scene, brief, contender.engine, other)
         outcome.keep_step(step, batch, made)
         if isinstance(made, Crash):
             return
-        own = made.rollout_s * step / settings.step
+        own = made.rollout_s * step / settings.step * batch.steps / brief.steps
         outcome.parts[:] = [dataclasses.replace(made, trajectory=trajectory, rollout_s=own)]
 
     for step in steps:

@@ -20,12 +20,13 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.files import locked, tidied
 from mbds_xsim.base.frame import frame_of
 from mbds_xsim.base.isolate import Carrier, Crash, Silent, Task, core_count, run_tasks
+from mbds_xsim.checks.kernels import CHECKS
 from mbds_xsim.dataset.card import write_card
 from mbds_xsim.dataset.layout import rejected_folder
 from mbds_xsim.dataset.shard import LOG, Crashes, VariantCount, claim, join, make_shards, try_out
 from mbds_xsim.dataset.variant import Item, Variant, check_same_draws, folder_name, pending
 from mbds_xsim.measure.quick import searched
-from mbds_xsim.reference.kernels import compile_once
+from mbds_xsim.reference.kernels import REFERENCE, compile_once
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import Scene
@@ -98,7 +99,7 @@ def generate(
         msg = f"--trajectories: got {request.trajectories}, allowed is 1 or more"
         raise InputError(msg)
     if not all(scene.contacts for scene in request.scenes):
-        compile_once(progress.notice, workers=workers)
+        compile_once(progress.notice, workers=workers, kernels=[REFERENCE, CHECKS])
     variants, left_out = _variants(request, workers, progress)
     for scene in {variant.scene.name: variant.scene for variant in variants}.values():
         _check_drawn(scene, request)

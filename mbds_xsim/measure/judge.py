@@ -10,7 +10,8 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks import Finding, Record, agreement, audit, audited
 from mbds_xsim.checks.eccentric import impact_coefficients
-from mbds_xsim.measure.campaign import Outcome, ReferenceOutcome, convergence
+from mbds_xsim.measure.outcome import Outcome, ReferenceOutcome
+from mbds_xsim.measure.refinement import convergence
 from mbds_xsim.measure.result import EngineResult, FindingResult, ReferenceResult
 from mbds_xsim.reference import FirstImpact
 from mbds_xsim.scene.mechanism import Mechanism

@@ -21,7 +21,8 @@ import numpy as np
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.base.versions import CHECKS
-from mbds_xsim.measure.campaign import ReferenceOutcome, run_references
+from mbds_xsim.measure.campaign import run_references
+from mbds_xsim.measure.outcome import ReferenceOutcome
 from mbds_xsim.measure.runner import Notices
 from mbds_xsim.measure.trial import Trial, run_trial
 from mbds_xsim.reference import cache as disk

@@ -16,8 +16,9 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.base.isolate import Crash
 from mbds_xsim.checks import Finding, agreement
-from mbds_xsim.measure.campaign import Outcome, ReferenceOutcome, further_step, other_steps
 from mbds_xsim.measure.judge import Judged, failed_lines, finding_result, judge
+from mbds_xsim.measure.outcome import Outcome, ReferenceOutcome
+from mbds_xsim.measure.refinement import further_step, other_steps
 from mbds_xsim.measure.result import FIGURES, EngineResult
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene

@@ -22,6 +22,7 @@ from mbds_xsim.reference.tree import tree_of
 from mbds_xsim.scene.constraints import degrees_of_freedom
 from mbds_xsim.scene.mechanism import Link, Mechanism
 from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.servo import with_pushes
 from mbds_xsim.scene.state import STATES, Batch, Trajectory
 from mbds_xsim.simulate.adapter import Adapter, ModelSize, Profile, Readback, Run, Settings
 from mbds_xsim.simulate.claims import (
@@ -166,7 +167,8 @@ def _load_kernels(mechanism: Mechanism) -> None:
     """Move the reference pose through a frame: what is loaded now takes no time of a rollout."""
     from mbds_xsim.reference.compiled import march_compiled  # imports a compiler
 
-    still = np.zeros((1, 1, mechanism.body_count, 3)), np.zeros((1, 1, len(mechanism.hinges)))
+    torque = with_pushes(mechanism.drives, np.zeros((1, 1, len(mechanism.hinges))))
+    still = np.zeros((1, 1, mechanism.body_count, 3)), torque
     dynamics = dynamics_of(mechanism)
     march_compiled(Problem(dynamics, dynamics.pack(pose_of(mechanism)), *still, rtol=LOOSEST))
 

@@ -198,7 +198,7 @@ def workspace(tree: Tree) -> Workspace:
         link=lines(links * PLACES),
         own=lines(tree.size),
         load=lines(6 * links),
-        torque=lines(len(tree.hinge_axis)),
+        torque=lines(len(tree.hinge_axis) + int(np.sum(tree.pushed >= 0))),
         grip=lines(len(tree.law)),
         rows=lines(ROW * rows),
         loads=lines(12 * loaded),

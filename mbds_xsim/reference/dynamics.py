@@ -79,6 +79,7 @@ class Dynamics:
         self.length = mechanism.scene.length
         self._multipliers = Multipliers(self.topology)
         damping = [joint.damping for joint in mechanism.compliant]
+        damping += [drive.servo.damping for drive in mechanism.drives]
         self.damped = bool(np.any(self.topology.damping) or any(damping))
         self._constrains = bool(self.topology.layout.row_count)
         self._inverse_mass_root = self.topology.weight / self.topology.mass_root[:, None]
@@ -110,7 +111,10 @@ class Dynamics:
         return BodyStates(state[..., _X], native, state[..., _V], state[..., _W])
 
     def derivative(self, state: Array, force: Array, torque: Array) -> Array:
-        """Time derivative of states under forces (batch, body, 3) and torques (batch, hinge)."""
+        """Time derivative of states under forces (batch, body, 3) and torques (batch, hinge).
+
+        Behind the torques stand the pushes of drives.
+        """
         rate, share = self.rate(state, force, torque)
         for k in np.flatnonzero(share < self.near):
             rate[k] = interpolated(self, state[k], force[k], torque[k], rate[k], float(share[k]))
@@ -211,14 +215,15 @@ class Dynamics:
         push = np.zeros((*state.shape[:-1], 3))
         push[:, :-1] = force
         twist = np.zeros_like(push)
+        torque, pushes = np.split(torque, [len(self.mechanism.hinges)], axis=-1)
         if top.hinge_incidence.size:
             twist += top.hinge_incidence @ (
                 motion.vector[0][:, top.layout.hinge] * torque[..., None]
             )
         if len(top.stiffness):
             self._add_springs(motion, push, twist)
-        if self.mechanism.compliant:
-            loads = joint_loads(self.mechanism, self.unpack(state))
+        if self.mechanism.compliant or self.mechanism.drives:
+            loads = joint_loads(self.mechanism, self.unpack(state), pushes)
             push[:, :-1] += loads[0]
             twist[:, :-1] += loads[1]
         spin = _times(motion.turn.swapaxes(-1, -2), state[..., _W])

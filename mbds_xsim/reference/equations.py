@@ -53,7 +53,8 @@ def accelerations(
         mechanism: Whose motion.
         bodies: States that keep the joints together, with any leading axes.
         force: In W on the centres of mass [N], shape (…, body, 3).
-        torque: About the hinges of `Mechanism.hinges` [N·m], shape (…, hinge).
+        torque: About the hinges of `Mechanism.hinges` [N·m], and behind them the pushes of the
+            drives, shape (…, hinge + drive).
         many: Whether it pays to load compiled kernels, where these have the same equations.
 
     Returns:
@@ -63,8 +64,8 @@ def accelerations(
     flat = (np.asarray(values, dtype=float) for values in vars(bodies).values())
     state = dynamics.pack(BodyStates(*(values.reshape(-1, *values.shape[-2:]) for values in flat)))
     force = np.broadcast_to(force, shape).reshape(-1, *shape[-2:])
-    hinges = len(mechanism.hinges)
-    torque = np.broadcast_to(torque, (*shape[:-2], hinges)).reshape(len(state), hinges)
+    inputs = len(mechanism.hinges) + len(mechanism.drives)
+    torque = np.broadcast_to(torque, (*shape[:-2], inputs)).reshape(len(state), inputs)
     if many and _turns_bodies_alone(mechanism):
         found = _Compiled(mechanism).accelerations(state, force, torque)
         return found[..., :3].reshape(shape), found[..., 3:].reshape(shape)

@@ -1,10 +1,11 @@
-"""The reference's machine code: compiled once for a machine, before several processes need it."""
+"""Machine code: compiled once for a machine, before several processes need it."""
 
 from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
@@ -13,39 +14,27 @@ from mbds_xsim.reference.solution import solve
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Body, Clock, DistanceLink, Inertia, Scene
 
-_READY = "ready"
 _UNUSED = 30 * 86400.0  # after which machine code of another version is removed [s]
 
 
-def compile_once(notice: Callable[[str], None], *, workers: int | None) -> None:
-    """Compile what the reference of a scene without contact needs, unless it is there.
+@dataclass(frozen=True)
+class Kernels:
+    """Functions that are compiled together."""
 
-    Args:
-        notice: Told, before it begins, that this takes a while.
-        workers: 0 where it is to be done in this process.
-    """
-    found = compilation(notice)
-    if found is not None:
-        task, then = found
-        then(*run_tasks([task], workers=workers and 1))
+    name: str
+    """Of what they belong to."""
+    use: Callable[[], None]
+    """Calls each of them, which compiles it."""
+    seconds: int
+    """About so long that takes one core."""
 
-
-def compilation(
-    notice: Callable[[str], None],
-) -> tuple[Task, Callable[[object], None]] | None:
-    """Give what compiles, and what hears of its answer; None where the machine code is there."""
-    if (cache.kernel_folder() / _READY).exists():
-        return None
-    notice("the reference is compiled for this machine, once: some 15 s of one core")
-
-    def then(answer: object) -> None:
-        if isinstance(answer, Crash):  # the work itself will meet it, and say where
-            notice(f"the reference could not be compiled: {answer.reason}")
-
-    return Task(_compile, ()), then
+    @property
+    def marker(self) -> Path:
+        """A file that is there once they are compiled."""
+        return cache.kernel_folder() / f"{self.name} ready"
 
 
-def _compile() -> None:
+def _solve_once() -> None:
     scene = Scene(
         name="bob",
         length=1.0,
@@ -54,9 +43,52 @@ def _compile() -> None:
         distance_links=(DistanceLink("rod", ("world", "bob"), ((0.0, 0.0, 0.0), (0.5, 0.0, 0.0))),),
     )
     solve(scene, draw_batch(scene, range(1)), cache=False)
+
+
+REFERENCE = Kernels("reference", _solve_once, 15)
+"""What the reference of a scene without contact needs."""
+
+
+def compile_once(
+    notice: Callable[[str], None],
+    *,
+    workers: int | None,
+    kernels: Sequence[Kernels] = (REFERENCE,),
+) -> None:
+    """Compile kernels that are not yet, each in a process of its own.
+
+    Args:
+        notice: Told, before it begins, that this takes a while.
+        workers: Processes at a time; 0 where it is to be done in this one.
+        kernels: Which.
+    """
+    found = [each for each in (compilation(notice, some) for some in kernels) if each is not None]
+    answers = run_tasks([task for task, _ in found], workers=workers)
+    for (_, then), answer in zip(found, answers, strict=True):
+        then(answer)
+
+
+def compilation(
+    notice: Callable[[str], None], kernels: Kernels = REFERENCE
+) -> tuple[Task, Callable[[object], None]] | None:
+    """Give what compiles, and what hears of its answer; None where the machine code is there."""
+    if kernels.marker.exists():
+        return None
+    whose = f"the machine code of the {kernels.name}"
+    notice(f"{whose} is compiled for this machine, once: some {kernels.seconds} s of one core")
+
+    def then(answer: object) -> None:
+        if isinstance(answer, Crash):  # the work itself will meet it, and say where
+            notice(f"{whose} could not be compiled: {answer.reason}")
+
+    return Task(_compile, (kernels,)), then
+
+
+def _compile(kernels: Kernels) -> None:
+    kernels.use()
     folder = cache.kernel_folder()
     if folder.is_dir():
-        (folder / _READY).touch()
+        kernels.marker.touch()
         _remove_unused(folder)
 
 

@@ -18,7 +18,7 @@ from mbds_xsim.reference.lane_algebra import (
     sub,
     times,
 )
-from mbds_xsim.reference.lanes import compiled, load, root, spread
+from mbds_xsim.reference.lanes import compiled, larger, load, root, spread
 from mbds_xsim.reference.tree import SLIDER, Tree
 from mbds_xsim.reference.tree_kernel import PLACES, F, H, J, M, N, R, V, W, Workspace, X, zero
 
@@ -33,11 +33,11 @@ def still(t: Tree, work: Workspace):
 
 @compiled
 def hold(t: Tree, work: Workspace, k, force, torque):
-    """Let forces on bodies (body, 3) and torques about hinges act in a lane."""
+    """Let forces on bodies (body, 3), torques about hinges and pushes of drives act in a lane."""
     for i in range(len(t.kind)):
         for j in range(3):
             work.load[6 * i + j, k] = force[t.body[i], j]
-    for j in range(len(t.hinge_axis)):
+    for j in range(len(torque)):
         work.torque[j, k] = torque[j]
 
 
@@ -65,17 +65,26 @@ def act(t: Tree, work: Workspace, y):
             line, rate = _between(a, p, c, first, second)
             # The line is along the axis, which what turns with the parent leaves as it is.
             tension = stiffness * (dot(axis, line) - rest) + damping * dot(axis, rate)
-            tension = tension + load(work.grip, k)
+            tension = _driven(t, work, k, tension) + load(work.grip, k)
             _pull(a, p, c, first, second, times(tension, axis))
         else:
             rate = dot(axis, sub(load3(a, c + W), load3(a, p + W)))
             moment = stiffness * (load(y, t.angle_at[k]) - rest) + damping * rate
-            moment = moment + load(work.grip, k)
+            moment = _driven(t, work, k, moment) + load(work.grip, k)
             _turn(a, p, c, times(-1.0 * moment, axis))
     for k in range(len(t.hinge_axis)):
         p, c = t.hinge_ends[0, k] * PLACES, t.hinge_ends[1, k] * PLACES
         axis = apply(load9(a, p + R), number3(t.hinge_axis, k))
         _turn(a, p, c, times(load(work.torque, k), axis))
+
+
+@compiled
+def _driven(t, work, k, load_of_law):
+    """Let targets push against a law, as far as its limit goes, if it is a drive's."""
+    if t.pushed[k] < 0:
+        return load_of_law
+    most = spread(t.bound[k])
+    return larger(-larger(load(work.torque, t.pushed[k]) - load_of_law, -most), -most)
 
 
 @compiled

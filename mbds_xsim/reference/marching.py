@@ -91,8 +91,8 @@ SMALLEST_STEP = 1e-9  # of a frame
 MOST_STEPS = 20_000
 """Steps tried in one frame before a solution is given up."""
 _WOUND = (
-    "the sprung or coupled hinge {!r} passes a half turn; with contact, stiff dampers or singular "
-    "poses the reference does not count whole turns"
+    "the sprung, driven or coupled hinge {!r} passes a half turn; with contact, stiff dampers or "
+    "singular poses the reference does not count whole turns"
 )
 _USUAL_STEPS, _SINGULAR_STEPS = 50, 50
 # Steps of a frame, and how many beyond them may begin where constraints are nearly dependent. There
@@ -109,7 +109,8 @@ class Problem:
     force: Array
     """Held over each frame [N], shape (batch, frame, body, 3)."""
     torque: Array
-    """Likewise [N·m], shape (batch, frame, hinge)."""
+    """Likewise [N·m], with the pushes of drives behind them, shape (batch, frame, hinge + drive).
+    """
     rtol: float
     """Allowed error of a step, relative to the size of each component or to the scene's."""
     companions: int = 1
@@ -156,13 +157,13 @@ class Marched:
         return Marched(states, [None] * batch)
 
     def within_half_turns(self, dynamics: Dynamics) -> Marched:
-        """End trajectories where a sprung or coupled hinge passes a half turn, where it would jump.
+        """End trajectories where a sprung, driven or coupled hinge passes a half turn and jumps.
 
         Maximal coordinates lose whole turns, which the compiled kernels count.
         """
         bodies = dynamics.unpack(self.states)
         for joint in dynamics.mechanism.counted:
-            if joint.kind == "hinge" and (joint.stiffness or joint.coupled):
+            if joint.kind == "hinge" and (joint.stiffness or joint.coupled or joint.driven):
                 angle = joint_coordinate(joint, bodies.position, bodies.native)
                 passed = np.abs(np.diff(angle, axis=1)) > np.pi
                 for row in np.flatnonzero(passed.any(axis=1)).tolist():

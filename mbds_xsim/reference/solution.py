@@ -22,6 +22,7 @@ from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.markers import marker_positions, markers
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.servo import with_pushes
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
 
 Progress = Callable[[int, int], None]
@@ -103,7 +104,7 @@ def _problem(scene: Scene, batch: Batch, rtol: float, progress: Progress | None)
         dynamics=dynamics_of(mechanism),
         start=start_states(mechanism, batch),
         force=batch.force,
-        torque=batch.torque,
+        torque=with_pushes(mechanism.drives, batch.torque),
         rtol=rtol,
         progress=progress,
     )

@@ -69,7 +69,7 @@ class Tree(NamedTuple):
     spring: Array
     """Rest length, stiffness and damping, shape (spring, 3)."""
     law_kind: Index
-    """Of the joints with a spring or damper, and coupled ones, `HINGE` or `SLIDER`."""
+    """Of `Mechanism.counted` and then of the drives' joints, `HINGE` or `SLIDER`."""
     law_ends: Index
     law_axis: Array
     """In the parents' frames, shape (law, 3)."""
@@ -77,6 +77,10 @@ class Tree(NamedTuple):
     """Anchors in the frames of the two ends, shape (2, law, 3)."""
     law: Array
     """Coordinate at rest, stiffness and damping, shape (law, 3)."""
+    pushed: Index
+    """Which input of a coordinate pushes, behind the torques of hinges; −1 of what is no drive."""
+    bound: Array
+    """Limits of drives, shape (law,)."""
     angle_at: Index
     """Where the angles of these hinges stand in a state; −1 of sliders, shape (law,). They count
     whole turns, and stand behind the links' places."""
@@ -203,7 +207,7 @@ def to_tree(mechanism: Mechanism, bodies: BodyStates, states: Array) -> Array:
             y[:, at], y[:, at + 1], y[:, fast] = np.cos(half), np.sin(half), links.rate[:, k]
         elif kind == SLIDER:
             y[:, at], y[:, fast] = links.coordinate[:, k], links.rate[:, k]
-    for joint, at in zip(mechanism.counted, tree.angle_at, strict=True):
+    for joint, at in zip(mechanism.counted, tree.angle_at, strict=False):  # drives are behind
         if at >= 0:
             y[:, at] = joint_coordinate(joint, bodies.position, bodies.native)
     return y
@@ -211,8 +215,13 @@ def to_tree(mechanism: Mechanism, bodies: BodyStates, states: Array) -> Array:
 
 def _acting(mechanism: Mechanism, inwards: Array, link_of: Index, first: int) -> dict[str, Any]:
     """Lay out what acts on bodies; the angles that are counted stand from `first` on."""
-    hinges, springs, laws = mechanism.hinges, mechanism.springs, mechanism.counted
-    turning = np.array([joint.kind == "hinge" for joint in laws], dtype=np.int64)
+    hinges, springs, counted = mechanism.hinges, mechanism.springs, mechanism.counted
+    drives = mechanism.drives
+    laws = (*counted, *(drive.joint for drive in drives))
+    turning = np.array([joint.kind == "hinge" for joint in counted], dtype=np.int64)
+    angle_at = np.where(turning, first + np.cumsum(turning) - 1, -1)
+    own = np.array([counted.index(drive.joint) for drive in drives], dtype=np.int64)
+    none = np.full(len(counted), -1)
     return dict(
         hinge_ends=_ends([(h.parent, h.child) for h in hinges], link_of),
         hinge_axis=_turned(inwards, [(h.parent, h.axis) for h in hinges]),
@@ -230,10 +239,16 @@ def _acting(mechanism: Mechanism, inwards: Array, link_of: Index, first: int) ->
                 _turned(inwards, [(joint.child, joint.in_child) for joint in laws]),
             ]
         ),
-        law=np.array([(j.rest, j.stiffness, j.damping) for j in laws]).reshape(-1, 3),
-        angle_at=np.where(turning, first + np.cumsum(turning) - 1, -1),
+        law=np.array(
+            [(j.rest, j.stiffness, j.damping) for j in counted]
+            + [(0.0, drive.servo.stiffness, drive.servo.damping) for drive in drives]
+        ).reshape(-1, 3),
+        pushed=np.concatenate([none, len(hinges) + np.arange(len(drives))]),
+        bound=np.array([np.inf for _ in counted] + [drive.limit for drive in drives]),
+        angle_at=np.concatenate([angle_at, angle_at[own]]),
         angle_link=np.array(
-            [link_number(mechanism, j) if j.coupled and j.kind == "hinge" else -1 for j in laws],
+            [link_number(mechanism, j) if j.coupled and j.kind == "hinge" else -1 for j in counted]
+            + [-1 for _ in drives],
             dtype=np.int64,
         ),
     )
@@ -310,7 +325,7 @@ def _rows(mechanism: Mechanism, inwards: Array, link_of: Index) -> _Rows:
 def _coupled(mechanism: Mechanism, at: Index, angle_at: Index) -> _Rows:
     """Give the rows of couplings, whose vectors are none."""
     count, places = len(mechanism.couplings), {}
-    for joint, angle in zip(mechanism.counted, angle_at.tolist(), strict=True):
+    for joint, angle in zip(mechanism.counted, angle_at.tolist(), strict=False):
         places[joint.name] = angle if angle >= 0 else int(at[link_number(mechanism, joint)])
     pairs = [(each.follower, each.leader) for each in mechanism.couplings]
     ends = [[link_number(mechanism, joint) for joint in pair] for pair in pairs]

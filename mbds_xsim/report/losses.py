@@ -6,7 +6,17 @@ from collections.abc import Iterator
 from typing import Any
 
 from mbds_xsim.base.text import counted
-from mbds_xsim.report.blocks import Block, Cell, Mark, Place, Report, Section, Table, table_of
+from mbds_xsim.report.blocks import (
+    Block,
+    Cell,
+    Mark,
+    Place,
+    Report,
+    Section,
+    Table,
+    Text,
+    table_of,
+)
 from mbds_xsim.scene.constraints import degrees_of_freedom
 from mbds_xsim.scene.imported import Fate, Imported, Outcome, Written
 from mbds_xsim.scene.mechanism import Mechanism
@@ -74,6 +84,13 @@ def loss_blocks(imported: Imported | Written) -> Iterator[Block]:
     rest = (_table(kept, "kept"), _table(others, "without effect on the motion"))
     blocks = tuple(table for table in rest if table.rows)
     yield Section("What is kept, and what moves nothing", blocks, True, on=_WRITTEN)
+
+
+def loss_section(imported: Imported) -> Section:
+    """Say on a page about a model's motion what of it was lost on import."""
+    told = Text(f"{imported.file}, read by {imported.reader}: {conclusion(imported)}.")
+    title = "What of the model is simulated"
+    return Section(title, (told, *loss_blocks(imported)), on=_WRITTEN)
 
 
 def _table(fates: list[Fate], title: str) -> Table:

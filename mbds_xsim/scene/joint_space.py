@@ -160,19 +160,29 @@ def coupling_gaps(mechanism: Mechanism, bodies: BodyStates) -> tuple[Array, Arra
     return off, rate
 
 
-def joint_loads(mechanism: Mechanism, bodies: BodyStates) -> tuple[Array, Array]:
-    """Give what springs and dampers of joints do to the bodies.
+def joint_loads(mechanism: Mechanism, bodies: BodyStates, push: Array) -> tuple[Array, Array]:
+    """Give what springs, dampers and drives of joints do to the bodies.
 
     Hinge angles count as in (−π, π].
+
+    Args:
+        mechanism: Whose joints.
+        bodies: States, with any leading axes.
+        push: Of the drives, shape (…, drive).
 
     Returns:
         Forces on centres of mass [N] and moments about them [N·m], in W, shapes (…, body, 3).
     """
     world = bodies.with_world()
     force, moment = np.zeros_like(world.position), np.zeros_like(world.position)
-    for joint in mechanism.compliant:
+    laws = [(joint, joint.effort) for joint in mechanism.compliant]
+    laws += [
+        (drive.joint, functools.partial(drive.effort, push[..., k]))
+        for k, drive in enumerate(mechanism.drives)
+    ]
+    for joint, law in laws:
         coordinate = joint_coordinate(joint, bodies.position, bodies.native)
-        effort = joint.effort(coordinate, joint_rate(joint, world))[..., None]
+        effort = law(coordinate, joint_rate(joint, world))[..., None]
         load = effort * world.arms(joint.parent, joint.axis)
         slides = joint.kind == "slider"
         anchor = world.points(joint.child, joint.in_child)

@@ -22,7 +22,7 @@ from mbds_xsim.base.errors import SceneError
 from mbds_xsim.scene.coupling import PlacedCoupling
 from mbds_xsim.scene.mass import mass_properties
 from mbds_xsim.scene.scene import WORLD, DistanceLink, Scene, SpringDamper
-from mbds_xsim.scene.servo import law_of
+from mbds_xsim.scene.servo import PlacedDrive, law_of
 from mbds_xsim.scene.spanning import spanning_tree
 
 JointKind = Literal["fixed", "hinge", "slider", "ball"]
@@ -64,6 +64,8 @@ class PlacedJoint:
     restitution: float = 0.0
     coupled: bool = False
     """Whether it follows another joint, or another follows it."""
+    driven: bool = False
+    """Whether a drive acts on it."""
 
     def turned_round(self) -> PlacedJoint:
         """Give the same joint from the child to the parent."""
@@ -83,13 +85,13 @@ class PlacedJoint:
 
     @property
     def is_loaded(self) -> bool:
-        """Whether it has a spring, damper, rotor, friction or limits, or is coupled."""
+        """Whether it has a spring, damper, drive, rotor, friction or limits, or is coupled."""
         return self.complies or self.in_tree
 
     @property
     def in_tree(self) -> bool:
         """Whether something is on it that only a joint of the tree can have."""
-        return bool(self.armature or self.friction or self.limits or self.coupled)
+        return bool(self.armature or self.friction or self.limits or self.coupled or self.driven)
 
     def effort(self, coordinate: Array, rate: Array) -> Array:
         """Give the torque [N·m] or force [N] of the spring and damper along the axis on the child.
@@ -189,7 +191,9 @@ class Mechanism:
     @functools.cached_property
     def counted(self) -> tuple[PlacedJoint, ...]:
         """The joints whose coordinate matters, a hinge's with its whole turns, in scene order."""
-        return tuple(j for j in self.joints if j.complies or j.friction or j.limits or j.coupled)
+        return tuple(
+            j for j in self.joints if j.complies or j.friction or j.limits or j.coupled or j.driven
+        )
 
     @functools.cached_property
     def frictional(self) -> tuple[PlacedJoint, ...]:
@@ -219,6 +223,22 @@ class Mechanism:
             PlacedCoupling(c.name, joints[c.joint], joints[c.follows], c.ratio, c.offset)
             for c in self.scene.couplings
         )
+
+    @functools.cached_property
+    def drives(self) -> tuple[PlacedDrive, ...]:
+        """Servos that are more than a spring, damper and held input, in scene order."""
+        joints = {joint.name: joint for joint in (*self.loops, *self.joints)}
+        pairs = ((joints[servo.joint], servo) for servo in self.scene.servos)
+        return tuple(
+            PlacedDrive(joint, servo)
+            for joint, servo in pairs
+            if servo.is_drive(self.scene.joints[joint.index])
+        )
+
+    @property
+    def saturates(self) -> bool:
+        """Whether a drive has a limit, so that motions have kinks."""
+        return any(drive.servo.limit is not None for drive in self.drives)
 
     @functools.cached_property
     def rotors(self) -> tuple[PlacedJoint, ...]:
@@ -288,7 +308,7 @@ def _build(scene: Scene, cut: tuple[JointKind, ...]) -> Mechanism:
     for joint in loops:
         if joint.in_tree:
             given = [key for key in ("armature", "friction", "limits") if getattr(joint, key)]
-            what = (given or ["a coupling"])[0]
+            what = (given or ["a coupling" if joint.coupled else "a servo with a limit"])[0]
             where = f"joints[{joint.name!r}]: got {what} on a joint that closes a loop"
             raise SceneError(f"{where}, allowed is it on others; let another joint close it")
     particle_body = np.repeat(
@@ -360,6 +380,7 @@ def _place(scene: Scene, k: int, index: dict[str, int], com: Array) -> PlacedJoi
         limits=joint.limits,
         restitution=joint.restitution,
         coupled=any(joint.name in (each.joint, each.follows) for each in scene.couplings),
+        driven=any(each.joint == joint.name and each.is_drive(joint) for each in scene.servos),
     )
 
 

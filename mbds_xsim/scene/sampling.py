@@ -24,6 +24,7 @@ from mbds_xsim.scene.draft import Draft, carried_by, hinge_rate, pose
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
 from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.servo import held
 from mbds_xsim.scene.state import Batch
 
 # σ holds for frames of this length; other intervals keep the noise's spectral density.
@@ -142,13 +143,14 @@ def _scene_inputs(mechanism: Mechanism) -> tuple[Array, Array]:
     bodies = {body.name: k for k, body in enumerate(scene.bodies)}
     hinges = {joint.name: k for k, joint in enumerate(mechanism.hinges)}
     for item in scene.forces:
-        force[:, bodies[item.body]] += _held(np.array(item.series), item.hold, scene.clock.steps)
+        force[:, bodies[item.body]] += held(np.array(item.series), item.hold, scene.clock.steps)
     for joint in mechanism.joints:
-        servos = [servo for servo in scene.servos if servo.joint == joint.name]
+        own = scene.joints[joint.index]
+        servos = [s for s in scene.servos if s.joint == joint.name and not s.is_drive(own)]
         push = np.zeros(scene.clock.steps)
         for servo in servos:
             for part in servo.push(joint.rest):
-                push += _held(part, servo.hold, scene.clock.steps)
+                push += held(part, servo.hold, scene.clock.steps)
         if joint.name in hinges:
             torque[:, hinges[joint.name]] += push
         elif any(servo.needs_input for servo in servos):
@@ -156,13 +158,8 @@ def _scene_inputs(mechanism: Mechanism) -> tuple[Array, Array]:
             body, sign = (joint.child, 1.0) if joint.parent == WORLD_INDEX else (joint.parent, -1.0)
             force[:, body] += sign * push[:, None] * joint.axis
     for load in scene.torques:
-        torque[:, hinges[load.joint]] += _held(np.array(load.series), load.hold, scene.clock.steps)
+        torque[:, hinges[load.joint]] += held(np.array(load.series), load.hold, scene.clock.steps)
     return force, torque
-
-
-def _held(series: Array, hold: int, steps: int) -> Array:
-    rows = np.minimum(np.arange(steps) // hold, len(series) - 1)
-    return np.asarray(series[rows])
 
 
 def _add_noise(drawing: Draft, switched_on: bool) -> None:

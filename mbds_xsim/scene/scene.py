@@ -312,9 +312,6 @@ class Scene(Neutral):
         bodies = {body.name for body in self.bodies}
         held = bodies | {WORLD}
         hinges = {joint.name for joint in self.joints if joint.kind == "hinge"}
-        guided = {
-            j.name for j in self.joints if j.kind == "slider" and WORLD in (j.parent, j.child)
-        }
         coordinates = hinges | {joint.name for joint in self.joints if joint.kind == "slider"}
         for k, joint in enumerate(self.joints):
             for key in ("parent", "child"):
@@ -329,8 +326,6 @@ class Scene(Neutral):
             _known(f"torques[{k}].joint", torque.joint, hinges, what="hinge")
         for k, servo in enumerate(self.servos):
             _known(f"servos[{k}].joint", servo.joint, coordinates, what="hinge or slider")
-            if servo.joint not in hinges | guided:
-                servo.check_one_target(f"servos[{k}]")
         for k, coupling in enumerate(self.couplings):
             for key in ("joint", "follows"):
                 got = getattr(coupling, key)

@@ -6,6 +6,7 @@ published body frames to W (wxyz); velocities are of the centres of mass, all in
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -124,6 +125,13 @@ class Trajectory:
         for row, failure in zip(rows, other.failures, strict=True):
             failures[row] = failure
         return Trajectory(self.time, **arrays, failures=tuple(failures))
+
+    def padded(self, time: Array) -> Trajectory:
+        """Go on with frames of NaN, as after a failure, until the end of some instants."""
+        whole = Trajectory.empty(time, len(self), self.position.shape[2])
+        for key in STATES:
+            getattr(whole, key)[:, : len(self.time)] = getattr(self, key)
+        return dataclasses.replace(whole, failures=self.failures)
 
     @property
     def finite(self) -> Mask:

@@ -33,7 +33,7 @@ def spring_step(scene: Scene, *, angle: float, decay: float) -> float:
 
 @functools.lru_cache(maxsize=64)
 def spring_rates(scene: Scene) -> tuple[float, float]:
-    """Bound the rates at which spring–dampers oscillate and decay at the scene's start [1/s].
+    """Bound the rates at which spring–dampers and drives oscillate and decay at the start [1/s].
 
     They are √λ(K Y) and λ(C Y), λ the largest eigenvalue and Y the inverse of the effective mass
     between the springs' ends: what a force between them accelerates them apart by while joints
@@ -42,17 +42,19 @@ def spring_rates(scene: Scene) -> tuple[float, float]:
     nothing would move. Both are 0 without springs.
     """
     mechanism = Mechanism.of(scene)
-    if not (mechanism.springs or mechanism.compliant):
+    joints = (*mechanism.compliant, *(drive.joint for drive in mechanism.drives))
+    if not (mechanism.springs or joints):
         return 0.0, 0.0
     start = assemble(mechanism)
     pairs = [_apart(mechanism, start, spring) for spring in mechanism.springs]
-    turns = _turning(mechanism, start, mechanism.compliant)
+    turns = _turning(mechanism, start, joints)
+    laws = [*mechanism.compliant, *(drive.servo for drive in mechanism.drives)]
     free = _free(mechanism, start, np.concatenate([*pairs, *turns]))
     stiffness, damping = (
         np.concatenate(
             [
                 np.repeat([getattr(spring, key) for spring in mechanism.springs], 3),
-                [getattr(joint, key) for joint in mechanism.compliant],
+                [getattr(law, key) for law in laws],
             ]
         )
         for key in ("stiffness", "damping")

@@ -113,6 +113,8 @@ class Readback:
     """Dry friction of `Mechanism.frictional` [N·m or N], shape (joint,)."""
     limits: Array | None = None
     """Of `Mechanism.limited`, lower and upper [rad or m], shape (joint, 2)."""
+    drive: Array | None = None
+    """Stiffness, damping and limit (0: none) of `Mechanism.drives`, shape (drive, 3); likewise."""
     coupling: Array | None = None
     """Ratio and offset of `Mechanism.couplings`, shape (coupling, 2)."""
 

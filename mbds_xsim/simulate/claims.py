@@ -25,6 +25,7 @@ FAMILIES = (
 RTOL = "rtol"
 """Option of adaptive methods: the tolerance that decides their steps."""
 _OWN = " (own)"
+_KINKED = 2  # order at most where forces have kinks
 
 
 def own_family(name: str) -> str:
@@ -53,6 +54,7 @@ class Feature(Enum):
     JOINT_FRICTION = "dry friction in a joint"
     JOINT_LIMITS = "limits of a joint"
     JOINT_REBOUND = "rebound from the limits of a joint"
+    DRIVE = "servo with a limit, or along a slider between two bodies"
     CLOSING_LOAD = "spring or damper in a joint that closes a loop"
     FORCE = "force at the centre of mass"
     HINGE_TORQUE = "hinge torque"
@@ -81,7 +83,9 @@ def features_of(scene: Scene, cut: tuple[JointKind, ...] = CUT) -> frozenset[Fea
     diagonal = np.einsum("kii->ki", mechanism.inertia)[:, :, None] * np.eye(3)
     draws = {draw.__struct_config__.tag for draw in scene.sampling}
     driven = {joint.name for joint in mechanism.hinges}
-    loads = [load for table in (scene.torques, scene.servos) for load in table]
+    drives = [drive.servo for drive in mechanism.drives]
+    servos = [servo for servo in scene.servos if servo not in drives]
+    driving = {load.joint for load in scene.torques} | {servo.joint for servo in servos}
     asked = {
         Feature.FREE_BODY: None in tree,
         Feature.DISTANCE_LINK: bool(scene.distance_links),
@@ -93,13 +97,13 @@ def features_of(scene: Scene, cut: tuple[JointKind, ...] = CUT) -> frozenset[Fea
         Feature.JOINT_FRICTION: bool(mechanism.frictional),
         Feature.JOINT_LIMITS: bool(mechanism.limited),
         Feature.JOINT_REBOUND: any(joint.restitution for joint in mechanism.limited),
+        Feature.DRIVE: bool(mechanism.drives),
         Feature.CLOSING_LOAD: any(joint.complies for joint in mechanism.loops),
         Feature.FORCE: bool(scene.forces)
         or scene.noise > 0
         or "wind" in draws
-        or any(servo.needs_input and servo.joint not in driven for servo in scene.servos),
-        Feature.HINGE_TORQUE: any(load.joint in driven for load in loads)
-        or "hinge_torque" in draws,
+        or any(servo.needs_input and servo.joint not in driven for servo in servos),
+        Feature.HINGE_TORQUE: bool(driving & driven) or "hinge_torque" in draws,
         Feature.FULL_INERTIA: not np.allclose(mechanism.inertia, diagonal, rtol=0, atol=1e-14),
         Feature.CONTACT: bool(scene.contacts),
         Feature.LINKED_CONTACT: bool(scene.contacts) and not mechanism.has_only_balls,
@@ -149,11 +153,16 @@ class Method:
         return self.family == TRUTH
 
     def order_for(self, scene: Scene) -> int:
-        """Order that holds for a scene: 1 where friction or limits stop joints within steps."""
-        if Mechanism.of(scene).braked and not self.adaptive:
+        """Order that holds for a scene: 1 where friction or limits stop joints within steps.
+
+        And 2 at most where servos saturate, as a force has a kink in the step in which they do.
+        """
+        mechanism = Mechanism.of(scene)
+        if mechanism.braked and not self.adaptive:
             return 1
         constrained = self.loop_order is not None and _constrained(scene)
-        return self.loop_order if constrained and self.loop_order is not None else self.order
+        order = self.loop_order if constrained and self.loop_order is not None else self.order
+        return min(order, _KINKED) if mechanism.saturates and not self.adaptive else order
 
     def velocity_order_for(self, scene: Scene) -> int:
         """Order to which a scene's velocities may be down, where they carry constraint forces."""

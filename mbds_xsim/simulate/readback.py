@@ -28,6 +28,7 @@ _TOLERANCE = 1e-9
 _MISSING = 1e-6
 _PAIR = ("radius of contact [m]", "friction", "restitution")
 _LAW = ("stiffness", "damping", "coordinate at rest")
+_SERVO = ("stiffness of the servo", "damping of the servo", "limit of the servo")
 _SPRING = ("stiffness [N/m]", "damping [N·s/m]", "rest length [m]", "length at the start [m]")
 
 
@@ -151,6 +152,9 @@ def _quantities(mechanism: Mechanism, batch: Batch, readback: Readback) -> Itera
     stops = np.array([joint.limits for joint in mechanism.limited])
     names = [joint.name for joint in mechanism.limited]
     yield from _columns("joints", ("lower limit", "upper limit"), readback.limits, stops, names)
+    driven = np.array([drive.as_read() for drive in mechanism.drives])
+    names = [drive.joint.name for drive in mechanism.drives]
+    yield from _columns("servos", _SERVO, _known(readback.drive, driven), driven, names)
     tied = np.array([(each.ratio, each.offset) for each in mechanism.couplings])
     names = [each.name for each in mechanism.couplings]
     yield from _columns("couplings", ("ratio", "offset"), readback.coupling, tied, names)

@@ -34,6 +34,7 @@ from mbds_xsim.testing.case import (
 )
 from mbds_xsim.testing.joint_cases import CARRIER, JOINT_CASES, UP, on_a_carrier
 from mbds_xsim.testing.loop_cases import LOOPS
+from mbds_xsim.testing.servo_cases import SERVO_CASES
 from mbds_xsim.testing.stop_cases import STOP_CASES
 
 _BOX = (0.1, 0.4, 0.9)  # edges [m]
@@ -251,6 +252,7 @@ CASES: tuple[Case, ...] = (
     _flywheel(),
     _spin_up_in_flight(),
     *JOINT_CASES,
+    *SERVO_CASES,
     *STOP_CASES,
     *LOOPS,
 )

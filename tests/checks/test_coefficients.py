@@ -12,7 +12,7 @@ from mbds_xsim import reference
 from mbds_xsim.checks import Finding, Record
 from mbds_xsim.checks.coefficients import coefficients
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Body, Scene
+from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene
 from mbds_xsim.scene.state import Batch
 from mbds_xsim.simulate.claims import Method
 from mbds_xsim.simulate.registry import load_scene
@@ -120,3 +120,18 @@ def test_frames_after_a_failure_and_contact_are_left_out(pendulum: Any) -> None:
     scene = load_scene("ballscroll")
     batch = draw_batch(scene, [0])
     assert coefficients(Record(scene, batch, reference.solve(scene, batch), RK4, 1e-3)) is None
+
+
+def test_energy_that_nothing_exchanges_with_a_body_tells_nothing_of_its_mass() -> None:
+    """A wheel that turns alone, and loses a little by the method."""
+    joint = Joint("pin", "hinge", "world", "wheel", (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), rate=2.0)
+    wheel = Body("wheel", inertia=Inertia(1.0, (0.1, 0.1, 0.1)))
+    scene = Scene("alone", (wheel,), 1.0, joints=(joint,))
+    batch = draw_batch(scene, [0])
+    motion = reference.solve(scene, batch, cache=False)
+    slower = 1.0 - 1e-8 * np.arange(len(motion.time))[:, None, None]
+    spin = motion.angular_velocity * slower
+
+    slowing = dataclasses.replace(motion, angular_velocity=spin)
+    found = coefficients.finding(Record(scene, batch, slowing, RK4, 2e-3))
+    assert (found.figure < 0.1).all()

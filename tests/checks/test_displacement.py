@@ -14,8 +14,9 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.checks import Finding, Record
 from mbds_xsim.checks.displacement import displacement
 from mbds_xsim.checks.ground import pushes_of
+from mbds_xsim.reference.solution import solve
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Ground, Inertia, Scene
+from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Ground, Inertia, Joint, Scene
 from mbds_xsim.scene.state import Trajectory
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.claims import Method
@@ -237,3 +238,18 @@ def test_frames_after_a_failure_are_left_out(pendulum: Any) -> None:
 
     assert np.isnan(finding.series[0, 9:]).all()
     assert finding.passed.tolist() == [True, True, False]
+
+
+def test_rounding_of_a_steady_turn_is_no_delay() -> None:
+    """Spins that grow in their last digits, of which the turns as recorded know nothing yet."""
+    joint = Joint("pin", "hinge", "world", "rod", (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), rate=0.5)
+    inertia = Inertia(1.0, (0.1, 0.1, 0.1))
+    scene = Scene("turning", (Body("rod", inertia=inertia),), 1.0, joints=(joint,), clock=Clock())
+    batch = draw_batch(scene, [0])
+    motion = solve(scene, batch, cache=False)
+    spin = motion.angular_velocity.copy()
+    spin[:, :, 0, 0] += 1e-17 * np.arange(spin.shape[1])
+
+    noisy = dataclasses.replace(motion, angular_velocity=spin)
+    finding = displacement.finding(Record(scene, batch, noisy, RK4, 1e-3))
+    assert finding.figure.max() < 0.1

@@ -13,7 +13,7 @@ import pytest
 
 from mbds_xsim.base import isolate
 from mbds_xsim.base.isolate import Task
-from mbds_xsim.measure import campaign
+from mbds_xsim.measure import campaign, refinement
 from mbds_xsim.simulate import registry
 from tests.command_line import bob
 from tests.plugins import faulty
@@ -29,7 +29,7 @@ _BOB = bob("length = 1.0", "clock = { steps = 10 }")
 def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
     """Install some of the faulty engines, and lose patience with those that hang."""
     monkeypatch.setattr(campaign, "Task", _impatient)
-    monkeypatch.setattr(campaign, "_REFINEMENT", ())  # one run an engine tells enough
+    monkeypatch.setattr(refinement, "_REFINEMENT", ())  # one run an engine tells enough
     monkeypatch.setattr(campaign, "_CHUNKS", 1)
     monkeypatch.setattr(registry, "_TIMEOUT", _HANG)
     with ExitStack() as stack:

@@ -197,3 +197,19 @@ def _decoded(text: str) -> Validation:
     assert list(json.loads(text)) == list(Validation.__struct_fields__)
     assert json.loads(msgspec.json.encode(told)) == json.loads(text)
     return told
+
+
+def test_what_is_written_on_a_model_says_what_of_it_is_simulated(
+    run: CommandLine, in_process: None, here: Path
+) -> None:
+    del in_process
+    (here / "arm.xml").write_text(
+        '<mujoco><option density="1.2"/><worldbody><body><joint name="pin" axis="0 1 0"/>'
+        '<geom type="box" size=".1 .1 .3" pos="0 0 -.5"/></body></worldbody></mujoco>'
+    )
+    how = ("--engines", "mujoco", "--method", "RK4", "--step", "0.01")
+    run("validate", "arm.xml", *how, "--markdown", "v.md")
+
+    told = (here / "v.md").read_text()
+    assert "What of the model is simulated" in told
+    assert "there is no fluid" in told

@@ -46,32 +46,58 @@ def _everything(path: Path) -> dict[str, Any]:
     return found
 
 
+Flip = tuple[int, int]
+
+
+def _verdicts(
+    path: Path, check: Callable[[Path], Any], whole: dict[str, Any], flips: list[Flip]
+) -> list[int]:
+    """Judge files with one bit flipped in a copy of this process, which the damage may end.
+
+    What ends it is found; a new copy goes on behind it.
+    """
+    found: list[int] = []
+    content = path.read_bytes()
+    while len(found) < len(flips):
+        heard, told = os.pipe()
+        child = os.fork()
+        if child == 0:
+            try:
+                for place, bit in flips[len(found) :]:
+                    damaged = bytearray(content)
+                    damaged[place] ^= 1 << bit
+                    path.write_bytes(damaged)
+                    os.write(told, bytes([_verdict(path, check, whole)]))
+                os._exit(0)
+            finally:
+                os._exit(1)
+        os.close(told)
+        with open(heard, "rb") as answers:
+            found.extend(answers.read())
+        if os.waitpid(child, 0)[1]:
+            found.append(_FOUND)
+    path.write_bytes(content)
+    return found
+
+
 def _verdict(path: Path, check: Callable[[Path], Any], whole: dict[str, Any]) -> int:
-    """Judge a damaged file in a copy of this process, which the damage may end."""
-    child = os.fork()
-    if child == 0:
-        try:
-            if check(path).problems:
-                os._exit(_FOUND)
-            os._exit(_HARMLESS if _everything(path) == whole else _MISSED)
-        except BaseException:
-            os._exit(_FOUND)
-    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    return code if code in (_HARMLESS, _MISSED) else _FOUND
+    try:
+        if check(path).problems:
+            return _FOUND
+        return _HARMLESS if _everything(path) == whole else _MISSED
+    except BaseException:
+        return _FOUND
 
 
 def _flipped(
     path: Path, check: Callable[[Path], Any], count: int, seed: int
 ) -> dict[int, list[int]]:
-    whole, content = _everything(path), path.read_bytes()
+    whole, size = _everything(path), path.stat().st_size
     rng = np.random.default_rng(seed)
+    flips = [(int(place), int(rng.integers(8))) for place in rng.integers(size, size=count)]
     found: dict[int, list[int]] = {_FOUND: [], _HARMLESS: [], _MISSED: []}
-    for place in rng.integers(len(content), size=count):
-        damaged = bytearray(content)
-        damaged[place] ^= 1 << int(rng.integers(8))
-        path.write_bytes(damaged)
-        found[_verdict(path, check, whole)].append(int(place))
-    path.write_bytes(content)
+    for (place, _), verdict in zip(flips, _verdicts(path, check, whole, flips), strict=True):
+        found[verdict].append(place)
     return found
 
 

@@ -15,8 +15,9 @@ from typing import cast
 from unittest import mock
 
 from mbds_xsim.base.files import write_whole
-from mbds_xsim.measure.campaign import Outcome, ReferenceOutcome, reference_of
+from mbds_xsim.measure.campaign import reference_of
 from mbds_xsim.measure.judge import Judged, judge, reference_result
+from mbds_xsim.measure.outcome import Outcome, ReferenceOutcome
 from mbds_xsim.measure.result import ReferenceResult
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
@@ -96,6 +97,7 @@ def planted(change: Change | None, engine: str) -> Iterator[None]:
 
     with (
         mock.patch("mbds_xsim.measure.campaign.simulate", run),
+        mock.patch("mbds_xsim.measure.refinement.simulate", run),
         mock.patch("mbds_xsim.measure.campaign.reference_of", _solved),
         mock.patch("mbds_xsim.studies.validate.judge", _judged),
         mock.patch("mbds_xsim.studies.validate.reference_result", _audited),

@@ -17,6 +17,7 @@ SCENES = {
     "2ladder": 25,
     "workbench": 16,
     "workbench with sprung joints": 16,
+    "workbench with a limited servo": 8,
     "workbench with rotors": 16,
     "workbench with a gear": 16,
     "workbench with dry friction": 16,
@@ -48,6 +49,7 @@ def scene_of(name: str, frames: int | None = None) -> Scene:
         "particlecar at 100 rad/s": _fast,
         "simplecubli set down": _set_down,
         "workbench with sprung joints": _sprung,
+        "workbench with a limited servo": _driven,
         "workbench with rotors": _geared,
         "workbench with a gear": _coupled,
         "workbench with dry friction": _braked,
@@ -89,6 +91,12 @@ def _sprung(scene: Scene) -> Scene:
     joints = (msgspec.structs.replace(j, **laws.get(j.name, {})) for j in scene.joints)
     servo = Servo("shoulder", position=(0.3,), stiffness=20.0, damping=1.0)
     return msgspec.structs.replace(scene, joints=tuple(joints), servos=(servo,))
+
+
+def _driven(scene: Scene) -> Scene:
+    """Give the arm a servo that has to push as hard as it can on the way to its target."""
+    servo = Servo("shoulder", position=(1.0,), stiffness=60.0, damping=3.0, limit=8.0)
+    return msgspec.structs.replace(_sprung(scene), servos=(servo,))
 
 
 def _geared(scene: Scene) -> Scene:

@@ -116,7 +116,7 @@ def test_what_the_scene_has_no_place_for_is_dropped_by_name_with_its_value(here:
         f'<geom type="plane" size="1 1 1"/><body><joint name="j1" axis="0 1 0"/>{geom}'
         f'<body pos="0 0 1"><joint name="j2" axis="0 1 0" damping=".3" armature="0.5"/>{geom}'
         "</body></body></worldbody>"
-        '<actuator><motor name="m" joint="j1"/><position joint="j2" kp="5" forcerange="-1 1"/>'
+        '<actuator><motor name="m" joint="j1"/><position joint="j2" kp="5" forcerange="-1 2"/>'
         '<muscle name="arm" joint="j2" lengthrange="0 1"/></actuator></mujoco>',
     )
 
@@ -124,7 +124,8 @@ def test_what_the_scene_has_no_place_for_is_dropped_by_name_with_its_value(here:
     assert _fates(imported, "kept")["joint damping"].places == ("j2: 0.3",)
     assert (imported.scene.joints[1].damping, imported.scene.joints[1].armature) == (0.3, 0.5)
     assert [(servo.joint, servo.stiffness) for servo in imported.scene.servos] == [("j2", 5.0)]
-    assert "without the limit" in _fates(imported, "approximated")["actuator"].reason
+    reason = _fates(imported, "approximated")["actuator"].reason
+    assert "without the limit of its torque: -1 to 2 is not as much either way" in reason
     assert dropped["geom contact"].count == 3
     assert "no fluid" in dropped["option density"].reason
     assert dropped["actuator"].places == ("arm",)
@@ -245,10 +246,12 @@ def test_a_model_moves_as_it_does_where_it_comes_from(
         f'<worldbody><body name="first">{joints}<geom type="box" size=".1 .2 .3" pos=".4 .1 -.5"/>'
         '<body name="second" pos=".4 0 -1"><joint name="k" axis="0.2 1 0" ref="9" armature="3"/>'
         '<geom type="box" size=".2 .1 .1" pos=".3 0 0"/></body></body></worldbody><actuator>'
-        '<position joint="k" kp="9" kv="1" gear="2" ctrlrange=".5 1"/><intvelocity joint="k" kp="9"'
-        ' actrange="-1 1"/><velocity joint="k" kv="3"/></actuator></mujoco>'
+        '<position joint="k" kp="9" kv="1" gear="2" ctrlrange=".5 1" forcerange="-5 5"/>'
+        '<intvelocity joint="k" kp="9" actrange="-1 1"/><velocity joint="k" kv="3"/></actuator>'
+        "</mujoco>"
     )
     imported = _read(here, xml).scene
+    assert [servo.limit for servo in imported.servos] == [10.0, None, None]
     scene = Scene(imported.name, imported.bodies, imported.length, joints=imported.joints,
                   servos=imported.servos, clock=Clock(frame=0.02, steps=10))  # fmt: skip
     reference = solve(scene, draw_batch(scene, [0]))

@@ -177,6 +177,49 @@ def test_what_is_lost_is_named(here: Path) -> None:
     assert {"drive:angular:physics:stiffness", "physxJoint:armature"} <= lost
 
 
+def _driven(kind: str, token: str, inside: str) -> str:
+    joint = _joint(kind, "hip", ("", "rod"), inside + _PLACE)
+    head, _, rest = joint.partition("\n")
+    return f'{head} (prepend apiSchemas = ["PhysicsDriveAPI:{token}"])\n{rest}'
+
+
+def test_a_drive_is_a_servo_to_its_target_with_its_limit(here: Path) -> None:
+    """In degrees, and in units of the stage: of 0.1 m and 2 kg torques are of 0.02 N·m."""
+    law = {"stiffness": 3, "damping": 0.5, "targetPosition": 90, "targetVelocity": 18}
+    inside = "".join(
+        f"    float drive:angular:physics:{key} = {value}\n"
+        for key, value in (law | {"maxForce": 40}).items()
+    )
+    imported = _read(
+        here, _body("rod", "(1, 2, 3)"), _driven("Revolute", "angular", inside), units=(0.1, 2, "Z")
+    )
+
+    (servo,) = imported.scene.servos
+    assert servo.joint == "hip"
+    assert servo.stiffness == pytest.approx(3 * 0.02 * 180 / np.pi)
+    assert servo.damping == pytest.approx(0.5 * 0.02 * 180 / np.pi)
+    assert servo.position == pytest.approx((np.pi / 2,), abs=1e-6)
+    assert servo.velocity == pytest.approx((np.pi / 10,), abs=1e-6)
+    assert servo.limit == pytest.approx(0.8)
+    kept = [fate for fate in imported.fates if fate.element == "drive"]
+    assert [(fate.outcome, fate.reason) for fate in kept] == [
+        ("kept", "a servo to the target of the file")
+    ]
+
+
+def test_a_drive_of_accelerations_is_told(here: Path) -> None:
+    inside = (
+        '    uniform token drive:linear:physics:type = "acceleration"\n'
+        "    float drive:linear:physics:damping = 3\n"
+    )
+    imported = _read(here, _body("rod", "(1, 2, 3)"), _driven("Prismatic", "linear", inside))
+
+    assert not imported.scene.servos
+    (fate,) = (fate for fate in imported.fates if fate.element == "drive")
+    assert (fate.outcome, fate.moves) == ("dropped", True)
+    assert "gains are of accelerations" in fate.reason
+
+
 _MESH = 'def Mesh "shell" (prepend apiSchemas = ["PhysicsCollisionAPI"])\n{\n}\n'
 _BAD = {
     "text": ("#usda 1.0\ndef {", "OpenUSD does not read it"),

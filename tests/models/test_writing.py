@@ -59,6 +59,7 @@ def _same(first: Scene, second: Scene) -> None:
     assert len(held) + len(loops) == len(ours.joints)
     for servo, other in zip(first.servos, second.servos, strict=True):
         assert (other.joint, other.damping) == (servo.joint, servo.damping)
+        assert other.limit == servo.limit
         assert other.position == pytest.approx(servo.position, abs=1e-12)
     assert second.couplings == first.couplings
 
@@ -98,7 +99,10 @@ def test_any_tree_comes_back_from_mjcf(
         for joint in scene.joints
     )
     led = [joint.name for joint in joints if joint.kind in ("hinge", "slider")]
-    servos = tuple(Servo(name, (0.4,), (0.0,), 9.0, 0.7) for name in led)
+    servos = tuple(
+        Servo(name, (0.4,), (0.0,), 9.0, 0.7, limit=None if k % 2 else 1.5)
+        for k, name in enumerate(led)
+    )
     gravity = (1.0, 2.0, -3.0)
     scene = msgspec.structs.replace(
         scene, springs=(spring,), gravity=gravity, joints=joints, servos=servos

@@ -18,30 +18,27 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return cache.kernel_folder()
 
 
-def test_it_is_compiled_once_and_told_before(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_is_compiled_once_and_told_before(folder: Path) -> None:
     happened: list[str] = []
 
     def compiled() -> None:
         happened.append("compiled")
         folder.mkdir(parents=True)
-        (folder / "ready").touch()
 
-    monkeypatch.setattr(kernels, "_compile", compiled)
     for _ in range(2):
-        kernels.compile_once(happened.append, workers=0)
+        some = [kernels.Kernels("reference", compiled, 15)]
+        kernels.compile_once(happened.append, workers=0, kernels=some)
 
     told, done = happened
-    assert "compiled for this machine, once" in told
+    assert told.endswith("compiled for this machine, once: some 15 s of one core")
     assert done == "compiled"
 
 
-def test_a_compiler_that_crashes_is_told_and_stops_nothing(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_compiler_that_crashes_is_told_and_stops_nothing(folder: Path) -> None:
     told: list[str] = []
-    monkeypatch.setattr(kernels, "_compile", int.bit_count)  # wants an argument
+    wrong = kernels.Kernels("reference", int.bit_count, 15)  # type: ignore[arg-type]
 
-    kernels.compile_once(told.append, workers=1)
+    kernels.compile_once(told.append, workers=1, kernels=[wrong])
 
     assert "could not be compiled: TypeError" in told[1]
     assert not folder.exists()

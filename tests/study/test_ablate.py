@@ -16,6 +16,7 @@ from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import Starts, draw_batch
 from mbds_xsim.scene.sampling_terms import Turn
 from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene
+from mbds_xsim.scene.servo import Servo
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.studies.ablate import ablate
@@ -298,3 +299,19 @@ def test_the_command_writes_what_it_found(run: CommandLine, here: Path) -> None:
 )
 def test_bad_input_is_one_line(words: list[str], told: str, run: CommandLine) -> None:
     assert told in run("ablate", *words).refusal
+
+
+def test_stops_and_saturation_can_be_left_out() -> None:
+    pin = Joint("pin", "hinge", "world", "rod", (0.0, 0.0, 0.0), (0, 1, 0), limits=(-0.5, 0.5))
+    rod = Body("rod", inertia=Inertia(1.0, (0.1,) * 3, com=(0.0, 0.0, -0.5)))
+    servo = Servo("pin", (1.0,), stiffness=20.0, limit=2.0)
+    scene = Scene("led", (rod,), 1.0, joints=(pin,), servos=(servo,), clock=_SECOND)
+    batch = draw_batch(scene, [0])
+    effects = [_effect("stops"), _effect("saturation")]
+    free, unsaturated = variants_of(scene, effects, batch, 0)
+
+    assert not Mechanism.of(free.scene).limited
+    np.testing.assert_array_equal(free.batch.torque, batch.torque)
+    assert not batch.torque.any()
+    assert not Mechanism.of(unsaturated.scene).drives
+    np.testing.assert_array_equal(unsaturated.batch.torque, 20.0)

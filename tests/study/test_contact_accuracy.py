@@ -11,7 +11,8 @@ import pytest
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.checks import Finding, audit
-from mbds_xsim.measure.campaign import ReferenceOutcome, run_references
+from mbds_xsim.measure.campaign import run_references
+from mbds_xsim.measure.outcome import ReferenceOutcome
 from mbds_xsim.measure.trial import contact_findings
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Clock, Scene

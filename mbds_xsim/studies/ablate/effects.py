@@ -101,6 +101,19 @@ def _gears(scene: Scene, _: float) -> Scene | None:
     return _replace(scene, couplings=()) if scene.couplings else None
 
 
+def _stops(scene: Scene, _: float) -> Scene | None:
+    stopped = {joint.name for joint in scene.joints if joint.limits}
+    replaced = functools.partial(msgspec.structs.replace, limits=None, restitution=0.0)
+    return _with_joints(scene, stopped, replaced)
+
+
+def _saturation(scene: Scene, _: float) -> Scene | None:
+    if not any(servo.limit for servo in scene.servos):
+        return None
+    servos = (msgspec.structs.replace(servo, limit=None) for servo in scene.servos)
+    return _replace(scene, servos=tuple(servos))
+
+
 def _loop_axes(scene: Scene, _: float) -> Scene | None:
     """Close loops by points alone."""
     closing = {joint.name for joint in Mechanism.of(scene).loops if joint.kind in _TURNED}
@@ -241,6 +254,8 @@ EFFECTS = (
     Effect("damping of joints", "joints without dampers", _part("joints.damping")),
     Effect("armature", "joints without rotors", _part("joints.armature")),
     Effect("dry friction", "joints without dry friction", _part("joints.friction")),
+    Effect("stops", "joints without limits", _stops, (DROP,)),
+    Effect("saturation", "servos without limits", _saturation, (DROP,), starts="redrawn"),
     Effect("gears", "joints that follow none", _gears, (DROP,)),
     Effect("closed loops", "joints and links that close loops are left out", _loops, (DROP,)),
     Effect("axes in loops", "loops closed by ball joints", _loop_axes, (DROP,)),

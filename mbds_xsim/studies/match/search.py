@@ -12,7 +12,8 @@ from typing import Any
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
-from mbds_xsim.measure.campaign import ReferenceOutcome, run_references
+from mbds_xsim.measure.campaign import run_references
+from mbds_xsim.measure.outcome import ReferenceOutcome
 from mbds_xsim.measure.quick import Search
 from mbds_xsim.measure.runner import Meter, machine
 from mbds_xsim.measure.trial import Trial, failed_trial, joined, run_trial

@@ -14,9 +14,11 @@ import numpy as np
 from mbds_xsim.base.isolate import Silent
 from mbds_xsim.base.text import counted
 from mbds_xsim.checks import agreement
-from mbds_xsim.measure.campaign import Outcome, ReferenceOutcome, refine, run_campaign
+from mbds_xsim.measure.campaign import run_campaign
 from mbds_xsim.measure.judge import Judged, judge, reference_result
+from mbds_xsim.measure.outcome import Outcome, ReferenceOutcome
 from mbds_xsim.measure.quick import searched
+from mbds_xsim.measure.refinement import refine
 from mbds_xsim.measure.result import (
     SCHEMA,
     EngineResult,

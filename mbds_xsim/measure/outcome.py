@@ -1,0 +1,93 @@
+"""What came of the simulations of a validation, before it is judged."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.isolate import Crash
+from mbds_xsim.scene.state import Batch, Failure, Trajectory
+from mbds_xsim.simulate.choice import Contender
+from mbds_xsim.simulate.timed import Simulation
+
+
+@dataclass
+class Outcome:
+    """What one contender delivered."""
+
+    contender: Contender
+    parts: list[Simulation | Crash] = field(default_factory=list)
+    rows: list[list[int]] = field(default_factory=list)
+    """Rows of the batch of each part."""
+    sample: list[int] = field(default_factory=list)
+    """Rows of the batch that run at other steps too, for the consistency check."""
+    other_steps: dict[float, Trajectory] = field(default_factory=dict)
+    """The sample at each other step [s]."""
+
+    def keep_step(self, step: float, batch: Batch, answer: Simulation | Crash) -> None:
+        """Keep the sample's run at another step [s]; NaN, with the reason, where it crashed."""
+        frames = np.arange(batch.steps + 1.0)
+        if isinstance(answer, Simulation):
+            self.other_steps[step] = answer.trajectory.padded(frames)
+            return
+        count = len(self.sample)
+        empty = Trajectory.empty(frames, count, batch.position.shape[1])
+        crashed = (Failure(0, answer.reason),) * count
+        self.other_steps[step] = dataclasses.replace(empty, failures=crashed)
+
+    @property
+    def crashes(self) -> list[str]:
+        """Reasons of the parts that crashed."""
+        return list(dict.fromkeys(p.reason for p in self.parts if isinstance(p, Crash)))
+
+    @property
+    def simulations(self) -> list[Simulation]:
+        """The parts that came back."""
+        return [part for part in self.parts if isinstance(part, Simulation)]
+
+    def trajectory(self, time: Array, count: int, body_count: int) -> Trajectory | None:
+        """Put the parts together; rows of a crashed part are NaN. None where all crashed."""
+        if not self.simulations:
+            return None
+        whole = Trajectory.empty(time, count, body_count)
+        for rows, part in zip(self.rows, self.parts, strict=True):
+            if isinstance(part, Simulation):
+                whole = whole.replaced(np.array(rows), part.trajectory)
+        return whole
+
+    def failures(self, batch: Batch) -> list[str]:
+        """One line for each crash, and for each trajectory that ended early."""
+        lines = [f"crash: {reason}" for reason in self.crashes]
+        for rows, part in zip(self.rows, self.parts, strict=True):
+            if isinstance(part, Simulation):
+                for row, failure in zip(rows, part.trajectory.failures, strict=True):
+                    if failure is not None:
+                        lines.append(
+                            f"{batch.label(row)} ended at frame {failure.frame}: {failure.reason}"
+                        )
+        return lines
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceOutcome:
+    """The reference of all trajectories."""
+
+    trajectory: Trajectory
+    """NaN from a first impact on that has no unique solution."""
+    growth: Array
+    """Sensitivity G, shape (trajectory, frame); NaN where the trajectory is."""
+    rtol: float
+    cached: int
+    wall_s: float
+
+    @property
+    def busy_s(self) -> float:
+        """Time that it took [s]."""
+        return self.wall_s
+
+    def __getitem__(self, rows: list[int]) -> ReferenceOutcome:
+        """Take some of the trajectories."""
+        return dataclasses.replace(self, trajectory=self.trajectory[rows], growth=self.growth[rows])

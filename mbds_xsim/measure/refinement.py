@@ -1,0 +1,179 @@
+"""Runs at other steps, which show what an engine converges to.
+
+Three steps come first, the shortest of them no shorter than need be. Where they do not show how
+the engine converges, the shortest one is halved, twice at most.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+from mbds_xsim.base.isolate import Task
+from mbds_xsim.checks import Finding
+from mbds_xsim.checks.consistency import LEAST_SPAN, Consistency
+from mbds_xsim.measure.outcome import Outcome, ReferenceOutcome
+from mbds_xsim.measure.runner import Account, Piece, Watch, carry_out
+from mbds_xsim.reference import FirstImpact
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, Failure
+from mbds_xsim.simulate import rounding
+from mbds_xsim.simulate.adapter import Settings
+from mbds_xsim.simulate.choice import Contender
+from mbds_xsim.simulate.claims import Method
+from mbds_xsim.simulate.registry import load_adapter
+from mbds_xsim.simulate.timed import simulate
+
+_REFINEMENT = (2, 4)  # the consistency check compares with steps so many times longer, or shorter
+
+
+def may_end(scene: Scene) -> bool:
+    """Whether the reference may end before the scene does: other steps wait until it is known."""
+    return bool(scene.contacts) and not Mechanism.of(scene).has_only_balls
+
+
+def pieces_of(
+    scene: Scene, batch: Batch, outcome: Outcome, known: ReferenceOutcome | None = None
+) -> list[Piece]:
+    """Run the sample of an engine at the other steps, as far as a reference goes that is known."""
+    steps = other_steps(scene, outcome.contender.engine, outcome.contender.settings)
+    return [_step_piece(scene, batch, outcome, step, known) for step in steps]
+
+
+def _step_piece(
+    scene: Scene, batch: Batch, outcome: Outcome, step: float, known: ReferenceOutcome | None = None
+) -> Piece:
+    """Run the sample of an engine at another step [s], as far as a reference goes that is known."""
+    contender, sample = outcome.contender, batch[outcome.sample]
+    settings = Settings(contender.settings.method, step, contender.settings.options)
+    if known is not None:
+        sample = compared(sample, known[outcome.sample])
+    arguments = (scene, sample, contender.engine, settings)
+    task = Task(simulate, arguments, contender.limit)
+    keep = partial(outcome.keep_step, step, batch)
+    return Piece(step_name(contender, step), contender.engine, task, keep)
+
+
+def step_name(contender: Contender, step: float) -> str:
+    """Name the runs of an engine at a step [s]."""
+    return f"{contender.name}, step {step:.3g} s"
+
+
+def method_of(contender: Contender) -> Method:
+    """Give what an engine claims of the method that it steps by."""
+    return load_adapter(contender.engine).methods[contender.settings.method]
+
+
+def other_steps(scene: Scene, engine: str, settings: Settings) -> list[float]:
+    """Give the consistency check's steps: longer ones where they divide the frame, else shorter.
+
+    None for an adaptive method, which takes no step from its settings.
+    """
+    if load_adapter(engine).methods[settings.method].adaptive:
+        return []
+    count = settings.substeps(scene.clock.frame)
+    longer = all(count % factor == 0 for factor in _REFINEMENT)
+    return [
+        scene.clock.frame / (count // factor if longer else count * factor)
+        for factor in _REFINEMENT
+    ]
+
+
+_RUNS = 5
+"""Steps at most, of which the shortest is 1/16 of the longest."""
+_PATIENCE = 300.0
+"""No further run is made that would take longer [s]."""
+
+
+def convergence(
+    scene: Scene, batch: Batch, outcome: Outcome, reference: ReferenceOutcome
+) -> list[Finding]:
+    """Extrapolate the sample that ran at several steps to a vanishing step.
+
+    Only smooth motion has an order of convergence: with contact, what comes before it.
+    """
+    given = _given(scene, batch, outcome, reference)
+    return [] if given is None else given.findings
+
+
+def further_step(
+    scene: Scene, batch: Batch, outcome: Outcome, reference: ReferenceOutcome
+) -> float | None:
+    """Give the step at which the sample must run too before anything can be said [s].
+
+    None where that is not so, where the engine fails anyway, or where it would take too long.
+    """
+    if len(outcome.other_steps) + 1 >= _RUNS or outcome.failures(batch):
+        return None
+    given = _given(scene, batch, outcome, reference)
+    if given is None or not given.unsettled:
+        return None
+    step = outcome.contender.settings.step
+    half = min(step, *outcome.other_steps) / 2.0
+    simulated = sum(len(part.trajectory) for part in outcome.simulations)
+    each = sum(part.rollout_s for part in outcome.simulations) / simulated
+    return half if each * len(outcome.sample) * step / half < _PATIENCE else None
+
+
+def compared(batch: Batch, reference: ReferenceOutcome) -> Batch:
+    """Leave out the steps after which no trajectory of a sample has a reference."""
+    ends = [batch.steps if e is None else e.frame for e in reference.trajectory.failures]
+    return batch.truncated(max(1, *ends))
+
+
+def refine(
+    scene: Scene,
+    batch: Batch,
+    outcomes: list[Outcome],
+    reference: ReferenceOutcome,
+    *,
+    workers: int | None,
+    progress: Watch,
+    spent: Account,
+) -> None:
+    """Run samples at further steps until they show how each engine converges."""
+    while True:
+        steps = [further_step(scene, batch, outcome, reference) for outcome in outcomes]
+        asked = [(o, step) for o, step in zip(outcomes, steps, strict=True) if step is not None]
+        if not asked:
+            return
+        progress.begin(len(asked))
+        pieces = [_step_piece(scene, batch, outcome, step, reference) for outcome, step in asked]
+        carry_out(pieces, progress, spent, workers=workers)
+
+
+def _given(
+    scene: Scene, batch: Batch, outcome: Outcome, reference: ReferenceOutcome
+) -> Consistency | None:
+    """Give what the check is about; None where nothing is to be compared."""
+    flies = smooth(scene, reference)
+    smooth_ones = [k for k, row in enumerate(outcome.sample) if flies[row]]
+    rows = [outcome.sample[k] for k in smooth_ones]
+    truth, contender = reference.trajectory, outcome.contender
+    trajectory = outcome.trajectory(truth.time, len(batch), len(scene.bodies))
+    if trajectory is None or not rows or not outcome.other_steps:
+        return None
+    runs = {step: run[smooth_ones] for step, run in outcome.other_steps.items()}
+    runs[contender.settings.step] = trajectory[rows]
+    method = method_of(contender)
+    ordered = [runs[step] for step in sorted(runs, reverse=True)]
+    growth = reference.growth[rows]
+    most = rounding.stepped(method, round(float(truth.time[-1]) / min(runs)))
+    known = max(Consistency.resolution, most)
+    return Consistency(scene, batch[rows], ordered, truth[rows], method, growth, known)
+
+
+def smooth(scene: Scene, reference: ReferenceOutcome) -> list[bool]:
+    """Tell of each trajectory whether it begins with smooth motion, long enough to be judged.
+
+    The reference follows balls through impacts; of any other contact it ends at the first.
+    """
+    ends = reference.trajectory.failures
+    if not scene.contacts:
+        return [True] * len(ends)
+    balls = Mechanism.of(scene).has_only_balls
+    return [not balls if end is None else _flies(end) for end in ends]
+
+
+def _flies(end: Failure) -> bool:
+    return isinstance(end, FirstImpact) and end.frame > LEAST_SPAN
