@@ -70,7 +70,7 @@ class Exudyn(Adapter):
     """Rigid bodies with six coordinates each; joints are constraints with multipliers."""
 
     name = "exudyn"
-    revision = 2
+    revision = 3
     package = "exudyn"
     methods: ClassVar = {
         "trapezoidal": Method(
@@ -146,6 +146,7 @@ class Exudyn(Adapter):
         return ContactScales(contact.duration, contact.slip_speed)
 
     def load(self, scene: Scene, settings: Settings) -> Run:
+        mechanism = Mechanism.of(scene)
         stepping = Stepping(
             method=settings.method,
             frame=scene.clock.frame,
@@ -154,8 +155,8 @@ class Exudyn(Adapter):
             spectral_radius=float(self.option(settings, "spectral_radius")),
             modified_newton=self.option(settings, "modified_newton"),
             division=self.option(settings, "contact_substeps") if scene.contacts else 0,
+            braked=mechanism.braked,
         )
-        mechanism = Mechanism.of(scene)
         model = _MODELS.get(settings.method, RigidBodies)(mechanism, settings.step)
         return ExudynRun(mechanism, model, stepping, self._contact(settings))
 

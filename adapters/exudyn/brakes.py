@@ -31,29 +31,32 @@ def saturated(limit):
     return force
 
 """
+_LIMITS = ("limitStopsLower", "limitStopsUpper")
 _KINDS = {"hinge": "Rotation", "slider": "Translation"}
 
 
-def braked(mechanism: Mechanism) -> tuple[PlacedJoint, ...]:
-    """Give the joints with friction or limits, in scene order."""
-    return tuple(joint for joint in mechanism.joints if joint.friction or joint.limits)
-
-
 def brakes_listing(mechanism: Mechanism, step: float) -> Iterator[str]:
-    """Lines that make `brakes`, one a braked joint; none where there is none.
+    """Lines that make `brakes`: of joints with friction, then of those with limits.
+
+    A joint with both has two, as one such object of Exudyn has either.
 
     Args:
         mechanism: Of the scene.
         step: Of the solver [s].
     """
-    joints = braked(mechanism)
+    rough, limited = mechanism.frictional, mechanism.limited
+    joints = (*rough, *limited)
     if joints or mechanism.drives:
         yield _FIXED
     least, most = (values.tolist() for values in moved_inertias(mechanism, joints))
-    for joint, free, whole in zip(joints, least, most, strict=True):
+    laws = [_friction(*pair, step) for pair in zip(rough, least, strict=False)]
+    part = slice(len(rough), None)
+    laws += [_stops(*each, step) for each in zip(limited, least[part], most[part], strict=True)]
+    for joint, law in zip(joints, laws, strict=True):
+        given = ", ".join(f"{key}={value!r}" for key, value in law.items())
         yield (
             f"brakes.append(mbs.AddObject(items.CoordinateSpringDamperExt(markerNumbers=[fixed, "
-            f"{_coordinate(joint)}], nodeNumber={_data(3)}, {_law(joint, free, whole, step)})))"
+            f"{_coordinate(joint)}], nodeNumber={_data(3)}, {given})))"
         )
 
 
@@ -85,11 +88,13 @@ def couplings_listing(mechanism: Mechanism) -> Iterator[str]:
         )
 
 
-def held(names: Mapping[str, Any], mechanism: Mechanism, key: str, joints: Any) -> Array:
-    """Read a value of the brakes of some joints back."""
-    objects = zip(braked(mechanism), names["brakes"], strict=True)
-    found = {joint.index: names["mbs"].GetObject(number)[key] for joint, number in objects}
-    return np.array([found[joint.index] for joint in joints])
+def held(names: Mapping[str, Any], mechanism: Mechanism) -> tuple[Array, Array]:
+    """Read friction, shape (joint,), and limits, shape (joint, 2), of the brakes back."""
+    brakes, count = names["brakes"], len(mechanism.frictional)
+    told = [names["mbs"].GetObject(number) for number in brakes]
+    friction = np.array([each["dynamicFrictionForce"] for each in told[:count]])
+    limits = [[each[key] for key in _LIMITS] for each in told[count:]]
+    return friction, np.array(limits).reshape(-1, len(_LIMITS))
 
 
 def _coordinate(joint: PlacedJoint) -> str:
@@ -112,14 +117,13 @@ def _data(count: int) -> str:
     )
 
 
-def _law(joint: PlacedJoint, least: float, most: float, step: float) -> str:
-    law: dict[str, float | bool] = {}
-    if joint.friction:
-        law["dynamicFrictionForce"] = joint.friction
-        law["frictionProportionalZone"] = joint.friction * step / least
-    if joint.limits:
-        damping = 2.0 * least / step
-        law |= {"useLimitStops": True, "limitStopsDamping": damping}
-        law["limitStopsStiffness"] = damping**2 / (4.0 * most)
-        law |= dict(zip(("limitStopsLower", "limitStopsUpper"), joint.limits, strict=True))
-    return ", ".join(f"{key}={value!r}" for key, value in law.items())
+def _friction(joint: PlacedJoint, least: float, step: float) -> dict[str, float | bool]:
+    zone = joint.friction * step / least
+    return {"dynamicFrictionForce": joint.friction, "frictionProportionalZone": zone}
+
+
+def _stops(joint: PlacedJoint, least: float, most: float, step: float) -> dict[str, float | bool]:
+    assert joint.limits is not None
+    damping = 2.0 * least / step
+    law = {"limitStopsDamping": damping, "limitStopsStiffness": damping**2 / (4.0 * most)}
+    return {"useLimitStops": True} | law | dict(zip(_LIMITS, joint.limits, strict=True))

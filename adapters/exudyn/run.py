@@ -10,7 +10,7 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.joint_space import BodyStates
-from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint
+from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.servo import with_pushes
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import (
@@ -35,7 +35,6 @@ start = exu.ConfigurationType.Initial
 mbs.systemData.SetODE2Coordinates({coordinates!r}, start)
 mbs.systemData.SetODE2Coordinates_t({velocities!r}, start)
 """
-_LIMITS = ("limitStopsLower", "limitStopsUpper")
 _MEMORY = "mbs.systemData.SetDataCoordinates({memory!r}, start)\n"
 _RUN = """
 # To watch it: container.renderer.Start(); container.renderer.DoIdleTasks()
@@ -154,6 +153,7 @@ class ExudynRun(Run):
         com = self._output("Position") + arm
         alike = not np.ptp(properties.gravity, axis=0).any()
         stepping = self._names["settings"].timeIntegration
+        friction, limits = held(self._names, self._mechanism)
         return Readback(
             mass=properties.mass,
             inertia=properties.inertia,
@@ -172,10 +172,8 @@ class ExudynRun(Run):
             law=self._model.laws(self._names),
             drive=np.array([self._drive(number) for number in self._names["drives"]]),
             coupling=np.array([self._coupling(number) for number in self._names["couplings"]]),
-            friction=self._held("dynamicFrictionForce", self._mechanism.frictional),
-            limits=np.column_stack(
-                [self._held(key, self._mechanism.limited) for key in _LIMITS]
-            ).reshape(-1, 2),
+            friction=friction,
+            limits=limits,
         )
 
     def _coupling(self, number: Any) -> tuple[float, float]:
@@ -186,9 +184,6 @@ class ExudynRun(Run):
         """Its limit is in the function that makes its force, of which Exudyn tells nothing."""
         law = self._mbs.GetObject(number)
         return law["stiffness"], law["damping"], np.nan
-
-    def _held(self, key: str, joints: tuple[PlacedJoint, ...]) -> Array:
-        return held(self._names, self._mechanism, key, joints)
 
     def _springs(self) -> Array:
         mbs, length = self._mbs, exudyn.OutputVariableType.Distance

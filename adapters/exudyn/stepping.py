@@ -34,15 +34,11 @@ _NEAR_GROUND = """\
 near_ground = steps_of_a_frame({count})
 stepping = near_ground.timeIntegration
 stepping.adaptiveStep = True
-stepping.adaptiveStepRecoverySteps = 1
-stepping.adaptiveStepRecoveryIterations = 1000
-stepping.minimumStepSize = {share} * stepping.endTime / stepping.numberOfSteps
 stiffness = max(mbs.GetObject(number)["contactStiffness"] for number in contacts)
 stepping.discontinuous.iterationTolerance = {fastest} * stiffness * stepping.minimumStepSize
 damping = max(mbs.GetObject(number)["contactDamping"] for number in contacts)
 noise = {rounding} * damping * stepping.numberOfSteps / stepping.endTime
 stepping.newton.absoluteTolerance = max(stepping.newton.absoluteTolerance, noise)
-stepping.stepInformation = 0
 """
 _NEXT_FRAME = """
 def next_frame():  # in finer steps if a sphere may touch the ground
@@ -72,6 +68,9 @@ class Stepping:
     modified_newton: bool
     division: int = 0
     """Finer steps of a step near the ground; 0 where the scene has no contact."""
+    braked: bool = False
+    """Whether joints have friction or limits, whose laws have kinks that Newton's method may go
+    back and forth between: a step in which it does not end is taken in shorter ones."""
 
     def listing(self, mechanism: Mechanism) -> str:
         """Write the program that makes `settings`, and `next_frame` to call once a frame."""
@@ -86,7 +85,11 @@ def steps_of_a_frame(count):
     stepping = settings.timeIntegration
     stepping.endTime = {self.frame!r}
     stepping.numberOfSteps = count
-    stepping.adaptiveStep = False
+    stepping.adaptiveStep = {self.braked}
+    stepping.adaptiveStepRecoverySteps = 1
+    stepping.adaptiveStepRecoveryIterations = 1000
+    stepping.minimumStepSize = {_SHORTEST_SHARE} * stepping.endTime / count
+    stepping.stepInformation = 0
     stepping.automaticStepSize = False
     stepping.newton.useModifiedNewton = {self.modified_newton}
     stepping.newton.relativeTolerance = {_TIGHT if self.division else _USUAL}
@@ -113,7 +116,6 @@ def step_frame(settings=settings):
         return (
             _NEAR_GROUND.format(
                 count=self.substeps * self.division,
-                share=_SHORTEST_SHARE,
                 fastest=_FASTEST_IMPACT,
                 rounding=_ROUNDING,
             )

@@ -228,3 +228,21 @@ def test_wrong_requests_are_one_clear_line() -> None:
 def test_matched_takes_a_rule_that_ends_where_constraints_are_redundant() -> None:
     for name, method in (("2ladder", "trapezoidal"), ("workbench", "generalised-alpha")):
         assert ENGINE.settings(load_scene(name), "matched").method == method
+
+
+@pytest.mark.parametrize("method", IMPLICIT)
+def test_a_joint_may_have_dry_friction_and_stops_at_once(method: str) -> None:
+    rail = Joint(
+        "rail", "slider", "world", "cart", (0.0, 0.0, 0.0), (1.0, 0.0, 0.0),
+        rate=0.0, friction=1.0, limits=(-1.0, 0.25),
+    )  # fmt: skip
+    cart, push = Body("cart", inertia=Inertia(2.0, (0.1,) * 3)), Force("cart", ((3.0, 0.0, 0.0),))
+    scene = Scene("pushed", (cart,), 1.0, joints=(rail,), forces=(push,), clock=CLOCK)
+    batch, settings = draw_batch(scene, [0]), Settings(method, 0.02 / 40)
+    with ENGINE.open(scene, settings) as run:
+        told = compare(Mechanism.of(scene), batch, settings, run.readback(batch))
+    motion = roll(scene, method, 40)
+
+    assert not told
+    x = np.minimum(0.5 * (3.0 - 1.0) / 2.0 * motion.time**2, 0.25)
+    np.testing.assert_allclose(motion.position[0, :, 0, 0], x, atol=1e-3)
