@@ -81,6 +81,8 @@ def _started(record: Record, mismatch: Mismatch) -> Array:
     """Take off the first step's mismatch what closing loops by impulses makes of the start."""
     left = mismatch.left.copy()
     known = np.flatnonzero(np.isfinite(left[:, 0]).all(axis=(1, 2, 3)))
+    if not len(known):
+        return left
     start = record.bodies[known, 0]
     load = record.batch.force[known, 0], record.torque[known, 0]
     change = mismatch.as_bodies(left[known, 0], start.native)

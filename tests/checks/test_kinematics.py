@@ -15,7 +15,7 @@ from mbds_xsim.checks.kinematics import kinematics, velocity_lag
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Ground, Inertia, Joint, Scene
-from mbds_xsim.scene.state import Trajectory
+from mbds_xsim.scene.state import Failure, Trajectory
 from mbds_xsim.simulate.adapter import Adapter, Settings
 from mbds_xsim.simulate.claims import Method
 from mbds_xsim.simulate.registry import load_scene
@@ -302,3 +302,14 @@ def test_only_impulses_of_loops_explain_another_start(name: str) -> None:
     for wrong in (figure(0.0, 1.01), figure(2.5e-3, 1.01), figure(15e-3, 1.0)):
         assert not wrong.passed.any()
         assert wrong.frame.tolist() == [1]
+
+
+def test_a_closed_mechanism_that_blew_up_at_once_has_figures_of_nothing() -> None:
+    scene = next(case.scene for case in CASES if case.name == "parallelogram")
+    batch = draw_batch(scene, [0])
+    lost = (Failure(1, "a body's speed passes all bounds"),)
+    motion = dataclasses.replace(reference.solve(scene, batch), failures=lost).cut_at_failures()
+
+    found = kinematics(Record(scene, batch, motion, METHODS["rk4"], 5e-3))
+
+    assert found is None or not np.isfinite(found.figure).any()
