@@ -7,6 +7,7 @@ stands for: all but it, or its starts of one interval.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -166,9 +167,8 @@ def looks(trainings: Sequence[str]) -> dict[str, Look]:
     """
     members: dict[str, list[str]] = {}
     for training in trainings:
-        named = [engine for engine in registry.engine_names() if engine in training.split("-")]
-        first = named[0] if named else ""
-        others = members.setdefault(first, [first] if named else [])
+        first = _first_engine(training)
+        others = members.setdefault(first, [first] if first else [])
         others += [] if training in others else [training]
     return {
         training: (
@@ -179,6 +179,13 @@ def looks(trainings: Sequence[str]) -> dict[str, Look]:
         for training in others
         if training in trainings
     }
+
+
+def _first_engine(training: str) -> str:
+    """Find the engine that stands first in a training's name; the longest of several."""
+    known = "|".join(sorted(map(re.escape, registry.engine_names()), key=len, reverse=True))
+    found = re.search(f"(?:^|-)({known})(?:-|$)", training)
+    return found[1] if found else ""
 
 
 def _training(curve: LearningCurve) -> str:

@@ -23,14 +23,14 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 
-ENGINES = ("#009e73", "#cc79a7", "#0072b2", "#d55e00", "#e69f00", "#56b4e9")
+ENGINES = ("#009e73", "#cc79a7", "#0072b2", "#3838d8", "#d55e00", "#e69f00", "#56b4e9")
 MODELS = {"gns": "#7a4fb5", "hgnn": "#a8123e", "lgnn": "#8c6d1f", "sgnn": "#5c8a00"}
 _OTHER = "#6b6b6b"
 
 LIGHT = (*ENGINES, *MODELS.values(), _OTHER)
 """Of what pages show."""
 DARK = (
-    "#2fc79c", "#e8a0c8", "#56a8ec", "#ff8c42", "#f2bb3f", "#9ad8fa",
+    "#2fc79c", "#e8a0c8", "#56a8ec", "#9494ff", "#ff8c42", "#f2bb3f", "#9ad8fa",
     "#b795f2", "#ff7394", "#cfae5c", "#a5cf52", "#a9a9a9",
 )  # fmt: skip
 """The same, lighter, for a dark background."""
@@ -81,7 +81,8 @@ class Style:
 def engine_style(engine: str, others: Iterable[str] = (), *, dashed: bool = False) -> Style:
     """Give an engine its colour: registered ones in their order, then the others."""
     known = list(dict.fromkeys([*registry.simulator_names(), *others, engine]))
-    return Style(known.index(engine) % len(ENGINES), dashed, engine[:1].upper())
+    initials = "".join(word[:1] for word in engine.split("-")).upper()
+    return Style(known.index(engine) % len(ENGINES), dashed, initials)
 
 
 def model_style(model: str, *, dashed: bool = False) -> Style:

@@ -15,3 +15,10 @@ def test_trainings_are_told_apart() -> None:
     ways = [word.format(e) for word in ("{}", "not-{}", "{}-low", "{}-high") for e in engines]
     found = looks([*ways, "all"])
     assert len(set(found.values())) == len(ways) + 1
+
+
+def test_an_engine_whose_name_begins_as_another_s_has_its_own_colour() -> None:
+    found = looks(["mujoco", "mujoco-warp", "mujoco-warp-low", "mujoco-low"])
+    assert found["mujoco-warp"][0] == found["mujoco-warp-low"][0] != found["mujoco"][0]
+    assert found["mujoco-low"][0] == found["mujoco"][0]
+    assert found["mujoco-warp"][1] == found["mujoco"][1] == "-"
