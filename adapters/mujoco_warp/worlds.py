@@ -18,7 +18,7 @@ from mbds_xsim.base.process import redirected
 # A cost improvement below this ends the solver. MuJoCo Warp cuts a model's to 1e-6, with which
 # 2ladder diverges within 0.2 s.
 _TOLERANCE = 1e-12
-# Warp's own, which inline more, take half as long again to compile and are no faster.
+# Warp's own, which inline more, take a seventh longer to compile and are no faster.
 _COMPILER = "-march=native"
 
 
