@@ -23,7 +23,7 @@ from mbds_xsim.simulate.adapter import Run, Settings
 
 _STEPS_PER_FRAME, _SECOND, _TURNS = 4, 50, 3
 _SIZES = (1, 4, 16, 64, 256, 1024, 4096)
-_MOST_FRAMES = 10_000  # of all trajectories of a rollout; at least five each
+_MOST_FRAMES = 5_000  # of all trajectories of a rollout; at least two each
 _OPTIONS: dict[str, dict[str, float]] = {"mujoco": {"turn": 0.0}, "mujoco-warp": {}}
 
 
@@ -41,7 +41,7 @@ def _rows(scene: Scene) -> Iterator[list[str]]:
     runs = {name: _loaded(scene, name) for name in _OPTIONS}
     rates = []
     for size in _SIZES:
-        frames = min(_SECOND, max(5, _MOST_FRAMES // size))
+        frames = min(_SECOND, max(2, _MOST_FRAMES // size))
         batch = draw_batch(scene, range(size)).truncated(frames)
         works = [partial(run.rollout, batch) for run in runs.values()]
         seconds = take_turns(works, (_TURNS, _TURNS)).min(axis=0)
