@@ -43,7 +43,7 @@ def test_it_is_trained_and_charted_like_the_others(
     trained = run("train", str(made / "2pendulum"), *words)
     assert trained.code == 0, trained.err
     (file,) = tmp_path.rglob(f"models/2pendulum/native/{_NAME}/mujoco-s0.pt")
-    chart = ("--engines", "mujoco", "--limit", "0.2", "--starts", "1", "--json", "-")
+    chart = ("--engines", "pybullet", "--limit", "0.1", "--starts", "1", "--json", "-")
     charted = run("tradeoff", "2pendulum", "--models", str(file), *chart)
     assert charted.code == 0, charted.err
     assert f'"{_NAME}' in charted.out
