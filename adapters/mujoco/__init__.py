@@ -49,7 +49,7 @@ _CENTRED = 1e-9  # [m]
 _SPRING_ANGLE = 0.15
 # Of a damper's decay in a step; RK4 is unstable from 2.8.
 _DECAY = 0.5
-# Where joints have limits, each stop is off by a step's way [s].
+# Where joints have limits or dry friction, each stop is off by a step's way [s].
 _CAREFUL_LIMIT_STEP, _CAREFUL_REBOUND_STEP = 1e-4, 5e-5
 _NO_REBOUND = "it meets a stop four times in a step, which no damper turns into a rebound"
 
@@ -169,7 +169,7 @@ class MuJoCo(Adapter):
         options: dict[str, float | bool] = {}
         if any(joint.restitution for joint in mechanism.limited):
             return Settings("Euler", careful_step(frame, _CAREFUL_REBOUND_STEP, _CAREFUL_COUNT))
-        if mechanism.limited:
+        if mechanism.braked:
             longest = min(longest, _CAREFUL_LIMIT_STEP)
         if mechanism.has_only_balls:
             options["impact_steps"] = 1

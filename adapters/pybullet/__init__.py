@@ -26,7 +26,7 @@ _SPRING_ANGLE, _DECAY = 0.5, 0.5
 # Ten leave a body on four corners with 1e-6 m/s, and turn it where it comes down flat.
 _CAREFUL_CONTACT = {"solver_iterations": 50}
 # What a joint is past its stop it gets back as a speed: with 0.8 that is a rebound of up to 0.8.
-_LIMIT_ERP = 1e-3
+_LIMIT_ERP = 1e-5
 # Bullet's SIMD_EPSILON: what a joint moves does not move if it is less (kg, kg·m² about a hinge).
 _LEAST = float(np.finfo(float).eps)
 # PhysicsServerCommandProcessor::createEmptyDynamicsWorld and btCollisionObject.
