@@ -25,7 +25,7 @@ validate: $(VENV)/ready
 	$(BIN)/mbds-xsim validate $(SCENE) --json out/$(SCENE).json --html out/$(SCENE).html
 
 test: $(VENV)/ready
-	MBDS_XSIM_MUST_RUN=mujoco,pybullet,dart,exudyn,pinocchio,mujoco-warp $(BIN)/python -m pytest \
+	MBDS_XSIM_MUST_RUN=mujoco,pybullet,dart,exudyn,pinocchio,mujoco-warp,drake $(BIN)/python -m pytest \
 		--numprocesses logical --dist worksteal
 
 # Ten times the cases of bad input that the tests have, new ones each time.

@@ -19,6 +19,7 @@ from mbds_xsim.measure import quick
 from mbds_xsim.reference.kernels import REFERENCE, compile_once
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Adapter
+from mbds_xsim.simulate.claims import Feature
 from tests.command_line import CommandLine, Ended
 from tests.farm import Farm
 
@@ -49,7 +50,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.fixture(scope="session")
 def adapter(engine: str) -> Adapter:
-    """Skip a missing engine on a laptop; fail where it must run (CI names all four)."""
+    """Skip a missing engine on a laptop; fail where it must run (CI names them all)."""
     try:
         return registry.load_adapter(engine)
     except EngineMissing as error:
@@ -64,6 +65,14 @@ def grounded(adapter: Adapter) -> Adapter:
     if adapter.contact_law is None:
         pytest.skip(f"{adapter.name} has no contact")
     return adapter
+
+
+@pytest.fixture(scope="session")
+def cornered(grounded: Adapter) -> Adapter:
+    """Skip an engine that stands balls on the ground and nothing else."""
+    if Feature.LINKED_CONTACT in grounded.limits:
+        pytest.skip(f"{grounded.name} has contact of balls only")
+    return grounded
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -186,12 +186,7 @@ class PinocchioCoordinates:
 
     def to_links(self, q: Array, u: Array, count: int) -> LinkStates:
         """Give the states of so many links."""
-        lead = (*q.shape[:-1], count)
-        still = np.broadcast_to([1.0, 0.0, 0.0, 0.0], (*lead, 4)).copy()
-        links = LinkStates(
-            still, np.zeros((*lead, 3)), np.zeros(lead), np.zeros(lead), np.zeros((*lead, 3)),
-            np.zeros((*lead, 3)),
-        )  # fmt: skip
+        links = LinkStates.still((*q.shape[:-1], count))
         links.rotation[..., self._turning, :] = q[..., self._turn_q]
         links.angular_velocity[..., self._turning, :] = u[..., self.turn_v]
         links.position[..., self._free, :] = q[..., self._shift_q]

@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import io
 import re
-import zlib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
@@ -23,14 +22,14 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 
-ENGINES = ("#009e73", "#cc79a7", "#0072b2", "#3838d8", "#d55e00", "#e69f00", "#56b4e9")
+ENGINES = ("#009e73", "#dd00bb", "#cc79a7", "#0072b2", "#3838d8", "#d55e00", "#e69f00", "#56b4e9")
 MODELS = {"gns": "#7a4fb5", "hgnn": "#a8123e", "lgnn": "#8c6d1f", "sgnn": "#5c8a00"}
 _OTHER = "#6b6b6b"
 
 LIGHT = (*ENGINES, *MODELS.values(), _OTHER)
 """Of what pages show."""
 DARK = (
-    "#2fc79c", "#e8a0c8", "#56a8ec", "#9494ff", "#ff8c42", "#f2bb3f", "#9ad8fa",
+    "#2fc79c", "#ff66ee", "#e8a0c8", "#56a8ec", "#9494ff", "#ff8c42", "#f2bb3f", "#9ad8fa",
     "#b795f2", "#ff7394", "#cfae5c", "#a5cf52", "#a9a9a9",
 )  # fmt: skip
 """The same, lighter, for a dark background."""
@@ -61,9 +60,10 @@ METHODS = {
     "tree-RK44": "<",
     "forward-dynamics-RK4": ">",
     "adaptive": "d",
+    "runge_kutta5": "8",
 }
 """Markers of methods: filled forms, which nothing else has."""
-_MORE_MARKERS = "h8"
+_ANOTHER_MARKER = "h"
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ def model_colour(model: str) -> str:
 
 def marker_of(method: str) -> str:
     """Give a method its marker; one that is not known gets the same one every time."""
-    return METHODS.get(method, _MORE_MARKERS[zlib.crc32(method.encode()) % len(_MORE_MARKERS)])
+    return METHODS.get(method, _ANOTHER_MARKER)
 
 
 SOURCE = "Source"

@@ -102,6 +102,13 @@ class LinkStates:
     velocity: Array
     """Of a free body's centre of mass in W [m/s], else 0, shape (…, link, 3)."""
 
+    @staticmethod
+    def still(shape: tuple[int, ...]) -> LinkStates:
+        """Give links that neither move nor are moved, shape (…, link), to be filled."""
+        turn = np.broadcast_to(rotation.IDENTITY, (*shape, 4)).copy()
+        spin, place, speed = (np.zeros((*shape, 3)) for _ in range(3))
+        return LinkStates(turn, spin, np.zeros(shape), np.zeros(shape), place, speed)
+
 
 def joint_coordinate(joint: PlacedJoint, position: Array, native: Array) -> Array:
     """Hinge angle in (−π, π] [rad] or slider displacement [m]; leading axes are kept."""

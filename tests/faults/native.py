@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
@@ -73,6 +74,7 @@ def no_reaction(engine: str) -> AbstractContextManager[object]:
         "dart": _one_sided_dart,
         "exudyn": _one_sided_exudyn,
         "pinocchio": _one_sided_pinocchio,
+        "drake": _one_sided_drake,
     }
     return one_sided[engine]()
 
@@ -197,6 +199,17 @@ def _one_sided_pinocchio() -> AbstractContextManager[object]:
         self._dynamics.torque, self._dynamics.turning = 0.0, turning
 
     return _with_more(_adapter("pinocchio.run").PinocchioRun, "_hold", replace)
+
+
+def _one_sided_drake() -> AbstractContextManager[object]:
+    """Take torques for those of loops, which Drake has on bodies, and leave the parent out."""
+
+    def replace(self: Any, *_: Any) -> None:
+        self._driven, self._driven_at = [], []
+        hinges = enumerate(self._mechanism.hinges)
+        self._looped = [(k, dataclasses.replace(each, parent=WORLD_INDEX)) for k, each in hinges]
+
+    return _with_more(_adapter("drake.run").DrakeRun, "__init__", replace)
 
 
 def _with_more(place: Any, name: str, more: Callable[..., None]) -> AbstractContextManager[object]:

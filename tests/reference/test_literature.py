@@ -72,6 +72,7 @@ ANDREWS_ACCURACY = {
     "pybullet": 1e-3,
     "pinocchio": 1e-6,
     "mujoco-warp": 2e-5,
+    "drake": 3e-3,
 }
 """What the matched settings leave of the crank's 15.8 rad [rad]."""
 
@@ -97,6 +98,7 @@ BRICARD_ACCURACY = {
     "pybullet": 5e-4,
     "pinocchio": 1e-7,
     "mujoco-warp": 1e-4,
+    "drake": 2e-3,
 }
 """What the matched settings leave of the path of P3 [m]."""
 

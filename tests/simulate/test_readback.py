@@ -48,11 +48,11 @@ def _with_sphere(scene: Scene, sphere: int, shift: float) -> Scene:
     return msgspec.structs.replace(scene, contacts=tuple(contacts))
 
 
-def test_an_anchor_a_millimetre_off_is_told(grounded: Adapter) -> None:
+def test_an_anchor_a_millimetre_off_is_told(cornered: Adapter) -> None:
     """A wheel's hub: the wheel stands where it should, and turns about another line."""
     car = load_scene("particlecar")
 
-    _, lines = _held(grounded, _with_anchor(car, "front_left", 1e-3), car)
+    _, lines = _held(cornered, _with_anchor(car, "front_left", 1e-3), car)
 
     assert len(lines) == 1, lines
     assert lines[0].startswith("anchor [m] of front_left in ")
@@ -69,10 +69,10 @@ def test_a_loops_anchor_is_told_where_the_engine_tells_it(adapter: Adapter) -> N
     assert bool(lines) == bool(np.isfinite(found.anchor[loop.index]).all())
 
 
-def test_a_contact_sphere_three_millimetres_off_is_told(grounded: Adapter) -> None:
+def test_a_contact_sphere_three_millimetres_off_is_told(cornered: Adapter) -> None:
     cubli = load_scene("simplecubli")
 
-    _, lines = _held(grounded, _with_sphere(cubli, 5, 3e-3), cubli)
+    _, lines = _held(cornered, _with_sphere(cubli, 5, 3e-3), cubli)
 
     assert len(lines) == 1, lines
     assert lines[0].startswith("centre of contact [m] of sphere 5 on ")

@@ -12,7 +12,7 @@ from mbds_xsim.simulate.claims import FAMILIES, Method, Sweep, check_claims, own
 
 
 def test_the_engines_are_registered() -> None:
-    names = ["dart", "exudyn", "mujoco", "mujoco-warp", "pinocchio", "pybullet"]
+    names = ["dart", "drake", "exudyn", "mujoco", "mujoco-warp", "pinocchio", "pybullet"]
     assert registry.engine_names() == names
 
 

@@ -149,12 +149,12 @@ def test_nothing_is_no_trajectory() -> None:
         _given(None, batch)
 
 
-def test_quaternions_keep_their_sign_in_every_engine(grounded: Adapter) -> None:
+def test_quaternions_keep_their_sign_in_every_engine(cornered: Adapter) -> None:
     """PyBullet's change it 18 times in these frames, where flywheels turn half around."""
     scene = load_scene("simplecubli")
     batch = draw_batch(scene, [2, 5]).truncated(60)
 
-    turn = simulate(scene, batch, grounded.name, grounded.settings(scene, "native")).trajectory
+    turn = simulate(scene, batch, cornered.name, cornered.settings(scene, "native")).trajectory
 
     frames = np.concatenate([batch.orientation[:, None], turn.orientation], axis=1)
     assert not (np.sum(frames[:, 1:] * frames[:, :-1], axis=-1) < 0).any()

@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 
 from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import (
     GRAVITY,
@@ -24,7 +25,7 @@ from mbds_xsim.scene.scene import (
     Particle,
     Scene,
 )
-from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.scene.state import Batch, Failure, Trajectory
 from mbds_xsim.simulate.adapter import Profile, Settings
 from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.registry import load_adapter, load_scene
@@ -84,9 +85,14 @@ class ContactBench:
         return Clock(whole, math.ceil(duration / whole))
 
     def motion(self, scene: Scene, batch: Batch) -> Trajectory:
-        """Let the engine run a batch; velocities are as recorded."""
-        with load_adapter(self.engine).open(scene, self.settings) as run:
-            return checked(run.rollout(batch), batch)
+        """Let the engine run a batch; velocities are as recorded, all NaN if it cannot do it."""
+        try:
+            with load_adapter(self.engine).open(scene, self.settings) as run:
+                return checked(run.rollout(batch), batch)
+        except Unsupported as refusal:
+            time = scene.clock.frame * np.arange(batch.steps + 1, dtype=np.float64)
+            lost = Trajectory.empty(time, len(batch), len(scene.bodies))
+            return dataclasses.replace(lost, failures=(Failure(0, str(refusal)),) * len(batch))
 
     def measured(
         self,

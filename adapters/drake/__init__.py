@@ -1,0 +1,116 @@
+"""Drake (https://drake.mit.edu): Runge–Kutta, or steps of its own."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.stiffness import spring_step
+from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings, careful_step, nearest_step
+from mbds_xsim.simulate.claims import LOOPS, ContactScales, Feature, Method, Option
+
+from .contact import (
+    CONTACT_LAW,
+    LEAST_REBOUND,
+    MOST_REBOUND,
+    OWN_TIME,
+    STICTION,
+    steps_of_impact,
+)
+
+__all__ = ["Drake"]
+
+_OWN = "semi-implicit-euler"
+_IMPACT = "impact_steps"
+# What Drake takes by default.
+_NATIVE_STEP = 1e-3
+# Keeps the budgets of the pendulums by far.
+_CAREFUL_STEP, _CAREFUL_COUNT = 0.005, 4
+# Of Drake's own steps, whose order is 1; in a scene that moves faster, a hundredth of a frame.
+_OWN_STEP, _OWN_COUNT = 2e-4, 100
+# That an impact lasts [s].
+_IMPACT_TIME = 5e-3
+# That a spring's oscillation turns by, and a damper's motion decays, in a step at most.
+_SPRING_ANGLE, _DECAY = 0.15, 0.5
+_ONLY_OWN = "Drake's integrators take no constraints; plants that step themselves do"
+_NO_IMPACTS = "an integrator takes the ground for Hunt and Crossley's: a rebound depends on speed"
+_TREES = {
+    **dict.fromkeys(sorted(LOOPS, key=lambda each: each.name), _ONLY_OWN),
+    Feature.DISTANCE_LINK: _ONLY_OWN,
+    Feature.COUPLING: _ONLY_OWN,
+    Feature.JOINT_LIMITS: _ONLY_OWN,
+    Feature.DRIVE: "Drake's actuators have controllers in plants that step themselves only",
+    Feature.CONTACT: _NO_IMPACTS,
+}
+
+
+class Drake(Adapter):
+    """Drake through pydrake: its Runge–Kutta integrators, and plants that step themselves."""
+
+    name = "drake"
+    package = "drake"
+    methods: ClassVar = {
+        "runge_kutta5": Method("runge_kutta5", "Runge-Kutta 5", 5, refuses=_TREES),
+        _OWN: Method(_OWN, "semi-implicit Euler", 1, velocity_lag=-0.5),
+    }
+    options: ClassVar = {
+        _IMPACT: Option(
+            71.0,
+            "steps that an impact on the ground takes, which decides what comes back: of n steps "
+            "exp(−π²/2n). 0: Drake's own stiffness, damper and solver, which know no restitution",
+            least=0,
+            most=10_000,
+        ),
+    }
+    limits: ClassVar = {
+        Feature.LOOP_SLIDER: "Drake has no constraint that keeps a point on a line",
+        Feature.JOINT_FRICTION: "Drake's joints have no dry friction",
+        Feature.JOINT_REBOUND: "Drake's limits of joints take velocities and give none back",
+        Feature.CLOSING_LOAD: "a joint that closes a loop has no coordinate in Drake",
+        Feature.LINKED_CONTACT: "what comes back would depend on the mass that is behind: Drake's "
+        "stiffness of contact is a figure of its own",
+    }
+    coordinates = "reduced"
+    contact_law = CONTACT_LAW
+    smallest = (
+        "no mass that a scene file can name is too small; a spring needs a rest length, and what "
+        f"the ground gives back is 0 or {LEAST_REBOUND:g} to {MOST_REBOUND:g}"
+    )
+
+    def cannot_hold(self, scene: Scene) -> str:
+        for spring in Mechanism.of(scene).springs:
+            if spring.length <= 0.0:
+                return f"the spring {spring.name!r} has no rest length, Drake takes more than 0 m"
+        back = scene.ground.restitution if scene.ground and scene.contacts else 0.0
+        if back and not LEAST_REBOUND <= back <= MOST_REBOUND:
+            held = f"Drake's steps give back 0, or {LEAST_REBOUND:g} to {MOST_REBOUND:g}, alike"
+            return f"the ground's restitution is {back:g}, {held}"
+        return ""
+
+    def contact_scales(self, settings: Settings) -> ContactScales:
+        count = float(self.option(settings, _IMPACT))
+        return ContactScales(count * settings.step if count else OWN_TIME, STICTION)
+
+    def settings(self, scene: Scene, profile: Profile) -> Settings:
+        frame = scene.clock.frame
+        if profile == "native":
+            own = {_IMPACT: 0.0} if scene.contacts else {}
+            return Settings(_OWN, nearest_step(frame, _NATIVE_STEP), own)
+        springs = spring_step(scene, angle=_SPRING_ANGLE, decay=_DECAY)
+        method = next((m for m in self.methods if not self.refusals(scene, m)), _OWN)
+        if method != _OWN:
+            return Settings(
+                method, careful_step(frame, min(_CAREFUL_STEP, springs), _CAREFUL_COUNT)
+            )
+        if scene.ground is None or not scene.contacts:
+            return Settings(_OWN, careful_step(frame, min(_OWN_STEP, springs), _OWN_COUNT))
+        count = steps_of_impact(scene.ground.restitution)
+        step = careful_step(frame, min(_IMPACT_TIME / count, springs), _OWN_COUNT)
+        return Settings(_OWN, step, {_IMPACT: count})
+
+    def load(self, scene: Scene, settings: Settings) -> Run:
+        from .run import DrakeRun
+
+        scheme = "" if settings.method == _OWN else settings.method
+        return DrakeRun(scene, settings, scheme, float(self.option(settings, _IMPACT)))

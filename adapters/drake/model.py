@@ -1,0 +1,246 @@
+"""A scene as Drake holds it: the program that builds it, and its coordinates."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.scene.joint_space import LinkStates
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
+
+from .contact import contact_lines
+from .stepping import of_angles
+
+_KINDS = {
+    "hinge": "RevoluteJoint",
+    "slider": "PrismaticJoint",
+    "ball": "BallRpyJoint",
+    "fixed": "WeldJoint",
+}
+_SPRINGS = {"hinge": "RevoluteSpring", "slider": "PrismaticSpring"}
+_HEAD = """\
+import numpy as np
+from pydrake.geometry import (
+    CollisionFilterDeclaration, GeometrySet, HalfSpace, ProximityProperties, Sphere
+)
+from pydrake.math import RigidTransform
+from pydrake.multibody import tree
+from pydrake.multibody.plant import (
+    AddMultibodyPlantSceneGraph, ContactModel, CoulombFriction, DiscreteContactApproximation
+)
+from pydrake.systems.framework import DiagramBuilder
+
+builder = DiagramBuilder()
+plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=%r)
+plant.SetUseSampledOutputPorts(False)
+plant.mutable_gravity_field().set_gravity_vector(%r)
+world = plant.world_body()
+bodies, joints, laws, rotors, springs, servos = {}, {}, {}, {}, [], []
+
+
+def at(body, place):
+    name, pose = f"frame {plant.num_frames()}", RigidTransform(np.array(place))
+    return plant.AddFrame(tree.FixedOffsetFrame(name, body.body_frame(), pose))
+
+
+def add_body(name, mass, inertia):
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertia
+    about = tree.RotationalInertia(xx, yy, zz, xy, xz, yz)
+    held = tree.SpatialInertia.MakeFromCentralInertia(mass, np.zeros(3), about)
+    return plant.AddRigidBody(name, held)
+
+"""
+_ANCHOR = """\
+# A constraint on the world itself ends the process.
+anchor = plant.AddRigidBody("anchor of loops", tree.SpatialInertia.SolidSphereWithMass(1.0, 1.0))
+plant.WeldFrames(plant.world_frame(), anchor.body_frame())"""
+
+
+def listing(mechanism: Mechanism, time_step: float, impact_steps: float) -> str:
+    """Write the program that leaves `system`, `plant`, `bodies` and `joints` behind.
+
+    Args:
+        mechanism: With the spanning tree that the model has.
+        time_step: Of a plant that steps itself [s]; 0: an integrator does.
+        impact_steps: Steps that an impact takes; 0: what Drake makes of it.
+    """
+    lines = [_HEAD % (time_step, list(mechanism.scene.gravity))]
+    for k, body in enumerate(mechanism.scene.bodies):
+        held = f"{float(mechanism.mass[k])!r}, {mechanism.inertia[k].tolist()}"
+        lines.append(f"bodies[{k}] = add_body({body.name!r}, {held})")
+    for link in mechanism.links:
+        lines += _link(mechanism, link)
+    lines += _springs(mechanism)
+    lines += _servos(mechanism)
+    lines += _loops(mechanism)
+    lines += contact_lines(mechanism, time_step, impact_steps)
+    lines += ["plant.Finalize()", "system = builder.Build()", ""]
+    return "\n".join(lines)
+
+
+def _link(mechanism: Mechanism, link: Link) -> Iterator[str]:
+    joint, here = link.joint, f"joints[{link.body}]"
+    if joint is None:
+        name = f"{mechanism.scene.bodies[link.body].name!r}"
+        frames = f"world.body_frame(), bodies[{link.body}].body_frame()"
+        yield f"{here} = plant.AddJoint(tree.QuaternionFloatingJoint({name}, {frames}))"
+        return
+    ends = f"{_frame(link.parent, joint.in_parent)}, {_frame(link.body, joint.in_child)}"
+    more = {"ball": "", "fixed": ", RigidTransform()"}.get(
+        joint.kind, f", {joint.axis.tolist()}, {_limits(joint)}damping={joint.damping!r}"
+    )
+    yield f"{here} = plant.AddJoint(tree.{_KINDS[joint.kind]}({joint.name!r}, {ends}{more}))"
+    if joint.stiffness:
+        law = f"{here}, {joint.rest!r}, {joint.stiffness!r}"
+        spring = f"tree.{_SPRINGS[joint.kind]}({law})"
+        yield f"laws[{link.body}] = plant.AddForceElement({spring})"
+    if joint.armature:
+        yield f"rotors[{link.body}] = plant.AddJointActuator({joint.name!r}, {here})"
+        yield f"rotors[{link.body}].set_default_rotor_inertia({joint.armature!r})"
+
+
+def _limits(joint: PlacedJoint) -> str:
+    if joint.limits is None:
+        return ""
+    return f"pos_lower_limit={joint.limits[0]!r}, pos_upper_limit={joint.limits[1]!r}, "
+
+
+def _springs(mechanism: Mechanism) -> Iterator[str]:
+    for s in mechanism.springs:
+        ends = (f"{_body(k)}, {p.tolist()}" for k, p in zip(s.bodies, s.in_body, strict=True))
+        law = f"{s.length!r}, {s.stiffness!r}, {s.damping!r}"
+        spring = f"tree.LinearSpringDamper({', '.join(ends)}, {law})"
+        yield f"springs.append(plant.AddForceElement({spring}))  # {s.name!r}"
+
+
+def _servos(mechanism: Mechanism) -> Iterator[str]:
+    """Add actuators with a controller, which acts at each step's end and within its limit."""
+    native = {link.joint.index: link.body for link in mechanism.links if link.joint}
+    for k, drive in enumerate(mechanism.drives):
+        limit = "np.inf" if drive.servo.limit is None else repr(drive.servo.limit)
+        what = f"'servo {k}', joints[{native[drive.joint.index]}], {limit}"
+        yield f"servos.append(plant.AddJointActuator({what}))  # {drive.joint.name!r}"
+        gains = f"p={drive.servo.stiffness!r}, d={drive.servo.damping!r}"
+        yield f"servos[-1].set_controller_gains(tree.PdControllerGains({gains}))"
+
+
+def _loops(mechanism: Mechanism) -> Iterator[str]:
+    """Tie points, two on a hinge's axis, frames, and joints."""
+    tied = {end for j in mechanism.loops for end in (j.parent, j.child)}
+    if WORLD_INDEX in tied.union(*(pair.bodies for pair in mechanism.distances)):
+        yield _ANCHOR
+    welded = _welded(mechanism)
+    for joint in mechanism.loops:
+        if welded[joint.parent] != welded[joint.child]:  # what is one body needs no tie
+            yield from _closure(mechanism, joint)
+    for link in mechanism.distances:
+        ends = _ends(link.bodies, link.in_body)
+        yield f"plant.AddDistanceConstraint({ends}, {link.length!r})  # {link.name!r}"
+    native = {link.joint.index: link.body for link in mechanism.links if link.joint}
+    for each in mechanism.couplings:
+        pair = f"joints[{native[each.follower.index]}], joints[{native[each.leader.index]}]"
+        yield f"plant.AddCouplerConstraint({pair}, {each.ratio!r}, {each.offset!r})"
+
+
+def _welded(mechanism: Mechanism) -> dict[int, int]:
+    """Give, by body, which one stands for all that it is welded to."""
+    first = {WORLD_INDEX: WORLD_INDEX}
+    for link in mechanism.links:
+        fixed = link.joint is not None and link.joint.kind == "fixed"
+        first[link.body] = first[link.parent] if fixed else link.body
+    return first
+
+
+def _closure(mechanism: Mechanism, joint: PlacedJoint) -> Iterator[str]:
+    bodies, points = (joint.parent, joint.child), (joint.in_parent, joint.in_child)
+    if joint.kind == "fixed":
+        ends = _ends(bodies, points, "RigidTransform({})")
+        yield f"plant.AddWeldConstraint({ends})  # {joint.name!r}"
+        return
+    arm = mechanism.scene.length * joint.axis
+    for off in (arm, -arm) if joint.kind == "hinge" else (np.zeros(3),):
+        ends = _ends(bodies, (points[0] + off, points[1] + off))
+        yield f"plant.AddBallConstraint({ends})  # {joint.name!r}"
+
+
+def _ends(bodies: tuple[int, int], points: tuple[Array, Array], each: str = "{}") -> str:
+    """Write two bodies and a place in each, for a constraint."""
+    return ", ".join(
+        f"{_body(body, 'anchor')}, {each.format(point.tolist())}"
+        for body, point in zip(bodies, points, strict=True)
+    )
+
+
+def _body(body: int, world: str = "world") -> str:
+    return world if body == WORLD_INDEX else f"bodies[{body}]"
+
+
+def _frame(body: int, point: Array) -> str:
+    return f"at({_body(body)}, {point.tolist()})"
+
+
+class DrakeCoordinates:
+    """The way between a plant's coordinates and those of links.
+
+    Balls have roll, pitch and yaw in a frame on their parent, which is turned on the way, and
+    angular velocities in that frame's axes; free bodies quaternions, and those in W.
+
+    Args:
+        mechanism: With the spanning tree.
+        joints: Of Drake, by body.
+        size: Of coordinates and of velocities.
+    """
+
+    def __init__(self, mechanism: Mechanism, joints: dict[int, Any], size: tuple[int, int]) -> None:
+        kinds = np.array([link.joint.kind if link.joint else "free" for link in mechanism.links])
+        held = [joints[link.body] for link in mechanism.links]
+        q = np.array([joint.position_start() for joint in held])
+        v = np.array([joint.velocity_start() for joint in held])
+        self._size = size
+        self.ball, self._free = np.flatnonzero(kinds == "ball"), np.flatnonzero(kinds == "free")
+        self._scalar = np.flatnonzero((kinds == "hinge") | (kinds == "slider"))
+        self._ball_q, self._ball_v = (at[self.ball][:, None] + np.arange(3) for at in (q, v))
+        self._turn_q, self._spin_v = (
+            q[self._free][:, None] + np.arange(4),
+            v[self._free][:, None] + np.arange(3),
+        )
+        self._shift_q, self._speed_v = self._turn_q[:, :3] + 4, self._spin_v + 3
+        self._scalar_q, self._scalar_v = q[self._scalar], v[self._scalar]
+        self.balls = [held[k] for k in self.ball]
+
+    def of_links(self, links: LinkStates) -> tuple[Array, Array, Array]:
+        """Give coordinates (…, nq), velocities (…, nv) and turns of the balls' frames (…, 4)."""
+        lead = links.coordinate.shape[:-1]
+        q, v = (np.zeros((*lead, count)) for count in self._size)
+        v[..., self._ball_v] = links.angular_velocity[..., self.ball, :]
+        turn, spin = links.rotation[..., self._free, :], links.angular_velocity[..., self._free, :]
+        q[..., self._turn_q], v[..., self._spin_v] = turn, rotation.rotate(turn, spin)
+        q[..., self._shift_q] = links.position[..., self._free, :]
+        v[..., self._speed_v] = links.velocity[..., self._free, :]
+        q[..., self._scalar_q] = links.coordinate[..., self._scalar]
+        v[..., self._scalar_v] = links.rate[..., self._scalar]
+        return q, v, links.rotation[..., self.ball, :]
+
+    def to_links(self, q: Array, v: Array, turns: Array, count: int) -> LinkStates:
+        """Give the states of so many links."""
+        links = LinkStates.still((*q.shape[:-1], count))
+        here = of_angles(q[..., self._ball_q])
+        links.rotation[..., self.ball, :] = rotation.multiply(turns, here)
+        links.angular_velocity[..., self.ball, :] = _back(here, v[..., self._ball_v])
+        turn = q[..., self._turn_q]
+        turn /= rotation.norm(turn)[..., None]
+        links.rotation[..., self._free, :] = turn
+        links.angular_velocity[..., self._free, :] = _back(turn, v[..., self._spin_v])
+        links.position[..., self._free, :] = q[..., self._shift_q]
+        links.velocity[..., self._free, :] = v[..., self._speed_v]
+        links.coordinate[..., self._scalar] = q[..., self._scalar_q]
+        links.rate[..., self._scalar] = v[..., self._scalar_v]
+        return links
+
+
+def _back(turn: Array, vector: Array) -> Array:
+    return rotation.rotate(rotation.conjugate(turn), vector)
