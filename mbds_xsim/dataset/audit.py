@@ -273,8 +273,11 @@ class _Case:
         step = origin.step_s or self.foreign.scene.clock.frame
         order, lag = origin.method_order or 1, (origin.velocity_lag_s or 0.0) / step
         when = f"{lag:g} steps off the frames" if lag else "at the frames"
-        self.taken.append(f"method: of order {order}, velocities {when}")
-        return Method("told", "semi-implicit Euler", order, velocity_lag=lag), step
+        single = bool(origin.single_precision)
+        bits = ", in single precision" if single else ""
+        self.taken.append(f"method: of order {order}, velocities {when}{bits}")
+        family = "semi-implicit Euler"
+        return Method("told", family, order, velocity_lag=lag, single=single), step
 
     def _inputs(self) -> list[Finding]:
         """Hold inputs of the file against those that seed and index give."""

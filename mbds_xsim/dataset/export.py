@@ -47,7 +47,8 @@ LOST: dict[Form, tuple[str, ...]] = {
 
 _FACTS = (
     "scene_name", "seed", "noise", "engine", "engine_version", "profile", "certification",
-    "method", "method_order", "step_s", "velocity_lag_s", "contact_time_s", "mbds_xsim_version",
+    "method", "method_order", "step_s", "velocity_lag_s", "contact_time_s", "single_precision",
+    "mbds_xsim_version",
 )  # fmt: skip
 _NOT_CARRIED = ("check/", "start/")
 _README = "README.md"

@@ -59,6 +59,7 @@ class Provenance:
     method_order: int | None = None
     velocity_lag_s: float | None = None
     contact_time_s: float | None = None
+    single_precision: bool | None = None
 
     def __post_init__(self) -> None:
         """Refuse times that are no numbers."""

@@ -25,7 +25,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.dataset.layout import ATTRIBUTES, FIELDS, FORMAT, SHARED, VERSION, Field, attribute
+from mbds_xsim.dataset.layout import (
+    ATTRIBUTES,
+    FIELDS,
+    FORMAT,
+    SHARED,
+    UNSAID,
+    VERSION,
+    Field,
+    attribute,
+)
 from mbds_xsim.dataset.points import axis_sizes
 from mbds_xsim.scene.scene import Scene
 
@@ -167,7 +176,7 @@ def attributes_of(path: Path) -> dict[str, Any]:
         raise InputError(msg)
     wanted = [key for key in ATTRIBUTES if key in _JOINT or not _is(found.get("kind"), "joint")]
     line = f"{path}: attribute ", "; get the file again"
-    given = {"checks_version": 0} | found  # older files do not say it
+    given = UNSAID | found
     return found | {key: attribute(key, given, *line) for key in wanted}
 
 

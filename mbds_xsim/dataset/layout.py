@@ -181,6 +181,7 @@ ATTRIBUTES: dict[str, Kind] = {
     "step_s": "positive",
     "options": "text",
     "velocity_lag_s": "number",
+    "single_precision": "truth",
     "contact_time_s": "number",
     "audit_sample": "text",
     "checks_version": "natural",
@@ -192,6 +193,9 @@ ATTRIBUTES: dict[str, Kind] = {
     "mbds_xsim_version": "text",
 }
 """Attributes of a file beside its format, layout and checksum."""
+
+UNSAID: dict[str, Any] = {"checks_version": 0, "single_precision": False}
+"""What holds where a file does not say it: older ones have no version of the checks."""
 
 
 def attribute(

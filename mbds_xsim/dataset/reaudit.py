@@ -194,6 +194,7 @@ def making_of(data: Dataset) -> Making:
         family=attrs["method_family"],
         order=attrs["method_order"],
         velocity_lag=attrs["velocity_lag_s"] / attrs["step_s"],
+        single=attrs["single_precision"],
     )
     return Making(method, attrs["step_s"], attrs["contact_time_s"])
 

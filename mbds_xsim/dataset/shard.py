@@ -135,7 +135,8 @@ def _simulated(variant: Variant, batch: Batch, crashes: Crashes) -> tuple[Trajec
         return _crashed(variant, batch, crashes), []
     some = batch if len(runs) == len(batch) else batch[runs]
     done = simulate(scene, some, contender.engine, contender.settings)
-    lines = compare(Mechanism.of(scene), some, contender.settings, done.readback)
+    about = Mechanism.of(scene), some, contender.settings
+    lines = compare(*about, done.readback, variant.method)
     misbuilt = [f"read-back: {line}" for line in lines]
     if some is batch:
         return done.trajectory, misbuilt

@@ -76,6 +76,7 @@ class Variant:
             "options": json.dumps(dict(settings.options), sort_keys=True),
             "contact_time_s": adapter.contact_scales(settings).time,
             "velocity_lag_s": method.velocity_lag * settings.step,
+            **({"single_precision": True} if method.single else {}),
             "audit_sample": AUDIT_SAMPLE,
             "checks_version": CHECKS,
             "numpy_version": package_version("numpy"),

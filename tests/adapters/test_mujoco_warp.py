@@ -14,10 +14,12 @@ from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.testing import CASES
+from tests.command_line import CommandLine
 
 pytest.importorskip("mujoco_warp")
 
 ENGINE = load_adapter("mujoco-warp")
+_OUT = ("--out", "data")
 
 
 def test_a_device_that_is_not_there_is_told_in_a_line() -> None:
@@ -67,3 +69,14 @@ def test_what_blows_up_ends_and_what_is_stepped_beside_it_goes_on() -> None:
     assert stretched is not None
     assert "a body's speed passes" in stretched.reason
     assert np.isnan(motion.position[1, stretched.frame :]).all()
+
+
+@pytest.mark.usefixtures("in_process")
+def test_data_in_single_precision_say_so_and_hold_what_they_say(run: CommandLine) -> None:
+    made = run("generate", "2pendulum", "--engines", "mujoco-warp", "--trajectories", "3", *_OUT)
+    found = run("verify", "data/2pendulum")
+    held = run("audit", "data/2pendulum/mujoco-warp-matched.h5", "--scene", "2pendulum")
+
+    assert (made.code, found.code, held.code) == (0, 0, 0), (made.err, found.out, held.out)
+    assert "simulated again: the same bits" in found.out
+    assert "velocities at the frames, in single precision" in " ".join(held.out.split())
