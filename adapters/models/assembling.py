@@ -37,6 +37,7 @@ _AS_IS = "on the joint, as it is"
 _KEPT = {"limits": "stops of the joint, which give nothing of a speed back"}
 _SCALAR = "the scene description has it for hinges and sliders alone"
 _NOTHING = Mass(0.0, np.zeros(3), np.zeros((3, 3)))
+_FAR = 1e9  # [rad or m]: limits beyond it are none
 _TIES_NOTHING = "it holds what does not move, or is not there"
 _TOGETHER = 1e-9  # [m], between anchors that are one
 _INDEPENDENT = 1e-3  # least volume that three unit axes span
@@ -229,7 +230,7 @@ class _Builder:
         self._joint_names[freedom.name] = name
         axis = freedom.axis.tolist() if freedom.kind in ("hinge", "slider") else None
         limits = freedom.properties.get("limits")
-        if axis and isinstance(limits, tuple):
+        if axis and isinstance(limits, tuple) and max(map(abs, limits)) <= _FAR:
             self.limits[name] = limits
         self.joints.append(
             Joint(
@@ -350,6 +351,8 @@ def _wrong(key: str, value: Property, freedom: Freedom) -> str:
         return "it is negative" if key in ("stiffness", "damping") and value < 0 else ""
     if not value[0] < value[1]:
         return "the lower one is not below the upper one"
+    if max(map(abs, value)) > _FAR:
+        return "no joint gets so far"
     far = freedom.kind == "hinge" and (value[1] <= -math.pi or value[0] >= math.pi)
     return "they are all more than half a turn from the reference pose" if far else ""
 

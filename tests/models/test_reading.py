@@ -287,3 +287,16 @@ def test_starts_are_inside_the_limits_and_differ(here: Path) -> None:
     assert min(np.ptp(hip), np.ptp(rail) * 5) > 0.5
     rates = np.abs(batch.angular_velocity[:, [body.name for body in scene.bodies].index("puck")])
     assert (rates[0::3].max() < 0.1) & (0.4 < rates.max() <= 1.0)
+
+
+def test_limits_that_no_joint_reaches_are_none(here: Path) -> None:
+    geom = '<geom type="box" size=".1 .1 .3" pos="0 0 -1"/>'
+    imported = _read(
+        here,
+        '<mujoco><compiler angle="radian"/><worldbody><body><joint name="rotor" axis="0 0 1" '
+        f'range="-1e16 1e16"/>{geom}</body></worldbody></mujoco>',
+    )
+
+    assert imported.scene.joints[0].limits is None
+    assert "no joint gets so far" in _fates(imported, "dropped")["joint range"].reason
+    assert np.abs(draw_batch(imported.scene, [2]).orientation).max() <= 1.0
