@@ -314,6 +314,9 @@ and read by three engines' own readers. Nothing was copied: the files are those 
 imported bodies and joints, over the model's own size, from MuJoCo's compiled model and from
 Pinocchio's reading of URDF. What an engine has otherwise than the file says is what
 `mbds-xsim readers MODEL` lists; see [what engines' own readers lose](../../docs/reader-losses.md).
+
+Imports and verdicts are of the present program. Deviations and readings are of an earlier run of the
+same command, of the same files and the same releases of the engines.
 """
 
 
