@@ -315,8 +315,8 @@ imported bodies and joints, over the model's own size, from MuJoCo's compiled mo
 Pinocchio's reading of URDF. What an engine has otherwise than the file says is what
 `mbds-xsim readers MODEL` lists; see [what engines' own readers lose](../../docs/reader-losses.md).
 
-Imports and verdicts are of the present program. Deviations and readings are of an earlier run of the
-same command, of the same files and the same releases of the engines.
+Imports and verdicts are of the present program. Deviations and readings are of an earlier run of
+the same command, of the same files and the same releases of the engines.
 """
 
 
@@ -368,7 +368,7 @@ def _summary(rows: list[SurveyRow], read: list[SurveyRow]) -> Iterator[tuple[str
     yield "read alike by all three engines' own readers", f"{all_alike} of {len(read)}"
     ran = [row for row in read if row.verdicts]
     passed = sum(len(row.verdicts) == 4 and set(row.verdicts.values()) == {"pass"} for row in ran)
-    yield "validated so far", f"{len(ran)} of {len(read)}"
+    yield "validated so far, the smallest first", f"{len(ran)} of {len(read)}"
     if ran:
         judged = [sum(v in ("pass", "fail") for v in row.verdicts.values()) for row in ran]
         truth = [not row.reference for row in ran]
