@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import dataclasses
 from functools import partial
-from importlib.util import find_spec
 from typing import ClassVar
 
 from mbds_xsim.scene.mechanism import Mechanism
@@ -17,9 +16,6 @@ from mbds_xsim.simulate.claims import CONTACTS, Option
 from ..mujoco import MuJoCo
 
 __all__ = ["MuJoCoWarp"]
-
-if find_spec("mujoco_warp") is None:  # to import it takes seconds
-    raise ImportError("No module named 'mujoco_warp'")
 
 _METHOD, _LOOP, _LINK, _DEVICE = "RK4", "loop_time_constant", "link_time_constant", "device"
 _SHARED = (_LOOP, _LINK)

@@ -118,11 +118,16 @@ def load_adapter(name: str) -> Adapter:
     if other is not None:
         return other
     try:
-        return made(points[name])
+        adapter = made(points[name])
+        _version_of(adapter.package)  # adapters import their engine late
+        return adapter
     except ImportError as error:
         how = f"pip install 'mbds-xsim[{name}]'"
         msg = f"the engine {name} is not installed ({error}); install it with: {how}"
         raise EngineMissing(msg) from error
+
+
+_version_of = functools.cache(version)
 
 
 def scene_names() -> list[str]:

@@ -44,7 +44,7 @@ _WORDS: dict[str, tuple[str, list[str]]] = {
     "scene of no size that ends": ("show " + "9" * 5000 + "ladder", ["no scene", "Nladder"]),
     "unknown engine": (
         "validate 2pendulum --engines mujoco,ode",
-        ["'ode'", "dart, exudyn, mujoco"],
+        ["'ode'", "dart, drake, exudyn, mujoco"],
     ),
     "no engine named": ("validate 2pendulum --engines=", ["--engines: got an empty text"]),
     "output without a name": ("validate 2pendulum --json ", ["--json: got an empty text"]),
@@ -54,7 +54,10 @@ _WORDS: dict[str, tuple[str, list[str]]] = {
         "show 2pendulum --native mujoco --start " + "9" * 20,
         ["--start", "to 1000000000000000"],
     ),
-    "unknown engine to show": ("show 2pendulum --native ode", ["'ode'", "dart, exudyn, mujoco"]),
+    "unknown engine to show": (
+        "show 2pendulum --native ode",
+        ["'ode'", "dart, drake, exudyn, mujoco"],
+    ),
     "unknown method": (
         "validate 2pendulum --engines mujoco --method RK5",
         ["no method of mujoco is called 'RK5'", "RK4"],

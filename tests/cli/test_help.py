@@ -62,7 +62,7 @@ def test_a_slip_is_told_what_was_meant(run: CommandLine, words: list[str], meant
         ("mbds-xsim sta", ["stability"]),
         ("mbds-xsim validate 3", ["3ladder"]),
         ("mbds-xsim ablate 3ladder sim", ["simplecubli"]),
-        ("mbds-xsim validate 3ladder --engines mujoco,d", ["mujoco,dart"]),
+        ("mbds-xsim validate 3ladder --engines mujoco,d", ["mujoco,dart", "mujoco,drake"]),
         ("mbds-xsim show 3ladder --tom", ["--toml"]),
     ],
 )

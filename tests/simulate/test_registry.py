@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from importlib.metadata import PackageNotFoundError
 from typing import Any
 
 import pytest
 
-from mbds_xsim.base.errors import UnknownName
+from mbds_xsim.base.errors import EngineMissing, UnknownName
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.claims import FAMILIES, Method, Sweep, check_claims, own_family
 
@@ -37,6 +38,22 @@ def test_a_family_name_carries_its_size(name: str, bodies: int) -> None:
 def test_an_unknown_scene_is_told_what_there_is(name: str, told: str) -> None:
     with pytest.raises(UnknownName, match=f"{name!r}{told}"):
         registry.load_scene(name)
+
+
+def test_an_engine_whose_package_is_not_there_is_not_installed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Adapters import their engine where they need it, which may be long after."""
+
+    def version(package: str) -> str:
+        if package == "drake":
+            raise PackageNotFoundError(package)
+        return "1.0"
+
+    monkeypatch.setattr(registry, "_version_of", version)
+    assert set(registry.engine_names()) - set(registry.installed_engines()) == {"drake"}
+    with pytest.raises(EngineMissing, match=r"drake is not installed.*pip install .*\[drake\]"):
+        registry.load_adapter("drake")
 
 
 def test_an_unknown_engine_is_told_what_there_is() -> None:
