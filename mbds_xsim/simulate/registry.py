@@ -119,7 +119,8 @@ def load_adapter(name: str) -> Adapter:
         return other
     try:
         adapter = made(points[name])
-        _version_of(adapter.package)  # adapters import their engine late
+        if not is_foreign(name):  # which may have no package of its own
+            _version_of(adapter.package)  # adapters import their engine late
         return adapter
     except ImportError as error:
         how = f"pip install 'mbds-xsim[{name}]'"

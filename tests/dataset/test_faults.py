@@ -201,7 +201,7 @@ def _kill(process: int) -> None:
 
 
 @pytest.mark.slow
-def test_killed_at_20_random_instants(
+def test_killed_at_12_random_instants(
     program: _Program, make: Make, whole: Path, tmp_path: Path
 ) -> None:
     rng, within, kills = random.Random(0), 2.0, 0
@@ -214,7 +214,7 @@ def test_killed_at_20_random_instants(
                 within *= 0.8
         make(out)
         assert contents(out) == contents(whole)
-        if kills >= 20:
+        if kills >= 12:
             return
 
 
