@@ -27,6 +27,7 @@ from .assembling import assemble
 from .drives import drives
 from .facts import facts_of
 from .fates import fates_of
+from .mending import mended_mjcf, mended_urdf, without_unknown
 from .parts import Drive, Freedom, Mass, Part, Parts, Property
 from .source import read_source
 from .ties import Ties, named
@@ -83,11 +84,12 @@ def read(path: Path, folder: Path, floating: bool) -> Imported:
         try:
             stated = {}
             if root.tag == "mujoco":
-                spec = mujoco.MjSpec.from_file(str(path))
+                spec, model, mends = _compiled(mujoco, root, path)
             else:
+                mends = [*mended_urdf(root)]
                 spec = _mechanics(mujoco, root, path)
                 stated = _stated(spec, floating)
-            model = spec.compile()
+                model = spec.compile()
         except (ValueError, mujoco.FatalError) as error:
             raise InputError(_line(str(error))) from error
     if root.tag == "mujoco" and floating:
@@ -98,7 +100,7 @@ def read(path: Path, folder: Path, floating: bool) -> Imported:
     had = {key for part in parts.parts for freedom in part.freedoms for key in freedom.properties}
     told = {label: key in had for key, label in _LABELS[root.tag].items()}
     told |= {label: key in had for label, key in _ALIASES.items()}
-    fates = [*fates_of(root, told), *reading.fates()]
+    fates = [*mends, *fates_of(root, told), *reading.fates()]
     kind = "MJCF" if root.tag == "mujoco" else "URDF"
     reader = f"MuJoCo {mujoco.__version__}"
     return assemble(parts, file=path.name, kind=kind, reader=reader, fates=fates)
@@ -122,6 +124,25 @@ def load(path: Path, floating: bool) -> ModelFacts:
         except (ValueError, mujoco.FatalError) as error:
             raise InputError(_line(str(error))) from error
     return facts_of(reading.model("", {}), f"MuJoCo {mujoco.__version__}")
+
+
+def _compiled(mujoco: Any, root: Element, path: Path) -> tuple[Any, Any, list[Fate]]:
+    """Give specification and model of an MJCF file, mended where the compiler refuses it."""
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        return spec, spec.compile(), []
+    except ValueError as error:
+        mends: list[Fate] = []
+        more = [*mended_mjcf(root), *without_unknown(root, str(error))]
+        while more:
+            mends += more
+            try:
+                spec = mujoco.MjSpec.from_string(tostring(root, encoding="unicode"))
+                spec.modelfiledir = str(path.parent)
+                return spec, spec.compile(), mends
+            except ValueError as again:
+                more = [*without_unknown(root, str(again))]
+        raise error
 
 
 def _mechanics(mujoco: Any, root: Element, path: Path) -> Any:

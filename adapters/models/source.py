@@ -19,6 +19,8 @@ _LARGEST_FILE = 16 * 10**6  # bytes
 _DEEPEST = 400  # levels, of the 500 that the compiler takes
 _MOST_FILES = 1000
 _MACRO = re.compile(r"\$[{(]")
+DEFAULT = re.compile(r"\$\(optenv\s+\S+\s+([^()$]*)\)")
+"""What xacro takes where the environment says nothing; it needs no expanding."""
 _FOLDERS = ("meshdir", "texturedir", "assetdir")
 
 
@@ -132,6 +134,7 @@ def _parse(path: Path) -> Element:
 
 def _refuse_macros(root: Element) -> None:
     for element in root.iter():
-        if element.tag.startswith("xacro:") or _MACRO.search("".join(element.attrib.values())):
+        plain = DEFAULT.sub("", "".join(element.attrib.values()))
+        if element.tag.startswith("xacro:") or _MACRO.search(plain):
             msg = f"<{element.tag}> is a macro; expand it first: xacro model.xacro > model.urdf"
             raise InputError(msg)

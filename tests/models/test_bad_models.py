@@ -15,7 +15,7 @@ pytest.importorskip("mujoco")
 _BODY = '<body><joint/><geom size=".1"/></body>'
 _MJCF = "<mujoco><worldbody>{}</worldbody>{}</mujoco>"
 _FLAT = '<inertial pos="0 0 0" mass="1" diaginertia="1 1 3"/>'
-_COMMAS = '<origin xyz="1, 2, 3"/>'
+_WORDS = '<origin xyz="1 2 three"/>'
 _LINKS = (
     '<link name="a"/><link name="b"><inertial><mass value="1"/>'
     '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
@@ -48,7 +48,7 @@ _BAD = {
     "not XML": ("<mujoco><worldbody>", "is not XML: no element found"),
     "nothing": ("", "is not XML"),
     "another format": ("<svg/>", "outermost element is <svg>"),
-    "schema": (_MJCF.format('<body><joint colour="red"/></body>', ""), "colour"),
+    "schema": (_MJCF.format('<body><joint><colour/></joint></body>', ""), "colour"),
     "no mass": (_MJCF.format("<body><joint/></body>", ""), "mass and inertia of moving bodies"),
     "inertia": (
         _MJCF.format(f'<body><joint/>{_FLAT}</body>', ""),
@@ -60,7 +60,7 @@ _BAD = {
     "expression": ('<robot name="r"><link name="${a}"/></robot>', "expand it first"),
     "rigid": (f'<robot name="r">{_LINKS.format("fixed", "")}</robot>', "nothing in it moves"),
     "planar": (f'<robot name="r">{_LINKS.format("planar", "")}</robot>', "the normal 1 0 0"),
-    "text": (f'<robot name="r">\n{_LINKS.format("fixed", _COMMAS)}</robot>', "line 2"),
+    "text": (f'<robot name="r">\n{_LINKS.format("fixed", _WORDS)}</robot>', "line 2"),
     "joint": (f'<robot name="r">{_LINKS.format("screw", "")}</robot>', "invalid joint type"),
 }  # fmt: skip
 
