@@ -70,7 +70,7 @@ class Exudyn(Adapter):
     """Rigid bodies with six coordinates each; joints are constraints with multipliers."""
 
     name = "exudyn"
-    revision = 3
+    revision = 4
     package = "exudyn"
     methods: ClassVar = {
         "trapezoidal": Method(

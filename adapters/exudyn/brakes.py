@@ -1,10 +1,11 @@
 """What acts on coordinates of joints in Exudyn's terms: dry friction, stops, gears and servos.
 
-Friction and stops are as hard as a step h resolves, by what a coordinate moves at the scene's
-start, m with all other joints free, M with all held. A stop is a damper d of 2m/h, which takes a
-rate in a few steps however little it moves, and a spring of d²/4M, which never overtakes it; as the
-damper also pulls, there is no rebound. Friction is in proportion to the rate up to F h/m, at which
-it would stop the joint in a step.
+Friction and stops are as hard as a step h resolves, by what a coordinate moves, m with all other
+joints free, M with all held. A stop is a damper d of 2m/h, with the largest m of many poses: what
+moves so much loses its rate in a step, what moves less in some, in which it is still past its limit
+however its rate turns. It is a spring of d²/4M, too, with the largest M, which so never overtakes
+the damper; as that also pulls, there is no rebound. Friction is in proportion to the rate up to
+F h/m, with m at the scene's start, at which it would stop the joint in a step.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from mbds_xsim.base.arrays import Array
+from mbds_xsim.scene.joint_inertia import moved_inertias, poses
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
-from mbds_xsim.scene.stiffness import moved_inertias
 
 _FIXED = (
     "fixed = mbs.AddMarker(items.MarkerNodeCoordinate("
@@ -48,10 +49,12 @@ def brakes_listing(mechanism: Mechanism, step: float) -> Iterator[str]:
     joints = (*rough, *limited)
     if joints or mechanism.drives:
         yield _FIXED
-    least, most = (values.tolist() for values in moved_inertias(mechanism, joints))
-    laws = [_friction(*pair, step) for pair in zip(rough, least, strict=False)]
-    part = slice(len(rough), None)
-    laws += [_stops(*each, step) for each in zip(limited, least[part], most[part], strict=True)]
+    if not joints:
+        return
+    least, most = moved_inertias(mechanism, joints, poses(mechanism))
+    laws = [_friction(*pair, step) for pair in zip(rough, least[0].tolist(), strict=False)]
+    largest = [values[:, len(rough) :].max(axis=0).tolist() for values in (least, most)]
+    laws += [_stops(*each, step) for each in zip(limited, *largest, strict=True)]
     for joint, law in zip(joints, laws, strict=True):
         given = ", ".join(f"{key}={value!r}" for key, value in law.items())
         yield (

@@ -27,6 +27,9 @@ _SHORTEST_SHARE = 1e-5
 # A touch is met well enough where the error of the contact force is that of a shortest step's way
 # at this speed; if even a shortest step misses it, the solver gives up [m/s].
 _FASTEST_IMPACT = 100.0
+# Forces of stops that begin or cease in a step; by default 1 N or N·m are let pass, and a joint may
+# be pulled by the stop that it leaves.
+_KINK = 0.0
 # Of places some metres off, and so of what a damper makes of them in a step: Newton's method
 # cannot get below it, and tries for ever where all is at rest.
 _ROUNDING = 1e-15
@@ -91,6 +94,7 @@ def steps_of_a_frame(count):
     stepping.minimumStepSize = {_SHORTEST_SHARE} * stepping.endTime / count
     stepping.stepInformation = 0
     stepping.automaticStepSize = False
+    stepping.discontinuous.iterationTolerance = {_KINK!r}
     stepping.newton.useModifiedNewton = {self.modified_newton}
     stepping.newton.relativeTolerance = {_TIGHT if self.division else _USUAL}
     stepping.generalizedAlpha.spectralRadius = {self.spectral_radius!r}

@@ -10,7 +10,7 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.assembly import assemble, inverse_mass_root
 from mbds_xsim.scene.constraints import constraint_rows, dense_jacobian
-from mbds_xsim.scene.joint_space import BodyStates, rate_row, to_bodies, to_links
+from mbds_xsim.scene.joint_space import BodyStates, rate_row
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
 from mbds_xsim.scene.scene import Scene
 
@@ -60,29 +60,6 @@ def spring_rates(scene: Scene) -> tuple[float, float]:
         for key in ("stiffness", "damping")
     )
     return float(np.sqrt(_largest(stiffness, free))), _largest(damping, free)
-
-
-def moved_inertias(mechanism: Mechanism, joints: tuple[PlacedJoint, ...]) -> tuple[Array, Array]:
-    """Give what coordinates of joints of the tree move at the scene's start [kg·m² or kg].
-
-    Returns:
-        By which a torque or force on the coordinate accelerates it, with all others free, as in
-        `spring_rates`; and with all others held, which is more; shapes (joint,).
-    """
-    if not joints:
-        return np.empty(0), np.empty(0)
-    start = assemble(mechanism)
-    rows = np.concatenate(_turning(mechanism, start, joints))
-    numbers = {link.joint.index: k for k, link in enumerate(mechanism.links) if link.joint}
-    alone = to_links(mechanism, start.each(lambda values: np.stack([values] * len(joints))))
-    for values in (alone.rate, alone.angular_velocity, alone.velocity):
-        values[:] = 0.0
-    alone.rate[np.arange(len(joints)), [numbers[joint.index] for joint in joints]] = 1.0
-    moving = to_bodies(mechanism, alone)
-    spin = rotation.rotate(rotation.conjugate(moving.native), moving.angular_velocity)
-    most = np.einsum("kbi,b->k", moving.velocity**2, mechanism.mass)
-    most += np.einsum("kbi,bij,kbj->k", spin, mechanism.inertia, spin)
-    return 1.0 / np.sum(_free(mechanism, start, rows) ** 2, axis=1), most
 
 
 def _turning(

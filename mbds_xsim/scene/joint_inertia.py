@@ -1,0 +1,109 @@
+"""What joints of the spanning tree move at a pose, as if no loops were closed; vectorised."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.scene.assembly import assemble
+from mbds_xsim.scene.joint_space import BodyStates, to_bodies, to_links
+from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint
+
+_POSES = 32
+
+
+def moved_inertias(
+    mechanism: Mechanism, joints: Sequence[PlacedJoint], bodies: BodyStates
+) -> tuple[Array, Array]:
+    """Give what coordinates of hinges and sliders of the tree move [kg·m² or kg].
+
+    Returns:
+        By which a torque or force on the coordinate accelerates it, with all others free; and with
+        all others held, which is more; shapes (…, joint).
+    """
+    mass, _ = _mass_matrix(mechanism, bodies)
+    own = _numbers(mechanism, joints)
+    yielding = np.linalg.inv(mass)
+    return 1.0 / yielding[..., own, own], mass[..., own, own]
+
+
+def kicks(
+    mechanism: Mechanism, joints: Sequence[PlacedJoint], bodies: BodyStates
+) -> tuple[Array, Array]:
+    """Give what an impulse on a coordinate that changes its rate by 1 does to the bodies.
+
+    Returns:
+        Changes of their velocities and of their angular velocities in W, [m/s] and [rad/s] per
+        unit of the rate, shapes (…, joint, body, 3).
+    """
+    mass, moving = _mass_matrix(mechanism, bodies)
+    own = _numbers(mechanism, joints)
+    yielding = np.linalg.inv(mass)[..., own]
+    share = yielding / np.diagonal(yielding[..., own, :], axis1=-2, axis2=-1)[..., None, :]
+    return tuple(
+        np.einsum("...dj,...dbi->...jbi", share, values)
+        for values in (moving.velocity, moving.angular_velocity)
+    )  # type: ignore[return-value]
+
+
+def poses(mechanism: Mechanism) -> BodyStates:
+    """Give the scene's start, and others with hinges and sliders anywhere between their limits."""
+    start = to_links(
+        mechanism, assemble(mechanism).each(lambda values: np.stack([values] * _POSES))
+    )
+    chance = np.random.default_rng(0).random(start.coordinate.shape)
+    for k, link in enumerate(mechanism.links):
+        joint = link.joint
+        if joint is not None and (joint.limits or joint.kind == "hinge"):
+            low, high = joint.limits or (-np.pi, np.pi)
+            start.coordinate[1:, k] = low + (high - low) * chance[1:, k]
+    return to_bodies(mechanism, start)
+
+
+def _mass_matrix(mechanism: Mechanism, bodies: BodyStates) -> tuple[Array, BodyStates]:
+    """Give that of the tree's freedoms, (…, freedom, freedom), and motions at unit rates of them.
+
+    Of the latter shapes are (…, freedom, body, …).
+    """
+    freedoms = _freedoms(mechanism)
+    spread = bodies.each(lambda values: np.repeat(values[..., None, :, :], len(freedoms), axis=-3))
+    links = to_links(mechanism, spread)
+    for values in (links.rate, links.angular_velocity, links.velocity):
+        values[...] = 0.0
+    for number, (field, place) in enumerate(freedoms):
+        getattr(links, field)[(..., number, *place)] = 1.0
+    moving = to_bodies(mechanism, links)
+    spin = rotation.rotate(rotation.conjugate(moving.native), moving.angular_velocity)
+    mass = np.einsum("...dbi,b,...ebi->...de", moving.velocity, mechanism.mass, moving.velocity)
+    mass += np.einsum("...dbi,bij,...ebj->...de", spin, mechanism.inertia, spin)
+    rotors = [_rotor(mechanism, place[0]) if field == "rate" else 0.0 for field, place in freedoms]
+    return mass + np.diag(rotors), moving
+
+
+def _freedoms(mechanism: Mechanism) -> list[tuple[str, tuple[int, ...]]]:
+    """Fields of `LinkStates` with places in them."""
+    found: list[tuple[str, tuple[int, ...]]] = []
+    for k, link in enumerate(mechanism.links):
+        kind = link.joint.kind if link.joint else "free"
+        if kind in ("hinge", "slider"):
+            found.append(("rate", (k,)))
+        if kind in ("ball", "free"):
+            found += [("angular_velocity", (k, i)) for i in range(3)]
+        if kind == "free":
+            found += [("velocity", (k, i)) for i in range(3)]
+    return found
+
+
+def _numbers(mechanism: Mechanism, joints: Sequence[PlacedJoint]) -> list[int]:
+    """Find the freedoms that are coordinates of joints."""
+    link = {link.joint.index: k for k, link in enumerate(mechanism.links) if link.joint}
+    freedoms = _freedoms(mechanism)
+    return [freedoms.index(("rate", (link[joint.index],))) for joint in joints]
+
+
+def _rotor(mechanism: Mechanism, link: int) -> float:
+    joint = mechanism.links[link].joint
+    return joint.armature if joint else 0.0
