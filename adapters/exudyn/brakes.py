@@ -53,8 +53,8 @@ def brakes_listing(mechanism: Mechanism, step: float) -> Iterator[str]:
         return
     least, most = moved_inertias(mechanism, joints, poses(mechanism))
     laws = [_friction(*pair, step) for pair in zip(rough, least[0].tolist(), strict=False)]
-    largest = [values[:, len(rough) :].max(axis=0).tolist() for values in (least, most)]
-    laws += [_stops(*each, step) for each in zip(limited, *largest, strict=True)]
+    lightly, heavily = (values[:, len(rough) :].max(axis=0).tolist() for values in (least, most))
+    laws += [_stops(*each, step) for each in zip(limited, lightly, heavily, strict=True)]
     for joint, law in zip(joints, laws, strict=True):
         given = ", ".join(f"{key}={value!r}" for key, value in law.items())
         yield (

@@ -42,16 +42,18 @@ def clear_of_stops(
     found = np.ones(world.position[:, 1:, 0, 0].shape, dtype=bool)
     for joint in mechanism.limited:
         ends = {joint.parent, joint.child}
-        if group is not None and not (WORLD_INDEX in ends and ends & {*group}):
-            continue
-        gap, rate = (
-            stop_gap(joint, counted_coordinate(joint, world, frame)),
-            joint_rate(joint, world),
-        )
-        begin, end = rate[:, :-1], rate[:, 1:]
-        way = frame * (np.maximum(np.abs(begin), np.abs(end)) + np.abs(end - begin))
-        found &= np.minimum(gap[:, :-1], gap[:, 1:]) > way
+        if group is None or (WORLD_INDEX in ends and ends & {*group}):
+            found &= clear_of_own(joint, world, frame)
     return found
+
+
+def clear_of_own(joint: PlacedJoint, world: BodyStates, frame: float) -> Mask:
+    """Tell in which steps one joint stays clear of its stops, as above."""
+    gap = stop_gap(joint, counted_coordinate(joint, world, frame))
+    rate = joint_rate(joint, world)
+    begin, end = rate[:, :-1], rate[:, 1:]
+    way = frame * (np.maximum(np.abs(begin), np.abs(end)) + np.abs(end - begin))
+    return np.asarray(np.minimum(gap[:, :-1], gap[:, 1:]) > way)
 
 
 def stop_gap(joint: PlacedJoint, coordinate: Array) -> Array:

@@ -21,6 +21,7 @@ from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.finding import Figures, Record, check
 from mbds_xsim.checks.flights import numbers
 from mbds_xsim.checks.ground import Push, pushes_of, responses
+from mbds_xsim.checks.stops import kicked
 
 _BEND = 0.5  # of second differences: 1/12 in smooth motion, ½ where a jump is anywhere in the frame
 _PATH = 0.5  # of the changes of a velocity, by which its mean is off that of its ends
@@ -248,6 +249,8 @@ def _hidden(record: Record, angular: bool) -> Array:
     """What impulses may do to the mean velocities of bodies, (trajectory, step, body)."""
     mechanism = record.mechanism
     found = np.zeros_like(record.bodies.position[:, 1:, :, 0])
+    if mechanism.limited:
+        found += _PATH * kicked(record)[angular]
     if not len(mechanism.sphere_body):
         return found
     moved = responses(mechanism)[angular]

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.checks.clearance import clear_of_own
 from mbds_xsim.checks.conservation import damper_loss, energy_of, input_work
 from mbds_xsim.checks.coordinates import coordinate_of
 from mbds_xsim.checks.finding import Figures, Record, check
 from mbds_xsim.checks.flights import summed
+from mbds_xsim.scene.joint_inertia import kicks
+from mbds_xsim.scene.joint_space import joint_rate
+from mbds_xsim.scene.mechanism import PlacedJoint
 
 
 @check("past limits", "penetration")
@@ -41,3 +47,29 @@ def stop_passivity(record: Record) -> Figures | None:
     gained[:, 1:] = summed(np.diff(balance, axis=1)[..., None], stopped)[..., 0]
     rise = np.where(record.finite, np.maximum(gained, 0.0), np.nan)
     return Figures((rise / energy.scale[:, None])[..., None], uncertainty=error / energy.scale)
+
+
+def kicked(record: Record) -> tuple[Array, Array]:
+    """Bound what impulses of stops change velocities of bodies by within a step.
+
+    They change the rate of a joint that can reach its stop by no more than the step's ends show,
+    and with it all that it moves.
+
+    Returns:
+        Linear [m/s] and angular [rad/s], shapes (trajectory, step, body).
+    """
+    limited, states = record.mechanism.limited, record.bodies[:, :-1]
+    jumps = np.stack([_jump(record, joint) for joint in limited], axis=-1)
+    some = jumps.any(axis=-1)
+    found = np.zeros((2, *states.position.shape[:-1]))
+    moved = kicks(record.mechanism, limited, states[some])
+    for each, given in zip(found, moved, strict=True):
+        each[some] = np.einsum("pjb,pj->pb", rotation.norm(given), jumps[some])
+    return found[0], found[1]
+
+
+def _jump(record: Record, joint: PlacedJoint) -> Array:
+    """By how much stops may change the joint's rate, shape (trajectory, step)."""
+    gained = np.abs(np.diff(joint_rate(joint, record.world), axis=1))
+    clear = clear_of_own(joint, record.world, record.frame)
+    return np.nan_to_num(np.where(clear, 0.0, gained))

@@ -27,7 +27,7 @@ def moved_inertias(
     mass, _ = _mass_matrix(mechanism, bodies)
     own = _numbers(mechanism, joints)
     yielding = np.linalg.inv(mass)
-    return 1.0 / yielding[..., own, own], mass[..., own, own]
+    return np.asarray(1.0 / yielding[..., own, own]), mass[..., own, own]
 
 
 def kicks(
@@ -43,10 +43,11 @@ def kicks(
     own = _numbers(mechanism, joints)
     yielding = np.linalg.inv(mass)[..., own]
     share = yielding / np.diagonal(yielding[..., own, :], axis1=-2, axis2=-1)[..., None, :]
-    return tuple(
+    linear, angular = (
         np.einsum("...dj,...dbi->...jbi", share, values)
         for values in (moving.velocity, moving.angular_velocity)
-    )  # type: ignore[return-value]
+    )
+    return linear, angular
 
 
 def poses(mechanism: Mechanism) -> BodyStates:

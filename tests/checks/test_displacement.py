@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
@@ -253,3 +254,23 @@ def test_rounding_of_a_steady_turn_is_no_delay() -> None:
     noisy = dataclasses.replace(motion, angular_velocity=spin)
     finding = displacement.finding(Record(scene, batch, noisy, RK4, 1e-3))
     assert finding.figure.max() < 0.1
+
+
+@pytest.mark.parametrize("stop", [0.3, 0.4, 0.5, 0.6])
+def test_a_joint_thrown_off_its_stop_within_a_frame_is_not_blamed(stop: float) -> None:
+    """An arm whose shoulder rests on its stop, until the elbow meets its own."""
+    rod = Inertia(0.05, (1e-6, 4e-5, 4e-5))
+    bodies = tuple(Body(k, inertia=rod, position=(x, 0, 0)) for k, x in (("a", 0.05), ("b", 0.15)))
+    axis = (0.0, -1.0, 0.0)
+    joints = (
+        Joint("shoulder", "hinge", "world", "a", (0, 0, 0), axis, 0.0, 0.0, limits=(0.0, 2.0)),
+        Joint("elbow", "hinge", "a", "b", (0.1, 0, 0), axis, 0.2, 20.0, limits=(-2.0, stop)),
+    )
+    scene = Scene("arm", bodies, 0.2, joints=joints, clock=Clock(FRAME, 10))
+    motion = solve(scene, draw_batch(scene, [0]))
+    loose = tuple(msgspec.structs.replace(joint, limits=None) for joint in joints)
+
+    assert judged(scene, motion).passed.all()
+    if stop == 0.5:  # its impact is where this cannot be seen at the ends of a frame
+        unaware = msgspec.structs.replace(scene, joints=loose)
+        assert not judged(unaware, motion).passed.any()

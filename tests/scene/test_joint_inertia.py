@@ -1,0 +1,77 @@
+"""What joints move, against the known mass matrix of two rods and against the reference."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbds_xsim import reference
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.scene.assembly import assemble
+from mbds_xsim.scene.joint_inertia import kicks, moved_inertias, poses
+from mbds_xsim.scene.joint_space import BodyStates, joint_coordinate, to_bodies, to_links
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene
+from mbds_xsim.simulate.registry import load_scene
+
+MASS, LENGTH, MOMENT, ROTOR = 0.7, 0.4, 0.02, 0.03
+
+
+def _arm() -> Mechanism:
+    rod = Inertia(MASS, (1e-3, MOMENT, MOMENT))
+    bodies = tuple(
+        Body(name, inertia=rod, position=(x * LENGTH, 0, 0)) for name, x in (("a", 0.5), ("b", 1.5))
+    )
+    joints = (
+        Joint("shoulder", "hinge", "world", "a", (0, 0, 0), (0, -1, 0), armature=ROTOR),
+        Joint("elbow", "hinge", "a", "b", (LENGTH, 0, 0), (0, -1, 0), limits=(-0.5, 1.5)),
+    )
+    return Mechanism.of(Scene("arm", bodies, 1.0, joints=joints))
+
+
+def _bent(mechanism: Mechanism, elbow: Array) -> BodyStates:
+    links = to_links(mechanism, assemble(mechanism).each(lambda v: np.stack([v] * len(elbow))))
+    links.coordinate[:, 1] = elbow
+    return to_bodies(mechanism, links)
+
+
+def _mass_matrix(elbow: Array) -> Array:
+    """Of two rods in a plane, with centres in their middles."""
+    end, cross = MOMENT + MASS * LENGTH**2 / 4, MASS * LENGTH**2 / 2 * np.cos(elbow)
+    whole = 2 * end + MASS * LENGTH**2 + 2 * cross + ROTOR
+    return np.moveaxis(np.array([[whole, end + cross], [end + cross, end + 0 * cross]]), -1, 0)
+
+
+def test_joints_move_what_the_mass_matrix_says() -> None:
+    mechanism, elbow = _arm(), np.linspace(-3.0, 3.0, 7)
+
+    least, most = moved_inertias(mechanism, mechanism.joints, _bent(mechanism, elbow))
+
+    mass = _mass_matrix(elbow)
+    np.testing.assert_allclose(most, np.diagonal(mass, axis1=1, axis2=2), rtol=1e-12)
+    yielding = np.diagonal(np.linalg.inv(mass), axis1=1, axis2=2)
+    np.testing.assert_allclose(least, 1.0 / yielding, rtol=1e-12)
+
+
+def test_a_kick_moves_bodies_as_a_torque_does() -> None:
+    """A free body with three wheels: what a torque on each changes accelerations by."""
+    mechanism = Mechanism.of(load_scene("simplecubli"))
+    start = assemble(mechanism)
+    least, _ = moved_inertias(mechanism, mechanism.hinges, start)
+    given = kicks(mechanism, mechanism.hinges, start)
+
+    loads = np.eye(len(mechanism.hinges))
+    still, batch = np.zeros((3, mechanism.body_count, 3)), start.each(lambda v: np.stack([v] * 3))
+    pushed = reference.accelerations(mechanism, batch, still, loads)
+    loose = reference.accelerations(mechanism, batch, still, 0.0 * loads)
+    for kick, with_torque, without in zip(given, pushed, loose, strict=True):
+        np.testing.assert_allclose(kick, (with_torque - without) * least[:, None, None], atol=1e-10)
+
+
+def test_poses_are_the_start_and_others_within_limits() -> None:
+    mechanism = _arm()
+    found, elbow = poses(mechanism), mechanism.joints[1]
+
+    np.testing.assert_array_equal(found.position[0], assemble(mechanism).position)
+    angle = joint_coordinate(elbow, found.position, found.native)
+    assert -0.5 <= angle.min() < -0.3
+    assert 1.3 < angle.max() <= 1.5
