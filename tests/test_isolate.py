@@ -32,6 +32,12 @@ def test_answers_come_in_the_order_of_the_tasks() -> None:
     assert sorted(seen) == [0, 1]
 
 
+def test_no_task_needs_no_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(subprocess, "Popen", None)
+
+    assert run_tasks([]) == []
+
+
 def test_a_crash_is_told_and_the_rest_goes_on() -> None:
     crash, answer = run_tasks([Task(os.abort, ()), Task(math.factorial, (3,))])
 

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import os
 import pickle
+import select
 import signal
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -26,7 +26,7 @@ from mbds_xsim.base.process import Spent, held_back, memory_bytes
 LIMIT = 3600.0
 """Longest that one piece of work may take where nothing else is asked for [s]."""
 
-_POLL = 0.01
+_POLL_MS = 10  # longest wait for what the starter says
 _START_UP = 600.0  # longest that a process may import what its task names [s]
 _SHARE = 0.8  # of the machine's memory, for all processes together
 _KEPT = 2**29  # bytes of an array, up to which its memory is used again
@@ -126,6 +126,8 @@ def run_tasks(
     if workers == 0:
         return [_run_here(place, task, started, finished) for place, task in enumerate(tasks)]
     answers: list[Any] = [None] * len(tasks)
+    if not tasks:
+        return answers
     waiting = list(range(len(tasks)))[::-1]
     running: list[_Process] = []
     with (
@@ -133,7 +135,7 @@ def run_tasks(
         tempfile.TemporaryDirectory(prefix="mbds-xsim-") as folder,
     ):
         starter = _Starter(tasks, Path(folder), packages)
-        most = min(workers or core_count(), max(len(tasks), 1))
+        most = min(workers or core_count(), len(tasks))
         memory = _SHARE * memory_bytes()
         try:
             while waiting or running:
@@ -153,7 +155,6 @@ def run_tasks(
                     answers[process.place] = process.answer()
                     if finished is not None:
                         finished(process.place, answers[process.place])
-                time.sleep(_POLL)
                 let_through()
         finally:
             starter.end()
@@ -201,6 +202,8 @@ class _Starter:
         assert self._popen.stdout is not None
         self._orders, self._words, self._read = self._popen.stdin, self._popen.stdout, b""
         os.set_blocking(self._words.fileno(), False)
+        self._news = select.poll()
+        self._news.register(self._words, select.POLLIN)
         self.number = self._popen.pid
         self.processes: dict[int, int] = {}
         """Numbers of processes by the places of their tasks."""
@@ -214,8 +217,9 @@ class _Starter:
             self._orders.write(f"{order} {place}\n".encode())
 
     def listen(self) -> None:
-        """Take in what it has said since."""
+        """Take in what it has said since, or says within a moment."""
         words = None
+        self._news.poll(_POLL_MS)
         while not self.over and (words := self._words.read(4096)):
             *lines, self._read = (self._read + words).split(b"\n")
             for line in lines:

@@ -139,6 +139,7 @@ def _main(words: list[str]) -> None:
             importlib.import_module(module)
     gc.freeze()
     starter.serve()
+    os._exit(0)  # whoever gives the orders waits for that, and taking all down takes long
 
 
 if __name__ == "__main__":
