@@ -129,11 +129,11 @@ def _umask() -> int:
 
 _PART = ".part"  # ending of files that are being written
 _LOCK = ".lock"
-_PIECE = 2**21  # bytes that are read back at a time
+_PART_BYTES = 2**21  # that are read back at a time
 
 
-def put(path: Path, content: bytes) -> None:
-    """Write a file that is there whole after any crash, or not at all.
+def put(path: Path, *pieces: bytes | memoryview) -> None:
+    """Write pieces that follow each other as a file: whole after any crash, or not at all.
 
     Raises:
         InputError: It cannot be written, or does not read back as it was written.
@@ -141,8 +141,8 @@ def put(path: Path, content: bytes) -> None:
     part = path.with_name(f".{path.name}.{socket.gethostname()}-{os.getpid()}{_PART}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _write(part, content)
-        if not _reads_back(part, content):
+        _write(part, pieces)
+        if not _reads_back(part, pieces):
             msg = f"cannot write {path}: what was written does not read back; check the disk"
             raise InputError(msg)
         os.replace(part, path)
@@ -198,25 +198,30 @@ def locked(folder: Path) -> Iterator[None]:
         yield
 
 
-def _write(path: Path, content: bytes) -> None:
+Pieces = tuple[bytes | memoryview, ...]
+
+
+def _write(path: Path, pieces: Pieces) -> None:
     """Write a file and flush it to the disk."""
     with path.open("wb") as file:
-        file.write(content)
+        file.writelines(pieces)
         file.flush()
         os.fsync(file.fileno())
         _forget(file)
 
 
-def _reads_back(path: Path, content: bytes) -> bool:
+def _reads_back(path: Path, pieces: Pieces) -> bool:
     """Tell whether the disk has these bytes."""
-    place = 0
-    with path.open("rb", buffering=0) as file:
-        while piece := file.read(_PIECE):
-            if not content.startswith(piece, place):
-                return False
-            place += len(piece)
+    with path.open("rb") as file:
+        same = all(_follows(file, memoryview(piece)) for piece in pieces) and not file.read(1)
         _forget(file)
-    return place == len(content)
+    return same
+
+
+def _follows(file: IO[bytes], piece: memoryview) -> bool:
+    """Tell whether a file goes on with these bytes."""
+    parts = (piece[at : at + _PART_BYTES] for at in range(0, len(piece), _PART_BYTES))
+    return all(file.read(len(part)).startswith(part) for part in parts)
 
 
 def _forget(file: IO[bytes]) -> None:

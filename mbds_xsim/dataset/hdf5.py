@@ -1,10 +1,6 @@
-"""Data files as HDF5: read with suspicion, held against the layout, written in memory.
+"""Data files as HDF5: read with suspicion, held against the layout and against their checksums.
 
-Checksums are of what a file means.
-
-Whatever is wrong with a file is said in one line that names it. The bytes of a file that is written
-follow from its content alone: no times, no paths, and a fixed file format. The library never writes
-to disk, so that a full disk or a kill cannot leave a half-written structure.
+Checksums are of what a file means. Whatever is wrong with a file is said in one line that names it.
 """
 
 from __future__ import annotations
@@ -13,9 +9,8 @@ import hashlib
 import json
 import math
 import tomllib
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -245,97 +240,6 @@ CONTENT = "content_sha256"
 """Attribute of a file: checksum of all its other attributes and its datasets."""
 SUM = "sha256"
 """Attribute of a dataset: checksum of its type, shape and values."""
-_ALIGNMENT = 64  # of datasets in a file, so that they can be mapped as arrays
-_GROWTH = 2**22  # bytes by which a file in memory grows
-
-
-@dataclass(frozen=True)
-class Virtual:
-    """A dataset that takes its rows, one after the other, from its namesakes in other files."""
-
-    like: NDArray[Any]
-    """An array of its type and shape, but for the number of rows."""
-    rows: Sequence[tuple[str, int]]
-    """Names of the files, from the folder of this one, and how many rows each has."""
-
-
-Datasets = Mapping[str, NDArray[Any] | Virtual]
-
-
-def encode(datasets: Datasets, attributes: Attributes) -> bytes:
-    """Give the bytes of a file, with what the layout says of each dataset, and checksums."""
-    said: dict[str, dict[str, Any]] = {}
-    with h5py.File(
-        "new",
-        "w",
-        driver="core",
-        backing_store=False,
-        block_size=_GROWTH,
-        libver=("v110", "v110"),
-        alignment_threshold=_ALIGNMENT,
-        alignment_interval=_ALIGNMENT,
-    ) as file:
-        for name in sorted(datasets):
-            field, values = FIELDS[name], datasets[name]
-            put = _put_virtual if isinstance(values, Virtual) else _put
-            about = {"axes": ", ".join(field.axes), "unit": field.unit, "meaning": field.meaning}
-            said[name] = about | put(file, field, values)
-            _put_attributes(file[name], said[name])
-        content = _digest({**said, "": attributes})
-        _put_attributes(file, {**attributes, CONTENT: content})
-        file.flush()
-        return bytes(file.id.get_file_image())
-
-
-def _put(file: Any, field: Field, values: Any) -> dict[str, Any]:
-    """Write a dataset; give its checksum, and what was rounded."""
-    more: dict[str, Any] = {}
-    if field.dtype == "text":
-        encoded = [str(text).encode() for text in values]
-        kind = h5py.string_dtype("utf-8", max([1, *map(len, encoded)]))
-        stored: NDArray[Any] = np.array(encoded, dtype=kind)
-    else:
-        kind, stored = np.dtype(field.dtype), np.ascontiguousarray(values, dtype=field.dtype)
-    if field.dtype == "<f4":
-        more["rounding"] = "to the nearest float32 of the float64 value"
-        more["largest_rounding"] = _largest(stored - values)
-    file.create_dataset(field.name, data=stored, dtype=kind, track_times=False)
-    return {**more, SUM: _sum(stored)}
-
-
-def _put_virtual(file: Any, field: Field, values: Any) -> dict[str, Any]:
-    """Write where the rows of a dataset are; where a file is missing it has no numbers."""
-    inner, dtype = values.like.shape[1:], values.like.dtype
-    space = h5py.h5s.create_simple((sum(count for _, count in values.rows), *inner))
-    # Low level, because `create_virtual_dataset` puts the time of the day into the file.
-    creation = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-    creation.set_obj_track_times(False)
-    fill = {"f": np.nan, "u": 255, "i": -1}[dtype.kind]
-    creation.set_fill_value(np.array([fill], dtype=dtype))
-    name, first = field.name.encode(), 0
-    for path, count in values.rows:
-        if count:
-            space.select_hyperslab((first,) + (0,) * len(inner), (count, *inner))
-            source = h5py.h5s.create_simple((count, *inner))
-            creation.set_virtual(space, path.encode(), name, source)
-        first += count
-    space.select_all()
-    file.require_group(field.name.rpartition("/")[0] or "/")
-    h5py.h5d.create(file.id, name, h5py.h5t.py_create(dtype), space, dcpl=creation)
-    return {}
-
-
-def _largest(values: NDArray[Any]) -> float:
-    """Largest size, of those that are numbers."""
-    ends = values.min(initial=0.0), values.max(initial=0.0)
-    if not np.isfinite(ends).all():
-        return _largest(values[np.isfinite(values)])
-    return float(max(-ends[0], ends[1]))
-
-
-def _put_attributes(item: Any, attributes: Attributes) -> None:
-    for key in sorted(attributes):
-        item.attrs[key] = attributes[key]
 
 
 def values_of(dataset: Any) -> NDArray[Any]:
@@ -359,7 +263,7 @@ def check_content(path: Path, names: Collection[str] | None = None) -> str | Non
     with open_hdf5(path) as file:
         for name, dataset in datasets_in(file).items():
             written = dataset.attrs.get(SUM) if names is None or name in names else None
-            if written is not None and str(written) != _sum(np.asarray(dataset[()])):
+            if written is not None and str(written) != sum_of(np.asarray(dataset[()])):
                 return f"dataset {name} is not what was written"
         if str(file.attrs.get(CONTENT)) != _content_of(file):
             return "attributes are not what was written"
@@ -369,21 +273,27 @@ def check_content(path: Path, names: Collection[str] | None = None) -> str | Non
 def _content_of(file: Any) -> str:
     found = {name: dataset.attrs for name, dataset in datasets_in(file).items()}
     own = {key: value for key, value in file.attrs.items() if key != CONTENT}
-    return _digest({**found, "": own})
+    return digest({**found, "": own})
 
 
-def _digest(attributes: Mapping[str, Attributes]) -> str:
+def digest(attributes: Mapping[str, Attributes]) -> str:
     """Checksum of the attributes of all datasets, their checksums among them, and of the file."""
     texts = {name: plain(each) for name, each in attributes.items()}
     return hashlib.sha256(json.dumps(texts, sort_keys=True, default=repr).encode()).hexdigest()
 
 
-def _sum(values: NDArray[Any]) -> str:
+def sum_of(values: NDArray[Any]) -> str:
+    """Checksum of an array: of its type, shape and values."""
     if values.dtype.hasobject:
         return ""  # nothing that is written so
     found = hashlib.sha256(f"{values.dtype.str} {values.shape} ".encode())
-    found.update(np.ascontiguousarray(values).reshape(-1).view(np.uint8).data)
+    found.update(bytes_of(values))
     return found.hexdigest()
+
+
+def bytes_of(values: NDArray[Any]) -> memoryview:
+    """Give the bytes of an array in the order of its last axis."""
+    return np.ascontiguousarray(values).reshape(-1).view(np.uint8).data
 
 
 def plain(attributes: Any) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim.base import isolate
 from mbds_xsim.base.files import put
+from mbds_xsim.dataset.encoding import Virtual, encode
 from mbds_xsim.dataset.gate import (
     COLUMNS,
     TOGETHER,
@@ -26,7 +27,7 @@ from mbds_xsim.dataset.gate import (
     judge_rows,
     limit_faults,
 )
-from mbds_xsim.dataset.hdf5 import CONTENT, Virtual, encode, open_hdf5, values_of
+from mbds_xsim.dataset.hdf5 import CONTENT, open_hdf5, values_of
 from mbds_xsim.dataset.layout import (
     FIELDS,
     JOINT,
@@ -101,9 +102,9 @@ def make_shard(item: Item, out: Path, *, crashes: Crashes | None = None) -> None
         rejected = {**_rows(datasets, ~passed), "reason": reasons}
         put(
             rejected_folder(path.parent) / item.file_name,
-            encode(rejected, {**attributes, "kind": "rejected"}),
+            *encode(rejected, {**attributes, "kind": "rejected"}),
         )
-    put(path, encode(_rows(datasets, passed), {**attributes, "kind": "shard"}))
+    put(path, *encode(_rows(datasets, passed), {**attributes, "kind": "shard"}))
     watch.lap("write_s")
     _log(path.parent, {"first": item.first, "count": item.count, **counts, **watch.laps})
 
@@ -272,7 +273,7 @@ def _join_variant(variant: Variant, trajectories: int, out: Path) -> VariantCoun
         "rejected": trajectories - published,
     }
     target = folder.with_name(f"{variant.name}{SUFFIX}")
-    put(target, joined(shards, trajectories, {**variant.recipe, **facts}))
+    put(target, *joined(shards, trajectories, {**variant.recipe, **facts}))
     return VariantCount(
         scene=variant.scene.name,
         variant=variant.name,
@@ -285,7 +286,9 @@ def _join_variant(variant: Variant, trajectories: int, out: Path) -> VariantCoun
     )
 
 
-def joined(shards: Sequence[Shard], trajectories: int, attributes: dict[str, Any]) -> bytes:
+def joined(
+    shards: Sequence[Shard], trajectories: int, attributes: dict[str, Any]
+) -> list[memoryview]:
     """The bytes of a file that finds the trajectories of all shards; they stay where they are."""
     index = np.concatenate([shard.index for shard in shards])
     rows = [(f"{shard.path.parent.name}/{shard.path.name}", len(shard.index)) for shard in shards]
@@ -338,7 +341,7 @@ def _join_scene(folder: Path) -> None:
         shared = {key: file.attrs[key] for key in SHARED}
     datasets = joint_datasets(folder)
     count = len(datasets["valid_in_all"])
-    put(folder / JOINT, encode(datasets, {**shared, "kind": "joint", "count": count}))
+    put(folder / JOINT, *encode(datasets, {**shared, "kind": "joint", "count": count}))
 
 
 def joint_datasets(folder: Path) -> dict[str, NDArray[Any]]:

@@ -202,7 +202,7 @@ def _recheck_joined(path: Path, report: FileReport) -> None:
         report.problems += _shards(path, file, attributes)
         if not report.problems:
             shards = [Shard(path.parent / name) for name in values_of(file["shard/file"])]
-            report.problems += _differences(file, joined(shards, attributes["count"], {}))
+            report.problems += _differences(file, b"".join(joined(shards, attributes["count"], {})))
     report.problems += _counts(path, index, attributes)
     counts = zip(SPLITS, np.bincount(split, minlength=len(SPLITS)), strict=True)
     report.notes.append(", ".join(f"{name} {count}" for name, count in counts))

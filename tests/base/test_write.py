@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from mbds_xsim.base import files
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.files import read_file, write_whole
+from mbds_xsim.base.files import put, read_file, write_whole
 from mbds_xsim.studies.diff.read import read_views
 
 
@@ -32,3 +33,21 @@ def test_a_damaged_packed_result_is_refused_in_one_line(
 
     with pytest.raises(InputError, match=r"^cannot read .*a\.json\.gz: "):
         read_views(path)
+
+
+def test_pieces_that_are_put_follow_each_other(tmp_path: Path) -> None:
+    put(tmp_path / "data", b"one", memoryview(b" file"), b"")
+
+    assert [path.name for path in tmp_path.iterdir()] == ["data"]
+    assert (tmp_path / "data").read_bytes() == b"one file"
+
+
+@pytest.mark.parametrize("damage", [b"one fiIe", b"one fil", b"one files", b"one file "])
+def test_what_does_not_read_back_is_no_file(
+    damage: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(files, "_write", lambda path, _: path.write_bytes(damage))
+
+    with pytest.raises(InputError, match="does not read back; check the disk"):
+        put(tmp_path / "data", b"one", b" ", b"file")
+    assert not list(tmp_path.iterdir())

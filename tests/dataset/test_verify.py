@@ -14,8 +14,9 @@ import pytest
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.versions import CHECKS
+from mbds_xsim.dataset.encoding import encode
 from mbds_xsim.dataset.gate import COLUMNS, judge_rows
-from mbds_xsim.dataset.hdf5 import CONTENT, encode
+from mbds_xsim.dataset.hdf5 import CONTENT
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.dataset.reaudit import making_of
@@ -88,7 +89,7 @@ def _rewrite(path: Path, change: Change) -> None:
     attributes = {key: value for key, value in data.attributes.items() if key != CONTENT}
     arrays = {name: np.array(values) for name, values in data.items()}
     change(arrays, attributes)
-    path.write_bytes(encode(arrays, attributes))
+    path.write_bytes(b"".join(encode(arrays, attributes)))
 
 
 def _late(arrays: dict[str, Any], attributes: dict[str, Any]) -> None:

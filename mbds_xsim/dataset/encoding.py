@@ -1,0 +1,142 @@
+"""The bytes of a data file, put together in memory.
+
+They follow from its content alone: no times, no paths, and a fixed file format. The library never
+writes to disk, so that a full disk or a kill cannot leave a half-written structure, and gets no
+more than room for the values of datasets, which go to the disk from where they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.dataset.hdf5 import CONTENT, SUM, Attributes, bytes_of, digest, sum_of
+from mbds_xsim.dataset.layout import FIELDS, Field
+
+_ALIGNMENT = 64  # of datasets in a file, so that they can be mapped as arrays
+_GROWTH = 2**22  # bytes by which a file in memory grows
+
+
+@dataclass(frozen=True)
+class Virtual:
+    """A dataset that takes its rows, one after the other, from its namesakes in other files."""
+
+    like: NDArray[Any]
+    """An array of its type and shape, but for the number of rows."""
+    rows: Sequence[tuple[str, int]]
+    """Names of the files, from the folder of this one, and how many rows each has."""
+
+
+Datasets = Mapping[str, NDArray[Any] | Virtual]
+
+
+def encode(datasets: Datasets, attributes: Attributes) -> list[memoryview]:
+    """Give the bytes of a file, with what the layout says of each dataset, and checksums.
+
+    They come in pieces, of which the values of datasets are the arrays themselves.
+    """
+    said: dict[str, dict[str, Any]] = {}
+    values: dict[int, memoryview] = {}
+    with h5py.File(
+        "new",
+        "w",
+        driver="core",
+        backing_store=False,
+        block_size=_GROWTH,
+        libver=("v110", "v110"),
+        alignment_threshold=_ALIGNMENT,
+        alignment_interval=_ALIGNMENT,
+    ) as file:
+        for name in sorted(datasets):
+            field, given = FIELDS[name], datasets[name]
+            file.require_group(name.rpartition("/")[0] or "/")
+            about = {"axes": ", ".join(field.axes), "unit": field.unit, "meaning": field.meaning}
+            if isinstance(given, Virtual):
+                _put_virtual(file, name, given)
+            else:
+                stored, more = _stored(field, given)
+                values |= _put(file, name, stored)
+                about |= {**more, SUM: sum_of(stored)}
+            said[name] = about
+            _put_attributes(file[name], about)
+        content = digest({**said, "": attributes})
+        _put_attributes(file, {**attributes, CONTENT: content})
+        file.flush()
+        return _with_values(memoryview(file.id.get_file_image()), values)
+
+
+def _with_values(image: memoryview, values: Mapping[int, memoryview]) -> list[memoryview]:
+    """Put values where a file has room for them; the keys are the places."""
+    pieces, at = [], 0
+    for place in sorted(values):
+        pieces += [image[at:place], values[place]]
+        at = place + len(values[place])
+    return [*pieces, image[at:]]
+
+
+def _stored(field: Field, values: Any) -> tuple[NDArray[Any], dict[str, Any]]:
+    """Give values as a file has them, and what was rounded."""
+    if field.dtype == "text":
+        encoded = [str(text).encode() for text in values]
+        kind = h5py.string_dtype("utf-8", max([1, *map(len, encoded)]))
+        return np.array(encoded, dtype=kind), {}
+    stored = np.ascontiguousarray(values, dtype=field.dtype)
+    if field.dtype != "<f4":
+        return stored, {}
+    how = "to the nearest float32 of the float64 value"
+    return stored, {"rounding": how, "largest_rounding": _largest(stored - values)}
+
+
+def _put(file: Any, name: str, stored: NDArray[Any]) -> dict[int, memoryview]:
+    """Make room for a dataset; give its values by their place in the file."""
+    creation = _untimed()
+    creation.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
+    creation.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
+    kind = h5py.h5t.py_create(stored.dtype, logical=True)
+    space = h5py.h5s.create_simple(stored.shape)
+    made = h5py.h5d.create(file.id, name.encode(), kind, space, dcpl=creation)
+    return {made.get_offset(): bytes_of(stored)} if stored.size else {}
+
+
+def _put_virtual(file: Any, name: str, values: Virtual) -> None:
+    """Write where the rows of a dataset are; where a file is missing it has no numbers."""
+    inner, dtype = values.like.shape[1:], values.like.dtype
+    space = h5py.h5s.create_simple((sum(count for _, count in values.rows), *inner))
+    creation = _untimed()
+    fill = {"f": np.nan, "u": 255, "i": -1}[dtype.kind]
+    creation.set_fill_value(np.array([fill], dtype=dtype))
+    first = 0
+    for path, count in values.rows:
+        if count:
+            space.select_hyperslab((first,) + (0,) * len(inner), (count, *inner))
+            source = h5py.h5s.create_simple((count, *inner))
+            creation.set_virtual(space, path.encode(), name.encode(), source)
+        first += count
+    space.select_all()
+    h5py.h5d.create(file.id, name.encode(), h5py.h5t.py_create(dtype), space, dcpl=creation)
+
+
+def _untimed() -> Any:
+    """Say how a dataset is made; h5py's own ways put the time of the day into a file."""
+    creation = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    creation.set_obj_track_times(False)
+    return creation
+
+
+def _largest(values: NDArray[Any]) -> float:
+    """Largest size, of those that are numbers."""
+    ends = values.min(initial=0.0), values.max(initial=0.0)
+    if not np.isfinite(ends).all():
+        return _largest(values[np.isfinite(values)])
+    return float(max(-ends[0], ends[1]))
+
+
+def _put_attributes(item: Any, attributes: Attributes) -> None:
+    its = item.attrs
+    for key in sorted(attributes):
+        its[key] = attributes[key]
