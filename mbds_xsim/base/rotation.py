@@ -160,13 +160,17 @@ def normal_to(axis: Array) -> tuple[Array, Array]:
 
 
 def normals_to(axes: Array) -> tuple[Array, Array]:
-    """`normal_to` of several axes, bit for bit, shapes (axis, 3)."""
-    axes = axes / _lengths(axes)
+    """`normal_to` of several axes, bit for bit, shapes (…, 3)."""
+    axes = axes / np.sqrt(squares(axes))
     first = cross(axes, np.eye(3)[np.argmin(np.abs(axes), axis=-1)])
-    first /= _lengths(first)
+    first /= np.sqrt(squares(first))
     return first, cross(axes, first)
 
 
-def _lengths(vectors: Array) -> Array:
-    """As numpy has them of single vectors, by dot products, which round otherwise than sums."""
-    return np.sqrt([[each @ each] for each in vectors])
+def squares(vectors: Array) -> Array:
+    """Squared lengths as numpy has them of single vectors, shape (…, 1).
+
+    These are dot products, which round otherwise than sums.
+    """
+    each = [vector @ vector for vector in vectors.reshape(-1, 3)]
+    return np.reshape(each, (*vectors.shape[:-1], 1))

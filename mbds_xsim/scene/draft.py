@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import SceneError
 from mbds_xsim.scene import sampling_terms as terms
+from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 from mbds_xsim.scene.spanning import connected
 
@@ -40,6 +42,11 @@ class Draft:
         low, high = terms.span_of(span, self.interval)
         return float(self.rng.uniform(low, high))
 
+    def uniforms(self, spans: Sequence[terms.Span], count: int) -> Array:
+        """Draw from several ranges in turn, so many times over; shape (count, span)."""
+        low, high = np.array([terms.span_of(span, self.interval) for span in spans]).T
+        return np.asarray(low + (high - low) * self.rng.random((count, len(spans))))
+
     def move_rigidly(self, bodies: list[int], point: Array, turn: Array) -> None:
         """Turn bodies, poses and velocities together, about a point of W."""
         for values, origin in (
@@ -54,6 +61,21 @@ class Draft:
         """Add a rigid angular velocity about a point of W."""
         self.velocity[bodies] += rotation.cross(rate, self.position[bodies] - point)
         self.angular_velocity[bodies] += rate
+
+
+@dataclass(frozen=True, eq=False)
+class Drafts:
+    """Trajectories of a mechanism while they are drawn, side by side."""
+
+    mechanism: Mechanism
+    each: list[Draft]
+    """Their arrays are parts of those of all."""
+    states: BodyStates
+    """Shapes (trajectory, body, …)."""
+    force: Array
+    """[N], shape (trajectory, step, body, 3)."""
+    torque: Array
+    """[N·m], shape (trajectory, step, hinge)."""
 
 
 def pose(term: terms.Pose, drawing: Draft) -> None:

@@ -20,7 +20,7 @@ from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import SceneError
 from mbds_xsim.scene import sampling_terms as terms
 from mbds_xsim.scene.assembly import assemble, check_joints, check_limits
-from mbds_xsim.scene.draft import Draft, carried_by, hinge_rate, pose
+from mbds_xsim.scene.draft import Draft, Drafts, carried_by, hinge_rate, pose
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
 from mbds_xsim.scene.scene import Scene
@@ -30,6 +30,8 @@ from mbds_xsim.scene.state import Batch
 # σ holds for frames of this length; other intervals keep the noise's spectral density.
 _NOISE_FRAME = 0.02
 _CENTRED = 1e-9  # of a contact sphere at a centre of mass [m]
+_MOVING = {1: slice(1), 2: slice(0, 3, 2), 3: slice(3)}  # components of W by dimension
+_ALL_ROUND = (0.0, 2.0 * np.pi)  # [rad]
 
 
 def draw_batch(
@@ -54,23 +56,23 @@ def draw_batch(
         SceneError: A draw does not fit the scene's joints.
     """
     mechanism = Mechanism.of(scene)
-    drawn = [_draw_one(mechanism, index, seed, noise, inputs) for index in indices]
-    starts = BodyStates(
-        **{
-            key: np.array([getattr(state, key) for state in drawn]).reshape(-1, *values.shape)
-            for key, values in vars(assemble(mechanism)).items()
-        }
-    )
+    drafts = _begun(mechanism, list(indices), seed, inputs)
+    for term in scene.sampling:
+        _DRAWS[type(term)](term, drafts)
+    if noise and scene.noise > 0:
+        for drawing in drafts.each:
+            _add_noise(drawing)
+    starts = drafts.states
     check_joints(mechanism, starts)
     check_limits(mechanism, starts)
     return Batch(
-        index=np.array([state.index for state in drawn], dtype=np.int64),
+        index=np.array([drawing.index for drawing in drafts.each], dtype=np.int64),
         position=starts.position,
         orientation=mechanism.body_orientation(starts.native),
         velocity=starts.velocity,
         angular_velocity=starts.angular_velocity,
-        force=np.array([state.force for state in drawn]),
-        torque=np.array([state.torque for state in drawn]),
+        force=drafts.force,
+        torque=drafts.torque,
     )
 
 
@@ -110,28 +112,31 @@ class Starts:
 
 def noise_components(scene: Scene) -> list[int]:
     """Components of W in which the scene moves, and so the noise acts."""
-    return {1: [0], 2: [0, 2], 3: [0, 1, 2]}[scene.dimension]
+    return [0, 1, 2][_MOVING[scene.dimension]]
 
 
-def _draw_one(mechanism: Mechanism, index: int, seed: int, noise: bool, inputs: bool) -> Draft:
-    scene = mechanism.scene
-    start = assemble(mechanism)
-    force, torque = _scene_inputs(mechanism)
-    drawing = Draft(
-        mechanism=mechanism,
-        index=index,
-        interval=terms.INTERVALS[index % len(terms.INTERVALS)],
-        rng=np.random.default_rng(np.random.SeedSequence([seed, index])),
-        force=force.copy(),
-        torque=torque.copy(),
-        inputs=inputs,
-        **{key: values.copy() for key, values in vars(start).items()},
-    )
-    for term in scene.sampling:
-        _DRAWS[type(term)](term, drawing)
-    if scene.noise > 0:
-        _add_noise(drawing, noise)
-    return drawing
+def _begun(mechanism: Mechanism, indices: list[int], seed: int, inputs: bool) -> Drafts:
+    """Give every trajectory the start and the inputs that the scene has itself."""
+
+    def for_all(values: Array) -> Array:
+        return np.repeat(values[None], len(indices), axis=0)
+
+    states = assemble(mechanism).each(for_all)
+    force, torque = map(for_all, _scene_inputs(mechanism))
+    each = [
+        Draft(
+            mechanism=mechanism,
+            index=index,
+            interval=terms.INTERVALS[index % len(terms.INTERVALS)],
+            rng=np.random.default_rng(np.random.SeedSequence([seed, index])),
+            force=force[row],
+            torque=torque[row],
+            inputs=inputs,
+            **{key: values[row] for key, values in vars(states).items()},
+        )
+        for row, index in enumerate(indices)
+    ]
+    return Drafts(mechanism, each, states, force, torque)
 
 
 @functools.lru_cache(maxsize=16)
@@ -162,46 +167,34 @@ def _scene_inputs(mechanism: Mechanism) -> tuple[Array, Array]:
     return force, torque
 
 
-def _add_noise(drawing: Draft, switched_on: bool) -> None:
-    scene = drawing.mechanism.scene
-    components = noise_components(scene)
-    steps, count = scene.clock.steps, drawing.mechanism.body_count
-    normal = drawing.rng.standard_normal((steps, count, len(components)))
-    sigma = scene.noise * np.sqrt(
-        drawing.mechanism.particles_per_body * (_NOISE_FRAME / scene.clock.frame)
-    )
-    if switched_on:
-        drawing.force[:, :, components] += sigma[None, :, None] * normal
+def _add_noise(drawing: Draft) -> None:
+    scene, per_body = drawing.mechanism.scene, drawing.mechanism.particles_per_body
+    sigma = scene.noise * np.sqrt(per_body * (_NOISE_FRAME / scene.clock.frame))
+    force = drawing.force[..., _MOVING[scene.dimension]]
+    force += sigma[:, None] * drawing.rng.standard_normal(force.shape)
 
 
-def _swing(term: terms.Swing, drawing: Draft) -> None:
-    hung = _hung(drawing.mechanism, term.bodies)
-    drawn = [
-        (
-            drawing.uniform(term.polar),
-            drawing.rng.uniform(0.0, 2.0 * np.pi),
-            drawing.uniform(term.speed),
-            drawing.rng.uniform(0.0, 2.0 * np.pi),
-        )
-        for _ in hung.body
-    ]
-    polar, azimuth, speed, heading = np.array(drawn).T.copy()[..., None]
+def _swing(term: terms.Swing, drafts: Drafts) -> None:
+    states, hung = drafts.states, _hung(drafts.mechanism, term.bodies)
+    spans = (term.polar, _ALL_ROUND, term.speed, _ALL_ROUND)
+    drawn = np.array([drawing.uniforms(spans, len(hung.body)) for drawing in drafts.each])
+    polar, azimuth, speed, heading = np.moveaxis(drawn, -1, 0).copy()[..., None]
     # Turning by `polar` about a horizontal axis leaves the body without spin about its arm.
     about = np.concatenate([np.sin(azimuth), -np.cos(azimuth), np.zeros_like(polar)], axis=-1)
     turn = rotation.from_vector(polar * about)
     down = rotation.rotate(turn, hung.arm)
     first, second = rotation.normals_to(down)
     relative = speed * (np.cos(heading) * first + np.sin(heading) * second)
-    rate = rotation.cross(down, relative) / np.array([[each @ each] for each in down])
-    reach, carried = _pivots(hung, drawing, turn, rate)
-    drawing.native[hung.body], drawing.angular_velocity[hung.body] = turn, rate
+    rate = rotation.cross(down, relative) / rotation.squares(down)
+    reach, carried = _pivots(hung, states, turn, rate)
+    states.native[:, hung.body], states.angular_velocity[:, hung.body] = turn, rate
     for k, (body, parent) in enumerate(zip(hung.body, hung.parent, strict=True)):
-        pivot, pivot_velocity = reach[k], carried[k]
+        pivot, pivot_velocity = reach[:, k], carried[:, k]
         if parent != WORLD_INDEX:
-            pivot = drawing.position[parent] + pivot
-            pivot_velocity = drawing.velocity[parent] + pivot_velocity
-        drawing.position[body] = pivot + down[k]
-        drawing.velocity[body] = pivot_velocity + relative[k]
+            pivot = states.position[:, parent] + pivot
+            pivot_velocity = states.velocity[:, parent] + pivot_velocity
+        states.position[:, body] = pivot + down[:, k]
+        states.velocity[:, body] = pivot_velocity + relative[:, k]
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,11 +243,11 @@ def _hung(mechanism: Mechanism, bodies: tuple[str, ...]) -> _Hung:
     )
 
 
-def _pivots(hung: _Hung, drawing: Draft, turn: Array, rate: Array) -> tuple[Array, Array]:
+def _pivots(hung: _Hung, states: BodyStates, turn: Array, rate: Array) -> tuple[Array, Array]:
     """Joints from their parents' centres of mass, and what the parents' turning adds there."""
     swung = hung.above[:, None] >= 0
-    native = np.where(swung, turn[hung.above], drawing.native[hung.parent])
-    spin = np.where(swung, rate[hung.above], drawing.angular_velocity[hung.parent])
+    native = np.where(swung, turn[:, hung.above], states.native[:, hung.parent])
+    spin = np.where(swung, rate[:, hung.above], states.angular_velocity[:, hung.parent])
     arm = rotation.rotate(native, hung.in_parent)
     swing = rotation.cross(spin, arm)
     world = np.array(hung.parent)[:, None] == WORLD_INDEX
@@ -333,13 +326,23 @@ def _wind(term: terms.Wind, drawing: Draft) -> None:
         drawing.force += strength[:, None, None] * per_body
 
 
-_DRAWS: dict[type, Callable[[Any, Draft], None]] = {
+def _one_by_one(draw: Callable[[Any, Draft], None]) -> Callable[[Any, Drafts], None]:
+    """Draw for every trajectory by itself."""
+
+    def draw_all(term: Any, drafts: Drafts) -> None:
+        for drawing in drafts.each:
+            draw(term, drawing)
+
+    return draw_all
+
+
+_DRAWS: dict[type, Callable[[Any, Drafts], None]] = {
     terms.Swing: _swing,
-    terms.Turn: _turn,
-    terms.Throw: _throw,
-    terms.Roll: _roll,
-    terms.Pose: pose,
-    terms.HingeRate: hinge_rate,
-    terms.HingeTorque: _hinge_torque,
-    terms.Wind: _wind,
+    terms.Turn: _one_by_one(_turn),
+    terms.Throw: _one_by_one(_throw),
+    terms.Roll: _one_by_one(_roll),
+    terms.Pose: _one_by_one(pose),
+    terms.HingeRate: _one_by_one(hinge_rate),
+    terms.HingeTorque: _one_by_one(_hinge_torque),
+    terms.Wind: _one_by_one(_wind),
 }
