@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -29,6 +30,9 @@ from mbds_xsim.simulate.claims import (
 )
 
 Profile = Literal["native", "matched"]
+
+version_of = functools.cache(version)
+"""Of an installed distribution; to read it takes milliseconds."""
 
 _REFINABLE = 4
 # What would need shorter steps is too dear for a preset: 20 000 a frame of 20 ms [s].
@@ -248,7 +252,7 @@ class Adapter(ABC):
 
     def version(self) -> str:
         """Version of the installed engine: that of its distribution unless an adapter says so."""
-        return version(self.package)
+        return version_of(self.package)
 
     @abstractmethod
     def settings(self, scene: Scene, profile: Profile) -> Settings:

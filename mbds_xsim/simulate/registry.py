@@ -13,7 +13,7 @@ import pickle
 import re
 from collections.abc import Callable
 from contextlib import suppress
-from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, version
+from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, get_type_hints
@@ -30,7 +30,7 @@ from mbds_xsim.base.errors import (
 )
 from mbds_xsim.base.isolate import Crash, Task, in_worker, run_tasks
 from mbds_xsim.scene.scene import Scene
-from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings
+from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings, version_of
 from mbds_xsim.simulate.claims import (
     ContactScales,
     check_claims,
@@ -120,15 +120,12 @@ def load_adapter(name: str) -> Adapter:
     try:
         adapter = made(points[name])
         if not is_foreign(name):  # which may have no package of its own
-            _version_of(adapter.package)  # adapters import their engine late
+            version_of(adapter.package)  # adapters import their engine late
         return adapter
     except ImportError as error:
         how = f"pip install 'mbds-xsim[{name}]'"
         msg = f"the engine {name} is not installed ({error}); install it with: {how}"
         raise EngineMissing(msg) from error
-
-
-_version_of = functools.cache(version)
 
 
 def scene_names() -> list[str]:
@@ -230,7 +227,7 @@ def write_model(scene: Scene, kind: str) -> Written:
 def package_version(distribution: str) -> str:
     """Version of an installed distribution, or "not installed"."""
     try:
-        return version(distribution)
+        return version_of(distribution)
     except PackageNotFoundError:
         return "not installed"
 

@@ -50,7 +50,7 @@ def test_an_engine_whose_package_is_not_there_is_not_installed(
             raise PackageNotFoundError(package)
         return "1.0"
 
-    monkeypatch.setattr(registry, "_version_of", version)
+    monkeypatch.setattr(registry, "version_of", version)
     assert set(registry.engine_names()) - set(registry.installed_engines()) == {"drake"}
     with pytest.raises(EngineMissing, match=r"drake is not installed.*pip install .*\[drake\]"):
         registry.load_adapter("drake")
