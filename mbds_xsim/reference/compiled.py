@@ -41,39 +41,32 @@ from mbds_xsim.scene.mechanism import Mechanism
 _FOLLOWS = 1e-4
 _FEWER = 0.1
 _DEPENDENT = 1e-9
-_TOGETHER = 64  # a multiple of the lanes
 
 
 def march_compiled(problem: Problem) -> Marched:
     """Integrate states frame by frame."""
-    start, frames = problem.start, problem.frames
-    marched = Marched.from_start(problem)
-    if not frames:
+    start, marched = problem.start, Marched.from_start(problem)
+    if not (problem.frames and len(start)):
         return marched
     tree, spanned, near = chosen(problem.mechanism)
-    work, lane, method = workspace(tree), _lane(tree), _method(problem, near)
-    for first in range(0, len(start), _TOGETHER):
-        rows = slice(first, first + _TOGETHER)
-        states, part = marched.states[rows], problem.part(rows)
-        task = Problems(
-            to_tree(spanned, problem.dynamics.unpack(part.start), part.start),
-            np.require(part.force, float, ["C", "W"]),
-            np.require(part.torque, float, ["C", "W"]),
-            problem.frame,
-            states,
-            np.zeros(len(states), dtype=np.int64),
-        )
-        march_lanes(tree, work, method, lane, task)
-        _keep_signs(tree, states, part.start)
-        lost = first + np.flatnonzero(task.status != REACHED)
-        if len(lost):
-            slow = marching.march(problem.part(lost)).within_half_turns(problem.dynamics)
-            marched.states[lost] = slow.states
-            for row, failure in zip(lost.tolist(), slow.failures, strict=True):
-                marched.failures[row] = failure
-        if problem.progress is not None:
-            done = min(first + _TOGETHER, len(start))
-            problem.progress(frames * done, frames * len(start))
+    task = Problems(
+        to_tree(spanned, problem.dynamics.unpack(start), start),
+        np.require(problem.force, float, ["C", "W"]),
+        np.require(problem.torque, float, ["C", "W"]),
+        problem.frame,
+        marched.states,
+        np.zeros(len(start), dtype=np.int64),
+    )
+    march_lanes(tree, workspace(tree), _method(problem, near), _lane(tree), task)
+    _keep_signs(tree, marched.states, start)
+    lost = np.flatnonzero(task.status != REACHED)
+    if len(lost):
+        slow = marching.march(problem.part(lost)).within_half_turns(problem.dynamics)
+        marched.states[lost] = slow.states
+        for row, failure in zip(lost.tolist(), slow.failures, strict=True):
+            marched.failures[row] = failure
+    if problem.progress is not None:
+        problem.progress(problem.frames * len(start), problem.frames * len(start))
     return marched
 
 

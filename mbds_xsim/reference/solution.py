@@ -27,7 +27,7 @@ from mbds_xsim.scene.state import Batch, Failure, Trajectory
 
 Progress = Callable[[int, int], None]
 
-_TOGETHER = 64  # trajectories; more do not get cheaper
+_TOGETHER = 256  # trajectories; with fewer, lanes wait at the end, and more do not get cheaper
 _SUNK = 1e-9  # what rounding may do to a start on the ground [m]
 TIGHTEST, LOOSEST = 1e-14, 1e-3
 _CONFIRMED = 1e-13
