@@ -34,6 +34,7 @@ from mbds_xsim.reference.lanes import (
     entered,
     larger,
     load,
+    noted,
     positive,
     root,
     size,
@@ -78,7 +79,7 @@ _NOTHING = 1e-9  # acceleration [m/s² or rad/s²]
 
 
 @compiled
-def accelerate(t: Tree, work: Workspace, y, rate, first):
+def accelerate(t, work, y, rate, first):
     """Write the time derivative of states."""
     move(t, work, y)
     act(t, work, y)
@@ -97,11 +98,12 @@ def accelerate(t: Tree, work: Workspace, y, rate, first):
 @entered
 def accelerate_once(t: Tree, work: Workspace, y, rate):
     """Do it for Python."""
-    accelerate(t, work, y, rate, np.int64(0))  # a literal 0 would be compiled for itself
+    first = np.int64(0)  # a literal would be compiled for itself
+    accelerate(noted(t), noted(work), y, rate, first)
 
 
 @compiled
-def project(t: Tree, work: Workspace, y):
+def project(t, work, y):
     """Put states onto the closures by least mass-weighted changes; unit quaternions."""
     if len(t.row_kind):
         for step in range(2):
@@ -114,11 +116,17 @@ def project(t: Tree, work: Workspace, y):
 @entered
 def project_once(t: Tree, work: Workspace, y):
     """Do it for Python."""
-    project(t, work, y)
+    project(noted(t), noted(work), y)
 
 
 @entered
-def resist(t: Tree, work: Workspace, y, step):
+def resist_once(t: Tree, work: Workspace, y, step):
+    """Do it for Python."""
+    resist(noted(t), noted(work), y, step)
+
+
+@compiled
+def resist(t, work, y, step):
     """Eliminate the rows where nothing acts; goals are residuals at first, then their rates."""
     move(t, work, y)
     still(t, work)

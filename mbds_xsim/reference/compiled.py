@@ -14,7 +14,7 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.reference import marching
-from mbds_xsim.reference.closure_kernel import project_once, resist
+from mbds_xsim.reference.closure_kernel import project_once, resist_once
 from mbds_xsim.reference.dynamics import maximal_of, pose_of
 from mbds_xsim.reference.elimination import with_short_loops
 from mbds_xsim.reference.evaluation_kernel import accelerate_all
@@ -136,7 +136,7 @@ def _resisting(tree: Tree, y: Array) -> Iterator[tuple[Index, Workspace]]:
     """Eliminate the rows of states; give which of them, and what was found, one after the other."""
     work = workspace(tree)
     for rows, lanes in _in_lanes(y):
-        resist(tree, work, lanes, 0)
+        resist_once(tree, work, lanes, 0)
         yield rows, work
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbds_xsim.reference.closure_kernel import accelerate
-from mbds_xsim.reference.lanes import LANES, entered
+from mbds_xsim.reference.lanes import LANES, entered, noted
 from mbds_xsim.reference.load_kernel import hold
 from mbds_xsim.reference.tree import Tree
 from mbds_xsim.reference.tree_kernel import PLACES, A, Workspace
@@ -22,6 +22,7 @@ def accelerate_all(t: Tree, work: Workspace, lane, loads, found):
         loads: States (state, number), forces (state, body, 3), torques and grips of them.
         found: Is filled in.
     """
+    t, work = noted(t), noted(work)
     y, force, torque, grip = loads
     last = len(y) - 1
     for first in range(0, len(y), LANES):

@@ -20,6 +20,7 @@ from mbds_xsim.reference.lanes import (
     entered,
     larger,
     load,
+    noted,
     positive,
     size,
     spread,
@@ -94,6 +95,7 @@ class Problems(NamedTuple):
 @entered
 def march(t: Tree, work: Workspace, method: Scheme, lane: Lane, task: Problems):
     """Find all trajectories of a task; there is one at least, of one frame at least."""
+    t, work, method, lane, task = noted(t), noted(work), noted(method), noted(lane), noted(task)
     following = np.int64(0)
     for k in range(LANES):
         lane.row[k] = -1

@@ -43,7 +43,7 @@ from mbds_xsim.reference.lane_algebra import (
     times,
     transposed,
 )
-from mbds_xsim.reference.lanes import compiled, entered, load, spread, store
+from mbds_xsim.reference.lanes import compiled, entered, load, noted, spread, store
 from mbds_xsim.reference.tree import BALL, FIXED, FREE, HINGE, SLIDER, Tree
 
 # Kinematics: place, matrix, angular and linear velocity; axis; arms from the centre of mass and
@@ -134,7 +134,7 @@ def move(t: Tree, work: Workspace, y):
 @entered
 def move_once(t: Tree, work: Workspace, y):
     """Do it for Python."""
-    move(t, work, y)
+    move(noted(t), noted(work), y)
 
 
 @compiled
