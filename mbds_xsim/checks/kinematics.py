@@ -35,20 +35,20 @@ def kinematics(record: Record) -> Figures | None:
         return None
     if mismatch.frame[0] == 1 and (record.mechanism.loops or record.mechanism.distances):
         mismatch = dataclasses.replace(mismatch, left=_started(record, mismatch))
-    order, step = record.order, _step(record)
+    points, order, step = mismatch.points, record.order, _step(record)
     steps = max(1, round(record.frame / step))
     rounded = rounding.stepped(record.method, steps) * record.scene.length / record.frame
     whole, each = (
         _beyond(measure, mismatch, jerk, blur + rounded, step, order)
         for measure, jerk, blur in (
-            (mismatch.rms, mismatch.jerk, mismatch.blur),
-            (mismatch.each, mismatch.jerk_each, mismatch.blur_each),
+            (points.rms, mismatch.jerk, mismatch.blur),
+            (points.each, mismatch.jerk_each, mismatch.blur_each),
         )
     )
     bodies = record.scene.bodies
     series = np.full((*record.finite.shape, 1 + len(bodies)), np.nan)
     series[:, mismatch.frame] = np.concatenate([whole[..., None], each], axis=-1)
-    speed = _largest(mismatch.rms(mismatch.velocity))
+    speed = _largest(points.rms(mismatch.velocity))
     resolved = np.median(np.nan_to_num(mismatch.blur / speed[:, None]))
     if record.mechanism.has_impacts:
         series[:, 0] = 0.0  # not every trajectory flies
@@ -85,9 +85,9 @@ def _started(record: Record, mismatch: Mismatch) -> Array:
         return left
     start = record.bodies[known, 0]
     load = record.batch.force[known, 0], record.torque[known, 0]
-    change = mismatch.as_bodies(left[known, 0], start.native)
+    change = mismatch.points.as_bodies(left[known, 0], start.native)
     kept = unexplained_by_loops(record.mechanism, start, change, load, _step(record))
-    left[known, 0] = mismatch.as_points(*kept, start.native)
+    left[known, 0] = mismatch.points.as_points(*kept, start.native)
     return left
 
 
@@ -130,12 +130,12 @@ def _slope(mismatch: Mismatch, resolution: float) -> tuple[Array, Array]:
     """
     known = np.isfinite(mismatch.blur)
     blur = np.where(known, mismatch.blur, 0.0)
-    size = np.where(known, mismatch.rms(mismatch.acceleration), 0.0)
+    size = np.where(known, mismatch.points.rms(mismatch.acceleration), 0.0)
     floor = resolution * np.linalg.norm(size, axis=1, keepdims=True) / np.sqrt(size.shape[1])
     weight = known / np.maximum(blur**2 + floor**2, np.finfo(float).tiny)
 
     def inner(one: Array, other: Array) -> Array:
-        return np.where(known, weight * mismatch.inner(one, other), 0.0)
+        return np.where(known, weight * mismatch.points.inner(one, other), 0.0)
 
     def slope_over(regressor: Array, vectors: Array) -> Array:
         square = inner(regressor, regressor).sum(axis=1)
@@ -149,7 +149,7 @@ def _slope(mismatch: Mismatch, resolution: float) -> tuple[Array, Array]:
     rest = rest - _each(slope_over(other, rest)) * other
     square = np.maximum(inner(rates, rates).sum(axis=1), np.finfo(float).tiny)
     error = np.sqrt(np.sum(inner(rest, rates) ** 2, axis=1))
-    blurred = np.sum(weight * blur * np.where(known, mismatch.rms(rates), 0.0), axis=1)
+    blurred = np.sum(weight * blur * np.where(known, mismatch.points.rms(rates), 0.0), axis=1)
     seen = np.where(known.any(axis=1), slope, np.nan)
     return seen, (blurred + _ERRORS * error) / square
 

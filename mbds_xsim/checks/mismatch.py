@@ -40,12 +40,10 @@ _ARMS = np.concatenate([np.zeros((1, 3)), np.eye(3)])
 class Mismatch:
     """Mean velocity over a step as positions have it, less what velocities make of it.
 
-    Of four points a body: its centre of mass and, along each axis of its native frame, a point at
-    its radius of gyration. Shapes (trajectory, step, body, point, 3); NaN where frames are
-    lost or something may touch.
+    Shapes (trajectory, step, body, point, 3); NaN where frames are lost or something may touch.
     """
 
-    mechanism: Mechanism
+    points: CarriedPoints
     frame: Index
     """At which each step ends, shape (step,)."""
     left: Array
@@ -64,6 +62,15 @@ class Mismatch:
     """As jerk, but of each body with points at its ends, shape (trajectory, step, body)."""
     blur_each: Array
     """As blur, of the same."""
+
+
+@dataclass(frozen=True, eq=False)
+class CarriedPoints:
+    """Four points a body: its centre of mass and, along each axis of its native frame, a point at
+    its radius of gyration.
+    """
+
+    mechanism: Mechanism
 
     def rms(self, vectors: Array) -> Array:
         """RMS over mass and points, shape (trajectory, step)."""
@@ -135,43 +142,44 @@ def mismatch_of(
         many: As in `Record`.
     """
     first = np.arange(steps[0], bodies.position.shape[1] - 1, steps[1])
-    force, torque = force[:, first], torque[:, first]
     flow = Flow(mechanism, _MOMENT * frame, many)
-    free = flying[:, first]
-    # Both ends of all steps at once: calls cost as much as numbers here.
-    both, count = np.concatenate([first, first + 1]), len(first)
-    ends = bodies[:, both]
-    free, force, torque = (np.concatenate([each, each], axis=1) for each in (free, force, torque))
-    if mechanism.compliant or mechanism.drives:
-        torque = torque + _wound(mechanism, bodies)[:, both]
-    points = _points_at(flow, ends, free, force, torque, lag)
-    halves = slice(0, count), slice(count, None)
-    begin, end = (_Points(*(each[:, half] for each in points)) for half in halves)
+    begin, end = _ends(flow, bodies, first, (flying, force, torque), lag)
     # Hermite's formulas with no, one and two derivatives at each end.
     trapezoid = (begin.velocity + end.velocity) / 2
     bend = (begin.acceleration - end.acceleration) * frame
     cubic = trapezoid + bend / 12
     quintic = trapezoid + bend / 10 + frame**2 / 120 * (begin.jerk + end.jerk)
-    found = Mismatch(
-        mechanism=mechanism,
+    points = CarriedPoints(mechanism)
+    gaps = trapezoid - cubic, cubic - quintic
+    return Mismatch(
+        points=points,
         frame=first + 1,
         left=(end.position - begin.position) / frame - quintic,
         velocity=begin.velocity,
         acceleration=(begin.acceleration + end.acceleration) / 2,
         rate_acceleration=(begin.rate_acceleration + end.rate_acceleration) / 2,
-        jerk=np.empty(0),
-        blur=np.empty(0),
-        jerk_each=np.empty(0),
-        blur_each=np.empty(0),
+        jerk=np.maximum(points.rms(begin.jerk), points.rms(end.jerk)),
+        blur=_blur(*map(points.rms, gaps)),
+        jerk_each=np.maximum(points.each(begin.jerk), points.each(end.jerk)),
+        blur_each=_blur(*map(points.each, gaps)),
     )
-    gaps = trapezoid - cubic, cubic - quintic
-    return dataclasses.replace(
-        found,
-        jerk=np.maximum(found.rms(begin.jerk), found.rms(end.jerk)),
-        blur=_blur(*map(found.rms, gaps)),
-        jerk_each=np.maximum(found.each(begin.jerk), found.each(end.jerk)),
-        blur_each=_blur(*map(found.each, gaps)),
+
+
+def _ends(
+    flow: Flow, bodies: BodyStates, first: Index, held: tuple[Mask, Array, Array], lag: float
+) -> tuple[_Points, _Points]:
+    """Give the points at the beginnings of steps and at their ends; flight and loads are held."""
+    # Both at once: calls cost as much as numbers here.
+    both, count = np.concatenate([first, first + 1]), len(first)
+    free, force, torque = (np.concatenate([each[:, first]] * 2, axis=1) for each in held)
+    if flow.mechanism.compliant or flow.mechanism.drives:
+        torque = torque + _wound(flow.mechanism, bodies)[:, both]
+    points = _points_at(flow, bodies[:, both], free, force, torque, lag)
+    begin, end = (
+        _Points(*(each[:, half] for each in points))
+        for half in (slice(0, count), slice(count, None))
     )
+    return begin, end
 
 
 def _wound(mechanism: Mechanism, bodies: BodyStates) -> Array:

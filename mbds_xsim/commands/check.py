@@ -147,12 +147,12 @@ def import_model(
     to.give([report], imported.scene.name, shared.encoded(import_row(imported), "import"))
 
 
-@shared.command("check", name="export-model")
+@shared.command("check", name="export-model", writes="json")
 def export_model(
+    to: shared.Outputs,
     scene: shared.SceneName,
     out: Annotated[Path, Option(metavar="FILE", help="Write the model.")],
     kind: Annotated[str, Option("--format", metavar="NAME", help="mjcf or urdf.")] = "mjcf",
-    json: shared.JsonFile = None,
 ) -> None:
     """Write a scene as another program's model, and tell what of it is lost.
 
@@ -163,11 +163,11 @@ def export_model(
     from mbds_xsim.report.losses import loss_blocks
     from mbds_xsim.simulate.registry import write_model
 
-    shared.check_targets(out=out, json=json)
+    to.check(out=out)
     written = write_model(shared.scene_named(scene), kind)
     write_whole(out, written.text.encode())
     result = {"scene": scene, "format": kind, "file": str(out), "fates": written.fates}
-    shared.answer(loss_blocks(written), result, json, "export-model")
+    to.answer(loss_blocks(written), result, "export-model")
 
 
 @shared.command("check", writes="json html opened markdown")
@@ -210,26 +210,27 @@ def engines(
     if markdown and json:
         msg = "engines gives one form at a time; choose one of --markdown and --json"
         raise InputError(msg)
-    shared.check_targets(json=json)
+    to = shared.Outputs(json)
+    to.check()
     rows = engine_rows()
     if markdown:
         print(engines_page(rows), end="")
     else:
-        shared.answer((block for row in rows for block in _about_engine(row)), rows, json)
+        to.answer((block for row in rows for block in _about_engine(row)), rows)
 
 
-@shared.command("check")
-def scenes(json: shared.JsonFile = None) -> None:
+@shared.command("check", writes="json")
+def scenes(to: shared.Outputs) -> None:
     """List the built-in scenes: size, degrees of freedom, what each needs of an engine."""
     from mbds_xsim.report.catalogue import scene_rows
 
-    shared.check_targets(json=json)
     rows = scene_rows()
-    shared.answer(_about_scenes(rows), rows, json)
+    to.answer(_about_scenes(rows), rows)
 
 
-@shared.command("check")
+@shared.command("check", writes="json")
 def show(
+    to: shared.Outputs,
     scene: shared.SceneName,
     toml: Annotated[bool, Option("--toml", help="Print it as a scene file.")] = False,
     native: Annotated[
@@ -248,7 +249,6 @@ def show(
             max=10**15,
         ),
     ] = None,
-    json: shared.JsonFile = None,
 ) -> None:
     """Say what a scene is and needs, draw it, or print what an engine is given.
 
@@ -260,13 +260,13 @@ def show(
     from mbds_xsim.report.catalogue import native_text, scene_row
     from mbds_xsim.scene.file import write_scene
 
-    if sum(map(bool, (toml, native, json))) > 1:
+    if sum(map(bool, (toml, native, to.json))) > 1:
         msg = "show gives one form at a time; choose one of --toml, --native and --json"
         raise InputError(msg)
     if start is not None and png is None and native is None:
         msg = f"--start: got {start}, which says what is drawn or given; add --png or --native"
         raise InputError(msg)
-    shared.check_targets(json=json, png=png)
+    to.check(png=png)
     loaded = shared.scene_named(scene)
     if png is not None:
         from mbds_xsim.report.draw import draw_scene
@@ -286,7 +286,7 @@ def show(
         print(write_scene(loaded), end="")
     else:
         row = scene_row(loaded)
-        shared.answer(_about_scene(loaded, row), row, json)
+        to.answer(_about_scene(loaded, row), row)
 
 
 def _about_engine(row: EngineRow) -> Iterator[Block]:

@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from mbds_xsim.dataset.verify import Verified
 
 
-@shared.command("data")
+@shared.command("data", writes="json")
 def inspect(
+    to: shared.Outputs,
     path: Annotated[Path, Argument(metavar="FILE|DIR", help="A data file or a folder.")],
     png: Annotated[
         Path | None, Option(metavar="FILE", help="Draw paths of particles into this file.")
     ] = None,
-    json: shared.JsonFile = None,
 ) -> None:
     """Sum up data sets: scene, engine, counts, figures of the checks, versions, size.
 
@@ -38,16 +38,16 @@ def inspect(
     from mbds_xsim.dataset.read import load_dataset
     from mbds_xsim.dataset.summary import draw_paths, summaries
 
-    shared.check_targets(json=json, png=png)
+    to.check(png=png)
     found = summaries(path)
     if png is not None and len(found) > 1:
         msg = f"--png: {path} holds {len(found)} data sets; name one of them, as {found[0].file}"
         raise InputError(msg)
     if png is not None:
         draw_paths(load_dataset(found[0].file), png)
-    shared.answer((b for summary in found for b in summary_blocks(summary)), found, json, "inspect")
+    to.answer((b for summary in found for b in summary_blocks(summary)), found, "inspect")
     if png is not None:
-        shared.console_for(json).print(f"written: {png}", highlight=False)
+        to.console.print(f"written: {png}", highlight=False)
 
 
 def summary_blocks(summary: Summary) -> Iterator[Block]:
@@ -108,8 +108,9 @@ def _cells(figure: Range) -> list[Cell | str]:
     return [*known, allowed, Cell("", "pass" if kept else "fail")]
 
 
-@shared.command("data")
+@shared.command("data", writes="json")
 def export(
+    to: shared.Outputs,
     dataset: Annotated[Path, Argument(metavar="DATASET", help="A data file or folder.")],
     out: Annotated[Path, Option(metavar="DIR", help="Folder to write, made if needed.")],
     form: Annotated[Literal["npz", "csv"], Option("--format", help="Of the files.")],
@@ -119,7 +120,6 @@ def export(
     indices: Annotated[
         str | None, Option(help="Numbers of trajectories, as 0-9,15; all when left out.")
     ] = None,
-    json: shared.JsonFile = None,
 ) -> None:
     """Write data sets in a form that any program reads, and say what it does not carry.
 
@@ -131,8 +131,7 @@ def export(
     from mbds_xsim.dataset.export import export as run
     from mbds_xsim.dataset.read import parse_numbers
 
-    console = shared.console_for(json)
-    shared.check_targets(json=json)
+    console = to.console
     numbers = None if indices is None else parse_numbers(indices, "--indices")
     with shared.progress_on(console) as progress:
         done = run(dataset, out, form, engines=engines, numbers=numbers, progress=progress)
@@ -150,7 +149,7 @@ def export(
     console.print("not carried over:")
     for line in done.lost:
         console.print(f"  {line}", highlight=False, soft_wrap=True)
-    shared.write_json(shared.encoded(done, "export"), json)
+    shared.write_json(shared.encoded(done, "export"), to.json)
 
 
 @shared.command("data", writes="json html opened")
@@ -213,8 +212,9 @@ _MOST = 20
 """Problems that are listed."""
 
 
-@shared.command("data")
+@shared.command("data", writes="json")
 def verify(
+    to: shared.Outputs,
     path: Annotated[
         Path, Argument(metavar="FILE|DIR", help="A data file, with its shards, or a folder.")
     ],
@@ -224,7 +224,6 @@ def verify(
     ] = None,
     workers: shared.WorkerCount = None,
     limit: shared.TimeLimit = LIMIT,
-    json: shared.JsonFile = None,
 ) -> None:
     """Check data again: layout, checksums, pairing, every check, some trajectories made anew.
 
@@ -234,11 +233,9 @@ def verify(
     """
     from mbds_xsim.dataset.verify import verify as run
 
-    console = shared.console_for(json)
-    shared.check_targets(json=json)
-    with shared.progress_on(console) as progress:
+    with shared.progress_on(to.console) as progress:
         verified = run(path, seed=seed, workers=workers, limit=limit, progress=progress)
-    shared.answer(_outcome(verified), verified, json, "verify")
+    to.answer(_outcome(verified), verified, "verify")
     raise Exit(0 if verified.sound else 1)
 
 

@@ -25,8 +25,9 @@ _TIMES = ((8766.0, "years"), (24.0, "days"), (1.0, "h"), (1 / 60, "min"), (1 / 3
 _FIGURES = ("each", "simulate", "check", "core-h", "wall", "size", "published")
 
 
-@shared.command("data")
+@shared.command("data", writes="json")
 def plan(
+    to: shared.Outputs,
     scene: shared.SceneName,
     trajectories: Annotated[int, Option(help="How many are planned.", min=1)] = 15_000,
     engines: shared.EngineNames = None,
@@ -40,7 +41,6 @@ def plan(
         int | None, Option(help="Processes that will work; all cores when left out.", min=1)
     ] = None,
     limit: shared.TimeLimit = LIMIT,
-    json: shared.JsonFile = None,
 ) -> None:
     """Measure a few trajectories and tell core-hours and bytes of a data set of any size.
 
@@ -51,10 +51,8 @@ def plan(
     from mbds_xsim.dataset.estimate import plan as run
     from mbds_xsim.simulate.choice import Choice
 
-    console = shared.console_for(json)
-    shared.check_targets(json=json)
     choice = Choice.parse(engines=engines, profiles=settings, limit=limit)
-    with shared.progress_on(console) as progress:
+    with shared.progress_on(to.console) as progress:
         found = run(
             shared.scene_named(scene),
             choice,
@@ -63,7 +61,7 @@ def plan(
             workers=workers,
             progress=progress,
         )
-    shared.answer(plan_blocks(found), found, json, "plan")
+    to.answer(plan_blocks(found), found, "plan")
     raise Exit(0 if all(not one.failure for one in found.estimates) else 1)
 
 
@@ -107,8 +105,9 @@ def _scaled(value: float, units: tuple[tuple[float, str], ...]) -> str:
     return f"{value / size:.3g} {unit}"
 
 
-@shared.command("data")
+@shared.command("data", writes="json")
 def generate(
+    to: shared.Outputs,
     scenes: shared.SceneNames,
     out: Annotated[Path, Option(metavar="DIR", help="Folder of the data, made if needed.")],
     engines: shared.EngineNames = None,
@@ -133,7 +132,6 @@ def generate(
             help="A Dask scheduler, whose workers see DIR too, in place of --workers.",
         ),
     ] = None,
-    json: shared.JsonFile = None,
 ) -> None:
     """Make data sets: simulate, check every trajectory, publish what passes.
 
@@ -147,8 +145,6 @@ def generate(
     from mbds_xsim.report.terminal import GeneratingBar
     from mbds_xsim.simulate.choice import Choice
 
-    console = shared.console_for(json)
-    shared.check_targets(json=json)
     request = Request(
         scenes=tuple(shared.scene_named(name) for name in dict.fromkeys(scenes)),
         choice=Choice.parse(engines=engines, profiles=settings, limit=limit),
@@ -159,9 +155,9 @@ def generate(
     )
     with ExitStack() as stack:
         carry_out, at_once = carrier_of(stack, scheduler, workers, out)
-        progress = stack.enter_context(GeneratingBar(console))
+        progress = stack.enter_context(GeneratingBar(to.console))
         generated = run(request, workers=at_once, progress=progress, carry_out=carry_out)
-    shared.answer(_outcome(generated), generated, json, "generate")
+    to.answer(_outcome(generated), generated, "generate")
     whole = not generated.failed and all(count.published for count in generated.variants)
     raise Exit(0 if whole else 1)
 

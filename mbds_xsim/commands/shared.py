@@ -264,8 +264,25 @@ class Outputs:
 
     def check(self, **others: Path | None) -> None:
         """Refuse files that cannot be written, of these and others, before long work."""
-        files = {name: path for name, path in vars(self).items() if name != "opened"}
-        check_targets(**files, **others)
+        from mbds_xsim.base.files import check_writable
+
+        named = {**vars(self), "opened": None, **others}
+        files = {option: path for option, path in named.items() if path is not None}
+        if str(files.get("json")) == "-":
+            del files["json"]
+        for option, path in files.items():
+            check_writable(path, f"--{option}")
+        if len({path.absolute() for path in files.values()}) < len(files):
+            options = " and ".join(f"--{option}" for option in files)
+            msg = f"{options} both name {path}; give two files"
+            raise InputError(msg)
+
+    def answer(self, blocks: Iterable[Block], result: object, name: str = "") -> None:
+        """Print what a command says, and write its result where `--json` says."""
+        from mbds_xsim.report.terminal import print_blocks
+
+        print_blocks(blocks, self.console)
+        write_json(encoded(result, name), self.json)
 
     def give(
         self, reports: Sequence[Report], title: str, result: bytes = b"", *, quiet: bool = False
@@ -352,28 +369,6 @@ def progress_on(console: Console) -> ProgressBar:
     from mbds_xsim.report.terminal import ProgressBar
 
     return ProgressBar(console)
-
-
-def check_targets(**paths: Path | None) -> None:
-    """Refuse, before long work, to write where nothing can be written."""
-    from mbds_xsim.base.files import check_writable
-
-    files = {option: path for option, path in paths.items() if path is not None}
-    if str(files.get("json")) == "-":
-        del files["json"]
-    for option, path in files.items():
-        check_writable(path, f"--{option}")
-    if len({path.absolute() for path in files.values()}) < len(files):
-        msg = f"{' and '.join(f'--{option}' for option in files)} both name {path}; give two files"
-        raise InputError(msg)
-
-
-def answer(blocks: Iterable[Block], result: object, json: Path | None, name: str = "") -> None:
-    """Print what a command says, and write its result where `--json` says."""
-    from mbds_xsim.report.terminal import print_blocks
-
-    print_blocks(blocks, console_for(json))
-    write_json(encoded(result, name), json)
 
 
 def write_json(text: bytes, path: Path | None) -> None:

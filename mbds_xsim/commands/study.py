@@ -178,21 +178,18 @@ def contact(
     from mbds_xsim.simulate.choice import Choice
     from mbds_xsim.studies.contact.present import present, study_contact
 
-    console = shared.console_for(json)
+    to = shared.Outputs(json, markdown=markdown)
     choice = Choice.parse(engines=engines, profiles=settings, limit=limit)
     if choice.given:
         msg = f"--settings: got {settings}, allowed are matched and native: what is measured has "
         raise InputError(msg + "scenes of its own, and a file of settings is matched for one scene")
     drawn = {} if figures is None else _figure_files(figures)
-    shared.check_targets(json=json, markdown=markdown, **drawn)
-    with shared.progress_on(console) as progress:
+    to.check(**drawn)
+    with shared.progress_on(to.console) as progress:
         study = study_contact(
-            choice,
-            progress=progress,
-            workers=workers,
-            command=shared.command_line(),
+            choice, progress=progress, workers=workers, command=shared.command_line()
         )
-    print_blocks(present(study), console)
+    print_blocks(present(study), to.console)
     if drawn:
         from mbds_xsim.studies.contact.present import draw_study
 
