@@ -12,6 +12,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 
 from benchmarks.harness import print_table
+from mbds_xsim.base.isolate import HERE
 from mbds_xsim.measure.result import EngineResult
 from mbds_xsim.scene.sampling import Starts
 from mbds_xsim.simulate.choice import Choice
@@ -40,7 +41,7 @@ def _blamed(name: str, seeds: int, nearest: dict[str, tuple[float, str]]) -> Ite
     runs: dict[str, list[tuple[int, EngineResult]]] = defaultdict(list)
     for seed in range(FIRST, FIRST + seeds):
         found, _ = validate_with_evidence(
-            load_scene(name), choice=Choice.parse(), starts=Starts(seed=seed), workers=0
+            load_scene(name), choice=Choice.parse(), starts=Starts(seed=seed), conduct=HERE
         )
         for row in found.engines:
             runs[row.engine].append((seed, row))

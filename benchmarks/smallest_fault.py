@@ -18,6 +18,7 @@ from faults.bench import ENGINES
 from faults.changes import gravity, heavier
 from faults.planting import Change, planted
 
+from mbds_xsim.base.isolate import HERE
 from mbds_xsim.measure.result import EngineResult
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate import registry
@@ -81,7 +82,7 @@ def _smallest(scene: Scene, choice: Choice, change: Callable[[float], Change]) -
 
 def _verdict(scene: Scene, choice: Choice, change: Change | None) -> EngineResult:
     with planted(change, *choice.engines):
-        validation, _ = validate_with_evidence(scene, choice=choice, workers=0, readback=False)
+        validation, _ = validate_with_evidence(scene, choice=choice, conduct=HERE, readback=False)
     return validation.engines[0]
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import msgspec
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.isolate import Silent
+from mbds_xsim.base.isolate import Conduct
 from mbds_xsim.measure.campaign import run_campaign
 from mbds_xsim.measure.judge import judge
 from mbds_xsim.measure.runner import Account
@@ -71,7 +71,7 @@ def _validated(scene: Scene) -> Verdicts:
     contenders, _ = Choice(tuple(given), given={"matched": given}).contenders(scene)
     batch, spent = draw_batch(scene, range(3)), Account(float)
     outcomes, reference = run_campaign(
-        scene, batch, contenders, cache=False, workers=0, progress=Silent(), spent=spent
+        scene, batch, contenders, conduct=Conduct(0, cache=False), spent=spent
     )
     for outcome in outcomes:
         row = judge(scene, batch, outcome, reference).result

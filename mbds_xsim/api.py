@@ -13,7 +13,7 @@ import numpy as np
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.files import path_of
-from mbds_xsim.base.isolate import LIMIT
+from mbds_xsim.base.isolate import LIMIT, Conduct
 from mbds_xsim.scene.sampling import Starts
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate import registry
@@ -93,8 +93,7 @@ def validate(
         load_scene(scene),
         choice=choice,
         starts=Starts(trajectories, seed, noise, inputs),
-        cache=cache,
-        workers=workers,
+        conduct=Conduct(workers, cache),
         command="mbds_xsim.validate",
     )
     if target is not None:

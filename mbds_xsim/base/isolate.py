@@ -317,6 +317,25 @@ def _tail(log: Path) -> str:
     return tail.splitlines()[-1] if tail else "without a word"
 
 
+class Meter(Protocol):
+    """Where work reports its progress."""
+
+    def begin(self, total: int) -> None:
+        """Say how many tasks there are."""
+
+    def advance(self, what: str) -> None:
+        """Count one task as done."""
+
+    def doing(self, what: str) -> None:
+        """Say what is being done now."""
+
+    def notice(self, line: str) -> None:
+        """Say what is to stay and be read."""
+
+    def forecast(self, left_s: float) -> None:
+        """Say how much work is left [s of one worker]."""
+
+
 class Silent:
     """Progress sink that discards everything."""
 
@@ -334,3 +353,26 @@ class Silent:
 
     def forecast(self, left_s: float) -> None:
         """Discard how long it will take."""
+
+
+@dataclass(frozen=True)
+class Conduct:
+    """How work is carried out, which decides none of its figures."""
+
+    workers: int | None = None
+    """Processes at a time; all cores when None, none but this one for 0."""
+    cache: bool = True
+    """Whether stored solutions may be used, and are kept."""
+    fresh: bool = False
+    """Whether what was measured earlier is measured again."""
+    meter: Meter = field(default_factory=Silent)
+
+    @property
+    def processes(self) -> int:
+        """Processes at a time."""
+        return core_count() if self.workers is None else self.workers
+
+
+USUAL = Conduct()
+HERE = Conduct(workers=0)
+"""In this process alone."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Argument, Exit, Option
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.isolate import LIMIT
+from mbds_xsim.base.isolate import LIMIT, Conduct
 from mbds_xsim.base.text import counted
 from mbds_xsim.commands import shared
 from mbds_xsim.report.blocks import Block, Remark, Remarks, Text, table_of
@@ -72,9 +72,7 @@ def validate(
             shared.scene_named(scene),
             choice=choice,
             starts=Starts(trajectories, seed, noise, inputs),
-            cache=cache,
-            workers=workers,
-            progress=progress,
+            conduct=Conduct(workers, cache, meter=progress),
             command=shared.command_line(),
         )
     print_report(present(validation), to.console)
@@ -279,7 +277,7 @@ def show(
         console = shared.console_for(Path("-"))
         choice = Choice.parse(engines=native, profiles=settings)
         with shared.progress_on(console) as progress:
-            choice = searched(loaded, choice, progress=progress)
+            choice = searched(loaded, choice, Conduct(meter=progress))
         (contender,), _ = choice.contenders(loaded)
         print(native_text(loaded, native, contender.settings, start))
     elif toml:

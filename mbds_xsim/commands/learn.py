@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import Carrier, Conduct
 from mbds_xsim.base.text import counted
 from mbds_xsim.commands import shared
 from mbds_xsim.report.blocks import Block, Column, Remarks, Text, table_of
@@ -17,7 +18,6 @@ from mbds_xsim.report.blocks import Block, Column, Remarks, Text, table_of
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from mbds_xsim.base.isolate import Carrier
     from mbds_xsim.learn.recipe import Profile
     from mbds_xsim.learn.runs import Cost, TrainingRequest
     from mbds_xsim.learn.shift.study import ShiftStudy
@@ -341,11 +341,12 @@ def shift(
     names = map(folder_name, scene or _scenes(models, data))
     # All at once: what the last is lacking is said before the first has taken its time.
     questions = [question_of(models, data, n, trajectories=trajectories, part=part) for n in names]
-    how: dict[str, Any] = {"at": at, "cache": cache, "workers": workers, "device": device}
     studies = []
     for question in questions:
         with shared.progress_on(to.console) as meter:
-            found = study(question, meter=meter, command=shared.command_line(), **how)
+            conduct = Conduct(workers, cache, meter=meter)
+            command = shared.command_line()
+            found = study(question, at=at, conduct=conduct, device=device, command=command)
         print_report(present(found.shift), to.console)
         studies.append(found)
     stored = to_json([found.shift for found in studies])

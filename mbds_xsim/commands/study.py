@@ -8,7 +8,7 @@ from typing import Annotated
 from typer import Argument, Exit, Option
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.isolate import LIMIT
+from mbds_xsim.base.isolate import LIMIT, Conduct
 from mbds_xsim.commands import shared
 
 _Trajectories = Annotated[
@@ -66,9 +66,7 @@ def match(
                 starts=Starts(trajectories, seed),
                 limit=limit,
                 options=options,
-                workers=workers,
-                cache=cache,
-                meter=meter,
+                conduct=Conduct(workers, cache, meter=meter),
                 command=shared.command_line(),
             )
         print_report(present(result), console)
@@ -141,9 +139,7 @@ def ablate(
                 scene,
                 choice=choice,
                 starts=Starts(trajectories, seed),
-                cache=cache,
-                workers=workers,
-                progress=progress,
+                conduct=Conduct(workers, cache, meter=progress),
                 command=shared.command_line(),
             )
         print_report(present(result), to.console)
@@ -186,9 +182,8 @@ def contact(
     drawn = {} if figures is None else _figure_files(figures)
     to.check(**drawn)
     with shared.progress_on(to.console) as progress:
-        study = study_contact(
-            choice, progress=progress, workers=workers, command=shared.command_line()
-        )
+        how = Conduct(workers, meter=progress)
+        study = study_contact(choice, how, shared.command_line())
     print_blocks(present(study), to.console)
     if drawn:
         from mbds_xsim.studies.contact.present import draw_study
@@ -243,7 +238,7 @@ def releases(
     histories = []
     for engine in engines:
         with StudyBar(to.console, workers or core_count(), engine) as meter:
-            study = ReleaseStudy(engine, meter, workers=workers, fresh=fresh, cache=cache)
+            study = ReleaseStudy(engine, Conduct(workers, cache, fresh, meter))
             measured = study.measured(since, last)
         histories.append(history_of(measured, shared.command_line()))
         print_report(present(histories[-1]), to.console)

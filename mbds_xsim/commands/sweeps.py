@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from typer import Argument, Option
 
+from mbds_xsim.base.isolate import Conduct
 from mbds_xsim.commands import shared
 
 if TYPE_CHECKING:
@@ -68,12 +70,13 @@ def tradeoff(
     choice, console = Choice.parse(engines=engines, also=(REFERENCE,)), to.console
     loaded = [shared.scene_named(name) for name in scenes]
     trained = _models(models, onto, loaded)
-    how: dict[str, Any] = {"workers": workers, "fresh": fresh, "cache": cache}
     asked = {"choice": choice, "starts": starts, "seed": seed, "limit": limit}
     studies, rows = [], []
     for scene in loaded:
         with StudyBar(console, workers or core_count(), scene.name) as meter:
-            study, found = _chart(scene, onto, trained, asked, meter=meter, **how)
+            study, found = _chart(
+                scene, onto, trained, asked, Conduct(workers, cache, fresh, meter)
+            )
         studies.append(study)
         rows += found
         print_report(present(study), console)
@@ -90,7 +93,7 @@ def _chart(
     onto: Path | None,
     trained: list[TrainedModel],
     asked: Mapping[str, Any],
-    **how: Any,
+    conduct: Conduct,
 ) -> tuple[Tradeoff, list[Measurement]]:
     """Measure the engines of a scene, or take them from where they are stored, then the models."""
     from mbds_xsim.studies.tradeoff import read_tradeoff
@@ -102,13 +105,13 @@ def _chart(
         study = read_tradeoff(onto)
         command = f"{study.command} && {command}"
     else:
-        study, rows = tradeoff_with_rows(scene, command=command, **asked, **how)
+        study, rows = tradeoff_with_rows(scene, command=command, conduct=conduct, **asked)
         command = ""
     if not trained:
         return study, rows
     from mbds_xsim.studies.tradeoff.learned import with_models
 
-    study, added = with_models(study, scene, trained, command=command, **how)
+    study, added = with_models(study, scene, trained, command=command, conduct=conduct)
     return study, [*rows, *added]
 
 
@@ -195,7 +198,6 @@ def stability(
     others = _outsiders(models)
     choice = Choice(()) if others and engines == "none" else Choice.parse(engines=engines)
     single = value is not None and step is not None
-    how: dict[str, Any] = {"limit": limit, "workers": workers, "cache": cache}
     plans = [
         SurveyPlan(
             study=study,
@@ -206,9 +208,9 @@ def stability(
             profiles=_profiles(settings),
             values=_values(study, value, quick=quick),
             counts=_counts(step, quick=quick),
-            fresh=fresh or single,
+            limit=limit,
+            conduct=Conduct(workers, cache, fresh or single),
             command=shared.command_line(),
-            **how,
         )
         for study in map(study_named, studies or STUDIES)
     ]
@@ -217,13 +219,12 @@ def stability(
 
 def _mapped(plan: SurveyPlan, console: Console, out: Path | None, *, single: bool) -> Survey:
     """Survey and say one study, and write its files before the next one begins."""
-    from mbds_xsim.base.isolate import core_count
     from mbds_xsim.report.terminal import StudyBar, print_blocks, print_report
     from mbds_xsim.studies.stability.present import cells_of, present
     from mbds_xsim.studies.stability.survey import survey
 
-    with StudyBar(console, plan.workers or core_count(), plan.study.name) as meter:
-        sweep = survey(plan, meter)
+    with StudyBar(console, plan.conduct.processes, plan.study.name) as meter:
+        sweep = survey(replace(plan, conduct=replace(plan.conduct, meter=meter)))
     if single:
         print_blocks(cells_of(sweep), console)
     else:

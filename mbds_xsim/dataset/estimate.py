@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from mbds_xsim.base.isolate import Crash, Task, core_count, run_tasks
+from mbds_xsim.base.isolate import Conduct, Crash, Meter, Task, core_count, run_tasks
 from mbds_xsim.dataset.layout import AUDIT_EVERY, AUDITED, rejected_folder
 from mbds_xsim.dataset.shard import LOG, make_shard
 from mbds_xsim.dataset.variant import Item, Variant
 from mbds_xsim.measure.quick import searched
-from mbds_xsim.measure.runner import Notices
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.choice import Choice
 
@@ -89,7 +88,7 @@ def plan(
     workers: int | None = None,
     seed: int = 0,
     noise: bool = True,
-    progress: Notices,
+    progress: Meter,
 ) -> CostPlan:
     """Measure a few trajectories of each engine, one at a time, and tell what all would cost.
 
@@ -106,7 +105,7 @@ def plan(
     Raises:
         InputError: The engines cannot do the scene.
     """
-    choice = searched(scene, choice, workers=workers, progress=progress)
+    choice = searched(scene, choice, Conduct(workers, meter=progress))
     contenders, left_out = choice.contenders(scene)
     variants = [Variant(scene, contender, seed, noise) for contender in contenders]
     progress.begin(len(variants))

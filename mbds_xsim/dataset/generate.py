@@ -19,7 +19,7 @@ from typing import Any, Protocol
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.files import locked, tidied
 from mbds_xsim.base.frame import frame_of
-from mbds_xsim.base.isolate import Carrier, Crash, Silent, Task, core_count, run_tasks
+from mbds_xsim.base.isolate import Carrier, Conduct, Crash, Silent, Task, core_count, run_tasks
 from mbds_xsim.checks.kernels import CHECKS
 from mbds_xsim.dataset.card import write_card
 from mbds_xsim.dataset.layout import rejected_folder
@@ -145,24 +145,24 @@ def _variants(
     variants: list[Variant] = []
     left_out: dict[str, str] = {}
     for scene in request.scenes:
-        choice = searched(scene, request.choice, workers=workers, progress=_Found(progress))
+        choice = searched(scene, request.choice, Conduct(workers, meter=_Found(progress)))
         contenders, reasons = choice.contenders(scene)
         variants += [Variant(scene, one, request.seed, request.noise) for one in contenders]
         left_out |= {f"{scene.name} {engine}": reason for engine, reason in reasons.items()}
     return variants, left_out
 
 
-class _Found:
+class _Found(Silent):
     """Tells of settings that are found as of trajectories that are made."""
 
     def __init__(self, progress: ShardProgress) -> None:
         self._progress = progress
 
-    def begin(self, total: int) -> None:
-        self._progress.begin(total, 0)
+    def begin(self, total: int, done: int = 0) -> None:
+        self._progress.begin(total, done)
 
-    def advance(self, what: str) -> None:
-        del what
+    def advance(self, what: object, rejected: int = 0) -> None:
+        del what, rejected
         self._progress.advance(1, 0)
 
     def notice(self, line: str) -> None:

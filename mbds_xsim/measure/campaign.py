@@ -6,17 +6,16 @@ One work item is one engine at one step over some trajectories, or one trajector
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from mbds_xsim import reference
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.isolate import Crash, Silent, Task, run_tasks
+from mbds_xsim.base.isolate import Conduct, Crash, Task, run_tasks
 from mbds_xsim.measure.outcome import Outcome, ReferenceOutcome
 from mbds_xsim.measure.refinement import may_end, method_of, other_steps, pieces_of, step_name
-from mbds_xsim.measure.runner import Account, Piece, Watch, carry_out
+from mbds_xsim.measure.runner import Account, Piece, carry_out
 from mbds_xsim.reference.cache import key_of, load
 from mbds_xsim.reference.kernels import compilation, compile_once
 from mbds_xsim.scene.scene import Scene
@@ -37,10 +36,7 @@ def run_campaign(
     scene: Scene,
     batch: Batch,
     contenders: list[Contender],
-    *,
-    cache: bool,
-    workers: int | None,
-    progress: Watch,
+    conduct: Conduct,
     spent: Account,
 ) -> tuple[list[Outcome], ReferenceOutcome]:
     """Simulate everything; engines while the reference is compiled, where it has to be.
@@ -50,59 +46,52 @@ def run_campaign(
     Raises:
         InputError: The reference could not be had; without it nothing can be judged.
     """
-    outcomes = [Outcome(contender) for contender in contenders]
+    outcomes, meter = [Outcome(contender) for contender in contenders], conduct.meter
     references: list[Any] = []
     before: list[Piece] = []
     work = [
         Piece(
             REFERENCE,
             REFERENCE,
-            Task(reference_of, (scene, batch[rows], cache), _TIMEOUT),
+            Task(reference_of, (scene, batch[rows], conduct.cache), _TIMEOUT),
             references.append,
         )
         for rows in _reference_chunks(scene, len(batch))
     ]
-    compiling = None if scene.contacts else compilation(progress.notice)
+    compiling = None if scene.contacts else compilation(meter.notice)
     if compiling is not None:
         before.append(Piece("compiler", "compiler", *compiling))
     for outcome in outcomes:
         waits = compiling is None or method_of(outcome.contender).is_truth
         (work if waits else before).extend(_engine_work(scene, batch, outcome))
-    progress.begin(len(before) + len(work))
-    progress.doing("costs of the runs")
+    meter.begin(len(before) + len(work))
+    meter.doing("costs of the runs")
     costs = [_work_of(scene, batch, outcome) for outcome in outcomes]
-    for line in forewarnings(scene, batch[[0]], costs, workers=workers):
-        progress.notice(line)
+    for line in forewarnings(scene, batch[[0]], costs, workers=conduct.workers):
+        meter.notice(line)
     for pieces in filter(None, (before, work)):
-        carry_out(pieces, progress, spent, workers=workers)
+        carry_out(pieces, conduct, spent)
     reference = _joined(references)
     if may_end(scene):
         pieces = [piece for each in outcomes for piece in pieces_of(scene, batch, each, reference)]
-        progress.begin(len(pieces))
-        carry_out(pieces, progress, spent, workers=workers)
+        meter.begin(len(pieces))
+        carry_out(pieces, conduct, spent)
     return outcomes, reference
 
 
-def run_references(
-    scene: Scene,
-    batch: Batch,
-    *,
-    cache: bool,
-    workers: int | None,
-    notice: Callable[[str], None] | None = None,
-) -> ReferenceOutcome:
+def run_references(scene: Scene, batch: Batch, conduct: Conduct) -> ReferenceOutcome:
     """Solve the reference of every trajectory, or take it from the cache.
 
     Raises:
         InputError: The reference could not be had; without it nothing can be judged.
     """
     if not scene.contacts:
-        compile_once(notice or Silent().notice, workers=workers)
+        compile_once(conduct.meter.notice, workers=conduct.workers)
     parts = [
-        Task(reference_of, (scene, batch[rows], cache), _TIMEOUT)
+        Task(reference_of, (scene, batch[rows], conduct.cache), _TIMEOUT)
         for rows in _reference_chunks(scene, len(batch))
     ]
-    return _joined(run_tasks(parts, workers=workers))
+    return _joined(run_tasks(parts, workers=conduct.workers))
 
 
 def _engine_work(scene: Scene, batch: Batch, outcome: Outcome) -> list[Piece]:

@@ -19,11 +19,10 @@ import msgspec
 import numpy as np
 
 from mbds_xsim.base.errors import Unsupported
-from mbds_xsim.base.isolate import Crash, Task, run_tasks
+from mbds_xsim.base.isolate import Conduct, Crash, Task, run_tasks
 from mbds_xsim.base.versions import CHECKS
 from mbds_xsim.measure.campaign import run_references
 from mbds_xsim.measure.outcome import ReferenceOutcome
-from mbds_xsim.measure.runner import Notices
 from mbds_xsim.measure.trial import Trial, run_trial
 from mbds_xsim.reference import cache as disk
 from mbds_xsim.scene.sampling import Starts
@@ -51,14 +50,7 @@ _LEAP = 6.0
 """So many times as many steps are tried where a motion was lost."""
 
 
-def searched(
-    scene: Scene,
-    choice: Choice,
-    *,
-    cache: bool = True,
-    workers: int | None = None,
-    progress: Notices,
-) -> Choice:
+def searched(scene: Scene, choice: Choice, conduct: Conduct) -> Choice:
     """Give a choice with matched settings for every engine that has none stored for the scene.
 
     Engines for which none are found in time, or that cannot do the scene, keep their presets.
@@ -66,34 +58,32 @@ def searched(
     Args:
         scene: What to simulate.
         choice: Which engines at which settings.
-        cache: Whether settings that were found before may be used, and are kept.
-        workers: Processes at a time; all cores when left out.
-        progress: Where it is told.
+        conduct: How; settings that were found before are stored solutions, too.
     """
     if MATCHED not in choice.profiles or choice.step is not None or choice.method is not None:
         return choice
     keys = {name: _key(scene, registry.load_adapter(name)) for name in _without(scene, choice)}
-    found = {name: entry for name in keys if cache and (entry := _load(keys[name])) is not None}
+    found = {
+        name: entry for name in keys if conduct.cache and (entry := _load(keys[name])) is not None
+    }
     missing = [name for name in keys if name not in found]
     if missing:
         batch = Starts().draw(scene)
-        progress.begin(len(missing))
-        reference = run_references(
-            scene, batch, cache=cache, workers=workers, notice=progress.notice
-        )
+        conduct.meter.begin(len(missing))
+        reference = run_references(scene, batch, conduct)
 
         def finished(place: int, _: Any) -> None:
-            progress.advance(f"settings of {missing[place]}")
+            conduct.meter.advance(f"settings of {missing[place]}")
 
         tasks = [
             Task(_search, (scene, batch, reference, name), _LIMIT + _GRACE) for name in missing
         ]
-        answers = run_tasks(tasks, workers=workers, finished=finished)
+        answers = run_tasks(tasks, workers=conduct.workers, finished=finished)
         for name, answer in zip(missing, answers, strict=True):
             if isinstance(answer, Crash) or answer is None:
                 continue
             found[name] = answer
-            if cache:
+            if conduct.cache:
                 _store(keys[name], answer)
     if not found:
         return choice

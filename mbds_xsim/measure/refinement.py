@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from functools import partial
 
-from mbds_xsim.base.isolate import Task
+from mbds_xsim.base.isolate import Conduct, Task
 from mbds_xsim.checks import Finding
 from mbds_xsim.checks.consistency import LEAST_SPAN, Consistency
 from mbds_xsim.measure.outcome import Outcome, ReferenceOutcome
-from mbds_xsim.measure.runner import Account, Piece, Watch, carry_out
+from mbds_xsim.measure.runner import Account, Piece, carry_out
 from mbds_xsim.reference import FirstImpact
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
@@ -126,9 +126,7 @@ def refine(
     batch: Batch,
     outcomes: list[Outcome],
     reference: ReferenceOutcome,
-    *,
-    workers: int | None,
-    progress: Watch,
+    conduct: Conduct,
     spent: Account,
 ) -> None:
     """Run samples at further steps until they show how each engine converges."""
@@ -137,9 +135,9 @@ def refine(
         asked = [(o, step) for o, step in zip(outcomes, steps, strict=True) if step is not None]
         if not asked:
             return
-        progress.begin(len(asked))
+        conduct.meter.begin(len(asked))
         pieces = [_step_piece(scene, batch, outcome, step, reference) for outcome, step in asked]
-        carry_out(pieces, progress, spent, workers=workers)
+        carry_out(pieces, conduct, spent)
 
 
 def _given(

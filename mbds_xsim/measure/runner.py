@@ -36,7 +36,7 @@ from typing import Any, Generic, Protocol, TypeVar
 import msgspec
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.isolate import Crash, Silent, Task, run_tasks
+from mbds_xsim.base.isolate import USUAL, Conduct, Crash, Meter, Task, run_tasks
 from mbds_xsim.base.text import counted
 from mbds_xsim.base.versions import CHECKS
 from mbds_xsim.reference.cache import directory, key_of
@@ -155,16 +155,6 @@ def _processor() -> str:
     return names[0] if names else platform.processor() or "unknown processor"
 
 
-class Meter(Protocol):
-    """Where a study reports its progress."""
-
-    def forecast(self, left_s: float) -> None:
-        """Say how much work is left [s of one worker]."""
-
-    def advance(self, what: str) -> None:
-        """Count one case as measured."""
-
-
 @dataclass(frozen=True, eq=False)
 class StudyCase(Generic[R]):
     """One piece of work, named by its content."""
@@ -207,11 +197,7 @@ class Runner(Generic[R]):
     """Fields that do not decide figures: a kept row has them from the case that asks for it."""
     lasts: Callable[[R, R], bool] = always
     """Whether a kept row (the first argument) need not be measured again for a case's row."""
-    workers: int | None = None
-    """Processes at a time; all cores when None, none but this one for 0."""
-    fresh: bool = False
-    """Whether rows kept earlier are measured again."""
-    meter: Meter = field(default_factory=Silent)
+    conduct: Conduct = USUAL
     forecasts: bool = True
     """Whether it predicts the time left by the cases that are done."""
     packages: Path | None = None
@@ -236,7 +222,7 @@ class Runner(Generic[R]):
     def missing(self, cases: Sequence[StudyCase[R]]) -> list[StudyCase[R]]:
         """List the cases that have to be measured, each key once; the others' rows are taken."""
         for case in cases:
-            kept = None if self.fresh else self.store.rows.get(case.row.key)
+            kept = None if self.conduct.fresh else self.store.rows.get(case.row.key)
             if case.row.key not in self._now and kept and self.lasts(kept, case.row):
                 self._now[case.row.key] = kept
                 self.kept += 1
@@ -258,19 +244,19 @@ class Runner(Generic[R]):
 
         self._forecast(cases)
         tasks = [_task(group) for group in groups]
-        run_tasks(tasks, workers=self.workers, finished=finished, packages=self.packages)
+        run_tasks(tasks, workers=self.conduct.workers, finished=finished, packages=self.packages)
 
     def _keep(self, case: StudyCase[R], row: R, seconds: float) -> None:
         self._now[row.key] = row
         self.store.add(row)
         self.measured += 1
         self._seconds[case.pace].append(_START + seconds)
-        self.meter.advance(case.name)
+        self.conduct.meter.advance(case.name)
 
     def _forecast(self, cases: Sequence[StudyCase[R]]) -> None:
         if self.forecasts:
             left = Counter(case.pace for case in cases if case.row.key not in self._now)
-            self.meter.forecast(sum(n * self._expected(pace) for pace, n in left.items()))
+            self.conduct.meter.forecast(sum(n * self._expected(pace) for pace, n in left.items()))
 
     def _expected(self, pace: Hashable) -> float:
         """Time of a case of a pace: as those that had it, else as all [s]."""
@@ -316,18 +302,15 @@ class Piece:
     keep: Callable[[Any], None]
 
 
-def carry_out(
-    pieces: Sequence[Piece], watch: Watch, spent: Account, *, workers: int | None
-) -> None:
+def carry_out(pieces: Sequence[Piece], conduct: Conduct, spent: Account) -> None:
     """Carry pieces of work out side by side, and keep their answers in their order.
 
     Args:
         pieces: What to do; those whose answers know their own time have it as `busy_s`.
-        watch: Where it is told.
+        conduct: How.
         spent: Seconds of processes by what they did, to which these are added.
-        workers: Processes at a time; all cores when None, none but this one for 0.
     """
-    running = Running(watch, [piece.name for piece in pieces])
+    running = Running(conduct.meter, [piece.name for piece in pieces])
     begun: dict[int, float] = {}
 
     def started(place: int) -> None:
@@ -342,7 +325,7 @@ def carry_out(
         running.finished(place, answer)
 
     tasks = [piece.task for piece in pieces]
-    answers = run_tasks(tasks, workers=workers, started=started, finished=finished)
+    answers = run_tasks(tasks, workers=conduct.workers, started=started, finished=finished)
     for piece, answer in zip(pieces, answers, strict=True):
         piece.keep(answer)
 
@@ -357,42 +340,28 @@ class ProgressSink(Protocol):
         """Count one task as done."""
 
 
-class Notices(ProgressSink, Protocol):
-    """Where lines are told, too, that stay."""
-
-    def notice(self, line: str) -> None:
-        """Say what is to stay and be read."""
-
-
-class Watch(Notices, Protocol):
-    """Where is told, too, what is under way."""
-
-    def doing(self, what: str) -> None:
-        """Say what is being done now."""
-
-
 @dataclass
 class Running:
     """Names the tasks that are under way, the one that was begun first before all others.
 
     Args:
-        watch: Where it is told.
+        meter: Where it is told.
         names: Of all tasks.
     """
 
-    watch: Watch
+    meter: Meter
     names: list[str]
     _now: list[int] = field(default_factory=list)
 
     def started(self, place: int) -> None:
         """Note that a task begins."""
         self._now.append(place)
-        self.watch.doing(self._told())
+        self.meter.doing(self._told())
 
     def finished(self, place: int, _answer: Any) -> None:
         """Note that a task has ended."""
         self._now.remove(place)
-        self.watch.advance(self._told() or self.names[place])
+        self.meter.advance(self._told() or self.names[place])
 
     def _told(self) -> str:
         names = list(dict.fromkeys(self.names[place] for place in self._now))

@@ -241,6 +241,9 @@ class Bar:
         else:
             _log(line)
 
+    def forecast(self, left_s: float) -> None:
+        """Pass over what the bar tells itself by what it counts."""
+
     def _write_log(self) -> None:
         """Show in a log that work goes on, and how far it is."""
         while not self._ended.wait(_EVERY):
@@ -289,6 +292,13 @@ class StudyBar(Bar):
         parts = ("{what:<44}", "bar", "{points} points", "elapsed", "{time_left}")
         first = f"{subject}: reference"
         super().__init__(console, *parts, what=first, points=0, time_left="")
+
+    def begin(self, total: int) -> None:
+        """Pass over how many tasks there are: points are counted."""
+
+    def doing(self, what: str) -> None:
+        """Say what is being done now."""
+        self._show(description=what)
 
     def forecast(self, left_s: float) -> None:
         """Say how much work is left [s of one worker]."""

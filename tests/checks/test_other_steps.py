@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from mbds_xsim.base.isolate import HERE
 from mbds_xsim.measure import campaign, refinement
 from mbds_xsim.simulate import timed
 from mbds_xsim.simulate.choice import Choice
@@ -32,13 +33,13 @@ def test_they_end_with_the_reference_of_a_cube_and_show_what_whole_ones_show(
     for module in (campaign, refinement):
         monkeypatch.setattr(module, "simulate", watched)
     choice = Choice(("mujoco",))
-    brief = validate_with_evidence(scene, choice=choice, workers=0)[0].engines[0]
+    brief = validate_with_evidence(scene, choice=choice, conduct=HERE)[0].engines[0]
     own = lengths.pop(brief.step_s)
     assert own == {STEPS}
     others = set.union(*lengths.values())
     assert max(others) < STEPS // 2  # the cubes fall for some 0.4 s
     monkeypatch.setattr(refinement, "compared", lambda batch, _: batch)
-    whole = validate_with_evidence(scene, choice=choice, workers=0)[0].engines[0]
+    whole = validate_with_evidence(scene, choice=choice, conduct=HERE)[0].engines[0]
     assert max(set.union(*lengths.values())) == STEPS
     assert brief.findings == whole.findings
     assert [f.check for f in brief.findings].count("consistency of positions") == 1

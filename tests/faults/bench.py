@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from mbds_xsim.base.isolate import HERE
 from mbds_xsim.measure.result import Validation
 from mbds_xsim.simulate.choice import Choice, Matched, settings_for
 from mbds_xsim.simulate.registry import load_adapter, load_scene
@@ -72,7 +73,7 @@ def checked(
     choice = Choice(tuple(given), given={"matched": given})
     with planted(fault.change if fault else None, engine):
         return validate_with_evidence(
-            scene_of(scene, frames), choice=choice, workers=0, readback=readback
+            scene_of(scene, frames), choice=choice, conduct=HERE, readback=readback
         )[0]
 
 

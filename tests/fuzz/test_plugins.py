@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 from mbds_xsim.base import isolate
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.isolate import Crash, Silent, Task
+from mbds_xsim.base.isolate import Conduct, Crash, Silent, Task
 from mbds_xsim.dataset.generate import Request, generate
 from mbds_xsim.report.catalogue import engine_rows
 from mbds_xsim.scene.state import Batch, Trajectory
@@ -109,7 +109,7 @@ def test_a_faulty_adapter_is_named_and_the_sound_one_has_its_result(
         registry._answer.cache_clear()
         listed = {row.engine: row for row in engine_rows()}
         choice = Choice.parse()
-        told, _ = validate_with_evidence(_SCENE, choice=choice, workers=1)
+        told, _ = validate_with_evidence(_SCENE, choice=choice, conduct=Conduct(1))
         made = generate(
             Request((_SCENE,), choice, 3, out), workers=1, progress=Silent(), carry_out=_carried_out
         )

@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.isolate import Conduct
 from mbds_xsim.dataset.generate import Request, generate
 from mbds_xsim.learn.particles import EXPLODED
 from mbds_xsim.learn.shift.answers import answers_of
@@ -233,7 +234,7 @@ def test_the_truth_is_one_more_domain(tmp_path: Path) -> None:
     generate(Request((scene,), choice, 60, tmp_path), workers=0)
 
     test = load_paired(tmp_path, "2pendulum")
-    solved, _ = solve_domain(test, 10, cache=False, workers=0)
+    solved, _ = solve_domain(test, 10, Conduct(0, cache=False))
 
     assert [domain.name for domain in test.domains] == ["mujoco-matched", "reference-matched"]
     assert solved is not None

@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import HERE
 from mbds_xsim.commands import app
 from mbds_xsim.dataset.generate import Request, generate
 from mbds_xsim.dataset.read import Dataset, load_dataset
@@ -196,7 +197,7 @@ def test_a_part_of_the_models_and_domains(folder: Path) -> None:
     models, data = folder / "models", folder / "data"
     part = Selection.parse("native", "each", 1)
     shift = study.study(
-        study.question_of(models, data, SCENE, trajectories=2, part=part), workers=0
+        study.question_of(models, data, SCENE, trajectories=2, part=part), conduct=HERE
     ).shift
     trained = [model for model in shift.models if model.engines]
     assert trained

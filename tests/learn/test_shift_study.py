@@ -18,7 +18,7 @@ import pytest
 import torch
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.isolate import Crash, Task
+from mbds_xsim.base.isolate import HERE, Conduct, Crash, Silent, Task
 from mbds_xsim.commands import app
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.dataset.shard import LOG, spent
@@ -49,9 +49,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def shift(folder: Path, apart: None) -> Shift:
     del apart
-    return study.study(
-        study.question_of(folder / "models", folder / "data", SCENE), workers=0
-    ).shift
+    return shift_of(folder)
+
+
+def shift_of(folder: Path, at: int | None = None) -> Shift:
+    """Test the models of a folder on the data beside them."""
+    question = study.question_of(folder / "models", folder / "data", SCENE)
+    return study.study(question, at=at, conduct=HERE).shift
 
 
 def test_every_model_is_tested_on_every_domain(shift: Shift) -> None:
@@ -139,9 +143,7 @@ def test_what_was_tested_is_not_tested_again(
         raise AssertionError
 
     monkeypatch.setattr(rollouts, "figures_on", refuse)
-    again = study.study(
-        study.question_of(folder / "models", folder / "data", SCENE), workers=0
-    ).shift
+    again = shift_of(folder)
     assert again.cells == shift.cells
     assert again.gaps == shift.gaps
 
@@ -164,7 +166,7 @@ def test_without_the_cache_all_is_done_anew(
     monkeypatch.setattr(rollouts, "figures_on", noted_figures)
     monkeypatch.setattr(rollouts, "_predicted", noted_restart)
     question = study.question_of(folder / "models", folder / "data", SCENE)
-    again = study.study(question, cache=False, workers=0).shift
+    again = study.study(question, conduct=Conduct(0, cache=False)).shift
     assert len(tested) == 3 * (len(TRAININGS) * SEEDS + 3)
     assert len({(job.engine.name, job.domain.name) for job, *_ in gone_on}) == 2 * 3
     assert again.cells == shift.cells
@@ -183,24 +185,22 @@ def test_restarts_that_were_interrupted_go_on(
         return predicted(job, motions, inputs, *part)
 
     monkeypatch.setattr(rollouts, "_predicted", noted)
-    again = study.study(
-        study.question_of(folder / "models", folder / "data", SCENE), workers=0
-    ).shift
+    again = shift_of(folder)
     assert set(done) == {(one.name, two.name)}
     assert again.gaps == shift.gaps
 
 
-class Count:
+class Count(Silent):
     """A meter that counts."""
 
-    whole = done = 0
+    whole = counted = 0
 
-    def begin(self, total: int) -> None:
-        self.whole += total
+    def begin(self, total: int, done: int = 0) -> None:
+        self.whole += total + done
 
-    def advance(self, what: str) -> None:
-        del what
-        self.done += 1
+    def advance(self, what: object, rejected: int = 0) -> None:
+        del what, rejected
+        self.counted += 1
 
 
 def test_a_restart_that_crashes_takes_no_other_along(
@@ -230,15 +230,15 @@ def test_a_restart_that_crashes_takes_no_other_along(
     meter = Count()
     with monkeypatch.context() as patch:
         patch.setattr(rollouts, "run_tasks", crashing)
-        found, lost = rollouts.restarted(test, test.domains, shift.horizon, meter=meter)
+        found, lost = rollouts.restarted(
+            test, test.domains, shift.horizon, conduct=Conduct(meter=meter)
+        )
     assert lost == {f"{one.name} on {one.name}": "it broke"}
     assert set(found) == {(e.name, d.name) for e in (one, two) for d in (one, two)} - {
         (one.name, one.name)
     }
-    assert (meter.whole, meter.done) == (2, 2)
-    again = study.study(
-        study.question_of(folder / "models", folder / "data", SCENE), workers=0
-    ).shift
+    assert (meter.whole, meter.counted) == (2, 2)
+    again = shift_of(folder)
     assert again.gaps == shift.gaps
 
 
@@ -257,18 +257,14 @@ def test_memory_holds_one_domain_and_no_figures(
     monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path))
     monkeypatch.setattr(rollouts, "figures_on", watched)
     entries, plan = trivial_models(), rollouts.RolloutPlan(shift.horizon)
-    found = rollouts.evaluate(test.scene, entries, test.domains, plan, workers=0)
+    found = rollouts.evaluate(test.scene, entries, test.domains, plan, conduct=HERE)
     assert len(seen) == len(found) == len(entries) * len(test.domains)
     figures = weakref.ref(next(iter(found.values())))
     assert figures() is None
 
 
 def test_answers_and_tables_are_given_at_the_frame_asked_for(folder: Path, shift: Shift) -> None:
-    def studied(at: int) -> Shift:
-        places = folder / "models", folder / "data"
-        return study.study(study.question_of(*places, SCENE), at=at, workers=0).shift
-
-    early = studied(1)
+    early = shift_of(folder, at=1)
     assert (shift.at, early.at) == (10, 1)
     assert (shift.kept, early.kept) == (0, len(shift.models))
     assert f", {early.kept} of {early.kept} models tested before" in present(early).made
@@ -280,7 +276,7 @@ def test_answers_and_tables_are_given_at_the_frame_asked_for(folder: Path, shift
         f"What a change of engine or settings costs at t = {frame}" for frame in (10, 1)
     ]
     with pytest.raises(InputError, match=r"--at: got 15, allowed is 1, 10$"):
-        studied(15)
+        shift_of(folder, at=15)
 
 
 def test_the_command_writes_all_files(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -326,9 +322,7 @@ def test_models_of_intervals_tell_what_speed_costs(folder: Path, tmp_path: Path)
         train(tmp_path, f"mujoco-{interval}", ("mujoco",), 0, interval=interval)
     parts = find_models(tmp_path / "models", SCENE, Selection.parse(None, "by-interval", None))
     assert [entry.interval for entry in parts] == ["low", "medium", "high"]
-    found = study.study(
-        study.question_of(tmp_path / "models", tmp_path / "data", SCENE), workers=0
-    ).shift
+    found = shift_of(tmp_path)
     assert {gap.training for gap in found.gaps} == {"exudyn-native", "mujoco-native", "all-native"}
     answer = next(answer for answer in found.answers if answer.kind == "speed")
     assert answer.question == "What does a change of speed cost (mujoco-native)?"

@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 
 from mbds_xsim import reference
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import HERE
 from mbds_xsim.commands import app
 from mbds_xsim.learn import simulator as simulating
 from mbds_xsim.learn.gns import GNS
@@ -214,7 +215,7 @@ def sweep(folder: Path) -> Survey:
     """A model beside an engine's method."""
     plan = SurveyPlan(
         STUDIES["swing"], ("mujoco",), ("RK4",), ("matched",), values=(0.0, 5.0), counts=(5, 10),
-        workers=0, others=simulators_in([folder]),
+        conduct=HERE, others=simulators_in([folder]),
     )  # fmt: skip
     return survey(plan)
 
@@ -240,7 +241,7 @@ def test_what_was_predicted_is_kept_until_the_model_is_another(
     sweep: Survey, folder: Path, tmp_path: Path
 ) -> None:
     plan = SurveyPlan(
-        STUDIES["swing"], values=(0.0, 5.0), workers=0, others=simulators_in([folder])
+        STUDIES["swing"], values=(0.0, 5.0), conduct=HERE, others=simulators_in([folder])
     )
     again = survey(plan)
     path = untrained(tmp_path, "1pendulum")
@@ -292,7 +293,13 @@ def test_values_that_hold_are_told_as_ranges(sweep: Survey) -> None:
 
 def test_without_models_nothing_is_said_of_them() -> None:
     plan = SurveyPlan(
-        STUDIES["swing"], ("mujoco",), ("RK4",), ("matched",), values=(0.0,), counts=(5,), workers=0
+        STUDIES["swing"],
+        ("mujoco",),
+        ("RK4",),
+        ("matched",),
+        values=(0.0,),
+        counts=(5,),
+        conduct=HERE,
     )
     assert "first six" not in to_markdown([present(survey(plan))])
 
@@ -303,7 +310,7 @@ def test_a_scene_that_the_parameters_do_not_fit_is_left_out(folder: Path) -> Non
 
     assert "its parameters do not fit ballscroll" in model.refusal(ball.scene(5.0))
     with pytest.raises(InputError, match="nothing to run in throw"):
-        survey(SurveyPlan(ball, values=(5.0,), workers=0, others=(model,)))
+        survey(SurveyPlan(ball, values=(5.0,), conduct=HERE, others=(model,)))
 
 
 def test_without_a_reference_nothing_can_be_given_to_a_model(folder: Path) -> None:

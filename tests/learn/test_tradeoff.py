@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import HERE, Conduct
 from mbds_xsim.learn import simulator as simulating
 from mbds_xsim.learn.gns import GNS
 from mbds_xsim.learn.model_file import read_model
@@ -56,7 +57,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def engines(scene: Scene) -> Tradeoff:
     """Two of an engine's starts, at few steps: what models are put beside."""
     study, _ = tradeoff_with_rows(
-        scene, choice=Choice.parse(engines="pybullet"), starts=2, limit=2.0, workers=0
+        scene, choice=Choice.parse(engines="pybullet"), starts=2, limit=2.0, conduct=HERE
     )
     return study
 
@@ -64,7 +65,7 @@ def engines(scene: Scene) -> Tradeoff:
 @pytest.fixture(scope="module")
 def both(engines: Tradeoff, scene: Scene, folder: Path) -> tuple[Tradeoff, list[Measurement]]:
     """The engine and the models."""
-    return with_models(engines, scene, trained_in([folder]), workers=0)
+    return with_models(engines, scene, trained_in([folder]), conduct=HERE)
 
 
 class _Perfect(GNS):
@@ -131,7 +132,7 @@ def test_a_model_that_knows_the_motion_has_no_error(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     drawn, quiet = starts
-    (truth, _) = references(scene, drawn, cache=True, workers=0)
+    (truth, _) = references(scene, drawn, HERE)
     trained = trained_in([folder / "1pendulum"])[0]
     model, _ = read_model(trained.file, scene)
     model.__class__ = _Perfect
@@ -155,7 +156,7 @@ def test_a_model_is_given_the_first_frames_and_no_random_forces(
 ) -> None:
     drawn, quiet = starts
     model, _ = read_model(trained_in([folder / "1pendulum"])[0].file, scene)
-    truth = references(scene, drawn, cache=True, workers=0)[0].trajectory
+    truth = references(scene, drawn, HERE)[0].trajectory
 
     known = known_start(model, truth, quiet[[0]])
 
@@ -185,7 +186,7 @@ def test_a_lost_prediction_is_a_failed_point(
         return rolled
 
     monkeypatch.setattr(simulating, "carry_on", lost)
-    study, _ = with_models(engines, scene, trained_in([folder / "1pendulum"])[:1], workers=0)
+    study, _ = with_models(engines, scene, trained_in([folder / "1pendulum"])[:1], conduct=HERE)
 
     (model,) = study.models
     assert model.alone.kind == "failed"
@@ -199,13 +200,13 @@ def test_what_is_measured_is_kept(
     engines: Tradeoff, both: tuple[Tradeoff, list[Measurement]], scene: Scene, folder: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    fresh, _ = with_models(engines, scene, trained_in([folder]), workers=0, fresh=True)
+    fresh, _ = with_models(engines, scene, trained_in([folder]), conduct=Conduct(0, fresh=True))
 
     def refused(*anything: object) -> dict[str, object]:
         raise AssertionError(anything)
 
     monkeypatch.setattr(measuring, "measure", refused)
-    again, _ = with_models(engines, scene, trained_in([folder]), workers=0)
+    again, _ = with_models(engines, scene, trained_in([folder]), conduct=HERE)
 
     assert again.models == fresh.models
     errors = [[m.alone.error_m for m in study.models] for study in (again, both[0])]
@@ -237,9 +238,9 @@ def test_a_study_of_another_scene_or_no_model_of_it_is_refused(
     longer = msgspec.structs.replace(scene, clock=Clock(steps=FRAMES + 1))
 
     with pytest.raises(InputError, match="is not of 1pendulum as it is now"):
-        with_models(engines, longer, trained_in([folder]), workers=0)
+        with_models(engines, longer, trained_in([folder]), conduct=HERE)
     with pytest.raises(InputError, match="1 trained on 2pendulum, not on this 1pendulum"):
-        with_models(engines, scene, trained_in([folder / "2pendulum"]), workers=0)
+        with_models(engines, scene, trained_in([folder / "2pendulum"]), conduct=HERE)
 
 
 def test_where_the_reference_ends_at_once_nothing_can_be_given(
@@ -252,7 +253,7 @@ def test_where_the_reference_ends_at_once_nothing_can_be_given(
     monkeypatch.setattr(learned, "models_of", lambda _, models: (models, {}))
 
     with pytest.raises(InputError, match="the reference ends within the 6 frames"):
-        with_models(study, car, trained_in([folder]), workers=0)
+        with_models(study, car, trained_in([folder]), conduct=HERE)
 
 
 def test_the_command_puts_models_onto_a_stored_study(

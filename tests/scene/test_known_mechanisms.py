@@ -13,6 +13,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from mbds_xsim.base.isolate import HERE
 from mbds_xsim.scene.file import read_scene
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate import registry
@@ -40,7 +41,7 @@ def test_every_engine_keeps_the_budgets_at_settings_that_a_quick_search_found(
     found = _FOLDER / "settings" / f"{name}.toml"
 
     choice = Choice.parse(profiles=str(found) if found.is_file() else "matched")
-    validation, _ = validate_with_evidence(scene, choice=choice, workers=0)
+    validation, _ = validate_with_evidence(scene, choice=choice, conduct=HERE)
 
     assert {row.engine: row.reasons for row in validation.engines} == dict.fromkeys(
         registry.engine_names(), ()
@@ -65,7 +66,7 @@ def test_consistency_fails_no_engine_whose_error_is_far_below_its_budget(
     given = Matched(preset.method, preset.substeps(scene.clock.frame), dict(preset.options))
 
     choice = Choice((sound,), given={"matched": {sound: given}})
-    validation, _ = validate_with_evidence(scene, choice=choice, workers=0)
+    validation, _ = validate_with_evidence(scene, choice=choice, conduct=HERE)
 
     (row,) = validation.engines
     assert row.reasons == ()

@@ -12,7 +12,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from mbds_xsim.base.isolate import Silent
+from mbds_xsim.base.isolate import Conduct, Silent
 from mbds_xsim.measure.runner import Running
 from mbds_xsim.reference import cache, kernels
 from mbds_xsim.scene.sampling import draw_batch
@@ -89,7 +89,9 @@ def test_a_validation_announces_its_costs_and_names_its_parts(
     monkeypatch.setattr(timed, "_LONG", 0.0)
     notes = _Notes()
 
-    validate_with_evidence(_SCENE, choice=Choice.parse(engines="mujoco"), progress=notes, workers=0)
+    validate_with_evidence(
+        _SCENE, choice=Choice.parse(engines="mujoco"), conduct=Conduct(0, meter=notes)
+    )
 
     parts = [part for part in dict.fromkeys(notes.done) if not part.startswith("then")]
     name = "mujoco (matched)"
@@ -163,7 +165,7 @@ def test_quaternions_keep_their_sign_in_every_engine(cornered: Adapter) -> None:
 def test_the_account_of_the_time_adds_up() -> None:
     """One process at a time: what they spent is nearly all of the time that it took."""
     validation, _ = validate_with_evidence(
-        _SCENE, choice=Choice.parse(engines="mujoco"), workers=1, cache=False
+        _SCENE, choice=Choice.parse(engines="mujoco"), conduct=Conduct(1, cache=False)
     )
 
     spent = validation.spent_s
@@ -182,7 +184,7 @@ def test_engines_run_while_the_reference_is_compiled(
     notes = _Notes()
 
     validate_with_evidence(
-        _SCENE, choice=Choice.parse(engines="mujoco,reference"), workers=0, progress=notes
+        _SCENE, choice=Choice.parse(engines="mujoco,reference"), conduct=Conduct(0, meter=notes)
     )
 
     told = [line.split(",")[0] for line in notes.done if not line.startswith("then")]

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.isolate import HERE
 from mbds_xsim.scene.file import write_scene
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import Starts, draw_batch
@@ -45,7 +46,7 @@ def _effect(name: str) -> Effect:
 
 
 def _ablate(scene: Scene, engines: str = "mujoco,exudyn") -> Ablation:
-    return ablate(scene, choice=Choice.parse(engines=engines), starts=Starts(), workers=0)
+    return ablate(scene, choice=Choice.parse(engines=engines), starts=Starts(), conduct=HERE)
 
 
 def _row(ablation: Ablation, effect: str, factor: float) -> WeakenedEffect:

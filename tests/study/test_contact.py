@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbds_xsim.base.isolate import Silent
+from mbds_xsim.base.isolate import Conduct
 from mbds_xsim.scene.state import Failure, Trajectory
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice
@@ -169,7 +169,7 @@ def test_a_part_that_fails_is_told_and_takes_nothing_with_it(
     pytest.importorskip("mujoco")
     monkeypatch.setattr(present, "_PARTS", {"arithmetic": math.sqrt, "limits": limits})
 
-    found = present.study_contact(Choice(("mujoco",), ("native",)), progress=Silent(), workers=1)
+    found = present.study_contact(Choice(("mujoco",), ("native",)), Conduct(1))
 
     (missing,) = found.missing
     assert (missing.engine, missing.profile, missing.part) == ("mujoco", "native", "arithmetic")

@@ -10,6 +10,7 @@ import pytest
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.isolate import HERE
 from mbds_xsim.checks import Finding, audit
 from mbds_xsim.measure.campaign import run_references
 from mbds_xsim.measure.outcome import ReferenceOutcome
@@ -32,7 +33,7 @@ G = 9.81
 def prepared(name: str, steps: int = 100) -> tuple[Scene, Batch, ReferenceOutcome]:
     scene = msgspec.structs.replace(registry.load_scene(name), clock=Clock(0.02, steps))
     batch = draw_batch(scene, range(3), seed=5)
-    return scene, batch, run_references(scene, batch, cache=True, workers=0)
+    return scene, batch, run_references(scene, batch, HERE)
 
 
 def broken(findings: list[Finding]) -> list[str]:

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.isolate import Silent
+from mbds_xsim.base.isolate import HERE
 from mbds_xsim.measure import quick as bisect
 from mbds_xsim.measure.campaign import run_references
 from mbds_xsim.measure.quick import COUNTS, Search
@@ -54,8 +54,7 @@ def _match(scene: Scene, engines: str = "mujoco,exudyn") -> Match:
         choice=Choice.parse(engines=engines),
         starts=Starts(),
         held_out=1,
-        workers=0,
-        meter=Silent(),
+        conduct=HERE,
         command="mbds-xsim match",
     )
 
@@ -106,7 +105,7 @@ def _passes(scene: Scene, found: Found, count: int) -> bool:
             batch,
             found.engine,
             settings,
-            run_references(scene, batch, cache=True, workers=0),
+            run_references(scene, batch, HERE),
             3,
         ).passed
         for batch in batches
@@ -177,7 +176,7 @@ def test_the_best_effort_breaks_the_fewest_checks_and_costs_the_least_of_those(
         (40, 6.0, ("wheels: far",)),
     ):
         candidate.proofs[count] = Trial(reasons, excess, 0.1 * count, 0.1 * count)
-    proof = study._Field(scene, draw_batch(scene, range(3)), None, 0, 1.0, Silent())  # type: ignore[arg-type]
+    proof = study._Field(scene, draw_batch(scene, range(3)), None, 1.0, HERE)  # type: ignore[arg-type]
 
     found = study._best_effort(proof, [candidate], (used, candidate.proofs[40]))
 
@@ -198,7 +197,7 @@ def test_settings_that_keep_the_budgets_and_break_a_limit_of_contact_are_refused
 ) -> None:
     scene = msgspec.structs.replace(registry.load_scene(name), clock=Clock(0.02, 30))
     batch = draw_batch(scene, range(3), seed=2)
-    reference = run_references(scene, batch, cache=True, workers=0)
+    reference = run_references(scene, batch, HERE)
     options = settings_for(scene, registry.load_adapter(rigid), "matched").options
 
     def tried(count: int) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.isolate import Silent
+from mbds_xsim.base.isolate import HERE, Conduct
 from mbds_xsim.measure import quick
 from mbds_xsim.measure.quick import COUNTS, fewest, searched
 from mbds_xsim.measure.trial import Trial
@@ -47,9 +47,8 @@ def cart_pole(name: str = "cart-pole", pull: float = 2.0) -> Scene:
     )
 
 
-def _searched(scene: Scene, engines: str, **options: bool) -> dict[str, Matched]:
-    choice = Choice.parse(engines=engines)
-    choice = searched(scene, choice, workers=0, progress=Silent(), **options)
+def _searched(scene: Scene, engines: str, conduct: Conduct = HERE) -> dict[str, Matched]:
+    choice = searched(scene, Choice.parse(engines=engines), conduct)
     return dict(choice.given.get("matched", {}))
 
 
@@ -61,7 +60,7 @@ def test_settings_keep_the_budgets_and_cost_a_fraction_of_the_presets() -> None:
         preset = adapter.settings(scene, "matched").substeps(scene.clock.frame)
         assert found[adapter.name].steps_per_frame * least <= preset
     choice = Choice(("mujoco", "dart"), given={"matched": found})
-    validation, _ = validate_with_evidence(scene, choice=choice, workers=0)
+    validation, _ = validate_with_evidence(scene, choice=choice, conduct=HERE)
     assert [row.reasons for row in validation.engines] == [(), ()]
 
 
@@ -77,7 +76,7 @@ def test_what_was_found_is_kept_by_physics_not_by_name(monkeypatch: pytest.Monke
     assert _searched(cart_pole("another name"), "mujoco") == found
     assert tried == []
     _searched(cart_pole("pulled harder", pull=3.0), "mujoco")
-    _searched(cart_pole("afresh"), "mujoco", cache=False)
+    _searched(cart_pole("afresh"), "mujoco", Conduct(0, cache=False))
     assert tried == ["pulled harder", "afresh"]
 
 
@@ -97,7 +96,7 @@ def test_no_scene_gets_the_settings_of_another_by_its_name() -> None:
 def test_where_nothing_is_found_in_time_the_presets_stay(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(quick, "_LIMIT", -1.0)
     scene = cart_pole()
-    choice = searched(scene, Choice.parse(engines="mujoco"), workers=0, progress=Silent())
+    choice = searched(scene, Choice.parse(engines="mujoco"), HERE)
 
     (contender,), _ = choice.contenders(scene)
     assert contender.settings == MUJOCO.settings(scene, "matched")
@@ -108,7 +107,7 @@ def test_a_step_or_native_settings_need_no_search() -> None:
         Choice.parse(engines="mujoco", step=0.005),
         Choice.parse(engines="mujoco", profiles="native"),
     ):
-        assert searched(cart_pole(), choice, workers=0, progress=Silent()) is choice
+        assert searched(cart_pole(), choice, HERE) is choice
 
 
 @given(st.floats(-2.0, 6.0), st.integers(1, 4), st.integers(1, 30))
@@ -149,7 +148,7 @@ def test_a_file_of_settings_is_used_and_names_its_engines(tmp_path: Path) -> Non
     assert (contender.engine, contender.profile) == ("mujoco", "matched")
     assert contender.settings.substeps(scene.clock.frame) == 3
     assert contender.settings.options == {"spin": False}
-    assert searched(scene, choice, workers=0, progress=Silent()) == choice
+    assert searched(scene, choice, HERE) == choice
     native, matched = Choice.parse(profiles=f"native,{path}").contenders(scene)[0]
     assert (native.profile, matched.settings) == ("native", contender.settings)
 
@@ -192,16 +191,18 @@ def test_an_engine_that_the_file_does_not_have_is_told(tmp_path: Path) -> None:
 def test_a_scene_of_which_nothing_is_drawn_runs_once_and_has_no_interval() -> None:
     scene = cart_pole()
     choice = Choice(("mujoco",), given={"matched": {"mujoco": Matched("Euler", 1)}})
-    validation, evidence = validate_with_evidence(scene, choice=choice, starts=Starts(4), workers=0)
+    validation, evidence = validate_with_evidence(
+        scene, choice=choice, starts=Starts(4), conduct=HERE
+    )
 
     assert validation.trajectories == (0,)
     assert len(evidence.batch) == 1
     assert validation.engines[0].reasons
     assert "(low)" not in " ".join(validation.engines[0].reasons)
     with_noise = msgspec.structs.replace(scene, noise=0.1)
-    validation, _ = validate_with_evidence(with_noise, choice=choice, workers=0)
+    validation, _ = validate_with_evidence(with_noise, choice=choice, conduct=HERE)
     assert validation.trajectories == (0, 1, 2)
     validation, _ = validate_with_evidence(
-        with_noise, choice=choice, starts=Starts(noise=False), workers=0
+        with_noise, choice=choice, starts=Starts(noise=False), conduct=HERE
     )
     assert validation.trajectories == (0,)

@@ -13,7 +13,6 @@ import msgspec
 import pytest
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.isolate import Silent
 from mbds_xsim.report.files import to_html, to_markdown
 from mbds_xsim.simulate.registry import PAPER_SCENES, load_adapter
 from mbds_xsim.studies.releases import Measured, Release, ReleaseRow, ReleaseStudy
@@ -89,7 +88,7 @@ def toys(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 @pytest.fixture(scope="module")
 def toy_history(toys: Path) -> History:
     del toys
-    return history_of(ReleaseStudy("toyengine", Silent(), scenes=()).measured(), "the command")
+    return history_of(ReleaseStudy("toyengine", scenes=()).measured(), "the command")
 
 
 def test_each_release_runs_in_its_own_packages(toy_history: History) -> None:
@@ -121,7 +120,7 @@ def test_what_was_measured_is_not_measured_again(toys: Path, toy_history: Histor
     kept = toys / "cache" / "releases" / "toyengine.jsonl"
     before = kept.read_bytes()
 
-    again = ReleaseStudy("toyengine", Silent(), scenes=()).measured("1.1")
+    again = ReleaseStudy("toyengine", scenes=()).measured("1.1")
 
     assert kept.read_bytes() == before
     assert again.rows == tuple(row for row in toy_history.rows if row.release == "2.0")
@@ -139,7 +138,7 @@ def test_only_the_newest_or_those_since_one_are_listed() -> None:
 def test_another_release_than_the_folders_is_refused(toys: Path) -> None:
     place = installed("toyengine", "1.0")
     assert isinstance(place, Path)
-    study = ReleaseStudy("toyengine", Silent(), scenes=())
+    study = ReleaseStudy("toyengine", scenes=())
     (toys / "cache" / "releases" / "toyengine-9.9").symlink_to(place)
     missing = study._release("9.9")
 

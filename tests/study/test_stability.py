@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,6 +15,7 @@ import pytest
 
 from mbds_xsim import reference
 from mbds_xsim.base.errors import InputError, UnknownName
+from mbds_xsim.base.isolate import HERE, Conduct
 from mbds_xsim.checks.finding import Record
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Failure, Trajectory
@@ -37,7 +39,7 @@ _BLIND = dataclasses.replace(STUDIES["stiffness"], known=False)
 
 
 def _sweep(study: Study, engine: str, method: str, **how: Any) -> Survey:
-    plan = SurveyPlan(study, (engine,), (method,), profiles=("matched",), workers=0)
+    plan = SurveyPlan(study, (engine,), (method,), profiles=("matched",), conduct=HERE)
     return survey(dataclasses.replace(plan, **how))
 
 
@@ -242,10 +244,11 @@ def test_an_interrupted_study_goes_on_where_it_stopped(monkeypatch: pytest.Monke
 
 
 def test_other_values_and_a_fresh_run_are_measured() -> None:
-    _sweep(_BLIND, "mujoco", "RK4", values=(1e2,), counts=(10,))
+    sweep = partial(_sweep, _BLIND, "mujoco", "RK4", counts=(10,))
+    sweep(values=(1e2,))
 
-    other = _sweep(_BLIND, "mujoco", "RK4", values=(2e2,), counts=(10,))
-    fresh = _sweep(_BLIND, "mujoco", "RK4", values=(1e2,), counts=(10,), fresh=True)
+    other = sweep(values=(2e2,))
+    fresh = sweep(values=(1e2,), conduct=Conduct(0, fresh=True))
 
     assert (other.measured, fresh.measured) == (1, 1)
 
@@ -258,7 +261,7 @@ def faulty_engines(tmp_path: Path) -> Iterator[None]:
 
 @pytest.mark.usefixtures("faulty_engines")
 def test_a_crash_and_a_hang_are_results_with_their_reason() -> None:
-    how: dict[str, Any] = {"values": (1e2,), "counts": (10, 20), "workers": 2}
+    how: dict[str, Any] = {"values": (1e2,), "counts": (10, 20), "conduct": Conduct(2)}
 
     crashed = _sweep(_BLIND, "aborting", "RK4", **how).cells[0]
     hung = _sweep(_BLIND, "hanging", "RK4", limit=2.0, **how).cells[1]
@@ -284,7 +287,9 @@ def test_limits_are_the_longest_step_with_all_shorter_ones_stable() -> None:
 
 
 def test_methods_that_cannot_do_a_scene_are_left_out_with_the_reason() -> None:
-    plan = SurveyPlan(STUDIES["redundancy"], ("exudyn", "dart"), profiles=("matched",), workers=0)
+    plan = SurveyPlan(
+        STUDIES["redundancy"], ("exudyn", "dart"), profiles=("matched",), conduct=HERE
+    )
 
     sweep = survey(dataclasses.replace(plan, values=(2.0,), counts=(20,)))
 

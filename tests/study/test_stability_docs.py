@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from mbds_xsim.base.isolate import Crash, Task, run_tasks
+from mbds_xsim.base.isolate import HERE, Crash, Task, run_tasks
 from mbds_xsim.studies.stability.studies import study_named
 from mbds_xsim.studies.stability.survey import SurveyPlan, survey
 
@@ -35,7 +35,7 @@ def _plan(words: str) -> SurveyPlan:
         profiles=(asked["--settings"],),  # type: ignore[arg-type]
         values=(study.parse(asked["--value"]),),
         counts=(round(0.1 / float(asked["--step"])),),
-        workers=0,
+        conduct=HERE,
     )
 
 

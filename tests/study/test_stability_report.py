@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from mbds_xsim.base.isolate import Crash, Task, run_tasks
+from mbds_xsim.base.isolate import HERE, Crash, Task, run_tasks
 from mbds_xsim.report.files import rows_csv, to_html, to_markdown
 from mbds_xsim.studies.stability import FAILED, Survey
 from mbds_xsim.studies.stability import survey as surveys
@@ -36,7 +36,7 @@ def sweep(tmp_path_factory: pytest.TempPathFactory) -> Survey:
             ("mujoco", "pybullet"),
             values=_VALUES,
             counts=_COUNTS,
-            workers=0,
+            conduct=HERE,
             command="mbds-xsim stability stiffness",
         )
         return survey(plan)
@@ -198,7 +198,7 @@ def test_a_value_without_a_reference_is_told(
 
     monkeypatch.setattr(surveys, "run_tasks", failing)
     plan = SurveyPlan(
-        STUDIES["stiffness"], ("mujoco",), ("RK4",), values=(1e2,), counts=(10,), workers=0
+        STUDIES["stiffness"], ("mujoco",), ("RK4",), values=(1e2,), counts=(10,), conduct=HERE
     )
 
     blind = survey(plan)

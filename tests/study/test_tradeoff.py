@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from mbds_xsim.base.isolate import Task
+from mbds_xsim.base.isolate import HERE, Task
 from mbds_xsim.measure import runner
 from mbds_xsim.measure.runner import Store
 from mbds_xsim.scene.scene import Clock, Scene
@@ -80,7 +80,7 @@ def test_times_are_the_median_of_starts_and_repeats(
 ) -> None:
     monkeypatch.setattr(timed, "_ENOUGH", math.inf)
     monkeypatch.setattr(timed, "_MOST_REPEATS", 3)
-    study, rows = tradeoff_with_rows(scene, choice=Choice.parse(engines="mujoco"), workers=0)
+    study, rows = tradeoff_with_rows(scene, choice=Choice.parse(engines="mujoco"), conduct=HERE)
 
     first = _curve(study, "mujoco RK4").points[0]
     own = [r for r in rows if (r.method, r.variation) == ("RK4", "")]

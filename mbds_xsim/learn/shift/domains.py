@@ -19,7 +19,7 @@ from mbds_xsim import reference
 from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.files import write_whole
-from mbds_xsim.base.isolate import Crash, Task, run_tasks
+from mbds_xsim.base.isolate import Conduct, Crash, Task, run_tasks
 from mbds_xsim.dataset.hdf5 import CONTENT, attributes_of
 from mbds_xsim.dataset.layout import SPLITS, split_of
 from mbds_xsim.dataset.paired import STARTS, check_alike, check_paired, numbers_in
@@ -214,18 +214,18 @@ class ReferenceFrames:
     """Growth factor of small errors, `reference.sensitivity`, shape (trajectory, frame)."""
 
 
-def solve_domain(
-    test: Paired, horizon: int, *, cache: bool = True, workers: int | None = None
-) -> tuple[Solved | None, str]:
+def solve_domain(test: Paired, horizon: int, conduct: Conduct) -> tuple[Solved | None, str]:
     """Solve the reference for all test starts; None, with the reason, where it is known nowhere."""
     batch = test.batch.truncated(HISTORY - 1 + horizon)
     path = directory() / "shift" / "truth" / f"{_key(test, batch)}.npz"
-    arrays = read_sealed(path) if cache else None
+    arrays = read_sealed(path) if conduct.cache else None
     if arrays is None:
         quiet = test.quiet[:, : batch.steps]
         parts = [slice(k, k + _TOGETHER) for k in range(0, len(batch), _TOGETHER)]
-        tasks = [Task(_solved, (test.scene, batch[part], quiet[part], cache)) for part in parts]
-        answers = run_tasks(tasks, workers=workers)
+        tasks = [
+            Task(_solved, (test.scene, batch[part], quiet[part], conduct.cache)) for part in parts
+        ]
+        answers = run_tasks(tasks, workers=conduct.workers)
         crashes = [answer.reason for answer in answers if isinstance(answer, Crash)]
         if crashes:
             return None, f"the reference solution failed: {crashes[0]}"

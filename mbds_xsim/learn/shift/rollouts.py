@@ -16,7 +16,6 @@ import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import msgspec
 import numpy as np
@@ -24,7 +23,7 @@ import torch
 
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.isolate import Crash, Silent, Task, run_tasks
+from mbds_xsim.base.isolate import USUAL, Conduct, Crash, Task, run_tasks
 from mbds_xsim.base.versions import MODELS
 from mbds_xsim.dataset.hdf5 import attributes_of
 from mbds_xsim.dataset.points import Points
@@ -47,19 +46,6 @@ _RESTARTS = 3  # a process: one engine may take longest by far
 _STRIDE = 8  # frames from a start of one-step predictions to the next
 Paths = dict[tuple[TrainedModel, str], Path]
 """Where the figures of a model on a domain are kept."""
-
-
-SILENT = Silent()
-
-
-class RolloutMeter(Protocol):
-    """A bar: it begins anew for each kind of work."""
-
-    def begin(self, total: int) -> None:
-        """Say how many pieces of work there are."""
-
-    def advance(self, what: str) -> None:
-        """Report a piece of work that is done."""
 
 
 @dataclass(frozen=True)
@@ -99,10 +85,7 @@ def evaluate(
     models: Sequence[TrainedModel],
     domains: Sequence[Domain],
     plan: RolloutPlan,
-    *,
-    cache: bool = True,
-    workers: int | None = None,
-    meter: RolloutMeter = SILENT,
+    conduct: Conduct = USUAL,
 ) -> Evaluated:
     """Test every model on every domain; without `cache` what was done is done anew.
 
@@ -110,22 +93,24 @@ def evaluate(
     """
     # Named once: code that is edited meanwhile must not make the tasks look elsewhere.
     paths = {(m, d.name): _path(d, m.model, m.content, plan) for m in models for d in domains}
-    if not cache:
+    if not conduct.cache:
         for path in paths.values():
             path.unlink(missing_ok=True)
     missing = [m for m in models if not all(read_figures(paths[m, d.name]) for d in domains)]
     parts = [missing[k : k + _MODELS] for k in range(0, len(missing), _MODELS)]
     wanted = [{key: path for key, path in paths.items() if key[0] in part} for part in parts]
     if missing:
-        meter.begin(len(missing))
+        conduct.meter.begin(len(missing))
 
     def finished(place: int, answer: object) -> None:
         del answer
         for model in parts[place]:
-            meter.advance(f"{model.model} {model.training}")
+            conduct.meter.advance(f"{model.model} {model.training}")
 
     tasks = [Task(_test, (scene, part, domains, plan), _TIMEOUT) for part in wanted]
-    answers = run_tasks(tasks, workers=process_count(workers, plan.device), finished=finished)
+    answers = run_tasks(
+        tasks, workers=process_count(conduct.workers, plan.device), finished=finished
+    )
     for part, answer in zip(parts, answers, strict=True):
         if isinstance(answer, Crash):
             msg = f"testing {part[0].path or part[0].model} and others failed: {answer.reason}"
@@ -180,15 +165,9 @@ class Restart:
 
 
 def restarted(
-    test: Paired,
-    domains: Sequence[Domain],
-    horizon: int,
-    *,
-    cache: bool = True,
-    workers: int | None = None,
-    meter: RolloutMeter = SILENT,
+    test: Paired, domains: Sequence[Domain], horizon: int, conduct: Conduct = USUAL
 ) -> tuple[dict[tuple[str, str], RolloutFigures], dict[str, str]]:
-    """Let every engine go on from every domain; with `cache` what was done is not done again.
+    """Let every engine go on from every domain; with a cache what was done is not done again.
 
     Beside the figures stands why there are none, by engine or by engine and domain.
     """
@@ -199,25 +178,20 @@ def restarted(
         each = [Restart(engine, domain, horizon) for domain in domains]
         try:
             # All places are named here: tasks take them along.
-            missing += [one for one in each if not cache or read_figures(one.path) is None]
+            missing += [one for one in each if not conduct.cache or read_figures(one.path) is None]
         except Exception as error:  # an engine that is not installed, or does not load
             lost[engine.name] = str(error)
         else:
             restarts += each
     if missing:
-        meter.begin(len(missing))
-    lost |= _run(test.batch, list(_shares(missing)), workers, meter)
+        conduct.meter.begin(len(missing))
+    lost |= _run(test.batch, list(_shares(missing)), conduct)
     kept = {(one.engine.name, one.domain.name): read_figures(one.path) for one in restarts}
     return {pair: figures for pair, figures in kept.items() if figures is not None}, lost
 
 
 def _run(
-    inputs: Batch,
-    shares: Sequence[list[Restart]],
-    workers: int | None,
-    meter: RolloutMeter,
-    *,
-    alone: bool = False,
+    inputs: Batch, shares: Sequence[list[Restart]], conduct: Conduct, *, alone: bool = False
 ) -> dict[str, str]:
     """Carry restarts out, and say which could not be.
 
@@ -230,14 +204,14 @@ def _run(
             if isinstance(answer, Crash) and read_figures(restart.path) is None:
                 lost[restart] = answer.reason
             if alone or restart not in lost:
-                meter.advance(restart.name)
+                conduct.meter.advance(restart.name)
 
     tasks = [Task(_go_on, (inputs, share), _TIMEOUT) for share in shares]
-    run_tasks(tasks, workers=workers, finished=finished)
+    run_tasks(tasks, workers=conduct.workers, finished=finished)
     failed = [restart for share in shares for restart in share if restart in lost]
     if alone or not failed:
         return {restart.name: lost[restart] for restart in failed}
-    return _run(inputs, [[restart] for restart in failed], workers, meter, alone=True)
+    return _run(inputs, [[restart] for restart in failed], conduct, alone=True)
 
 
 def _shares(restarts: Sequence[Restart]) -> Iterator[list[Restart]]:

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import USUAL, Conduct
 from mbds_xsim.learn.model import refusal, rollout, trainable
 from mbds_xsim.learn.particles import EXPLODED, LOST
 from mbds_xsim.learn.shift.answers import answers_by_interval, answers_of
@@ -55,7 +56,7 @@ from mbds_xsim.learn.shift.result import (
     Shift,
     TrainedFacts,
 )
-from mbds_xsim.learn.shift.rollouts import SILENT, RolloutMeter, RolloutPlan, evaluate, restarted
+from mbds_xsim.learn.shift.rollouts import RolloutPlan, evaluate, restarted
 from mbds_xsim.learn.trained import (
     WHOLE,
     Selection,
@@ -111,10 +112,8 @@ def study(
     question: ShiftQuestion,
     *,
     at: int | None = None,
-    cache: bool = True,
-    workers: int | None = None,
+    conduct: Conduct = USUAL,
     device: str = "cpu",
-    meter: RolloutMeter = SILENT,
     command: str = "",
 ) -> ShiftStudy:
     """Test all models of a scene on all domains, and say what a change of engine does.
@@ -122,10 +121,8 @@ def study(
     Args:
         question: Which models, on which data.
         at: Frame of the answers and tables; left out, 10, or the last where there are fewer.
-        cache: Whether what was solved, predicted and simulated before is used.
-        workers: Processes at a time.
+        conduct: How; what was predicted and simulated before is a stored solution, too.
         device: Of the models.
-        meter: Told of every model that is tested, and of every engine that goes on.
         command: What was typed.
     """
     began = time.perf_counter()
@@ -133,12 +130,10 @@ def study(
     plan = RolloutPlan(min(max(FRAMES), test.batch.steps + 1 - HISTORY), device=device)
     frames = tuple(frame for frame in FRAMES if frame <= plan.horizon)
     at = _frame_of(frames, at)
-    solved, reason = solve_domain(test, plan.horizon, cache=cache, workers=workers)
+    solved, reason = solve_domain(test, plan.horizon, conduct)
     domains: tuple[Domain, ...] = (*test.domains, *([solved] if solved else []))
-    figures = evaluate(test.scene, models, domains, plan, cache=cache, workers=workers, meter=meter)
-    gone_on, refused = restarted(
-        test, domains, plan.horizon, cache=cache, workers=workers, meter=meter
-    )
+    figures = evaluate(test.scene, models, domains, plan, conduct)
+    gone_on, refused = restarted(test, domains, plan.horizon, conduct)
     apart, floors = oracles(domains, plan.horizon), {}
     if solved is not None:
         truth = read_reference(solved.path)

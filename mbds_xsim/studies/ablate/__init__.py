@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import msgspec
 import numpy as np
 
 from mbds_xsim import reference
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.isolate import Crash, Silent, Task, run_tasks
+from mbds_xsim.base.isolate import USUAL, Conduct, Crash, Meter, Task, run_tasks
 from mbds_xsim.base.text import counted
 from mbds_xsim.checks import agreement
 from mbds_xsim.measure.quick import searched
 from mbds_xsim.measure.result import EngineResult, Evidence, Validation
-from mbds_xsim.measure.runner import ProgressSink, Watch
 from mbds_xsim.reference import FirstImpact
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Block, Cell, Column, Mark, Remarks, Report, Row, Table, table_of
@@ -54,9 +54,7 @@ def ablate(
     choice: Choice | None = None,
     effects: Sequence[Effect] = EFFECTS,
     starts: Starts = _STARTS,
-    cache: bool = True,
-    workers: int | None = None,
-    progress: Watch | None = None,
+    conduct: Conduct = USUAL,
     command: str = "mbds_xsim.studies.ablate.ablate",
 ) -> Ablation:
     """Drop and halve each effect of a scene and hold the change of motion to the floor.
@@ -66,25 +64,34 @@ def ablate(
         choice: Engines and settings that give the floor; all at matched settings when left out.
         effects: What may be dropped; those that the scene does not have are passed over.
         starts: What is drawn.
-        cache: Whether stored reference solutions may be used.
-        workers: Processes at a time; all cores when left out, none but this one for 0.
-        progress: Where progress is told.
+        conduct: How.
         command: What is told to make the study again.
 
     Raises:
         InputError: Something that was given cannot be used, or no engine delivered anything.
     """
-    begin, meter = time.perf_counter(), _Phases(progress)
-    chosen = searched(scene, choice or Choice.parse(), cache=cache, workers=workers, progress=meter)
+    begin, conduct = time.perf_counter(), replace(conduct, meter=_Phases(conduct.meter))
+    chosen = searched(scene, choice or Choice.parse(), conduct)
     validation, evidence = validate_with_evidence(
-        scene, choice=chosen, starts=starts,
-        cache=cache, workers=workers, progress=meter,
-    )  # fmt: skip
+        scene, choice=chosen, starts=starts, conduct=conduct
+    )
     contenders, _ = chosen.contenders(scene)
     bench, least = Bench.of(validation, evidence, contenders), least_size(scene)
-    rows = bench.rows(
-        variants_of(scene, effects, evidence.batch, starts.seed), workers, cache, meter
-    )
+    rows = bench.rows(variants_of(scene, effects, evidence.batch, starts.seed), conduct)
+    sizes = _sizes(scene, contenders, least, conduct.workers)
+    found = _ablation(validation, bench, least, rows, tuple(sizes))
+    wall_s = time.perf_counter() - begin
+    return msgspec.structs.replace(found, command=command, wall_s=wall_s)
+
+
+def _ablation(
+    validation: Validation,
+    bench: Bench,
+    least: Least,
+    rows: Sequence[WeakenedEffect],
+    sizes: tuple[Size, ...],
+) -> Ablation:
+    scene = bench.scene
     return Ablation(
         scene=scene.name,
         description=scene.description,
@@ -102,13 +109,13 @@ def ablate(
         joint_coordinates=least.coordinates,
         loop_conditions=least.conditions,
         contact_spheres=least.spheres,
-        sizes=tuple(_sizes(scene, contenders, least, workers)),
+        sizes=sizes,
         trajectories=validation.trajectories,
-        seed=starts.seed,
+        seed=validation.seed,
         versions=validation.versions,
         machine=validation.machine,
-        command=command,
-        wall_s=time.perf_counter() - begin,
+        command=validation.command,
+        wall_s=validation.wall_s,
     )
 
 
@@ -125,10 +132,10 @@ def _sizes(
 class _Phases:
     """Tells the progress of one piece of work after another as one."""
 
-    def __init__(self, progress: Watch | None) -> None:
-        watch: Watch = progress or Silent()
-        self._begin, self._before = watch.begin, 0
-        self.advance, self.doing, self.notice = watch.advance, watch.doing, watch.notice
+    def __init__(self, meter: Meter) -> None:
+        self._begin, self._before = meter.begin, 0
+        self.advance, self.doing, self.notice = meter.advance, meter.doing, meter.notice
+        self.forecast = meter.forecast
 
     def begin(self, total: int) -> None:
         self._before += total
@@ -182,15 +189,14 @@ class Bench:
             floor_engines=tuple(r.engine for r in voters),
         )
 
-    def rows(
-        self, variants: list[AblatedScene], workers: int | None, cache: bool, meter: ProgressSink
-    ) -> list[WeakenedEffect]:
+    def rows(self, variants: list[AblatedScene], conduct: Conduct) -> list[WeakenedEffect]:
         """Simulate all variants and judge them."""
+        meter = conduct.meter
         able = [variant for variant in variants if not variant.reason]
         meter.begin(len(able))
         answers = run_tasks(
-            [self._task(variant, cache) for variant in able],
-            workers=workers,
+            [self._task(variant, conduct.cache) for variant in able],
+            workers=conduct.workers,
             finished=lambda place, _: meter.advance(f"without {able[place].effect.name}"),
         )
         told = dict(zip(map(id, able), answers, strict=True))

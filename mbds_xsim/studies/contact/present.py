@@ -17,9 +17,8 @@ import msgspec
 import numpy as np
 
 from mbds_xsim.base.files import write_whole
-from mbds_xsim.base.isolate import Crash, Task, run_tasks
+from mbds_xsim.base.isolate import Conduct, Crash, Task, run_tasks
 from mbds_xsim.base.text import counted
-from mbds_xsim.measure.runner import ProgressSink
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Block, Cell, Column, Remarks, Row, Table, Text
 from mbds_xsim.report.themed import DOTTED, ENGINES, engine_style, png
@@ -105,15 +104,12 @@ class ContactStudy(msgspec.Struct, frozen=True):
         ]
 
 
-def study_contact(
-    choice: Choice, *, progress: ProgressSink, workers: int | None = None, command: str = ""
-) -> ContactStudy:
+def study_contact(choice: Choice, conduct: Conduct, command: str = "") -> ContactStudy:
     """Measure every engine at every profile, each part in a process of its own.
 
     Args:
         choice: Engines and profiles; methods and steps are those of the profiles.
-        progress: Where progress is told.
-        workers: Processes at a time; all cores when left out.
+        conduct: How.
         command: What is told to make the study again.
     """
     begin = time.perf_counter()
@@ -124,11 +120,11 @@ def study_contact(
         for profile in profiles
         for engine in choice.engines
     ]
-    progress.begin(len(work))
+    conduct.meter.begin(len(work))
     answers = run_tasks(
         [Task(_PARTS[part], (engine, profile), choice.limit) for engine, profile, part in work],
-        workers=workers,
-        finished=lambda place, _: progress.advance(f"{work[place][0]}: {work[place][2]}"),
+        workers=conduct.workers,
+        finished=lambda place, _: conduct.meter.advance(f"{work[place][0]}: {work[place][2]}"),
     )
     adapters = {engine: registry.load_adapter(engine) for engine in choice.engines}
     laws = {engine: adapter.contact_law for engine, adapter in adapters.items()}

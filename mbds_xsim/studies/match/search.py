@@ -11,11 +11,11 @@ from functools import partial
 from typing import Any
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.isolate import Crash, Task, run_tasks
+from mbds_xsim.base.isolate import USUAL, Conduct, Crash, Task, run_tasks
 from mbds_xsim.measure.campaign import run_references
 from mbds_xsim.measure.outcome import ReferenceOutcome
 from mbds_xsim.measure.quick import Search
-from mbds_xsim.measure.runner import Meter, machine
+from mbds_xsim.measure.runner import machine
 from mbds_xsim.measure.trial import Trial, failed_trial, joined, run_trial
 from mbds_xsim.scene.sampling import Starts
 from mbds_xsim.scene.scene import Scene
@@ -84,9 +84,8 @@ class _Field:
     scene: Scene
     batch: Batch
     reference: ReferenceOutcome
-    workers: int | None
     limit: float
-    meter: Meter
+    conduct: Conduct
 
     def run(self, asked: Sequence[tuple[EngineMethod, int]]) -> list[Trial]:
         """Try settings on all trajectories, each in a process of its own."""
@@ -102,10 +101,10 @@ class _Field:
 
     def _run(self, asked: Sequence[tuple[EngineMethod, int, list[int], int]]) -> list[Trial]:
         def finished(place: int, _: Any) -> None:
-            self.meter.advance(asked[place][0].name)
+            self.conduct.meter.advance(asked[place][0].name)
 
         tasks = [self._task(*what) for what in asked]
-        answers = run_tasks(tasks, workers=self.workers, finished=finished)
+        answers = run_tasks(tasks, workers=self.conduct.workers, finished=finished)
         return [failed_trial(a) if isinstance(a, Crash) else a for a in answers]
 
     def _task(self, curve: EngineMethod, count: int, rows: list[int], sample: int) -> Task:
@@ -123,9 +122,7 @@ def match(
     held_out: int = 20,
     limit: float = 30.0,
     options: bool = False,
-    workers: int | None = None,
-    cache: bool = True,
-    meter: Meter,
+    conduct: Conduct = USUAL,
     command: str = "",
 ) -> Match:
     """Search the cheapest settings of each engine that keep all budgets, and verify them.
@@ -142,16 +139,14 @@ def match(
         held_out: Starts of each interval to verify with, by the next seed.
         limit: Longest rollout of a trajectory [s].
         options: Whether the options that adapters declare worth trying are varied too.
-        workers: Processes at a time; all cores when left out.
-        cache: Whether stored reference solutions may be used.
-        meter: Where progress is told.
+        conduct: How.
         command: For the record.
 
     Raises:
         InputError: Something that was given cannot be used.
     """
     curves, left_out = _curves(scene, choice, options=options)
-    field_of = partial(_field, scene, cache=cache, workers=workers, limit=limit, meter=meter)
+    field_of = partial(_field, scene, limit=limit, conduct=conduct)
     ground, seed = field_of(starts), starts.seed
     used = _used(ground, {curve.engine for curve in curves})
     candidates = _searched(ground, curves, used)
@@ -172,14 +167,10 @@ def match(
     )
 
 
-def _field(
-    scene: Scene, starts: Starts, *, cache: bool, workers: int | None, limit: float,
-    meter: Meter,
-) -> _Field:  # fmt: skip
+def _field(scene: Scene, starts: Starts, *, limit: float, conduct: Conduct) -> _Field:
     """Draw starts, and solve what they are held against."""
     batch = starts.draw(scene)
-    reference = run_references(scene, batch, cache=cache, workers=workers)
-    return _Field(scene, batch, reference, workers, limit, meter)
+    return _Field(scene, batch, run_references(scene, batch, conduct), limit, conduct)
 
 
 def _curves(
@@ -258,7 +249,7 @@ def _search(ground: _Field, candidates: list[_Candidate]) -> None:
         asked = [(c, count) for c in candidates if (count := c.search.next) is not None]
         if not asked:
             return
-        ground.meter.forecast(_left(ground, asked))
+        ground.conduct.meter.forecast(_left(ground, asked))
         trials = ground.run([(candidate.curve, count) for candidate, count in asked])
         for (candidate, count), trial in zip(asked, trials, strict=True):
             candidate.trials[count] = trial

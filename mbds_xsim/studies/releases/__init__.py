@@ -20,9 +20,9 @@ import msgspec
 import numpy as np
 
 from mbds_xsim.base.errors import InputError, UnknownName
-from mbds_xsim.base.isolate import Crash, Task, run_tasks
+from mbds_xsim.base.isolate import USUAL, Conduct, Crash, Task, run_tasks
 from mbds_xsim.base.text import on_a_line
-from mbds_xsim.measure.runner import Keyed, Meter, Runner, Store, StudyCase, machine, row_key
+from mbds_xsim.measure.runner import Keyed, Runner, Store, StudyCase, machine, row_key
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch
@@ -113,18 +113,12 @@ class ReleaseStudy:
     Args:
         engine: Its name.
         scenes: Names of scenes.
-        workers: Processes at a time; all cores when left out.
-        fresh: Whether what was measured earlier is measured again.
-        cache: Whether stored reference solutions may be used.
-        meter: Where progress is told.
+        conduct: How.
     """
 
     engine: str
-    meter: Meter
+    conduct: Conduct = USUAL
     scenes: Sequence[str] = PAPER_SCENES
-    workers: int | None = None
-    fresh: bool = False
-    cache: bool = True
     _truths: dict[str, tuple[Batch, Truth]] = field(default_factory=dict)
 
     def measured(self, since: str = "", last: int | None = None) -> Measured:
@@ -167,9 +161,7 @@ class ReleaseStudy:
         return Runner(
             Store.of("releases", self.engine, ReleaseRow),
             crashed=_crashed,
-            workers=self.workers,
-            fresh=self.fresh,
-            meter=self.meter,
+            conduct=self.conduct,
         )
 
     def _release(self, version: str) -> list[ReleaseRow] | str:
@@ -242,7 +234,7 @@ class ReleaseStudy:
         """Give a start of a scene, and what is true of it."""
         if scene.name not in self._truths:
             start = draw_batch(scene, [_START])
-            (truth,) = references(scene, start, cache=self.cache, workers=self.workers)
+            (truth,) = references(scene, start, self.conduct)
             self._truths[scene.name] = start, truth
         return self._truths[scene.name]
 

@@ -16,10 +16,9 @@ import msgspec
 
 from mbds_xsim import reference
 from mbds_xsim.base.errors import InputError, UnknownName, Unsupported
-from mbds_xsim.base.isolate import Crash, Silent, Task, core_count, run_tasks
+from mbds_xsim.base.isolate import USUAL, Conduct, Crash, Task, run_tasks
 from mbds_xsim.base.versions import CHECKS
 from mbds_xsim.measure.runner import (
-    Meter,
     Runner,
     Store,
     StudyCase,
@@ -67,12 +66,7 @@ class SurveyPlan:
     """Steps a frame, the fewest first."""
     limit: float = LIMIT
     """Longest that a cell may take [s]."""
-    workers: int | None = None
-    """Processes at a time; all cores when None, none but this one for 0."""
-    fresh: bool = False
-    """Whether cells that were measured earlier are measured again."""
-    cache: bool = True
-    """Whether reference solutions are kept."""
+    conduct: Conduct = USUAL
     command: str = ""
     others: tuple[Simulator, ...] = ()
     """Who takes part beside the engines' methods."""
@@ -90,7 +84,7 @@ class Instance:
     truth: Trajectory | None
 
 
-def survey(plan: SurveyPlan, meter: Meter | None = None) -> Survey:
+def survey(plan: SurveyPlan) -> Survey:
     """Carry out a study; what was measured earlier is taken from the store.
 
     Raises:
@@ -105,9 +99,7 @@ def survey(plan: SurveyPlan, meter: Meter | None = None) -> Survey:
         crashed=_crashed,
         labels=("value", "source"),
         lasts=_lasts,
-        workers=plan.workers,
-        fresh=plan.fresh,
-        meter=meter or Silent(),
+        conduct=plan.conduct,
     )
     panels = _panels(plan, simulators, instances, runner)
     return Survey(
@@ -126,7 +118,7 @@ def survey(plan: SurveyPlan, meter: Meter | None = None) -> Survey:
         command=plan.command,
         versions=versions_of({simulator.package: simulator.version for simulator in simulators}),
         machine=machine(),
-        workers=core_count() if plan.workers is None else plan.workers,
+        workers=plan.conduct.processes,
         measured=runner.measured,
         kept=runner.kept,
         wall_s=time.perf_counter() - begin,
@@ -208,10 +200,10 @@ def _truths(
         reason = "rigid contact of several spheres has no unique solution"
         return {}, dict.fromkeys(map(text_of, scenes), reason)
     tasks = [
-        Task(_truth, (scene, plan.study.batch(scene), plan.cache), _REFERENCE_LIMIT)
+        Task(_truth, (scene, plan.study.batch(scene), plan.conduct.cache), _REFERENCE_LIMIT)
         for scene in scenes.values()
     ]
-    answers = run_tasks(tasks, workers=plan.workers)
+    answers = run_tasks(tasks, workers=plan.conduct.workers)
     found: dict[Value, Trajectory] = {}
     unknown: dict[str, str] = {}
     for value, answer in zip(scenes, answers, strict=True):

@@ -14,11 +14,11 @@ import msgspec
 import numpy as np
 
 from mbds_xsim.base.arrays import Array, Mask
-from mbds_xsim.base.isolate import Crash, Task, run_tasks
+from mbds_xsim.base.isolate import Conduct, Crash, Task, run_tasks
 from mbds_xsim.checks import Finding, agreement, audit
 from mbds_xsim.measure.campaign import run_references
 from mbds_xsim.measure.judge import error_findings
-from mbds_xsim.measure.runner import Meter, Runner, Store, StudyCase, in_time, machine, row_key
+from mbds_xsim.measure.runner import Runner, Store, StudyCase, in_time, machine, row_key
 from mbds_xsim.reference import FirstImpact
 from mbds_xsim.reference.solution import confirmed
 from mbds_xsim.scene.mechanism import Mechanism
@@ -78,7 +78,7 @@ class Truths:
     """Truths of each start for methods that are the reference, by engine and method."""
     limit: float
     """Longest rollout of one start that was asked for [s]."""
-    workers: int | None
+    conduct: Conduct
     _limits: dict[Place, Truth] = field(default_factory=dict)
 
     @property
@@ -106,7 +106,8 @@ class Truths:
             )
             for engine, method, start in missing
         ]
-        for place, answer in zip(missing, run_tasks(tasks, workers=self.workers), strict=True):
+        answers = run_tasks(tasks, workers=self.conduct.workers)
+        for place, answer in zip(missing, answers, strict=True):
             self._limits[place] = self._unknown() if isinstance(answer, Crash) else answer
 
     def of(self, place: Place) -> Truth:
@@ -121,19 +122,19 @@ class Truths:
         return _own_limit(Trajectory.empty(time, 1, len(self.scene.bodies)))
 
 
-def references(scene: Scene, batch: Batch, *, cache: bool, workers: int | None) -> list[Truth]:
+def references(scene: Scene, batch: Batch, conduct: Conduct) -> list[Truth]:
     """Solve the reference of each start.
 
     Raises:
         InputError: It failed; without it no error can be measured.
     """
-    solved = run_references(scene, batch, cache=cache, workers=workers)
+    solved = run_references(scene, batch, conduct)
     each = (solved[[k]] for k in range(len(batch)))
     return [Truth(one.trajectory, one.growth) for one in each]
 
 
 def confirmations(
-    scene: Scene, batch: Batch, truths: Sequence[Truth], *, cache: bool, workers: int | None
+    scene: Scene, batch: Batch, truths: Sequence[Truth], conduct: Conduct
 ) -> list[Truth]:
     """Solve each start by other equations, so that the reference is not held to itself.
 
@@ -141,8 +142,8 @@ def confirmations(
     """
     if Mechanism.of(scene).has_only_balls:
         return [dataclasses.replace(truth, judged=False, compared=False) for truth in truths]
-    tasks = [Task(confirmed, (scene, batch[[k]], cache)) for k in range(len(batch))]
-    answers = run_tasks(tasks, workers=workers)
+    tasks = [Task(confirmed, (scene, batch[[k]], conduct.cache)) for k in range(len(batch))]
+    answers = run_tasks(tasks, workers=conduct.workers)
     return [
         dataclasses.replace(truth, judged=False, compared=False)
         if isinstance(answer, Crash)
@@ -200,28 +201,18 @@ class StartBench:
     runner: Runner[Measurement]
 
     @staticmethod
-    def of(
-        scene: Scene,
-        batch: Batch,
-        truths: Truths,
-        *,
-        seed: int,
-        limit: float,
-        fresh: bool,
-        meter: Meter,
-    ) -> StartBench:
+    def of(truths: Truths, seed: int) -> StartBench:
         """Make a bench with the scene's store."""
+        scene = truths.scene
         runner = Runner(
             store=Store.of("tradeoff", scene.name, Measurement),
             crashed=_crashed,
             labels=("scene", "variation", "trajectory", "seed"),
             lasts=in_time,
-            workers=truths.workers,
-            fresh=fresh,
-            meter=meter,
+            conduct=truths.conduct,
             forecasts=False,
         )
-        return StartBench(scene, batch, truths, seed, limit, runner)
+        return StartBench(scene, truths.batch, truths, seed, truths.limit, runner)
 
     def rows(self, jobs: Sequence[Job]) -> list[Measurement]:
         """Give the row of each job, measuring those that are not kept."""

@@ -14,11 +14,11 @@ from collections.abc import Sequence
 import msgspec
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.isolate import Silent
+from mbds_xsim.base.isolate import USUAL, Conduct
 from mbds_xsim.learn.simulator import LearnedSimulator
 from mbds_xsim.learn.trained import TrainedModel
 from mbds_xsim.learn.window import HISTORY
-from mbds_xsim.measure.runner import Meter, machine
+from mbds_xsim.measure.runner import machine
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import fingerprint
@@ -36,10 +36,7 @@ def with_models(
     scene: Scene,
     models: Sequence[TrainedModel],
     *,
-    workers: int | None = None,
-    fresh: bool = False,
-    cache: bool = True,
-    meter: Meter | None = None,
+    conduct: Conduct = USUAL,
     command: str = "",
 ) -> tuple[Tradeoff, list[Measurement]]:
     """Measure models on the starts of a study, and put them into it; their rows come beside it.
@@ -48,10 +45,7 @@ def with_models(
         study: Of engines, measured or stored.
         scene: That it is of.
         models: Those of other scenes are left out, and the result says so.
-        workers: Processes at a time; all cores when left out, none but this one for 0.
-        fresh: Whether models that were measured earlier are measured again.
-        cache: Whether reference solutions are kept.
-        meter: Told of every start that is done.
+        conduct: How.
         command: Of the whole, in place of the study's.
 
     Raises:
@@ -59,11 +53,7 @@ def with_models(
             reference is known that could give them their first frames.
     """
     able, left_out = models_of(scene, models)
-    truths = _truths(study, scene, cache=cache, workers=workers)
-    bench = StartBench.of(
-        scene, truths.batch, truths, seed=study.seed, limit=_LIMIT, fresh=fresh,
-        meter=meter or Silent(),
-    )  # fmt: skip
+    bench = StartBench.of(_truths(study, scene, conduct), study.seed)
     quiet = draw_batch(scene, study.trajectories, seed=study.seed, noise=False)
     found = explore(
         bench,
@@ -107,7 +97,7 @@ def models_of(
     return able, left_out
 
 
-def _truths(study: Tradeoff, scene: Scene, *, cache: bool, workers: int | None) -> Truths:
+def _truths(study: Tradeoff, scene: Scene, conduct: Conduct) -> Truths:
     """Solve the starts of a study.
 
     InputError where the study is of another scene, or the reference ends too early.
@@ -116,8 +106,8 @@ def _truths(study: Tradeoff, scene: Scene, *, cache: bool, workers: int | None) 
         msg = f"the stored trade-off of {study.scene} is not of {scene.name} as it is now"
         raise InputError(f"{msg}; measure the engines anew, without --onto")
     starts = draw_batch(scene, study.trajectories, seed=study.seed)
-    solved = references(scene, starts, cache=cache, workers=workers)
-    truths = Truths(scene, starts, solved, usual={}, own={}, limit=_LIMIT, workers=workers)
+    solved = references(scene, starts, conduct)
+    truths = Truths(scene, starts, solved, usual={}, own={}, limit=_LIMIT, conduct=conduct)
     if min(truth.horizon for truth in solved) < HISTORY * scene.clock.frame * (1 - 1e-9):
         msg = f"{scene.name}: the reference ends within the {HISTORY} frames of a model's start"
         raise InputError(msg)

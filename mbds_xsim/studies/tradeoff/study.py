@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 import msgspec
 import numpy as np
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.isolate import Silent, core_count
-from mbds_xsim.measure.runner import Meter, machine, versions_of
+from mbds_xsim.base.isolate import USUAL, Conduct, core_count
+from mbds_xsim.measure.runner import machine, versions_of
 from mbds_xsim.scene.sampling import distinct_starts, draw_batch
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import Scene
@@ -74,8 +73,7 @@ def tradeoff(
         starts=starts,
         seed=seed,
         limit=limit,
-        workers=workers,
-        fresh=fresh,
+        conduct=Conduct(workers, fresh=fresh),
         command="mbds_xsim.tradeoff",
     )[0]
 
@@ -87,10 +85,7 @@ def tradeoff_with_rows(
     starts: int = STARTS,
     seed: int = 0,
     limit: float = LIMIT,
-    workers: int | None = None,
-    fresh: bool = False,
-    cache: bool = True,
-    meter: Meter | None = None,
+    conduct: Conduct = USUAL,
     command: str = "",
 ) -> tuple[Tradeoff, list[Measurement]]:
     """Chart a scene, and keep the raw rows. See `tradeoff`."""
@@ -101,8 +96,7 @@ def tradeoff_with_rows(
         msg = f"no engine can do {scene.name}: {next(iter(left_out.values()), 'none is installed')}"
         raise InputError(msg)
     batch = _draw(scene, starts, seed)
-    how: dict[str, Any] = {"cache": cache, "workers": workers}
-    solved = references(scene, batch, **how)
+    solved = references(scene, batch, conduct)
     usual = {(curve.engine, curve.method): curve for curve in curves if not curve.variation}
     own = [key for key, curve in usual.items() if curve.family == TRUTH]
     truths = Truths(
@@ -110,13 +104,11 @@ def tradeoff_with_rows(
         batch=batch,
         references=solved,
         usual=usual,
-        own=dict.fromkeys(own, confirmations(scene, batch, solved, **how) if own else []),
+        own=dict.fromkeys(own, confirmations(scene, batch, solved, conduct) if own else []),
         limit=limit,
-        workers=workers,
+        conduct=conduct,
     )
-    bench = StartBench.of(
-        scene, batch, truths, seed=seed, limit=limit, fresh=fresh, meter=meter or Silent()
-    )
+    bench = StartBench.of(truths, seed)
     found = explore(bench, curves)
     rows = [row for points in found for rows in points for row in rows]
     study = _study(bench, curves, found, left_out, command, time.perf_counter() - begin)
@@ -153,7 +145,7 @@ def _study(
         left_out=left_out,
         versions=versions_of({result.engine: result.version for result in results}),
         machine=machine(),
-        workers=core_count() if bench.truths.workers is None else bench.truths.workers,
+        workers=bench.truths.conduct.processes,
         busy=1.0,
         measured=bench.runner.measured,
         kept=bench.runner.kept,
@@ -192,7 +184,7 @@ def explore(bench: StartBench, curves: Sequence[Simulator]) -> Found:
 
 def _wave(bench: StartBench, curves: Sequence[Simulator], found: Found) -> bool:
     """Measure the next point of every curve; tell whether there was any."""
-    bench.runner.meter.forecast(_left(bench, curves, found))
+    bench.truths.conduct.meter.forecast(_left(bench, curves, found))
     jobs: list[tuple[int, Job]] = []
     asked = False
     for place, curve in enumerate(curves):
@@ -241,9 +233,9 @@ def _round(bench: StartBench, curves: Sequence[Simulator], found: Found, start: 
     points.sort(key=lambda pair: _cost(bench, pair[0][0]))
     costs = [cost_of(_cost(bench, point[0])) for point, _ in points]
     later = math.fsum(costs) * (len(bench.batch) - 1 - start)
-    chunk = _CHUNK * (bench.runner.workers or core_count())
+    chunk = _CHUNK * (bench.truths.conduct.workers or core_count())
     for begin in range(0, len(points), chunk):
-        bench.runner.meter.forecast(math.fsum(costs[begin:]) + later)
+        bench.truths.conduct.meter.forecast(math.fsum(costs[begin:]) + later)
         part = points[begin : begin + chunk]
         for (point, _), row in zip(part, bench.rows([job for _, job in part]), strict=True):
             point.append(row)

@@ -7,11 +7,10 @@ import os
 import platform
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any
 
 import numpy as np
 
-from mbds_xsim.base.isolate import Silent
+from mbds_xsim.base.isolate import USUAL, Conduct, Meter
 from mbds_xsim.base.text import counted
 from mbds_xsim.checks import agreement
 from mbds_xsim.measure.campaign import run_campaign
@@ -27,7 +26,7 @@ from mbds_xsim.measure.result import (
     Validation,
     Verdict,
 )
-from mbds_xsim.measure.runner import Account, Watch
+from mbds_xsim.measure.runner import Account
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import Starts
 from mbds_xsim.scene.sampling_terms import INTERVALS
@@ -49,26 +48,23 @@ def validate_with_evidence(
     *,
     choice: Choice,
     starts: Starts = _STARTS,
-    cache: bool = True,
-    workers: int | None = None,
+    conduct: Conduct = USUAL,
     readback: bool = True,
-    progress: Watch | None = None,
     command: str = "",
 ) -> tuple[Validation, Evidence]:
     """Validate a scene, and keep the arrays for a page. See `mbds_xsim.validate`.
 
     Without `readback` the verdict is on the motion alone, whatever the native model is.
     """
-    begin, progress, spent = time.perf_counter(), progress or Silent(), Account(float)
-    how: dict[str, Any] = {"workers": workers, "progress": progress, "spent": spent}
-    chosen = searched(scene, choice, cache=cache, workers=workers, progress=progress)
+    begin, spent = time.perf_counter(), Account(float)
+    chosen = searched(scene, choice, conduct)
     if chosen.given != choice.given:
         spent["search of settings"] = time.perf_counter() - begin
     contenders, left_out = chosen.contenders(scene)
     batch = starts.draw(scene)
-    outcomes, reference = run_campaign(scene, batch, contenders, cache=cache, **how)
-    refine(scene, batch, outcomes, reference, **how)
-    checking, named = time.perf_counter(), _named(outcomes, progress)
+    outcomes, reference = run_campaign(scene, batch, contenders, conduct, spent)
+    refine(scene, batch, outcomes, reference, conduct, spent)
+    checking, named = time.perf_counter(), _named(outcomes, conduct.meter)
     rows = [judge(scene, batch, each, reference, native=readback) for each in named]
     results = [row.result for row in rows]
     names, matrix, odd = _vote(scene, rows, reference)
@@ -101,10 +97,10 @@ def validate_with_evidence(
     return validation, _evidence(scene, batch, rows, reference)
 
 
-def _named(outcomes: Iterable[Outcome], progress: Watch) -> Iterator[Outcome]:
+def _named(outcomes: Iterable[Outcome], meter: Meter) -> Iterator[Outcome]:
     """Give outcomes, and tell of each that it is being checked."""
     for outcome in outcomes:
-        progress.doing(f"{outcome.contender.name}: checks")
+        meter.doing(f"{outcome.contender.name}: checks")
         yield outcome
 
 
