@@ -22,7 +22,7 @@ from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.servo import with_pushes
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
-from mbds_xsim.simulate.adapter import ModelSize, Readback, Run, Settings, recorded
+from mbds_xsim.simulate.adapter import ModelSize, Readback, Run, Settings, earlier, recorded
 from mbds_xsim.simulate.readback import joint_anchors, joint_axes, joint_laws
 
 from .contact import ContactSolver, centers, contact_failures, pairs
@@ -89,7 +89,7 @@ class DartRun(Run):
         bodies = model.body_states(q, u)
         if self._mechanism.scene.contacts:
             found = contact_failures(self._mechanism, bodies, self._frame)
-            failures = tuple(_earlier(*two) for two in zip(failures, found, strict=True))
+            failures = earlier(failures, found)
         motion = recorded(self._mechanism, bodies, failures)
         orientation = rotation.continuous(motion.orientation, batch.orientation)
         return dataclasses.replace(motion, orientation=orientation)
@@ -240,9 +240,3 @@ def _error_reduction(value: float) -> Iterator[None]:
     finally:
         for kind, old in zip(kinds, before, strict=True):
             kind.setErrorReductionParameter(old)
-
-
-def _earlier(first: Failure | None, second: Failure | None) -> Failure | None:
-    if first is None or second is None:
-        return first or second
-    return min(first, second, key=lambda failure: failure.frame)

@@ -17,16 +17,7 @@ from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.servo import with_pushes
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
-from mbds_xsim.simulate.adapter import (
-    ModelSize,
-    Readback,
-    Run,
-    Settings,
-    blow_up,
-    first_failures,
-    recorded,
-    too_fast,
-)
+from mbds_xsim.simulate.adapter import ModelSize, Readback, Run, Settings, until_blow_up
 from mbds_xsim.simulate.readback import joint_anchors, joint_axes, joint_laws
 
 from . import stepping
@@ -85,9 +76,7 @@ class DrakeRun(Run):
         # What blows up may pass any number before it is left out.
         with np.errstate(over="ignore", invalid="ignore"):
             bodies = to_bodies(self._mechanism, self._coordinates.to_links(q, v, turns, count))
-            bad = too_fast(self._mechanism, bodies.velocity)
-        blown = first_failures(bad, lambda *_: blow_up(self._mechanism), earliest=1)
-        return recorded(self._mechanism, bodies, tuple(map(_first, failures, blown)))
+            return until_blow_up(self._mechanism, bodies, failures)
 
     def _simulate(self, batch: Batch, row: int, q: Array, v: Array, turns: Array) -> Failure | None:
         """Fill in a trajectory; give what ended it."""
@@ -273,12 +262,6 @@ def _rows(mechanism: Mechanism) -> int:
     rows = {"ball": 3, "hinge": 6, "fixed": 6, "slider": 5}
     closing = sum(rows[joint.kind] for joint in mechanism.loops)
     return closing + len(mechanism.distances) + len(mechanism.couplings)
-
-
-def _first(one: Failure | None, other: Failure | None) -> Failure | None:
-    """Give the earlier of two failures."""
-    found = [failure for failure in (one, other) if failure is not None]
-    return min(found, key=lambda failure: failure.frame, default=None)
 
 
 def _bare(source: str) -> str:

@@ -18,16 +18,7 @@ from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.servo import with_pushes
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import turning_rk4
-from mbds_xsim.simulate.adapter import (
-    ModelSize,
-    Readback,
-    Run,
-    Settings,
-    blow_up,
-    first_failures,
-    recorded,
-    too_fast,
-)
+from mbds_xsim.simulate.adapter import ModelSize, Readback, Run, Settings, until_blow_up
 from mbds_xsim.simulate.readback import joint_anchors, joint_axes, joint_laws
 
 from . import dynamics
@@ -111,10 +102,7 @@ class PinocchioRun(Run):
 
     def _trajectory(self, q: Array, u: Array) -> Trajectory:
         links = self._coordinates.to_links(q, u, self._mechanism.body_count)
-        bodies = to_bodies(self._mechanism, links)
-        bad = too_fast(self._mechanism, bodies.velocity)
-        failures = first_failures(bad, lambda *_: blow_up(self._mechanism), earliest=1)
-        return recorded(self._mechanism, bodies, failures)
+        return until_blow_up(self._mechanism, to_bodies(self._mechanism, links))
 
     def _hold(self, batch: Batch, rows: Index, frame: int) -> None:
         """Take the inputs of a frame, of some trajectories."""

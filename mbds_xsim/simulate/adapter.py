@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from typing import Any, ClassVar, Literal, Self, SupportsFloat, final
@@ -297,6 +297,29 @@ def recorded(
         failures,
     )
     return motion.cut_at_failures()
+
+
+def until_blow_up(
+    mechanism: Mechanism, bodies: BodyStates, told: Sequence[Failure | None] = ()
+) -> Trajectory:
+    """Make a trajectory that ends where it blows up, or before where the engine has told so.
+
+    Args:
+        mechanism: Of the scene.
+        bodies: Shape (trajectory, frame, body, …); the start is as it was given.
+        told: By trajectory, where the engine tells any.
+    """
+    bad = too_fast(mechanism, bodies.velocity)
+    blown = first_failures(bad, lambda *_: blow_up(mechanism), earliest=1)
+    return recorded(mechanism, bodies, earlier(told, blown) if told else blown)
+
+
+def earlier(
+    one: Sequence[Failure | None], other: Sequence[Failure | None]
+) -> tuple[Failure | None, ...]:
+    """Give the earlier of two failures of each trajectory."""
+    both = (filter(None, pair) for pair in zip(one, other, strict=True))
+    return tuple(min(found, key=lambda failure: failure.frame, default=None) for found in both)
 
 
 def first_failures(
