@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.base.text import apart
-from mbds_xsim.checks.clearance import clear_of_stops
+from mbds_xsim.checks.coordinates import clear_of_stops
 from mbds_xsim.checks.mismatch import EVERY_SECOND, Mismatch, mismatch_of, steady
 from mbds_xsim.checks.spheres import Spheres, spheres_of
 from mbds_xsim.scene.joint_space import BodyStates

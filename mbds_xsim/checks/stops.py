@@ -6,9 +6,8 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.checks.clearance import clear_of_own
 from mbds_xsim.checks.conservation import damper_loss, energy_of, input_work
-from mbds_xsim.checks.coordinates import coordinate_of
+from mbds_xsim.checks.coordinates import clear_of_own, coordinate_of
 from mbds_xsim.checks.finding import Figures, Record, check
 from mbds_xsim.checks.flights import summed
 from mbds_xsim.scene.joint_inertia import kicks

@@ -33,9 +33,8 @@ from mbds_xsim.testing.case import (
     swing,
 )
 from mbds_xsim.testing.joint_cases import CARRIER, JOINT_CASES, UP, on_a_carrier
+from mbds_xsim.testing.limit_cases import SERVO_CASES, STOP_CASES
 from mbds_xsim.testing.loop_cases import LOOPS
-from mbds_xsim.testing.servo_cases import SERVO_CASES
-from mbds_xsim.testing.stop_cases import STOP_CASES
 
 _BOX = (0.1, 0.4, 0.9)  # edges [m]
 _BOX_MASS = 10.0

@@ -14,7 +14,7 @@ from mbds_xsim.checks.stops import past_limits, stop_passivity
 from mbds_xsim.reference.solution import solve
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.testing.case import Case
-from mbds_xsim.testing.stop_cases import STOP_CASES
+from mbds_xsim.testing.limit_cases import STOP_CASES
 
 
 def _record(case: Case) -> Record:

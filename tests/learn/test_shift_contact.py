@@ -14,7 +14,7 @@ import torch
 from mbds_xsim.learn.curves import LearningCurve, write_curve
 from mbds_xsim.learn.model import load_model
 from mbds_xsim.learn.shift import contact
-from mbds_xsim.learn.shift.effort import nearest_engine, seconds_to_floor
+from mbds_xsim.learn.shift.evaluation import nearest_engine, seconds_to_floor
 from mbds_xsim.learn.shift.gaps import Draws
 from mbds_xsim.learn.shift.interaction import (
     answer_of_factors,

@@ -17,7 +17,7 @@ from mbds_xsim.scene.scene import Joint, Scene
 from mbds_xsim.scene.servo import Servo
 from mbds_xsim.testing import Case
 from mbds_xsim.testing.case import NONE, even
-from mbds_xsim.testing.servo_cases import SERVO_CASES
+from mbds_xsim.testing.limit_cases import SERVO_CASES
 
 _CASES = pytest.mark.parametrize("case", SERVO_CASES, ids=lambda case: case.name)
 

@@ -31,7 +31,6 @@ from mbds_xsim.learn.shift.domains import (
     read_reference,
     solve_domain,
 )
-from mbds_xsim.learn.shift.effort import seconds_to_floor
 from mbds_xsim.learn.shift.evaluation import (
     RESTART,
     Evaluation,
@@ -40,6 +39,7 @@ from mbds_xsim.learn.shift.evaluation import (
     floors_of,
     noise_floor,
     oracles,
+    seconds_to_floor,
 )
 from mbds_xsim.learn.shift.gaps import DRAWS, Draws, agreements_of, gaps_of
 from mbds_xsim.learn.shift.interaction import (
