@@ -327,10 +327,9 @@ def shift(
     from mbds_xsim.dataset.variant import folder_name
     from mbds_xsim.learn.recipe import check_device
     from mbds_xsim.learn.shift.evaluation import to_csv
-    from mbds_xsim.learn.shift.result import to_json
     from mbds_xsim.learn.shift.study import question_of, samples_of, study
     from mbds_xsim.learn.trained import Selection
-    from mbds_xsim.report.files import link, write_if
+    from mbds_xsim.report.files import link, results_json, write_if
     from mbds_xsim.report.terminal import print_report
     from mbds_xsim.studies.shift.figures import to_png
     from mbds_xsim.studies.shift.present import present, samples_png
@@ -349,7 +348,7 @@ def shift(
             found = study(question, at=at, conduct=conduct, device=device, command=command)
         print_report(present(found.shift), to.console)
         studies.append(found)
-    stored = to_json([found.shift for found in studies])
+    stored = results_json([found.shift for found in studies])
     write_if(to.csv, lambda: to_csv([found.evaluation for found in studies]))
     write_if(to.png, lambda: to_png([found.shift for found in studies], stored))
     write_if(rollouts, lambda: samples_png([samples_of(found.evaluation) for found in studies]))

@@ -43,6 +43,7 @@ from mbds_xsim.learn.mechanics import Mechanics, constrained
 from mbds_xsim.learn.model import FlowModel
 from mbds_xsim.learn.recipe import Cosine, Plateau, Recipe
 from mbds_xsim.learn.statistics import Statistics
+from mbds_xsim.learn.turning import rotate
 from mbds_xsim.learn.window import KnownInputs, Sample, Start
 
 
@@ -197,7 +198,7 @@ class EnergyModel(FlowModel):
         body = start.body.double()
         position, orientation = body[..., :3], body[..., 3:7]
         velocity, spin = body[..., 7:10], body[..., 10:]
-        arm = _rotate(orientation[:, self.carrier], self.carried)
+        arm = rotate(orientation[:, self.carrier], self.carried)
         moving = velocity[:, self.carrier] + torch.linalg.cross(spin[:, self.carrier], arm)
         q, v = self.mechanics.project(position[:, self.carrier] + arm, moving)
         return torch.stack([q, self.dynamics.conjugate(v)], dim=1)
@@ -249,9 +250,3 @@ class HGNN(EnergyModel):
     """A learned Hamiltonian on a scene's constraints."""
 
     kind: ClassVar[type[NodeDynamics]] = Hamiltonian
-
-
-def _rotate(q: Tensor, v: Tensor) -> Tensor:
-    v = v.expand_as(q[..., 1:])
-    twice = 2.0 * torch.linalg.cross(q[..., 1:], v)
-    return v + q[..., :1] * twice + torch.linalg.cross(q[..., 1:], twice)

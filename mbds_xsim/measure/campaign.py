@@ -133,7 +133,7 @@ def reference_of(scene: Scene, batch: Batch, cache: bool) -> ReferenceOutcome:
     kept = sum(load(key) is not None for key in keys) if cache else 0
     trajectory = reference.solve(scene, batch, rtol=RTOL, cache=cache)
     growth = reference.sensitivity(scene, batch, cache=cache)
-    growth[~np.isfinite(trajectory.position).all(axis=(2, 3))] = np.nan
+    growth[~trajectory.known] = np.nan
     return ReferenceOutcome(trajectory, growth, RTOL, kept, time.perf_counter() - begin)
 
 

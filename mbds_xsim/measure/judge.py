@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbds_xsim.base import rotation
-from mbds_xsim.base.arrays import Array, Mask
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.checks import Finding, Record, agreement, audit, audited
 from mbds_xsim.checks.eccentric import impact_coefficients
 from mbds_xsim.measure.outcome import Outcome, ReferenceOutcome
@@ -97,16 +97,11 @@ def reference_result(scene: Scene, batch: Batch, reference: ReferenceOutcome) ->
     )
 
 
-def _known(truth: Trajectory) -> Mask:
-    """Frames for which there is a true solution, shape (trajectory, frame)."""
-    return np.asarray(np.isfinite(truth.position).all(axis=(2, 3)))
-
-
 def error_findings(
     scene: Scene, batch: Batch, error: Array, truth: Trajectory, growth: Array
 ) -> list[Finding]:
     """Hold the error to its two budgets: at 1 s undivided, and growth-weighted over all times."""
-    time, known = truth.time, _known(truth)
+    time, known = truth.time, truth.known
     lost = np.where(np.isfinite(error), error, np.inf)
     judged = known & (growth < agreement.CHAOS)
     findings = [
@@ -136,7 +131,7 @@ def turn_finding(scene: Scene, trajectory: Trajectory, truth: Trajectory, growth
     off = rotation.multiply(rotation.conjugate(truth.orientation), trajectory.orientation)
     angle = 2.0 * np.arctan2(np.linalg.norm(off[..., 1:], axis=-1), np.abs(off[..., 0]))
     weighted = np.where(np.isfinite(angle), angle, np.inf) / np.maximum(1.0, growth)[..., None]
-    judged = _known(truth) & (growth < agreement.CHAOS)
+    judged = truth.known & (growth < agreement.CHAOS)
     return Finding.of(
         "error of turns",
         "rad",
@@ -196,7 +191,7 @@ def _result(
 
 def _agreed(scene: Scene, error: Array, truth: Trajectory) -> float | None:
     """Earliest time at which an error passes 1 % of the scene's length [s]; None: never."""
-    known = np.where(_known(truth), error, 0.0)
+    known = np.where(truth.known, error, 0.0)
     return _finite(agreement.agreement_time(known, truth.time, scene.length).min())
 
 

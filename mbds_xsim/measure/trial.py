@@ -277,7 +277,7 @@ def _flight_pieces(
     mechanism: Mechanism, motion: Trajectory, exact: ReferenceOutcome
 ) -> Iterator[Finding]:
     truth = exact.trajectory
-    flying = _known(truth) & (exact.growth < _CALM)
+    flying = truth.known & (exact.growth < _CALM)
     flying &= flying[:, 1:].any(axis=1, keepdims=True)  # else it starts in contact
     turn = rotation.multiply(motion.orientation, rotation.conjugate(truth.orientation))
     angle = 2.0 * np.arcsin(np.minimum(1.0, np.linalg.norm(turn[..., 1:], axis=-1)))
@@ -293,7 +293,7 @@ def _momenta(exact: ReferenceOutcome, method: Method, momentum: Array | None) ->
         return
     series = momentum[:, :, None]
     high = method.order >= _HIGH_ORDER
-    known = _known(exact.trajectory)
+    known = exact.trajectory.known
     before = known & ~known.all(axis=1, keepdims=True)
     before &= before[:, 1:].any(axis=1, keepdims=True)
     budget = _MOMENTUM_HIGH_ORDER if high else _MOMENTUM
@@ -312,11 +312,6 @@ def _finding(check: str, unit: str, value: Array, where: Mask, budget: float) ->
     figure = np.where(where, np.where(np.isfinite(value), value, np.inf), np.nan)
     figure[~where.any(axis=(1, 2)), 0] = 0.0
     yield Finding.of(check, unit, figure, budget=budget)
-
-
-def _known(truth: Trajectory) -> Mask:
-    """Frames for which there is a true motion, shape (trajectory, frame)."""
-    return np.asarray(np.isfinite(truth.position).all(axis=(2, 3)))
 
 
 def _distance(motion: Trajectory, exact: Trajectory) -> Array:

@@ -134,6 +134,11 @@ class Trajectory:
         return dataclasses.replace(whole, failures=self.failures)
 
     @property
+    def known(self) -> Mask:
+        """Whether there is a motion at a frame, shape (trajectory, frame)."""
+        return np.asarray(np.isfinite(self.position).all(axis=(2, 3)))
+
+    @property
     def finite(self) -> Mask:
         """Whether all numbers of a trajectory are finite, shape (trajectory,)."""
         fields = [getattr(self, key) for key in STATES]

@@ -131,7 +131,7 @@ def test_a_first_rebound_is_held_to_its_height(share: float, said: bool) -> None
 def test_joined_bodies_are_held_to_their_flight_and_to_nothing_after_it() -> None:
     scene, _, exact = prepared("simplecubli")
     truth = exact.trajectory
-    flight = np.asarray(np.isfinite(truth.position).all(axis=(2, 3)))
+    flight = truth.known
     wild = np.where(flight[:, :, None, None], truth.position, 7.0)
     turn = np.where(flight[:, :, None, None], truth.orientation, [1.0, 0.0, 0.0, 0.0])
     fine = moved(truth, position=wild, orientation=turn)
@@ -147,7 +147,7 @@ def test_joined_bodies_are_held_to_their_flight_and_to_nothing_after_it() -> Non
 def test_momentum_before_an_impact_is_kept_by_the_order_of_the_method() -> None:
     scene, _, exact = prepared("simplecubli")
     truth = exact.trajectory
-    flight = np.asarray(np.isfinite(truth.position).all(axis=(2, 3)))
+    flight = truth.known
     momentum = np.where(flight, 1e-5, 5e-4)
 
     def said(method: Method, series: Array) -> list[str]:

@@ -225,12 +225,6 @@ class Shift(msgspec.Struct, frozen=True, kw_only=True):
     """How many of the models had been tested before, in no time of this."""
 
 
-def to_json(shifts: list[Shift]) -> bytes:
-    """Write one study as an object, several as a list."""
-    what = shifts[0] if len(shifts) == 1 else shifts
-    return msgspec.json.format(msgspec.json.encode(what), indent=2)
-
-
 def values(numbers: Iterable[float]) -> Values:
     """Write numbers, to seven digits; those that are not finite become None."""
     return tuple(float(f"{x:.7g}") if math.isfinite(x) else None for x in numbers)

@@ -174,7 +174,7 @@ class Bench:
         apart = disagreement(evidence.scene, [runs[r.engine] for r in voters])
         window = window_of(evidence, apart)
         judge, full, name = None, evidence.reference, "the reference"
-        if not np.isfinite(evidence.reference.position).all():
+        if not evidence.reference.known.all():
             best = min(voters, key=_inaccuracy)
             full = runs[best.engine]
             judge = next(c for c in contenders if c.engine == best.engine)

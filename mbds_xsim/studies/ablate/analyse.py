@@ -188,7 +188,7 @@ def window_of(evidence: Evidence, apart: Array) -> Window:
     With a reference to the end: as long as disturbances grow less than a hundredfold. Where
     contact leaves no unique solution: until the engines are 1 % of the scene's length apart.
     """
-    known = np.isfinite(evidence.reference.position).all(axis=(2, 3))
+    known = evidence.reference.known
     growth = np.where(np.isfinite(evidence.growth), evidence.growth, 1.0)
     calm, ends = growth < agreement.CHAOS, "chaos"
     if not known.all():

@@ -55,7 +55,7 @@ class Truth:
     @property
     def known(self) -> Mask:
         """Whether each frame is known, shape (frame,)."""
-        return np.asarray(np.isfinite(self.trajectory.position).all(axis=(0, 2, 3)))
+        return np.asarray(self.trajectory.known.all(axis=0))
 
     @property
     def horizon(self) -> float:

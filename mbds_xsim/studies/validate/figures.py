@@ -36,7 +36,7 @@ def styles(results: Iterable[EngineResult]) -> tuple[Style, ...]:
 
 def error_growth(validation: Validation, evidence: Evidence) -> list[Figure]:
     """Plot error against time, worst of each sampling interval."""
-    known = np.any(_known(evidence)[:, 1:], axis=1)
+    known = evidence.reference.known[:, 1:].any(axis=1)
     of_row = [evidence.batch.interval(row) for row in range(len(evidence.batch))]
     return [
         _error_figure(validation, evidence, rows, interval)
@@ -190,7 +190,7 @@ def _error_figure(
         level(axes, _AGREEMENT * length, "agreement: 1 % of length")
         if judged_at_1s and time[-1] >= 1.0:
             axes.plot([1.0], [validation.budget["error_1s"] * length], "v", color=INK, ms=7)
-        _no_solution(axes, time, _known(evidence)[rows])
+        _no_solution(axes, time, evidence.reference.known[rows])
         _log_axis(axes, "RMS particle error [m]")
 
     several = len(evidence.batch) > 1
@@ -200,11 +200,6 @@ def _error_figure(
 def _with_styles(validation: Validation, each: Iterable[T]) -> Iterator[tuple[T, Style]]:
     """Give what there is of each engine result with the result's style."""
     return zip(each, styles(validation.engines), strict=True)
-
-
-def _known(evidence: Evidence) -> Mask:
-    """Frames for which there is a reference, shape (trajectory, frame)."""
-    return np.asarray(np.isfinite(evidence.reference.position).all(axis=(2, 3)))
 
 
 def _no_solution(axes: Any, time: Array, known: Mask) -> None:
