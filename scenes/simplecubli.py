@@ -6,14 +6,7 @@ from itertools import product
 
 from mbds_xsim.scene.budget import Budget
 from mbds_xsim.scene.sampling_terms import HingeRate, HingeTorque, Levels, Throw
-from mbds_xsim.scene.scene import (
-    PARTICLE_RADIUS,
-    Body,
-    ContactSphere,
-    Joint,
-    Particle,
-    Scene,
-)
+from mbds_xsim.scene.scene import PARTICLE_RADIUS, Body, ContactSphere, Joint, Particle, Scene
 
 from .paper import GROUND, NOISE, SOURCE
 from .particles import PARTICLES, Cell, Edge, Point, neighbours, ties, wheel, wheel_edges

@@ -10,14 +10,7 @@ from mbds_xsim.scene.stiffness import spring_step
 from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings, careful_step, nearest_step
 from mbds_xsim.simulate.claims import LOOPS, ContactScales, Feature, Method, Option
 
-from .contact import (
-    CONTACT_LAW,
-    LEAST_REBOUND,
-    MOST_REBOUND,
-    OWN_TIME,
-    STICTION,
-    steps_of_impact,
-)
+from .contact import CONTACT_LAW, LEAST_REBOUND, MOST_REBOUND, OWN_TIME, STICTION, steps_of_impact
 
 __all__ = ["Drake"]
 

@@ -6,17 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from mbds_xsim.base.text import counted
-from mbds_xsim.report.blocks import (
-    Block,
-    Cell,
-    Mark,
-    Place,
-    Report,
-    Section,
-    Table,
-    Text,
-    table_of,
-)
+from mbds_xsim.report.blocks import Block, Cell, Mark, Place, Report, Section, Table, Text, table_of
 from mbds_xsim.scene.constraints import degrees_of_freedom
 from mbds_xsim.scene.imported import Fate, Imported, Outcome, Written
 from mbds_xsim.scene.mechanism import Mechanism

@@ -31,10 +31,7 @@ from mbds_xsim.base.errors import (
 from mbds_xsim.base.isolate import Crash, Task, in_worker, run_tasks
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings, version_of
-from mbds_xsim.simulate.claims import (
-    ContactScales,
-    check_claims,
-)
+from mbds_xsim.simulate.claims import ContactScales, check_claims
 
 if TYPE_CHECKING:
     from mbds_xsim.scene.imported import Imported, Written

@@ -16,16 +16,7 @@ from mbds_xsim import reference
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import (
-    Body,
-    Clock,
-    DistanceLink,
-    Force,
-    Inertia,
-    Joint,
-    Torque,
-    Vector,
-)
+from mbds_xsim.scene.scene import Body, Clock, DistanceLink, Force, Inertia, Joint, Torque, Vector
 from mbds_xsim.scene.state import Trajectory
 from mbds_xsim.testing.case import NONE, Case, G, case_of, direction, even, swing
 

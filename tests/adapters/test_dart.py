@@ -11,14 +11,7 @@ import pytest
 from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import (
-    Body,
-    Clock,
-    DistanceLink,
-    Inertia,
-    Scene,
-    SpringDamper,
-)
+from mbds_xsim.scene.scene import Body, Clock, DistanceLink, Inertia, Scene, SpringDamper
 from mbds_xsim.scene.state import Trajectory
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.readback import compare

@@ -24,13 +24,7 @@ from mbds_xsim.dataset.generate import Request as DataRequest
 from mbds_xsim.dataset.generate import generate
 from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.learn import runs, trainings
-from mbds_xsim.learn.curves import (
-    EventLog,
-    LearningCurve,
-    log_whole,
-    read_curve,
-    write_curve,
-)
+from mbds_xsim.learn.curves import EventLog, LearningCurve, log_whole, read_curve, write_curve
 from mbds_xsim.learn.groups import groups
 from mbds_xsim.learn.model_file import read_facts, read_model
 from mbds_xsim.learn.recipe import PROFILES, Recipe

@@ -15,16 +15,7 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.reference import sensitivity, solve
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import (
-    Body,
-    Clock,
-    ContactSphere,
-    Force,
-    Ground,
-    Inertia,
-    Scene,
-    Vector,
-)
+from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Force, Ground, Inertia, Scene, Vector
 from mbds_xsim.scene.state import Trajectory
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.testing import contact_cases

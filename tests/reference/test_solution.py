@@ -16,14 +16,7 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.reference import sensitivity, solve
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import (
-    Body,
-    Clock,
-    Inertia,
-    Joint,
-    Scene,
-    SpringDamper,
-)
+from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene, SpringDamper
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.registry import load_scene
 from tests.adapters.exact import worst_gap

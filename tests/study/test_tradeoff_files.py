@@ -14,12 +14,7 @@ from rich.console import Console
 
 from mbds_xsim.report.files import link, results_json, rows_csv, write_reports
 from mbds_xsim.report.terminal import print_report
-from mbds_xsim.studies.tradeoff import (
-    Measurement,
-    Point,
-    Ratio,
-    Tradeoff,
-)
+from mbds_xsim.studies.tradeoff import Measurement, Point, Ratio, Tradeoff
 from mbds_xsim.studies.tradeoff import words as summary
 from mbds_xsim.studies.tradeoff.present import present, to_png
 from tests.command_line import CommandLine

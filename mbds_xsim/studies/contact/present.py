@@ -29,13 +29,7 @@ from mbds_xsim.simulate.choice import Choice, as_profile
 from mbds_xsim.simulate.claims import ContactLaw
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.simulate.timed import simulate
-from mbds_xsim.studies.contact import (
-    FRICTION,
-    RADIUS,
-    RESTITUTION,
-    ContactBench,
-    ContactFigure,
-)
+from mbds_xsim.studies.contact import FRICTION, RADIUS, RESTITUTION, ContactBench, ContactFigure
 from mbds_xsim.studies.contact.friction import PUSHES, friction
 from mbds_xsim.studies.contact.impacts import (
     DROPS,

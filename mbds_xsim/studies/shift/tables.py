@@ -15,14 +15,7 @@ from mbds_xsim.learn.shift.result import INTERVALS, Gap, Interaction, Shift
 from mbds_xsim.learn.trained import TRIVIAL
 from mbds_xsim.report.blocks import Column, Table, table_of
 from mbds_xsim.report.quantity import NONE, number, with_unit
-from mbds_xsim.studies.shift.figures import (
-    Pick,
-    at,
-    best_formula,
-    matrix_of,
-    mean,
-    trained_models,
-)
+from mbds_xsim.studies.shift.figures import Pick, at, best_formula, matrix_of, mean, trained_models
 
 
 def tables(shift: Shift) -> Iterator[Table]:
