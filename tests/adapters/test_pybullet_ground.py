@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from mbds_xsim.base.errors import InputError, Unsupported
-from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import (
     Body,
@@ -21,12 +20,9 @@ from mbds_xsim.scene.scene import (
     Ground,
     Inertia,
     Joint,
-    Particle,
     Scene,
 )
-from mbds_xsim.simulate import readback
 from mbds_xsim.simulate.adapter import Settings
-from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.testing.contact_cases import RADIUS as R
 from mbds_xsim.testing.contact_cases import ball, gaps
@@ -36,31 +32,12 @@ pybullet: Any = pytest.importorskip("pybullet")
 
 ENGINE = load_adapter("pybullet")
 METHOD = "semi-implicit-euler"
-CONTACT_SCENES = ("ballscroll", "balldrop", "particlecar", "simplecubli")
 Vector = tuple[float, float, float]
 MU, E = 0.43, 0.9332
 STILL = (0.0, 0.0, 0.0)
 
 
 simulate = Runs(ENGINE, {}).stepped
-
-
-@pytest.mark.parametrize("name", CONTACT_SCENES)
-@pytest.mark.parametrize("profile", ["native", "matched"])
-def test_the_contact_is_read_back_as_the_scene_has_it(name: str, profile: Any) -> None:
-    scene = load_scene(name)
-    batch, settings = draw_batch(scene, [0]), settings_for(scene, ENGINE, profile)
-    with ENGINE.open(scene, settings) as run:
-        model = run.readback(batch)
-        assert run.size.contact_pairs == len(scene.contacts)
-    assert readback.compare(Mechanism.of(scene), batch, settings, model) == []
-    assert model.contact is not None
-    ground = scene.ground
-    assert ground is not None
-    assert model.contact.shape == (len(scene.contacts), 3)
-    np.testing.assert_allclose(
-        model.contact[:, 1:] - [ground.friction, ground.restitution], 0.0, atol=1e-12
-    )
 
 
 @pytest.mark.parametrize("profile", ["native", "matched"])
@@ -72,19 +49,6 @@ def test_where_a_ball_touched_before_is_forgotten(profile: Any) -> None:
     with ENGINE.open(scene, settings) as run:
         first, second = run.rollout(batch), run.rollout(batch)
     assert np.array_equal(first.position, second.position)
-
-
-def test_spheres_touch_the_ground_and_nothing_else() -> None:
-    first = ball(velocity=(1.0, 0.0, 0.0), spin=(0.0, 1.0 / R, 0.0))
-    centre = (0.5, 0.0, R)
-    other = Body("other", (Particle(centre),))
-    both = msgspec.structs.replace(
-        first,
-        bodies=(*first.bodies, other),
-        contacts=(*first.contacts, ContactSphere("other", centre, R)),
-    )
-    motion = simulate(both)
-    np.testing.assert_allclose(motion.position[0, -1, :, 0], [1.0, 0.5], atol=1e-9)
 
 
 @pytest.mark.parametrize("part", ["base", "link"])
