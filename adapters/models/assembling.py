@@ -20,8 +20,7 @@ from mbds_xsim.scene.servo import Servo
 from .facts import facts_of
 from .masses import SHARE, physical, small
 from .parts import Closing, Drive, Freedom, Line, Mass, ModelCoupling, Part, Parts, Property
-from .starts import starts
-from .stops import kept_limits
+from .starts import kept_limits, starts
 
 PROPERTIES = {
     "stiffness": "",

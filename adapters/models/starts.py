@@ -1,4 +1,4 @@
-"""How trajectories of an imported model start: random poses inside the limits, at small rates."""
+"""How trajectories of an imported model start: random poses inside its limits, at small rates."""
 
 from __future__ import annotations
 
@@ -6,6 +6,11 @@ import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 
+import msgspec
+
+from mbds_xsim.scene.assembly import assemble
+from mbds_xsim.scene.imported import Fate
+from mbds_xsim.scene.joint_space import joint_coordinate
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
 from mbds_xsim.scene.sampling_terms import Draw, HingeRate, Levels, Pose, Throw
 from mbds_xsim.scene.scene import Scene
@@ -74,3 +79,36 @@ def _free(mechanism: Mechanism) -> Iterator[str]:
     for link in mechanism.links:
         if link.joint is None and WORLD_INDEX not in tied and not mechanism.distances:
             yield mechanism.scene.bodies[link.body].name
+
+
+_PAST = "its start, which a loop or a coupling decides, is past them"
+
+
+def kept_limits(scene: Scene, label: tuple[str, str]) -> tuple[Scene, list[Fate]]:
+    """Give the scene without limits that its start breaks, and what becomes of these.
+
+    Args:
+        scene: With the draws of its starts, which are within the limits.
+        label: Element and attribute of limits in the format.
+    """
+    broken = {*_broken(scene)}
+    if not broken:
+        return scene, []
+    joints = (
+        msgspec.structs.replace(joint, limits=None) if joint.name in broken else joint
+        for joint in scene.joints
+    )
+    element, attribute = label
+    fate = Fate(element, (attribute,), "dropped", _PAST, True, tuple(sorted(broken)), len(broken))
+    return msgspec.structs.replace(scene, joints=tuple(joints)), [fate]
+
+
+def _broken(scene: Scene) -> Iterator[str]:
+    drawn = {name for draw in scene.sampling if isinstance(draw, Pose) for name in draw.joints}
+    mechanism = Mechanism.of(scene)
+    tied = [joint for joint in mechanism.limited if joint.name not in drawn]
+    start = assemble(mechanism) if tied else None
+    for joint in tied:
+        assert start is not None
+        if joint.beyond(joint_coordinate(joint, start.position, start.native)) > 0.0:
+            yield joint.name
