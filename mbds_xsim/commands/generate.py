@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Exit, Option
 
-from mbds_xsim.base.isolate import LIMIT
+from mbds_xsim.base.isolate import LIMIT, Conduct
 from mbds_xsim.base.text import counted
 from mbds_xsim.commands import shared
 from mbds_xsim.report import quantity
@@ -53,14 +53,8 @@ def plan(
 
     choice = Choice.parse(engines=engines, profiles=settings, limit=limit)
     with shared.progress_on(to.console) as progress:
-        found = run(
-            shared.scene_named(scene),
-            choice,
-            trajectories,
-            sample=sample,
-            workers=workers,
-            progress=progress,
-        )
+        how = Conduct(workers, meter=progress)
+        found = run(shared.scene_named(scene), choice, trajectories, how, sample=sample)
     to.answer(plan_blocks(found), found, "plan")
     raise Exit(0 if all(not one.failure for one in found.estimates) else 1)
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from mbds_xsim.base.isolate import Conduct, Crash, Meter, Task, core_count, run_tasks
+from mbds_xsim.base.isolate import Conduct, Crash, Task, run_tasks
 from mbds_xsim.dataset.layout import AUDIT_EVERY, AUDITED, rejected_folder
 from mbds_xsim.dataset.shard import LOG, make_shard
 from mbds_xsim.dataset.variant import Item, Variant
@@ -83,12 +83,11 @@ def plan(
     scene: Scene,
     choice: Choice,
     trajectories: int,
+    conduct: Conduct,
     *,
     sample: int = 6,
-    workers: int | None = None,
     seed: int = 0,
     noise: bool = True,
-    progress: Meter,
 ) -> CostPlan:
     """Measure a few trajectories of each engine, one at a time, and tell what all would cost.
 
@@ -96,33 +95,32 @@ def plan(
         scene: What to simulate.
         choice: In which engines at which settings.
         trajectories: How many are planned.
+        conduct: How, and how many processes will be at work.
         sample: Of how many a measured shard is.
-        workers: Processes that will be at work; all cores when left out.
         seed: Of starts and inputs.
         noise: Whether the random forces act.
-        progress: Where it is told.
 
     Raises:
         InputError: The engines cannot do the scene.
     """
-    choice = searched(scene, choice, Conduct(workers, meter=progress))
+    choice = searched(scene, choice, conduct)
     contenders, left_out = choice.contenders(scene)
     variants = [Variant(scene, contender, seed, noise) for contender in contenders]
-    progress.begin(len(variants))
+    meter = conduct.meter
+    meter.begin(len(variants))
     # The reference is the same for all engines; what it costs is measured once.
     tasks = [
         Task(measure, (one, sample, one is variants[0]), one.contender.limit) for one in variants
     ]
     answers = run_tasks(
-        tasks, workers=1, finished=lambda place, _: progress.advance(variants[place].name)
+        tasks, workers=1, finished=lambda place, _: meter.advance(variants[place].name)
     )
     audit_s = next((a.audit_s for a in answers if isinstance(a, ShardCost) and a.audit_s), 0.0)
-    cores = core_count() if workers is None else workers
     estimates = [
-        estimate(variant, answer, trajectories, audit_s=audit_s, workers=cores)
+        estimate(variant, answer, trajectories, audit_s=audit_s, workers=conduct.processes)
         for variant, answer in zip(variants, answers, strict=True)
     ]
-    return CostPlan(scene.name, trajectories, cores, tuple(estimates), left_out)
+    return CostPlan(scene.name, trajectories, conduct.processes, tuple(estimates), left_out)
 
 
 def estimate(

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from mbds_xsim.base.isolate import Crash, Silent
+from mbds_xsim.base.isolate import Conduct, Crash, Silent
 from mbds_xsim.commands.generate import plan_blocks
 from mbds_xsim.dataset.estimate import STAGES, CostPlan, ShardCost, estimate, measure, plan
 from mbds_xsim.dataset.variant import Variant
@@ -85,7 +85,7 @@ def test_costs_add_up_at_any_size(variant: Variant) -> None:
 def test_plan_measures_every_engine_apart(rod: Scene) -> None:
     heard = Silence()
     choice = Choice.parse(engines="mujoco", profiles="matched,native")
-    found = plan(rod, choice, 10_000_000_000, sample=2, workers=4, progress=heard)
+    found = plan(rod, choice, 10_000_000_000, Conduct(4, meter=heard), sample=2)
     assert [one.variant for one in found.estimates] == ["mujoco-matched", "mujoco-native"]
     assert heard.names == ["mujoco-matched", "mujoco-native"]
     first, second = (one.measured for one in found.estimates)

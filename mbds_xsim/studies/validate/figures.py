@@ -36,7 +36,7 @@ def styles(results: Iterable[EngineResult]) -> tuple[Style, ...]:
 
 def error_growth(validation: Validation, evidence: Evidence) -> list[Figure]:
     """Plot error against time, worst of each sampling interval."""
-    known = evidence.reference.known[:, 1:].any(axis=1)
+    known = np.any(evidence.reference.known[:, 1:], axis=1)
     of_row = [evidence.batch.interval(row) for row in range(len(evidence.batch))]
     return [
         _error_figure(validation, evidence, rows, interval)
