@@ -35,7 +35,7 @@ _PHYSICS = (
     "bodies", "joints", "distance_links", "springs", "gravity", "contacts", "ground", "length",
     "dimension",
 )  # fmt: skip
-_SOURCES = ("lanes", "lane_algebra", "elimination", "tree")
+_SOURCES = ("lanes", "lane_algebra", "noted", "elimination", "tree")
 _SEAL = hashlib.sha256().digest_size
 
 

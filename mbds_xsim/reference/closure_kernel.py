@@ -34,7 +34,6 @@ from mbds_xsim.reference.lanes import (
     entered,
     larger,
     load,
-    noted,
     positive,
     root,
     size,
@@ -42,6 +41,7 @@ from mbds_xsim.reference.lanes import (
     store,
 )
 from mbds_xsim.reference.load_kernel import act, still, weigh
+from mbds_xsim.reference.noted import noted
 from mbds_xsim.reference.row_kernel import ROW, along, contradiction, put_rows
 from mbds_xsim.reference.tree import BALL, COUPLED, FIXED, FREE, HINGE, Tree
 from mbds_xsim.reference.tree_kernel import (

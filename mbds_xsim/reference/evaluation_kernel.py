@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from mbds_xsim.reference.closure_kernel import accelerate
-from mbds_xsim.reference.lanes import LANES, entered, noted
+from mbds_xsim.reference.lanes import LANES, entered
 from mbds_xsim.reference.load_kernel import hold
+from mbds_xsim.reference.noted import noted
 from mbds_xsim.reference.tree import Tree
 from mbds_xsim.reference.tree_kernel import PLACES, A, Workspace
 

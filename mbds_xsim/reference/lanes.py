@@ -15,14 +15,8 @@ from typing import Any
 from llvmlite import ir
 from numba import njit, types
 from numba.core import cgutils, config
-from numba.core.imputils import lower_builtin, lower_getattr_generic
-from numba.core.typing.templates import (
-    AbstractTemplate,
-    AttributeTemplate,
-    infer_getattr,
-    infer_global,
-    signature,
-)
+from numba.core.imputils import lower_builtin
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, models, register_model
 
 from mbds_xsim.reference.cache import kernel_folder
@@ -205,67 +199,6 @@ def arctan2(typing: Any, a: Any, b: Any) -> Any:  # noqa: ARG001
         return found
 
     return lanes(lanes, lanes), generate
-
-
-class Noted(types.Type):
-    """Numba's type of a named tuple by its place.
-
-    Kernels hand on where their arrays are noted, not hundreds of addresses and lengths: that
-    compiles and runs faster.
-    """
-
-    def __init__(self, inner: Any) -> None:
-        self.inner = inner
-        super().__init__(name=f"Noted({inner})")
-
-    def field(self, name: str) -> Any:
-        """Type of what it has under a name."""
-        kind = self.inner[self.inner.fields.index(name)]
-        return Noted(kind) if isinstance(kind, types.BaseNamedTuple) else kind
-
-
-@register_model(Noted)
-class _NotedModel(models.PrimitiveModel):
-    def __init__(self, manager: Any, kind: Any) -> None:
-        super().__init__(manager, kind, manager.lookup(kind.inner).get_value_type().as_pointer())
-
-
-@intrinsic
-def noted(typing: Any, given: Any) -> Any:  # noqa: ARG001
-    """Note a named tuple in memory, as long as the kernel runs that asks for it."""
-
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
-        return cgutils.alloca_once_value(builder, args[0])
-
-    return signature(Noted(given), given), generate
-
-
-@infer_getattr
-class _NotedFields(AttributeTemplate):
-    key = Noted
-
-    def generic_resolve(self, kind: Any, name: str) -> Any:
-        return kind.field(name) if name in kind.inner.fields else None
-
-
-@lower_getattr_generic(Noted)
-def _field(context: Any, builder: Any, kind: Any, place: Any, name: str) -> Any:  # noqa: ARG001
-    at = cgutils.gep_inbounds(builder, place, 0, kind.inner.fields.index(name))
-    return at if isinstance(kind.field(name), Noted) else _loaded(builder, at)
-
-
-def _loaded(builder: Any, place: Any) -> Any:
-    """Load number by number what never changes, so that what is not needed is left out."""
-    kind = place.type.pointee
-    if not isinstance(kind, ir.Aggregate):
-        value = builder.load(place)
-        value.set_metadata("invariant.load", builder.module.add_metadata([]))
-        return value
-    whole = ir.Constant(kind, ir.Undefined)
-    for k in range(len(kind)):
-        part = _loaded(builder, cgutils.gep_inbounds(builder, place, 0, k))
-        whole = builder.insert_value(whole, part, k)
-    return whole
 
 
 def compiled(function: Callable[..., Any]) -> Any:

@@ -20,13 +20,13 @@ from mbds_xsim.reference.lanes import (
     entered,
     larger,
     load,
-    noted,
     positive,
     size,
     spread,
     store,
 )
 from mbds_xsim.reference.load_kernel import hold
+from mbds_xsim.reference.noted import noted
 from mbds_xsim.reference.tree import BALL, FREE, HINGE, Tree
 from mbds_xsim.reference.tree_kernel import PLACES, V, W, Workspace, X
 

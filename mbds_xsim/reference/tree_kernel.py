@@ -43,7 +43,8 @@ from mbds_xsim.reference.lane_algebra import (
     times,
     transposed,
 )
-from mbds_xsim.reference.lanes import compiled, entered, load, noted, spread, store
+from mbds_xsim.reference.lanes import compiled, entered, load, spread, store
+from mbds_xsim.reference.noted import noted
 from mbds_xsim.reference.tree import BALL, FIXED, FREE, HINGE, SLIDER, Tree
 
 # Kinematics: place, matrix, angular and linear velocity; axis; arms from the centre of mass and
