@@ -20,7 +20,6 @@ import numpy as np
 
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.conservation import (
-    damper_loss,
     energy_of,
     flights_of,
     gain_of,
@@ -32,6 +31,7 @@ from mbds_xsim.checks.eccentric import Pool, Shown, shown_of
 from mbds_xsim.checks.finding import Figures, Record, check
 from mbds_xsim.checks.flights import numbers
 from mbds_xsim.checks.integrity import pair_distance, pair_rate
+from mbds_xsim.checks.joint_work import losses
 from mbds_xsim.checks.mismatch import steady
 from mbds_xsim.scene.joint_space import joint_rate
 
@@ -188,7 +188,7 @@ def _left(record: Record) -> Array:
 
     Energies of lagging velocities lag by the powers of what acts in the step.
     """
-    energy = energy_of(record).total + damper_loss(record)[0] - input_work(record)
+    energy = energy_of(record).total + losses(record)[0] - input_work(record)
     left = np.diff(energy, axis=1)
     if record.lag:
         left = left - record.lag * _power_gained(record)

@@ -13,8 +13,8 @@ from mbds_xsim.checks.balances import Balance, balances_of
 from mbds_xsim.checks.coordinates import coordinate_of, hinge_turns
 from mbds_xsim.checks.finding import Figures, Record, check
 from mbds_xsim.checks.flights import summed
-from mbds_xsim.checks.integrity import pair_distance, pair_rate
-from mbds_xsim.checks.joint_work import drive_loss, friction_loss
+from mbds_xsim.checks.integrity import pair_distance
+from mbds_xsim.checks.joint_work import losses
 from mbds_xsim.scene.joint_space import joint_rate
 from mbds_xsim.scene.mechanism import WORLD_INDEX
 
@@ -50,14 +50,15 @@ class Energy:
 def energy_balance(record: Record) -> Figures | None:
     """Measure |E − E(0) − W| over the energy scale; where things meet, over the periods between.
 
-    The work of held inputs is exact; that of dampers is a quadrature, whose error is the
-    finding's uncertainty. None where nothing flies.
+    The work of held inputs is exact; that of dampers is a quadrature, whose error in the steps
+    looked at is the finding's uncertainty. None where nothing flies.
     """
     flights = record.flying()
     if record.mechanism.has_impacts and not flights.any():
         return None
     energy = energy_of(record)
-    loss, error = damper_loss(record)
+    loss, vague = losses(record)
+    error = np.where(flights, vague, 0.0).sum(axis=1)
     balance = energy.total - energy.total[:, :1] - input_work(record) + loss
     if record.mechanism.has_impacts:
         balance[:, 1:] = summed(np.diff(balance, axis=1)[..., None], flights)[..., 0]
@@ -133,42 +134,6 @@ def work_of_forces(record: Record) -> tuple[Array, Array, Array]:
         for steps in (np.clip(np.arange(record.steps) + k, 0, record.steps - 1) for k in (-1, 0, 1))
     )
     return before, here, after
-
-
-@functools.lru_cache(maxsize=1)
-def damper_loss(record: Record) -> tuple[Array, Array]:
-    """Energy taken by dampers [J], shape (trajectory, frame), and its error, (trajectory,).
-
-    Simpson's rule on the frames; the error is its change when every other frame is left out. With
-    that of dry friction, and less what drives give.
-    """
-    loss, error = _of_dampers(record)
-    for given, find in (
-        (record.mechanism.frictional, friction_loss),
-        (record.mechanism.drives, drive_loss),
-    ):
-        if given:
-            taken, vague = find(record)
-            loss, error = loss + taken, error + vague
-    return loss, error
-
-
-def _of_dampers(record: Record) -> tuple[Array, Array]:
-    """Give the same of dampers alone."""
-    mechanism, damping = record.mechanism, [spring.damping for spring in record.mechanism.springs]
-    if not (any(damping) or any(joint.damping for joint in mechanism.compliant)):
-        return np.zeros(record.finite.shape), np.zeros(len(record.finite))
-    from scipy.integrate import cumulative_simpson  # takes long to import
-
-    world = record.world
-    power = pair_rate(world, mechanism.springs) ** 2 @ np.array(damping)
-    for joint in mechanism.compliant:
-        power = power + joint.damping * joint_rate(joint, world) ** 2
-    loss = cumulative_simpson(power, dx=record.frame, axis=1, initial=0.0)
-    if record.steps < 4:
-        return loss, np.nanmax(np.abs(loss), axis=1, initial=0.0)
-    coarse = cumulative_simpson(power[:, ::2], dx=2 * record.frame, axis=1, initial=0.0)
-    return loss, np.nanmax(np.abs(coarse - loss[:, ::2]), axis=1, initial=0.0)
 
 
 @check("momentum", lambda record: record.energy_budget)

@@ -1,10 +1,12 @@
-"""Work that dry friction and servos with limits do on joints within steps.
+"""Energy that dampers, dry friction and servos with limits take within steps.
 
 Between two frames a coordinate goes by the cubic that meets places and rates at both.
 """
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +14,7 @@ import numpy as np
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.checks.coordinates import coordinate_of
 from mbds_xsim.checks.finding import Record
+from mbds_xsim.checks.integrity import pair_distance, pair_rate
 from mbds_xsim.scene.joint_space import joint_rate
 from mbds_xsim.scene.mechanism import PlacedJoint
 from mbds_xsim.scene.servo import PlacedDrive
@@ -30,9 +33,13 @@ class Way(NamedTuple):
     @staticmethod
     def of(record: Record, joint: PlacedJoint) -> Way:
         """Find those of a hinge or slider."""
-        place = coordinate_of(record, joint)
-        moved, rate = np.diff(place, axis=1), record.frame * joint_rate(joint, record.world)
-        begin, end = rate[:, :-1], rate[:, 1:]
+        rate = joint_rate(joint, record.world)
+        return Way.through(coordinate_of(record, joint), record.frame * rate)
+
+    @staticmethod
+    def through(place: Array, rate: Array) -> Way:
+        """Find those that meet places and rates per step, (trajectory, frame)."""
+        moved, begin, end = np.diff(place, axis=1), rate[:, :-1], rate[:, 1:]
         return Way(place[:, :-1], begin, 3 * moved - 2 * begin - end, begin + end - 2 * moved)
 
     def moved(self, share: Array | float) -> Array:
@@ -43,13 +50,52 @@ class Way(NamedTuple):
         """Give its rate per step."""
         return np.asarray(self.begin + share * (2 * self.bend + 3 * share * self.twist))
 
+    @property
+    def square(self) -> Array:
+        """Mean square of its rate: of its mean, its change and its bend, which do not mix."""
+        change = 2 * self.bend + 3 * self.twist
+        return np.asarray(self.moved(1.0) ** 2 + change**2 / 12 + self.twist**2 / 20)
 
-def friction_loss(record: Record) -> tuple[Array, Array]:
-    """Energy taken by dry friction [J], (trajectory, frame), and its error, (trajectory,).
+    @property
+    def vague(self) -> Array:
+        """How well that is known: (mean of both ends − mean rate)², of a smooth motion 2.5 times
+        the error, and twice of a rate that is gone long before the step ends."""
+        return 0.25 * self.twist**2
 
-    In a step in which a joint turns back all of the way there and back is left open.
+
+@functools.lru_cache(maxsize=1)
+def losses(record: Record) -> tuple[Array, Array]:
+    """Give the energy taken up to each frame [J], (trajectory, frame), and each step's error.
+
+    The errors have the shape (trajectory, step); what drives give counts as taken, negative.
     """
-    loss, vague = np.zeros(record.finite.shape), np.zeros(len(record.finite))
+    shape = len(record.finite), record.steps
+    taken, vague = np.zeros(shape), np.zeros(shape)
+    for loss, error in (*_dampers(record), *_friction(record), *_drives(record)):
+        taken, vague = taken + loss, vague + error
+    return np.pad(np.cumsum(taken, axis=1), ((0, 0), (1, 0))), np.nan_to_num(vague)
+
+
+Taken = Iterator[tuple[Array, Array]]
+"""Energies that are taken in each step, and their errors [J], (trajectory, step)."""
+
+
+def _dampers(record: Record) -> Taken:
+    """Of springs and of joints: damping times the integral of the rate's square."""
+    mechanism, world, frame = record.mechanism, record.world, record.frame
+    for spring in mechanism.springs:
+        if spring.damping:
+            places, rates = (find(world, (spring,))[..., 0] for find in (pair_distance, pair_rate))
+            path = Way.through(places, frame * rates)
+            yield spring.damping / frame * path.square, spring.damping / frame * path.vague
+    for joint in mechanism.compliant:
+        if joint.damping:
+            path = Way.of(record, joint)
+            yield joint.damping / frame * path.square, joint.damping / frame * path.vague
+
+
+def _friction(record: Record) -> Taken:
+    """Dry: in a step in which a joint turns back all of the way there and back is left open."""
     for joint in record.mechanism.frictional:
         path = Way.of(record, joint)
         root = np.sqrt(np.maximum(path.bend**2 - 3 * path.begin * path.twist, 0.0))
@@ -60,24 +106,19 @@ def friction_loss(record: Record) -> tuple[Array, Array]:
         turns = np.sort(np.clip(turns, 0.0, 1.0), axis=0)
         whole = path.moved(1.0)
         way = np.abs(np.diff([0.0 * whole, *path.moved(turns), whole], axis=0)).sum(axis=0)
-        loss[:, 1:] += joint.friction * np.cumsum(way, axis=1)
-        vague += joint.friction * np.nansum(way - np.abs(whole), axis=1)
-    return loss, vague
+        yield joint.friction * way, joint.friction * (way - np.abs(whole))
 
 
-def drive_loss(record: Record) -> tuple[Array, Array]:
-    """Energy taken by drives [J], (trajectory, frame), and its error, (trajectory,).
+def _drives(record: Record) -> Taken:
+    """By the effort over the way, with Gauß' rule.
 
-    Their work is that of the effort over the way, by Gauß' rule within each step; the error is its
-    change with half the points, which is what a kink of the effort leaves.
+    The error is that of their dampers, and the change with half the points, which is what a kink of
+    the effort leaves.
     """
-    loss, vague = np.zeros(record.finite.shape), np.zeros(len(record.finite))
     for k, drive in enumerate(record.mechanism.drives, len(record.mechanism.hinges)):
         push, path = record.torque[:, : record.steps, k], Way.of(record, drive.joint)
         fine, coarse = (_work(drive, push, path, record.frame, count) for count in _POINTS)
-        loss[:, 1:] -= np.cumsum(fine, axis=1)
-        vague += np.nansum(np.abs(fine - coarse), axis=1)
-    return loss, vague
+        yield -fine, np.abs(fine - coarse) + drive.servo.damping / record.frame * path.vague
 
 
 def _work(drive: PlacedDrive, push: Array, path: Way, frame: float, count: int) -> Array:

@@ -6,10 +6,11 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.checks.conservation import damper_loss, energy_of, input_work
+from mbds_xsim.checks.conservation import energy_of, input_work
 from mbds_xsim.checks.coordinates import clear_of_own, coordinate_of
 from mbds_xsim.checks.finding import Figures, Record, check
 from mbds_xsim.checks.flights import summed
+from mbds_xsim.checks.joint_work import losses
 from mbds_xsim.scene.joint_inertia import kicks
 from mbds_xsim.scene.joint_space import joint_rate
 from mbds_xsim.scene.mechanism import PlacedJoint
@@ -39,9 +40,10 @@ def stop_passivity(record: Record) -> Figures | None:
     """
     if not record.mechanism.limited or record.scene.contacts:
         return None
-    energy, (loss, error) = energy_of(record), damper_loss(record)
+    energy, (loss, vague) = energy_of(record), losses(record)
     balance = energy.total - input_work(record) + loss
     stopped = ~record.flying()
+    error = np.where(stopped, vague, 0.0).sum(axis=1)
     gained = np.zeros(record.finite.shape)
     gained[:, 1:] = summed(np.diff(balance, axis=1)[..., None], stopped)[..., 0]
     rise = np.where(record.finite, np.maximum(gained, 0.0), np.nan)

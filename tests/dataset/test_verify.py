@@ -83,6 +83,26 @@ def test_rejected_ones_are_checked_too(
     ]
 
 
+def test_a_set_of_which_all_was_rejected_is_sound(
+    make: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from .test_generate import _spoil
+
+    _spoil(0, monkeypatch)
+    make(tmp_path, trajectories=1)
+    monkeypatch.undo()
+    verified = _verify(tmp_path)
+    assert _problems(verified) == []
+    assert {r.kind: r.trajectories for r in verified.files} == {
+        "joined": 0,
+        "shard": 0,
+        "rejected": 1,
+        "joint": 0,
+        "card": 0,
+        "metadata": 0,
+    }
+
+
 def _rewrite(path: Path, change: Change) -> None:
     """Change a shard, and make its checksums fit."""
     data = load_dataset(path)

@@ -24,9 +24,10 @@ import numpy as np
 
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks import agreement
-from mbds_xsim.checks.conservation import damper_loss, energy_of, input_work
+from mbds_xsim.checks.conservation import energy_of, input_work
 from mbds_xsim.checks.finding import Record
 from mbds_xsim.checks.integrity import angle_gap, gap
+from mbds_xsim.checks.joint_work import losses
 from mbds_xsim.checks.passivity import passivity, penetration
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
@@ -111,7 +112,7 @@ def _energy(record: Record, truth: Record | None) -> Array:
         found = passivity(record)
         return _nothing(record) if found is None else found.series[0]
     energy = energy_of(record)
-    balance = energy.total - energy.total[:, :1] - input_work(record) + damper_loss(record)[0]
+    balance = energy.total - energy.total[:, :1] - input_work(record) + losses(record)[0]
     # A run that blows up would be measured by its own blow-up.
     scale = (energy if truth is None else energy_of(truth)).scale
     return np.asarray(balance[0] / scale[0])
