@@ -25,6 +25,8 @@ BEGIN, END = "<!-- choose-table: begin -->\n", "<!-- choose-table: end -->"
 
 
 _BREAK = "<br>"
+_OPTION = "°"
+"""Stands for an option that is not the usual one."""
 _NONE_STORED = "*None is stored yet: `make reports-tradeoff readme` makes the table.*"
 
 
@@ -32,8 +34,8 @@ def choose_table(studies: Sequence[Tradeoff]) -> str:
     """Give a row for each scene and a column for each engine, as Markdown.
 
     A cell has the cheapest point of an engine's own stepping that keeps all budgets: method and
-    step, error, wall time per simulated second and how many times faster than real time that is.
-    The cheapest of a scene is bold. Under the table stand the reasons where no point does.
+    step, error, wall time per simulated second. The cheapest of a scene is bold. Under the table
+    stand the reasons where no point does.
     """
     if not studies:
         return _NONE_STORED
@@ -50,9 +52,8 @@ def choose_table(studies: Sequence[Tradeoff]) -> str:
 
 def _engines(study: Tradeoff) -> list[str]:
     """Engines that were asked, also those that cannot do the scene."""
-    names = [curve.engine for curve in study.curves if curve.own]
-    left_out = (what.split()[0] for what in study.left_out)
-    return list(dict.fromkeys([*names, *(name for name in left_out if name != REFERENCE)]))
+    names = [curve.engine for curve in study.curves] + [what.split()[0] for what in study.left_out]
+    return [name for name in dict.fromkeys(names) if name != REFERENCE]
 
 
 def _row(study: Tradeoff, engines: Sequence[str]) -> list[str]:
@@ -81,18 +82,23 @@ def _cheapest(study: Tradeoff, engine: str) -> tuple[CurveResult, Point] | None:
     return min(kept, key=_cost, default=None)
 
 
+def _curves(study: Tradeoff, engine: str) -> list[CurveResult]:
+    """Its own stepping but for native settings; the toolkit's where it steps nothing itself."""
+    curves = [c for c in study.curves if c.engine == engine and c.variation != NATIVE]
+    return [curve for curve in curves if curve.own] or curves
+
+
 def _places(study: Tradeoff, engine: str) -> Iterator[tuple[CurveResult, Point]]:
-    """All points that came to their end; neither native settings nor the toolkit's stepping.
+    """All points that came to their end.
 
     A point at no distance from its method's own limit is that limit itself: where an adapter parts
     the steps in contact, fewer and longer steps in more parts are the same motion.
     """
-    for curve in study.curves:
-        if curve.engine == engine and curve.own and curve.variation != NATIVE:
-            for point in curve.points:
-                is_limit = study.own_limit is not None and point.error_m == 0.0
-                if point.wall_s is not None and not is_limit:
-                    yield curve, point
+    for curve in _curves(study, engine):
+        for point in curve.points:
+            is_limit = study.own_limit is not None and point.error_m == 0.0
+            if point.wall_s is not None and not is_limit:
+                yield curve, point
 
 
 def _cost(place: tuple[CurveResult, Point]) -> float:
@@ -103,13 +109,12 @@ def _cost(place: tuple[CurveResult, Point]) -> float:
 def _cell(place: tuple[CurveResult, Point], *, best: bool) -> str:
     curve, point = place
     mark = "**" if best else ""
-    name = f"{curve.method} ({curve.variation})" if curve.variation else curve.method
-    speed = quantity.number(1.0 / _cost(place))
+    name = f"{curve.method}{_OPTION}" if curve.variation else curve.method
     return _BREAK.join(
         [
             f"{mark}{name}, {quantity.span(point.step_s)}{mark}",
             f"{quantity.length(point.error_m)}".replace("<", "&lt;"),
-            f"{mark}{quantity.span(point.wall_s)}{mark}, {speed} × real time",
+            f"{mark}{quantity.span(point.wall_s)}{mark}",
         ]
     )
 
@@ -127,7 +132,7 @@ def _reason(study: Tradeoff, engine: str) -> str:
         curve, point = min(places, key=_off)
         broken = ", ".join(point.broken)
         return f"nearest is {curve.method} at {quantity.span(point.step_s)}, over budget: {broken}"
-    points = [p for c in study.curves if c.engine == engine and c.own for p in c.points]
+    points = [point for curve in _curves(study, engine) for point in curve.points]
     if points:
         return f"{points[0].kind}: {points[0].reason}"
     left_out = (reason for what, reason in study.left_out.items() if what.split()[0] == engine)

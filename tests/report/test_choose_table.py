@@ -55,8 +55,8 @@ def test_cells_have_the_cheapest_that_keeps_all_budgets_and_the_best_is_bold() -
 
     assert cells == {
         "scene and budget of its error": "pair<br>≤ 1.0 mm at 1 s",
-        "mujoco": "**RK4, 10 ms**<br>100 µm<br>**4.0 ms**, 250 × real time",
-        "dart": "euler, 2.0 ms<br>20 µm<br>500 ms, 2 × real time",
+        "mujoco": "**RK4, 10 ms**<br>100 µm<br>**4.0 ms**",
+        "dart": "euler, 2.0 ms<br>20 µm<br>500 ms",
         "exudyn": "–",
         "pybullet": "–",
     }
@@ -66,6 +66,14 @@ def test_the_toolkits_own_stepping_never_stands_for_an_engine() -> None:
     extra = msgspec.structs.replace(curve("dart", "RK4", _point(0.02, 0.0001)), own=False)
 
     assert choose_table([_study(*_STUDY.curves, extra)]) == choose_table([_STUDY])
+
+
+def test_an_engine_that_steps_nothing_has_the_toolkits_stepping() -> None:
+    lent = msgspec.structs.replace(curve("pinocchio", "RK4", _point(0.02, 0.0001)), own=False)
+
+    cells = _cells(choose_table([_study(*_STUDY.curves, lent)]))
+
+    assert cells["pinocchio"] == "**RK4, 20 ms**<br>200 µm<br>**100 µs**"
 
 
 def test_a_dash_has_its_reason() -> None:
@@ -82,11 +90,11 @@ def test_an_engine_that_was_not_tried_says_so() -> None:
     assert "- two, dart: not measured" in choose_table([_STUDY, other])
 
 
-def test_options_are_named_and_a_busy_machine_is_told() -> None:
+def test_options_are_marked_and_a_busy_machine_is_told() -> None:
     option = curve("mujoco", "RK4", _point(0.02, 0.002), variation="solver = CG")
     busy = msgspec.structs.replace(_study(*_STUDY.curves, option), busy=2.5)
 
-    assert "**RK4 (solver = CG), 20 ms**" in choose_table([busy])
+    assert "**RK4°, 20 ms**" in choose_table([busy])
     assert "Made on a machine, which was busy: times are up to 2.5 ×" in choose_table([busy])
     assert "busy" not in choose_table([_STUDY])
 
