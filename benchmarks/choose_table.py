@@ -7,6 +7,7 @@ python -m benchmarks.choose_table reports/tradeoff --into README.md   puts it in
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -44,7 +45,7 @@ def choose_table(studies: Sequence[Tradeoff]) -> str:
     lines = [
         *table_lines(headings, (_row(study, engines) for study in studies)),
         "",
-        *(f"- {line}" for study in studies for line in _reasons(study, engines)),
+        *(f"- {line}" for line in _reasons(studies, engines)),
         f"- Made on {_machines(studies)}, with {_versions(studies)}",
     ]
     return "\n".join(lines)
@@ -119,11 +120,16 @@ def _cell(place: tuple[CurveResult, Point], *, best: bool) -> str:
     )
 
 
-def _reasons(study: Tradeoff, engines: Sequence[str]) -> Iterator[str]:
-    """Say why an engine has no point that keeps all budgets."""
-    for engine in engines:
+def _reasons(studies: Sequence[Tradeoff], engines: Sequence[str]) -> Iterator[str]:
+    """Say why an engine has no point that keeps all budgets, once for all scenes alike."""
+    scenes: dict[str, dict[str, list[str]]] = {}
+    for engine, study in itertools.product(engines, studies):
         if _cheapest(study, engine) is None:
-            yield f"{study.scene}, {engine}: {_reason(study, engine)}"
+            alike = scenes.setdefault(engine, {}).setdefault(_reason(study, engine), [])
+            alike.append(study.scene)
+    for engine, reasons in scenes.items():
+        for reason, alike in reasons.items():
+            yield f"{engine} on {', '.join(alike)}: {reason}"
 
 
 def _reason(study: Tradeoff, engine: str) -> str:
@@ -135,8 +141,8 @@ def _reason(study: Tradeoff, engine: str) -> str:
     points = [point for curve in _curves(study, engine) for point in curve.points]
     if points:
         return f"{points[0].kind}: {points[0].reason}"
-    left_out = (reason for what, reason in study.left_out.items() if what.split()[0] == engine)
-    return next(left_out, "not measured")
+    left_out = [reason for what, reason in study.left_out.items() if what.split()[0] == engine]
+    return "; ".join(left_out) or "not measured"
 
 
 def _off(place: tuple[CurveResult, Point]) -> tuple[int, float]:

@@ -79,15 +79,15 @@ def test_an_engine_that_steps_nothing_has_the_toolkits_stepping() -> None:
 def test_a_dash_has_its_reason() -> None:
     table = choose_table([_STUDY])
 
-    assert "- pair, exudyn: nearest is alpha at 10 ms, over budget: gap" in table
-    assert "- pair, pybullet: pybullet cannot do ball joint" in table
-    assert "pair, mujoco" not in table
+    assert "- exudyn on pair: nearest is alpha at 10 ms, over budget: gap" in table
+    assert "- pybullet on pair: pybullet cannot do ball joint" in table
+    assert "mujoco on" not in table
 
 
 def test_an_engine_that_was_not_tried_says_so() -> None:
     other = msgspec.structs.replace(_study(curve("mujoco", "RK4", _point(0.01, 0.1))), scene="two")
 
-    assert "- two, dart: not measured" in choose_table([_STUDY, other])
+    assert "- dart on two: not measured" in choose_table([_STUDY, other])
 
 
 def test_options_are_marked_and_a_busy_machine_is_told() -> None:
@@ -103,7 +103,7 @@ def test_what_did_not_end_says_so() -> None:
     table = choose_table([_study(curve("dart", "euler", _point(0.02, None, kind="crashed")))])
 
     assert _cells(table)["dart"] == "–"
-    assert "- pair, dart: crashed: gave up" in table
+    assert "- dart on pair: crashed: gave up" in table
 
 
 def test_scenes_without_a_truth_are_not_said_to_be_judged() -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from mbds_xsim.base.isolate import Conduct
+from mbds_xsim.report.themed import ENGINES
 from mbds_xsim.scene.state import Failure, Trajectory
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice
@@ -143,6 +144,10 @@ def test_the_page_says_what_the_adapters_say() -> None:
     assert stale == [], f"docs/contact.md is stale; run: {again}"
 
 
+def test_every_engine_has_a_mark_of_its_own() -> None:
+    assert len(set(present._MARKS)) == len(present._MARKS) == len(ENGINES)
+
+
 @pytest.mark.usefixtures("in_process")
 def test_the_command_writes_page_figures_and_json(run: CommandLine, here: Path) -> None:
     """In this process: that parts run apart, the next test says."""
@@ -183,6 +188,10 @@ def test_a_part_that_fails_is_told_and_takes_nothing_with_it(
     ("words", "said"),
     [
         (["--engines", "bullet"], "no engine is called 'bullet'"),
+        (
+            ["--engines", "pinocchio"],
+            "--engines: got pinocchio: it has no contact: Pinocchio gives",
+        ),
         (["--settings", "best"], "no settings profile is called 'best'"),
         (["--markdown", "."], "--markdown: cannot write ."),
     ],

@@ -16,6 +16,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.files import write_whole
 from mbds_xsim.base.isolate import Conduct, Crash, Task, run_tasks
 from mbds_xsim.base.text import counted
@@ -26,7 +27,7 @@ from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Profile
 from mbds_xsim.simulate.choice import Choice, as_profile
-from mbds_xsim.simulate.claims import ContactLaw
+from mbds_xsim.simulate.claims import ContactLaw, Feature
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.simulate.timed import simulate
 from mbds_xsim.studies.contact import FRICTION, RADIUS, RESTITUTION, ContactBench, ContactFigure
@@ -105,14 +106,24 @@ def study_contact(choice: Choice, conduct: Conduct, command: str = "") -> Contac
         choice: Engines and profiles; methods and steps are those of the profiles.
         conduct: How.
         command: What is told to make the study again.
+
+    Raises:
+        InputError: None of the engines has contact.
     """
     begin = time.perf_counter()
     profiles = tuple(map(as_profile, choice.profiles))
+    adapters = {engine: registry.load_adapter(engine) for engine in choice.engines}
+    without = {
+        engine: f"it has no contact: {adapter.limits[Feature.CONTACT]}"
+        for engine, adapter in adapters.items()
+        if Feature.CONTACT in adapter.limits
+    }
+    adapters = {engine: adapters[engine] for engine in adapters if engine not in without}
+    if not adapters:
+        msg = "; ".join(f"--engines: got {engine}: {why}" for engine, why in without.items())
+        raise InputError(msg)
     work = [
-        (engine, profile, part)
-        for part in _PARTS
-        for profile in profiles
-        for engine in choice.engines
+        (engine, profile, part) for part in _PARTS for profile in profiles for engine in adapters
     ]
     conduct.meter.begin(len(work))
     answers = run_tasks(
@@ -120,7 +131,6 @@ def study_contact(choice: Choice, conduct: Conduct, command: str = "") -> Contac
         workers=conduct.workers,
         finished=lambda place, _: conduct.meter.advance(f"{work[place][0]}: {work[place][2]}"),
     )
-    adapters = {engine: registry.load_adapter(engine) for engine in choice.engines}
     laws = {engine: adapter.contact_law for engine, adapter in adapters.items()}
     told = list(zip(work, answers, strict=True))
     return ContactStudy(
@@ -132,7 +142,7 @@ def study_contact(choice: Choice, conduct: Conduct, command: str = "") -> Contac
             *(Missing(*w, part.reason) for w, part in told if isinstance(part, Crash)),
             *(
                 Missing(engine, profile, "the study", why)
-                for engine, why in choice.faulty.items()
+                for engine, why in (without | dict(choice.faulty)).items()
                 for profile in profiles
             ),
         ),
@@ -295,7 +305,8 @@ def present(study: ContactStudy) -> Iterator[Block]:
     yield Text(JUDGED.replace("Marked", "Marked ✗"), "muted")
 
 
-_MARKS = "12x+34"
+_MARKS = "12x+34|_"
+"""As many as engines have colours."""
 _BOUNCING = [e for e in RESTITUTIONS if e > 0.0]
 _ASKED = DOTTED | {"label": "asked"}
 
