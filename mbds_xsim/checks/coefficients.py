@@ -31,7 +31,7 @@ from mbds_xsim.checks.eccentric import Pool, Shown, shown_of
 from mbds_xsim.checks.finding import Figures, Record, check
 from mbds_xsim.checks.flights import numbers
 from mbds_xsim.checks.integrity import pair_distance, pair_rate
-from mbds_xsim.checks.joint_work import losses
+from mbds_xsim.checks.joint_work import delayed_springs, losses
 from mbds_xsim.checks.mismatch import steady
 from mbds_xsim.scene.joint_space import joint_rate
 
@@ -109,7 +109,7 @@ def parts_of(record: Record) -> list[BalancePart]:
     The inputs' part is that of energy and of the momenta that no support touches, others that of
     energy alone.
     """
-    left, weight = _weighed(_left(record)[..., None])
+    left, weight = _weighed(_timely(record, _left(record))[..., None])
     here = _work(record, 0)
     products = weight * left[..., 0] * here
     squares = weight * here**2
@@ -122,6 +122,17 @@ def parts_of(record: Record) -> list[BalancePart]:
     for name, part, errors in _parts(record, here, left):
         found.append(_part(name, weight * left[..., 0] * part, weight * part**2, errors))
     return found
+
+
+def _timely(record: Record, left: Array) -> Array:
+    """Take off what springs lose, or gain, that a method of first order takes a step off."""
+    if record.order > 1 or not record.step:
+        return left
+    lost = delayed_springs(record)
+    seen = np.isfinite(left) & np.isfinite(lost)
+    product, square = (np.where(seen, lost * other, 0.0).sum(axis=1) for other in (left, lost))
+    delay = product / np.maximum(square, np.finfo(float).tiny)
+    return left - np.clip(delay, -record.step, record.step)[:, None] * lost
 
 
 def _weighed(left: Array) -> tuple[Array, Array]:

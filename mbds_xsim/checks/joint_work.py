@@ -16,7 +16,7 @@ from mbds_xsim.checks.coordinates import coordinate_of
 from mbds_xsim.checks.finding import Record
 from mbds_xsim.checks.integrity import pair_distance, pair_rate
 from mbds_xsim.scene.joint_space import joint_rate
-from mbds_xsim.scene.mechanism import PlacedJoint
+from mbds_xsim.scene.mechanism import PlacedJoint, PointPair
 from mbds_xsim.scene.servo import PlacedDrive
 
 _POINTS = (16, 8)  # in a step, of the work of a servo; fewer tell how well it is known
@@ -80,18 +80,36 @@ Taken = Iterator[tuple[Array, Array]]
 """Energies that are taken in each step, and their errors [J], (trajectory, step)."""
 
 
+def _ways(record: Record) -> Iterator[tuple[PointPair | PlacedJoint, Way]]:
+    """Springs and joints with springs or dampers, and how they go."""
+    world = record.world
+    for spring in record.mechanism.springs:
+        place, rate = (find(world, (spring,))[..., 0] for find in (pair_distance, pair_rate))
+        yield spring, Way.through(place, record.frame * rate)
+    for joint in record.mechanism.compliant:
+        yield joint, Way.of(record, joint)
+
+
 def _dampers(record: Record) -> Taken:
     """Of springs and of joints: damping times the integral of the rate's square."""
-    mechanism, world, frame = record.mechanism, record.world, record.frame
-    for spring in mechanism.springs:
-        if spring.damping:
-            places, rates = (find(world, (spring,))[..., 0] for find in (pair_distance, pair_rate))
-            path = Way.through(places, frame * rates)
-            yield spring.damping / frame * path.square, spring.damping / frame * path.vague
-    for joint in mechanism.compliant:
-        if joint.damping:
-            path = Way.of(record, joint)
-            yield joint.damping / frame * path.square, joint.damping / frame * path.vague
+    for each, path in _ways(record):
+        if each.damping:
+            yield (
+                each.damping / record.frame * path.square,
+                each.damping / record.frame * path.vague,
+            )
+
+
+def delayed_springs(record: Record) -> Array:
+    """What springs lose for each second that they act late [J/s], (trajectory, step).
+
+    It is a damper of the stiffness times the delay. Methods of first order take places and rates at
+    other instants.
+    """
+    lost = np.zeros((len(record.finite), record.steps))
+    for each, path in _ways(record):
+        lost += each.stiffness / record.frame * path.square
+    return lost
 
 
 def _friction(record: Record) -> Taken:
