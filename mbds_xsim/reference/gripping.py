@@ -207,8 +207,8 @@ class _Motion:
         """Time derivative of a state, shape (1, number); joints that stand still stay so."""
         held = self._sense == 0
         found = self._columns(y[0], self._sense, held)
-        if not held.any():
-            return found[:1]
+        if not held.any() or not np.isfinite(found).all():
+            return found[:1]  # a stage that overflows ends a step, which then is tried shorter
         at, taken = self._brakes.fast[held], (found[0] - found[1:]).T
         share = np.linalg.lstsq(taken[at], found[0, at])[0]
         rate = found[0] - taken @ share

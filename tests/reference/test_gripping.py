@@ -15,7 +15,7 @@ from mbds_xsim.reference.solution import solve
 from mbds_xsim.scene.joint_space import BodyStates, to_bodies, to_links
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Clock, Scene
+from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene
 from mbds_xsim.simulate.registry import load_scene
 from tests.random_scenes import MOVED, SEEDS, Kind, ruled_tree
 
@@ -86,3 +86,24 @@ def test_with_contact_it_is_beyond_the_reference() -> None:
     assert failure is not None
     assert "beyond the reference" in failure.reason
     assert failure.frame == 1
+
+
+def test_a_trial_step_that_overflows_ends_no_more_than_the_trajectory() -> None:
+    """A joint that stands still by friction, and beside it a damper beyond all reason."""
+    rod, bead = Inertia(0.5, (1e-2,) * 3), Inertia(0.01, (1e-15,) * 3)
+    bodies = (
+        Body("rod", inertia=rod, position=(0.1, 0, 0)),
+        Body("bead", inertia=bead, position=(0.2, 0, 0)),
+    )
+    axis = (0.0, -1.0, 0.0)
+    joints = (
+        Joint("held", "hinge", "world", "rod", (0, 0, 0), axis, 0.0, 0.0, friction=2.0),
+        Joint("damped", "hinge", "rod", "bead", (0.2, 0, 0), axis, 0.0, 1.0, damping=1.0),
+    )
+    scene = Scene("arm", bodies, 1.0, joints=joints, clock=Clock(0.02, 2))
+
+    with np.errstate(invalid="ignore", over="ignore"):
+        (failure,) = solve(scene, draw_batch(scene, [0]), cache=False).failures
+
+    assert failure is not None
+    assert "cannot be continued" in failure.reason
