@@ -230,7 +230,7 @@ def verify(path: str | Path, *, seed: int | None = None, workers: int | None = N
 
     _check(workers)
     seed = None if seed is None else _whole("seed", seed, 0)
-    return run(path_of("path", path), seed=seed, workers=workers)
+    return run(path_of("path", path), seed=seed, conduct=Conduct(workers))
 
 
 def _numbers(index: str | int | Iterable[int]) -> tuple[int, ...]:

@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 from mbds_xsim.base.arrays import Array, Index
-from mbds_xsim.base.errors import UnknownName
+from mbds_xsim.base.errors import check_name
 from mbds_xsim.base.process import redirected
 
 # A cost improvement below this ends the solver. MuJoCo Warp cuts a model's to 1e-6, with which
@@ -112,8 +112,7 @@ def _device(name: str) -> Any:
     with open(os.devnull, "w") as nowhere, redirected((1, 2), nowhere.fileno()):
         wp.init()  # says what there is
     names = [device.alias for device in wp.get_devices()]
-    if name not in names:
-        raise UnknownName.of("device of Warp", name, names)
+    check_name("device of Warp", name, names)
     return wp.get_device(name)
 
 

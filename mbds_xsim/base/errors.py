@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Iterable
 
 
 class InputError(Exception):
@@ -23,6 +24,12 @@ class UnknownName(InputError):
         near = difflib.get_close_matches(str(got).casefold(), plain, n=1)
         hint = f"; did you mean {plain[near[0]]!r}? There are: " if near else "; there are: "
         return cls(f"no {what} is called {got!r}{hint}{', '.join(allowed) or 'none'}")
+
+
+def check_name(what: str, got: str, allowed: Iterable[str]) -> None:
+    """Raise UnknownName where a name is none of those that there are."""
+    if got not in (names := list(allowed)):
+        raise UnknownName.of(what, got, names)
 
 
 class EngineMissing(InputError):

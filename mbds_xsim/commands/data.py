@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from typer import Argument, Exit, Option
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.isolate import LIMIT
+from mbds_xsim.base.isolate import LIMIT, Conduct
 from mbds_xsim.base.text import counted
 from mbds_xsim.commands import shared
 from mbds_xsim.report import quantity
@@ -234,7 +234,8 @@ def verify(
     from mbds_xsim.dataset.verify import verify as run
 
     with shared.progress_on(to.console) as progress:
-        verified = run(path, seed=seed, workers=workers, limit=limit, progress=progress)
+        conduct = Conduct(workers, meter=progress)
+        verified = run(path, seed=seed, limit=limit, conduct=conduct)
     to.answer(_outcome(verified), verified, "verify")
     raise Exit(0 if verified.sound else 1)
 

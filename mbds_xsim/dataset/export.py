@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.files import put
+from mbds_xsim.base.isolate import Meter
 from mbds_xsim.base.text import in_markdown, on_a_line
 from mbds_xsim.dataset.layout import FIELDS, MOTION, SPLITS, attribute
 from mbds_xsim.dataset.points import Points, axis_sizes
 from mbds_xsim.dataset.read import Dataset, joined_files, load_dataset
 from mbds_xsim.dataset.variant import folder_name
-from mbds_xsim.measure.runner import ProgressSink
 from mbds_xsim.scene.scene import Scene
 
 Form = Literal["npz", "csv"]
@@ -229,7 +229,7 @@ def export(
     *,
     engines: str | None = None,
     numbers: Sequence[int] | None = None,
-    progress: ProgressSink,
+    progress: Meter,
 ) -> Exported:
     """Write data sets in another form, a folder for each scene and variant.
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.frame import frame_of
-from mbds_xsim.base.isolate import LIMIT, Crash, Silent, Task, run_tasks
+from mbds_xsim.base.isolate import LIMIT, USUAL, Conduct, Crash, Task, run_tasks
 from mbds_xsim.dataset.card import CARD, CROISSANT, descriptions, missing_lines
 from mbds_xsim.dataset.hdf5 import (
     CONTENT,
@@ -32,7 +32,6 @@ from mbds_xsim.dataset.layout import SPLITS, SUFFIX, rejected_folder
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.dataset.reaudit import FileReport, reaudit
 from mbds_xsim.dataset.shard import Shard, joined, joint_datasets
-from mbds_xsim.measure.runner import ProgressSink
 from mbds_xsim.simulate.registry import package_version
 
 _TEXTS = {CARD: "card", CROISSANT: "metadata"}
@@ -73,23 +72,21 @@ def verify(
     path: Path,
     *,
     seed: int | None = None,
-    workers: int | None = None,
     limit: float = LIMIT,
-    progress: ProgressSink | None = None,
+    conduct: Conduct = USUAL,
 ) -> Verified:
     """Check everything again that a file, with its shards, or a folder holds.
 
     Args:
         path: A data file, or a folder of them.
         seed: Chooses the trajectories that are simulated again; left out, nobody can foresee it.
-        workers: Processes at a time; all cores when left out.
         limit: Longest that one file may take [s].
-        progress: Where it is told.
+        conduct: How.
 
     Raises:
         InputError: There is nothing to check.
     """
-    begin, progress = time.perf_counter(), progress or Silent()
+    begin, meter = time.perf_counter(), conduct.meter
     about = _files(path)
     files, kinds = list(about), {file: str(attrs["kind"]) for file, attrs in about.items()}
     shards = [file for file, kind in kinds.items() if kind == "shard"]
@@ -100,9 +97,9 @@ def verify(
         Task(recheck, (file.resolve(), kind, _AGAIN if file in again else 0, seed), limit)
         for file, kind in kinds.items()
     ]
-    progress.begin(len(tasks))
+    meter.begin(len(tasks))
     answers = run_tasks(
-        tasks, workers=workers, finished=lambda place, _: progress.advance(files[place].name)
+        tasks, workers=conduct.workers, finished=lambda place, _: meter.advance(files[place].name)
     )
     reports = tuple(
         FileReport(str(file), kinds[file], problems=[f"cannot be read: {answer.reason}"])

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Literal, final
 import torch
 from torch import Tensor, nn
 
-from mbds_xsim.base.errors import InputError, UnknownName, Unsupported
+from mbds_xsim.base.errors import InputError, Unsupported, check_name
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Motions, Sample, Start
@@ -152,8 +152,7 @@ def load_model(name: str) -> type[LearnedModel]:
         InputError: What a package registers by that name is no model, or fails on import.
     """
     points = registered(_GROUP)
-    if name not in points:
-        raise UnknownName.of("model", name, model_names())
+    check_name("model", name, model_names())
     try:
         kind = points[name].load()
     except Exception as error:  # another package's code

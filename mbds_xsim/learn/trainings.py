@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
-from mbds_xsim.base.errors import InputError, UnknownName
+from mbds_xsim.base.errors import InputError, check_name
 from mbds_xsim.base.isolate import Carrier, Crash, Task
 from mbds_xsim.dataset.generate import repeating
 from mbds_xsim.dataset.read import Dataset
@@ -85,8 +85,7 @@ class TrainingOutcome:
 
 def profile_named(name: str) -> Profile:
     """Give a profile; UnknownName says which there are."""
-    if name not in PROFILES:
-        raise UnknownName.of("profile", name, list(PROFILES))
+    check_name("profile", name, PROFILES)
     return PROFILES[name]
 
 
@@ -101,8 +100,7 @@ def planned(request: TrainingRequest, *, only: bool = False) -> TrainingPlan:
     request = replace(request, out=request.out.absolute(), events=events)
     usual, tracks = TRACKS[request.profile_name], {}
     for model in request.models:
-        if model not in trainable():
-            raise UnknownName.of("model to train", model, trainable())
+        check_name("model to train", model, trainable())
         tracks[model] = track_of(model, request.track, usual)
     reasons = {
         (group, model): refusal(model, Graph.of(group.scene), track=tracks[model])

@@ -31,7 +31,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 import msgspec
 
@@ -328,16 +328,6 @@ def carry_out(pieces: Sequence[Piece], conduct: Conduct, spent: Account) -> None
     answers = run_tasks(tasks, workers=conduct.workers, started=started, finished=finished)
     for piece, answer in zip(pieces, answers, strict=True):
         piece.keep(answer)
-
-
-class ProgressSink(Protocol):
-    """Where progress is told."""
-
-    def begin(self, total: int) -> None:
-        """Say how many tasks there are."""
-
-    def advance(self, what: str) -> None:
-        """Count one task as done."""
 
 
 @dataclass

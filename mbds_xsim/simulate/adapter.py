@@ -14,7 +14,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
-from mbds_xsim.base.errors import InputError, UnknownName, Unsupported
+from mbds_xsim.base.errors import InputError, Unsupported, check_name
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import CUT, JointKind, Mechanism
 from mbds_xsim.scene.scene import Scene
@@ -211,11 +211,9 @@ class Adapter(ABC):
     @final
     def check(self, scene: Scene, settings: Settings) -> None:
         """Raise as `open` would, without loading anything."""
-        if settings.method not in self.methods:
-            raise UnknownName.of(f"method of {self.name}", settings.method, sorted(self.methods))
+        check_name(f"method of {self.name}", settings.method, sorted(self.methods))
         for key, value in settings.options.items():
-            if key not in self.options:
-                raise UnknownName.of(f"option of {self.name}", key, sorted(self.options))
+            check_name(f"option of {self.name}", key, sorted(self.options))
             self.options[key].check(f"option {key} of {self.name}", value)
         settings.substeps(scene.clock.frame)
         refusals = self.refusals(scene, settings.method)

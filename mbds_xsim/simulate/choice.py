@@ -19,7 +19,7 @@ from typing import Any
 
 import msgspec
 
-from mbds_xsim.base.errors import InputError, UnknownName, Unsupported
+from mbds_xsim.base.errors import InputError, Unsupported, check_name
 from mbds_xsim.base.files import read_file
 from mbds_xsim.base.isolate import LIMIT
 from mbds_xsim.scene.scene import Scene
@@ -317,6 +317,5 @@ def _physics(scene: Scene) -> str:
 def as_profile(name: str) -> Profile:
     """Read a profile's name."""
     profiles: dict[str, Profile] = {"matched": "matched", "native": "native"}
-    if name not in profiles:
-        raise UnknownName.of("settings profile", name, sorted(profiles))
+    check_name("settings profile", name, sorted(profiles))
     return profiles[name]

@@ -27,6 +27,7 @@ from mbds_xsim.base.errors import (
     SceneError,
     UnknownName,
     Unsupported,
+    check_name,
 )
 from mbds_xsim.base.isolate import Crash, Task, in_worker, run_tasks
 from mbds_xsim.scene.scene import Scene
@@ -107,8 +108,7 @@ def load_adapter(name: str) -> Adapter:
     if name == REFERENCE:
         return made(_TRUTH)
     points = registered("mbds_xsim.adapters")
-    if name not in points:
-        raise UnknownName.of("engine", name, simulator_names())
+    check_name("engine", name, simulator_names())
     other = stand_in(points[name])
     if isinstance(other, str):
         raise EngineFaulty(f"the engine {name} cannot be used: {other}; repair or uninstall it")
@@ -182,8 +182,8 @@ def read_model(path: Path, *, folder: Path | None = None, floating: bool = False
         InputError: One line: the file, what is wrong with it and where.
     """
     readers = registered("mbds_xsim.model_readers")
-    if (suffix := path.suffix[1:].lower()) not in readers:
-        raise UnknownName.of("format of models", suffix, sorted(readers))
+    suffix = path.suffix[1:].lower()
+    check_name("format of models", suffix, sorted(readers))
     if not path.is_file():
         raise InputError(f"{path}: cannot be read (no such file); give the path of a model")
     inside = (folder or path.parent).absolute()
@@ -215,8 +215,7 @@ def write_model(scene: Scene, kind: str) -> Written:
         InputError: The format has no place for the scene; the text says why.
     """
     writers = registered("mbds_xsim.model_writers")
-    if kind not in writers:
-        raise UnknownName.of("format of models", kind, sorted(writers))
+    check_name("format of models", kind, sorted(writers))
     writer: Writer = writers[kind].load()
     return writer(scene)
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.base.errors import InputError, UnknownName
+from mbds_xsim.base.errors import InputError, check_name
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.base.text import counted
 from mbds_xsim.reference import solve
@@ -127,8 +127,7 @@ def _engine_facts(
     """
     loaders = registered("mbds_xsim.model_loaders")
     for engine in engines:
-        if engine not in loaders:
-            raise UnknownName.of("engine with a reader of its own", engine, sorted(loaders))
+        check_name("engine with a reader of its own", engine, sorted(loaders))
     tasks = [Task(_load, (loaders[name], path.absolute(), floating), _TIMEOUT) for name in engines]
     answers = run_tasks(tasks)
     return {

@@ -12,6 +12,7 @@ import pytest
 
 import mbds_xsim
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import Silent
 from mbds_xsim.dataset.audit import audit_file
 from mbds_xsim.dataset.export import export
 from mbds_xsim.dataset.foreign import Provenance
@@ -20,7 +21,6 @@ from mbds_xsim.dataset.verify import recheck
 
 from .conftest import Make
 from .repack import ELSEWHERE, LAYOUTS, OTHER_TYPES, repack
-from .test_verify import Quiet
 
 FILE = "1pendulum/mujoco-matched.h5"
 SHARD = "1pendulum/mujoco-matched/0000000000.h5"
@@ -37,7 +37,7 @@ def copy(few: Path, tmp_path: Path) -> Path:
 
 def _readers(shard: Path, out: Path) -> dict[str, Callable[[], object]]:
     def exported() -> object:
-        return export(shard, out, "npz", progress=Quiet())
+        return export(shard, out, "npz", progress=Silent())
 
     return {
         "load": lambda: np.asarray(mbds_xsim.load_dataset(shard).position),

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import HERE
 from mbds_xsim.base.versions import CHECKS
 from mbds_xsim.dataset.encoding import encode
 from mbds_xsim.dataset.gate import COLUMNS, judge_rows
@@ -31,13 +32,8 @@ from .conftest import FILE, JOINT, SHARD, TEXTS, Make
 Change = Callable[[dict[str, Any], dict[str, Any]], None]
 
 
-class Quiet:
-    def begin(self, total: int) -> None: ...
-    def advance(self, what: str) -> None: ...
-
-
 def _verify(path: Path) -> Verified:
-    return verify(path, workers=0, progress=Quiet())
+    return verify(path, conduct=HERE)
 
 
 def _problems(verified: Verified) -> list[str]:
@@ -281,7 +277,7 @@ def test_nobody_can_foresee_what_is_simulated_again(
     assert len({tuple(rows) for rows in chosen}) > 1
     assert all(len(set(rows)) == 3 for rows in chosen)
 
-    verify(few / SHARD, seed=verified[0].seed, workers=0, progress=Quiet())
+    verify(few / SHARD, seed=verified[0].seed, conduct=HERE)
     assert chosen[-1] == chosen[0]
 
 

@@ -19,7 +19,7 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from mbds_xsim.base.errors import InputError, UnknownName
+from mbds_xsim.base.errors import InputError, check_name
 from mbds_xsim.base.isolate import USUAL, Conduct, Crash, Task, run_tasks
 from mbds_xsim.base.text import on_a_line
 from mbds_xsim.measure.runner import Keyed, Runner, Store, StudyCase, machine, row_key
@@ -132,8 +132,7 @@ class ReleaseStudy:
             InputError: There is no such engine or release, or the index cannot be asked.
         """
         begin = time.perf_counter()
-        if self.engine not in engine_names():
-            raise UnknownName.of("engine", self.engine, engine_names())
+        check_name("engine", self.engine, engine_names())
         since = since or known_of(self.engine).since
         versions = releases_of(self.adapter.package, since, last or (None if since else _LAST))
         parts = {version: self._release(version) for version in versions}

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from mbds_xsim.base.errors import InputError, UnknownName
+from mbds_xsim.base.errors import InputError, check_name
 from mbds_xsim.measure.runner import Keyed
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Clock, Scene
@@ -67,8 +67,7 @@ class Study:
         """
         names = [value for value in self.values if isinstance(value, str)]
         if names:
-            if text not in names:
-                raise UnknownName.of(f"value of {self.name}", text, names)
+            check_name(f"value of {self.name}", text, names)
             return text
         try:
             value = float(text)

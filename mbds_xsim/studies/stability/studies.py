@@ -10,7 +10,7 @@ from typing import Literal
 
 import msgspec
 
-from mbds_xsim.base.errors import UnknownName
+from mbds_xsim.base.errors import check_name
 from mbds_xsim.scene.sampling_terms import HingeRate, Swing, Throw, Turn, span_of
 from mbds_xsim.scene.scene import (
     PARTICLE_INERTIA,
@@ -393,6 +393,5 @@ STUDIES: dict[str, Study] = {study.name: study for study in (
 
 def study_named(name: str) -> Study:
     """Find a study, or raise UnknownName."""
-    if name not in STUDIES:
-        raise UnknownName.of("study", name, list(STUDIES))
+    check_name("study", name, STUDIES)
     return STUDIES[name]

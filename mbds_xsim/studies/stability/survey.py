@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import msgspec
 
 from mbds_xsim import reference
-from mbds_xsim.base.errors import InputError, UnknownName, Unsupported
+from mbds_xsim.base.errors import InputError, Unsupported, check_name
 from mbds_xsim.base.isolate import USUAL, Conduct, Crash, Task, run_tasks
 from mbds_xsim.base.versions import CHECKS
 from mbds_xsim.measure.runner import (
@@ -160,8 +160,7 @@ def simulators_of(plan: SurveyPlan) -> tuple[list[Simulator], dict[str, str]]:
             found.append(simulator)
     known = {method for name in plan.engines for method in registry.load_adapter(name).methods}
     for method in plan.methods:
-        if method not in known:
-            raise UnknownName.of("method of these engines", method, sorted(known))
+        check_name("method of these engines", method, sorted(known))
     if not found:
         reason = next(iter(left_out.values()), "no method that is named belongs to these settings")
         msg = f"nothing to run in {plan.study.name}: {reason}"
