@@ -35,6 +35,8 @@ _PHYSICS = (
     "bodies", "joints", "distance_links", "springs", "gravity", "contacts", "ground", "length",
     "dimension",
 )  # fmt: skip
+_GEARS = 2
+"""Version of scenes with gears alone: before, a gear beside a fixed joint could be left out."""
 _SOURCES = ("lanes", "lane_algebra", "noted", "elimination", "tree")
 _SEAL = hashlib.sha256().digest_size
 
@@ -116,7 +118,8 @@ def key_of(what: str, scene: Scene, batch: Batch, row: int, rtol: float) -> str:
     """Name of the entry of one trajectory: a hash of the physics, the start and the inputs."""
     digest = hashlib.sha256()
     physics = [getattr(scene, key) for key in _PHYSICS]
-    physics += [given for given in (scene.servos, scene.couplings) if given]
+    physics += [scene.servos] if scene.servos else []
+    physics += [_GEARS, scene.couplings] if scene.couplings else []
     # Scenes made in Python may hold numpy's numbers.
     digest.update(
         msgspec.json.encode([what, PHYSICS, rtol, scene.clock.frame, physics], enc_hook=float)

@@ -251,8 +251,9 @@ def _pass_on(t, work, i):
             store(work.couplings, plan.on_pair[pair], total)
             pair += 1
         if t.row_kind[k] == COUPLED:
-            z = load(work.brought, plan.on_speed[q])
-            own = load(work.rows, ROW * k + 14) + load(work.through, w) * z
+            own, z = load(work.rows, ROW * k + 14), plan.on_speed[q]
+            for s in range(speeds):  # none of a fixed joint
+                own = own + load(work.through, w + s) * load(work.brought, z + s)
             store(work.rows, ROW * k + 14, own)
 
 

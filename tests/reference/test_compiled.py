@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from mbds_xsim.base.arrays import Array, Mask
@@ -124,6 +124,7 @@ def test_a_rotor_is_a_torque_against_the_acceleration_of_its_hinge(case: RandomC
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10**6), KINDS, st.integers(0, 1), st.sampled_from([1.0, -2.5]))
+@example(741345, ["fixed", "hinge"], 1, 1.0)  # a body that is fixed carries one that is coupled
 def test_a_coupling_is_a_torque_on_each_of_its_hinges_that_keeps_their_rates(
     seed: int, kinds: list[Kind], links: int, ratio: float
 ) -> None:
