@@ -113,7 +113,10 @@ def delayed_springs(record: Record) -> Array:
 
 
 def _friction(record: Record) -> Taken:
-    """Dry: in a step in which a joint turns back all of the way there and back is left open."""
+    """Dry: in a step in which a joint turns back all of the way there and back is left open.
+
+    There it goes no farther than at the smaller rate of the step's ends in half the step.
+    """
     for joint in record.mechanism.frictional:
         path = Way.of(record, joint)
         root = np.sqrt(np.maximum(path.bend**2 - 3 * path.begin * path.twist, 0.0))
@@ -124,7 +127,9 @@ def _friction(record: Record) -> Taken:
         turns = np.sort(np.clip(turns, 0.0, 1.0), axis=0)
         whole = path.moved(1.0)
         way = np.abs(np.diff([0.0 * whole, *path.moved(turns), whole], axis=0)).sum(axis=0)
-        yield joint.friction * way, joint.friction * (way - np.abs(whole))
+        ends = path.begin, path.rate(1.0)
+        back = np.where(ends[0] * ends[1] < 0.0, np.abs(ends).min(axis=0), 0.0)
+        yield joint.friction * way, joint.friction * np.maximum(way - np.abs(whole), back)
 
 
 def _drives(record: Record) -> Taken:
