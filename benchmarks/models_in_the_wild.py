@@ -315,8 +315,8 @@ imported bodies and joints, over the model's own size, from MuJoCo's compiled mo
 Pinocchio's reading of URDF. What an engine has otherwise than the file says is what
 `mbds-xsim readers MODEL` lists; see [what engines' own readers lose](../../docs/reader-losses.md).
 
-Imports are of the present program. Verdicts were made while defects that they showed were mended,
-and not all were made again since. Deviations and readings are of an earlier run of the same
+Imports and deviations are of the present program. Verdicts were made while defects that they
+showed were mended, and not all were made again since. Readings are of an earlier run of the same
 command, of the same files and the same releases of the engines.
 """
 

@@ -32,8 +32,9 @@ def mended_urdf(root: Element) -> Iterator[Fate]:
     for holder in root:
         place = holder.get("name", "")
         for parent in (holder, *holder.findall("inertial")):
-            for element in list(parent):
-                yield from _with_plain_numbers(element, place)
+            for element in parent:
+                if element.tag in _SINGLE:
+                    yield from _with_plain_numbers(element, place)
             yield from _stated_once(parent, place)
         if holder.tag == "link" and place == "world":
             for element in holder.findall("inertial"):

@@ -100,6 +100,14 @@ def test_places_in_w_are_those_in_the_bodies_frames(here: Path) -> None:
     )
 
 
+def test_extensions_may_have_as_many_numbers_as_they_like(here: Path) -> None:
+    extended = _URDF.replace("<limit", '<fdir1 value="1 0 0"/><limit')
+
+    (fate,) = (f for f in _read(here, "arm.urdf", extended).fates if f.element == "fdir1")
+
+    assert (fate.outcome, fate.properties) == ("dropped", ("value",))
+
+
 def test_what_no_mend_makes_plain_is_refused_as_it_was(here: Path) -> None:
     turned = _GLOBAL.replace('pos="9 0 0"', 'euler="0 90 0"')
 
