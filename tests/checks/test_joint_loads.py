@@ -62,6 +62,8 @@ def test_the_exact_motion_balances_and_one_with_another_law_does_not(case: Case)
     # Dry friction may stop a joint inside a frame, and of its work there no more is known.
     stops = finding.uncertainty.max() if record.mechanism.frictional else 0.0
     assert finding.figure.max() < max(1e-5, stops)
+    # 5 % of the led block's stiffness are 8.4e-4 of its scale of energy.
+    least = 5e-4 if case.name == "led block" else 1e-3
     given = (key for joint in case.scene.joints for key in joint.added if getattr(joint, key))
     for key in {*given} - {"rest"}:
         joints = (
@@ -70,7 +72,7 @@ def test_the_exact_motion_balances_and_one_with_another_law_does_not(case: Case)
         )
         other = msgspec.structs.replace(case.scene, joints=tuple(joints))
         wrong = Record(other, record.batch, record.trajectory)
-        assert energy_balance.finding(wrong).figure.max() > 5e-4
+        assert energy_balance.finding(wrong).figure.max() > least
 
 
 @pytest.mark.parametrize(
