@@ -101,9 +101,10 @@ def _refuse(root: Element) -> None:
         raise InputError(msg)
     for element in root.iter():
         framed = [key for key in _FRAMES if element.get(key)]
-        nested = element.tag == "model" and element.find("model") is not None
+        nested = element.tag not in ("sdf", "world") and element.find("model") is not None
         if element.tag in _NOT_READ or framed or nested:
-            what = f"{framed[0]}=" if framed else "a model in a model" if nested else element.tag
+            within = f"a model in a {element.tag}" if nested else element.tag
+            what = f"{framed[0]}=" if framed else within
             msg = f"<{element.tag}> has what DART's parser does not read ({what}); resolve it first"
             raise InputError(msg)
 

@@ -76,6 +76,7 @@ _BAD = {
                "does not read (relative_to=)"),
     "include": ("<include><uri>model://a</uri></include>", "does not read (include)"),
     "nested": ('<model name="b"/>', "a model in a model"),
+    "misplaced": ('<link name="rod"><model><mass>2</mass></model></link>', "a model in a link"),
     "screw": (_ARM.format("", "screw", ""), "ScrewJoint"),
     "nothing": (_ARM.format("", "fixed", ""), "nothing in it moves"),
     "old": (None, "version 1.4"),
