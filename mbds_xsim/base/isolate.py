@@ -42,6 +42,8 @@ class Task:
     timeout: float = LIMIT
     """Of its own time [s]: neither the start of its process nor what other work on the machine
     keeps it from counts."""
+    after: int | None = None
+    """Place, among the tasks carried out with it, of one that has to end before."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +114,7 @@ def run_tasks(
     """Carry out all tasks, in order of their listing as workers come free.
 
     Args:
-        tasks: What to do; list the longest first.
+        tasks: What to do; list the longest first, and what others wait for before these.
         workers: Processes at a time; all cores when left out. 0 runs the tasks in this process,
             one after the other, for debuggers and for tests that change what a task does: there
             is no timeout then, and an error is raised where it happens.
@@ -128,7 +130,8 @@ def run_tasks(
     answers: list[Any] = [None] * len(tasks)
     if not tasks:
         return answers
-    waiting = list(range(len(tasks)))[::-1]
+    waiting = list(range(len(tasks)))
+    ended: set[int | None] = {None}
     running: list[_Process] = []
     with (
         held_back() as let_through,
@@ -139,8 +142,11 @@ def run_tasks(
         memory = _SHARE * memory_bytes()
         try:
             while waiting or running:
-                while waiting and len(running) < most:
-                    place = waiting.pop()
+                while len(running) < most:
+                    ready = (place for place in waiting if tasks[place].after in ended)
+                    if (place := next(ready, None)) is None:
+                        break
+                    waiting.remove(place)
                     if starter.over:  # something has killed it
                         starter.end()
                         starter = _Starter(tasks, Path(folder), packages)
@@ -152,6 +158,7 @@ def run_tasks(
                     max(running, key=lambda process: process.bytes).end_for_memory()
                 for process in [process for process in running if process.ended()]:
                     running.remove(process)
+                    ended.add(process.place)
                     answers[process.place] = process.answer()
                     if finished is not None:
                         finished(process.place, answers[process.place])

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.checks.motion_kernel import FlatMotion, conjugate, facing, held, spread3, vector
+from mbds_xsim.reference.compiling import compiled, entered
 from mbds_xsim.reference.lane_algebra import (
     add,
     add_to,
@@ -21,16 +22,7 @@ from mbds_xsim.reference.lane_algebra import (
     sub,
     times,
 )
-from mbds_xsim.reference.lanes import (
-    LANES,
-    compiled,
-    entered,
-    load,
-    put_eight,
-    root,
-    spread,
-    store,
-)
+from mbds_xsim.reference.lanes import LANES, load, put_eight, root, spread, store
 
 
 class Masses(NamedTuple):

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.checks.motion_kernel import FlatMotion, conjugate, facing, vector
+from mbds_xsim.reference.compiling import compiled, entered
 from mbds_xsim.reference.lane_algebra import (
     add,
     add_to,
@@ -25,9 +26,7 @@ from mbds_xsim.reference.lane_algebra import (
 from mbds_xsim.reference.lanes import (
     LANES,
     arctan2,
-    compiled,
     cosine,
-    entered,
     larger,
     load,
     positive,

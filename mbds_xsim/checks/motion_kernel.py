@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.reference.lanes import compiled, eight, spread
+from mbds_xsim.reference.compiling import compiled
+from mbds_xsim.reference.lanes import eight, spread
 
 
 class FlatMotion(NamedTuple):

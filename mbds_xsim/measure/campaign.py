@@ -48,29 +48,24 @@ def run_campaign(
     """
     outcomes, meter = [Outcome(contender) for contender in contenders], conduct.meter
     references: list[Any] = []
-    before: list[Piece] = []
-    work = [
-        Piece(
-            REFERENCE,
-            REFERENCE,
-            Task(reference_of, (scene, batch[rows], conduct.cache), _TIMEOUT),
-            references.append,
-        )
-        for rows in _reference_chunks(scene, len(batch))
-    ]
     compiling = None if scene.contacts else compilation(meter.notice)
-    if compiling is not None:
-        before.append(Piece("compiler", "compiler", *compiling))
+    compiled = None if compiling is None else 0
+    truth, engines = [], []
+    for rows in _reference_chunks(scene, len(batch)):
+        task = Task(reference_of, (scene, batch[rows], conduct.cache), _TIMEOUT, after=compiled)
+        truth.append(Piece(REFERENCE, REFERENCE, task, references.append))
     for outcome in outcomes:
-        waits = compiling is None or method_of(outcome.contender).is_truth
-        (work if waits else before).extend(_engine_work(scene, batch, outcome))
-    meter.begin(len(before) + len(work))
+        own = compiled if method_of(outcome.contender).is_truth else None
+        engines += _engine_work(scene, batch, outcome, after=own)
+    work = [*truth, *engines]
+    if compiling is not None:
+        work = [Piece("compiler", "compiler", *compiling), *engines, *truth]
+    meter.begin(len(work))
     meter.doing("costs of the runs")
     costs = [_work_of(scene, batch, outcome) for outcome in outcomes]
     for line in forewarnings(scene, batch[[0]], costs, workers=conduct.workers):
         meter.notice(line)
-    for pieces in filter(None, (before, work)):
-        carry_out(pieces, conduct, spent)
+    carry_out(work, conduct, spent)
     reference = _joined(references)
     if may_end(scene):
         pieces = [piece for each in outcomes for piece in pieces_of(scene, batch, each, reference)]
@@ -94,16 +89,16 @@ def run_references(scene: Scene, batch: Batch, conduct: Conduct) -> ReferenceOut
     return _joined(run_tasks(parts, workers=conduct.workers))
 
 
-def _engine_work(scene: Scene, batch: Batch, outcome: Outcome) -> list[Piece]:
+def _engine_work(scene: Scene, batch: Batch, outcome: Outcome, after: int | None) -> list[Piece]:
     contender, work = outcome.contender, []
     name = step_name(contender, contender.settings.step)
     for rows in _chunks(len(batch)):
         arguments = (scene, batch[rows], contender.engine, contender.settings)
         outcome.rows.append(rows)
-        task = Task(simulate, arguments, contender.limit)
+        task = Task(simulate, arguments, contender.limit, after)
         work.append(Piece(name, contender.engine, task, outcome.parts.append))
     outcome.sample = list(range(min(_SAMPLE, len(batch))))
-    return work if may_end(scene) else work + pieces_of(scene, batch, outcome)
+    return work if may_end(scene) else pieces_of(scene, batch, outcome) + work
 
 
 def _work_of(scene: Scene, batch: Batch, outcome: Outcome) -> Work:

@@ -24,8 +24,6 @@ from mbds_xsim.simulate.claims import Method
 from mbds_xsim.simulate.registry import load_adapter
 from mbds_xsim.simulate.timed import simulate
 
-_REFINEMENT = (2, 4)  # the consistency check compares with steps so many times longer, or shorter
-
 
 def may_end(scene: Scene) -> bool:
     """Whether the reference may end before the scene does: other steps wait until it is known."""
@@ -35,9 +33,12 @@ def may_end(scene: Scene) -> bool:
 def pieces_of(
     scene: Scene, batch: Batch, outcome: Outcome, known: ReferenceOutcome | None = None
 ) -> list[Piece]:
-    """Run the sample of an engine at the other steps, as far as a reference goes that is known."""
+    """Run the sample of an engine at the other steps, as far as a reference goes that is known.
+
+    The shortest step, which takes longest, comes first.
+    """
     steps = other_steps(scene, outcome.contender.engine, outcome.contender.settings)
-    return [_step_piece(scene, batch, outcome, step, known) for step in steps]
+    return [_step_piece(scene, batch, outcome, step, known) for step in sorted(steps)]
 
 
 def _step_piece(
@@ -65,18 +66,18 @@ def method_of(contender: Contender) -> Method:
 
 
 def other_steps(scene: Scene, engine: str, settings: Settings) -> list[float]:
-    """Give the consistency check's steps: longer ones where they divide the frame, else shorter.
+    """Give the consistency check's steps: three, each half the one before, with that of settings.
 
-    None for an adaptive method, which takes no step from its settings.
+    Longer ones as far as they divide the frame, since they cost less; two a frame are only halved,
+    as implicit methods that do with two often do not get through it in one. None for an adaptive
+    method, which takes no step from its settings.
     """
     if load_adapter(engine).methods[settings.method].adaptive:
         return []
     count = settings.substeps(scene.clock.frame)
-    longer = all(count % factor == 0 for factor in _REFINEMENT)
-    return [
-        scene.clock.frame / (count // factor if longer else count * factor)
-        for factor in _REFINEMENT
-    ]
+    fewest = next(count // f for f in (4, 2, 1) if count % f == 0 and (count > 2 or f == 1))
+    counts = (fewest, 2 * fewest, 4 * fewest)
+    return [scene.clock.frame / each for each in counts if each != count]
 
 
 _RUNS = 5

@@ -13,7 +13,7 @@ import hashlib
 import io
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -37,7 +37,7 @@ _PHYSICS = (
 )  # fmt: skip
 _GEARS = 2
 """Version of scenes with gears alone: before, a gear beside a fixed joint could be left out."""
-_SOURCES = ("lanes", "lane_algebra", "noted", "elimination", "tree")
+_SOURCES = ("compiling", "lanes", "lane_algebra", "noted", "elimination", "tree")
 _SEAL = hashlib.sha256().digest_size
 
 
@@ -51,8 +51,10 @@ def complete(
     keep: bool,
     together: int,
     progress: Progress | None,
-) -> list[Arrays]:
-    """Give one entry a trajectory, computing and keeping those that are not there.
+) -> Iterator[tuple[int, Arrays]]:
+    """Give each row of a batch and its entry, computing and keeping those that are not there.
+
+    One at a time, so that a batch of any size needs no more memory than what is made of it.
 
     Args:
         what: Kind of result.
@@ -65,16 +67,20 @@ def complete(
         progress: Called with the number of frames done and of all.
     """
     keys = [key_of(what, scene, batch, row, rtol) for row in range(len(batch))] if keep else []
-    found = {row: load(key) for row, key in enumerate(keys)}
-    ready = {row: entry for row, entry in found.items() if entry is not None}
-    missing = [row for row in range(len(batch)) if row not in ready]
+    found = set()
+    for row, key in enumerate(keys):
+        entry = load(key)
+        if entry is not None:
+            found.add(row)
+            yield row, entry
+    missing = [row for row in range(len(batch)) if row not in found]
     for first in range(0, len(missing), together):
         rows = missing[first : first + together]
-        report = _shifted(progress, len(ready) * batch.steps, len(rows), batch)
-        ready.update(zip(rows, compute(rows, report), strict=True))
-        for row in rows if keep else ():
-            store(keys[row], ready[row])
-    return [ready[row] for row in range(len(batch))]
+        report = _shifted(progress, (len(found) + first) * batch.steps, len(rows), batch)
+        for row, entry in zip(rows, compute(rows, report), strict=True):
+            if keep:
+                store(keys[row], entry)
+            yield row, entry
 
 
 def _shifted(progress: Progress | None, before: int, rows: int, batch: Batch) -> Progress | None:

@@ -12,8 +12,7 @@ two coordinates alone.
 
 from __future__ import annotations
 
-import numpy as np
-
+from mbds_xsim.reference.compiling import compiled
 from mbds_xsim.reference.elimination import BOTH, SECOND
 from mbds_xsim.reference.lane_algebra import (
     add,
@@ -29,21 +28,10 @@ from mbds_xsim.reference.lane_algebra import (
     sub,
     times,
 )
-from mbds_xsim.reference.lanes import (
-    compiled,
-    entered,
-    larger,
-    load,
-    positive,
-    root,
-    size,
-    spread,
-    store,
-)
+from mbds_xsim.reference.lanes import larger, load, positive, root, size, spread, store
 from mbds_xsim.reference.load_kernel import act, still, weigh
-from mbds_xsim.reference.noted import noted
 from mbds_xsim.reference.row_kernel import ROW, along, contradiction, put_rows
-from mbds_xsim.reference.tree import BALL, COUPLED, FIXED, FREE, HINGE, Tree
+from mbds_xsim.reference.tree import BALL, COUPLED, FIXED, FREE, HINGE
 from mbds_xsim.reference.tree_kernel import (
     ALPHA,
     ARM,
@@ -66,7 +54,6 @@ from mbds_xsim.reference.tree_kernel import (
     N,
     V,
     W,
-    Workspace,
     gather,
     move,
     rates,
@@ -95,13 +82,6 @@ def accelerate(t, work, y, rate, first):
     rates(t, work, y, rate, first)
 
 
-@entered
-def accelerate_once(t: Tree, work: Workspace, y, rate):
-    """Do it for Python."""
-    first = np.int64(0)  # a literal would be compiled for itself
-    accelerate(noted(t), noted(work), y, rate, first)
-
-
 @compiled
 def project(t, work, y):
     """Put states onto the closures by least mass-weighted changes; unit quaternions."""
@@ -111,18 +91,6 @@ def project(t, work, y):
             _outwards(t, work)
             _change(t, work, y, step)
     _normalise(t, y)
-
-
-@entered
-def project_once(t: Tree, work: Workspace, y):
-    """Do it for Python."""
-    project(noted(t), noted(work), y)
-
-
-@entered
-def resist_once(t: Tree, work: Workspace, y, step):
-    """Do it for Python."""
-    resist(noted(t), noted(work), y, step)
 
 
 @compiled

@@ -13,15 +13,23 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index
-from mbds_xsim.reference import marching
-from mbds_xsim.reference.closure_kernel import project_once, resist_once
+from mbds_xsim.reference import dop853, march_kernel, marching
 from mbds_xsim.reference.dynamics import maximal_of, pose_of
 from mbds_xsim.reference.elimination import with_short_loops
-from mbds_xsim.reference.evaluation_kernel import accelerate_all
 from mbds_xsim.reference.lanes import LANES
-from mbds_xsim.reference.march_kernel import BLOCK, REACHED, Lane, Problems, Scheme
-from mbds_xsim.reference.march_kernel import march as march_lanes
-from mbds_xsim.reference.marching import Marched, Problem, coefficients
+from mbds_xsim.reference.march_kernel import (
+    BLOCK,
+    EVALUATE,
+    MARCH,
+    MOVE,
+    PROJECT,
+    REACHED,
+    RESIST,
+    Lane,
+    Problems,
+    Scheme,
+)
+from mbds_xsim.reference.marching import Marched, Problem
 from mbds_xsim.reference.multipliers import POOR
 from mbds_xsim.reference.row_kernel import ROW
 from mbds_xsim.reference.singular import typical_states
@@ -35,12 +43,34 @@ from mbds_xsim.reference.tree import (
     tree_of,
     with_rows,
 )
-from mbds_xsim.reference.tree_kernel import PLACES, R, V, W, Workspace, X, move_once
+from mbds_xsim.reference.tree_kernel import PLACES, R, V, W, Workspace, X
 from mbds_xsim.scene.mechanism import Mechanism
 
-_FOLLOWS = 1e-4
 _FEWER = 0.1
 _DEPENDENT = 1e-9
+
+_ROWS = np.array([*dop853.A, dop853.B, dop853.E5, dop853.E3])
+_NO_SCHEME = Scheme(
+    begin=np.searchsorted(np.nonzero(_ROWS)[0], np.arange(len(_ROWS) + 1)),
+    stage=np.nonzero(_ROWS)[1],
+    weight=_ROWS[np.nonzero(_ROWS)],
+    rtol=0.0,
+    first=0.0,
+    smallest=0.0,
+    most=0,
+    companions=1,
+    near=0.0,
+    follows=1e-4,
+)
+_NO_TASK = Problems(
+    start=np.zeros((0, 0)),
+    force=np.zeros((0, 0, 0, 3)),
+    torque=np.zeros((0, 0, 0)),
+    frame=0.0,
+    states=np.zeros((0, 0, 0, 13)),
+    status=np.zeros(0, dtype=np.int64),
+    grip=np.zeros((0, 0)),
+)
 
 
 def march_compiled(problem: Problem) -> Marched:
@@ -56,8 +86,9 @@ def march_compiled(problem: Problem) -> Marched:
         problem.frame,
         marched.states,
         np.zeros(len(start), dtype=np.int64),
+        np.zeros((0, 0)),
     )
-    march_lanes(tree, workspace(tree), _method(problem, near), _lane(tree), task)
+    Kernel(tree).run(MARCH, task, _scheme(problem, near))
     _keep_signs(tree, marched.states, start)
     lost = np.flatnonzero(task.status != REACHED)
     if len(lost):
@@ -80,42 +111,56 @@ def body_accelerations(mechanism: Mechanism, states: Array, force: Array, torque
     """
     tree, spanned, _ = chosen(mechanism)
     y = to_tree(spanned, maximal_of(mechanism).unpack(states), states)
-    found = np.empty((len(states), mechanism.body_count, 6))
+    found = np.empty((len(states), 1, mechanism.body_count, 6))
     grip = np.zeros((len(states), len(tree.law)))
     for joint in spanned.frictional:
         rate = y[:, tree.speed_at[link_number(spanned, joint)]]
         grip[:, spanned.counted.index(joint)] = joint.friction * np.sign(rate)
-    force, torque = (np.require(load, float, ["C", "W"]) for load in (force, torque))
-    lane = lines(tree.size), lines(tree.size)
-    accelerate_all(tree, workspace(tree), lane, (y, force, torque, grip), found)
-    return found
+    force, torque = (np.require(load[:, None], float, ["C", "W"]) for load in (force, torque))
+    task = Problems(y, force, torque, 0.0, found, np.zeros(0, dtype=np.int64), grip)
+    Kernel(tree).run(EVALUATE, task)
+    return found[:, 0]
 
 
 def projected(mechanism: Mechanism, states: Array) -> Array:
     """Put states of the reference onto the closures by least mass-weighted changes."""
     tree, spanned, _ = chosen(mechanism)
-    work, found = workspace(tree), states.copy()
+    kernel, found = Kernel(tree), states.copy()
     coordinates = to_tree(spanned, maximal_of(mechanism).unpack(states), states)
     for rows, y in _in_lanes(coordinates):
         for k, place in enumerate(tree.row_place[0]):
             if tree.row_kind[k] == COUPLED and place in tree.angle_at:
                 wanted = tree.row_length[k] - tree.row_way[k, 1] * y[tree.row_place[1, k]]
                 y[place] += 2 * np.pi * np.round((wanted - y[place]) / (2 * np.pi))
-        project_once(tree, work, y)
-        found[rows] = body_states(tree, work, y)
+        kernel.y[:] = y
+        kernel.run(PROJECT)
+        found[rows] = kernel.body_states()
     return with_signs_of(found, states)
 
 
-def body_states(tree: Tree, work: Workspace, y: Array) -> Array:
-    """Give the states of lanes as the reference has them, shape (lane, body + world, 13)."""
-    move_once(tree, work, y)
-    link = np.moveaxis(work.link.reshape(-1, PLACES, LANES)[:-1], -1, 0)
-    turn = rotation.from_matrix(link[..., R : R + 9].reshape(*link.shape[:-1], 3, 3))
-    parts = (link[..., X : X + 3], turn, link[..., V : V + 3], link[..., W : W + 3])
-    found = np.zeros((LANES, len(tree.kind) + 1, 13))
-    found[:, -1, 3] = 1.0
-    found[:, tree.body] = np.concatenate(parts, axis=-1)
-    return found
+class Kernel:
+    """The compiled kernel, for one tree."""
+
+    def __init__(self, tree: Tree) -> None:
+        self.tree, self.work = tree, _workspace(tree)
+        self._lane = _lane(tree)
+        self.y, self.rates = self._lane.y[: tree.size], self._lane.stages[: tree.size]
+        """States of eight lanes and their rates, shape (number, 8)."""
+
+    def run(self, what: int, task: Problems = _NO_TASK, scheme: Scheme = _NO_SCHEME) -> None:
+        """Do what is wanted (`march_kernel`)."""
+        march_kernel.run(what, self.tree, self.work, scheme, self._lane, task)
+
+    def body_states(self) -> Array:
+        """Give the states of lanes as the reference has them, shape (lane, body + world, 13)."""
+        self.run(MOVE)
+        link = np.moveaxis(self.work.link.reshape(-1, PLACES, LANES)[:-1], -1, 0)
+        turn = rotation.from_matrix(link[..., R : R + 9].reshape(*link.shape[:-1], 3, 3))
+        parts = (link[..., X : X + 3], turn, link[..., V : V + 3], link[..., W : W + 3])
+        found = np.zeros((LANES, len(self.tree.kind) + 1, 13))
+        found[:, -1, 3] = 1.0
+        found[:, self.tree.body] = np.concatenate(parts, axis=-1)
+        return found
 
 
 def with_signs_of(states: Array, others: Array) -> Array:
@@ -134,10 +179,10 @@ def _in_lanes(y: Array) -> Iterator[tuple[Index, Array]]:
 
 def _resisting(tree: Tree, y: Array) -> Iterator[tuple[Index, Workspace]]:
     """Eliminate the rows of states; give which of them, and what was found, one after the other."""
-    work = workspace(tree)
-    for rows, lanes in _in_lanes(y):
-        resist_once(tree, work, lanes, 0)
-        yield rows, work
+    kernel = Kernel(tree)
+    for rows, kernel.y[:] in _in_lanes(y):
+        kernel.run(RESIST)
+        yield rows, kernel.work
 
 
 @functools.lru_cache(maxsize=64)
@@ -180,11 +225,12 @@ def _keep_signs(tree: Tree, states: Array, start: Array) -> None:
     bodies = tree.body[(tree.kind != BALL) & (tree.kind != FREE)]
     if len(bodies):
         along = np.sum(states[:, 0, bodies, 3:7] * start[:, bodies, 3:7], axis=-1)
-        states[:, :, bodies, 3:7] *= np.where(along < 0.0, -1.0, 1.0)[:, None, :, None]
+        for row, k in np.argwhere(along < 0.0).tolist():
+            states[row, :, bodies[k], 3:7] *= -1.0
     states[:, 0] = start
 
 
-def workspace(tree: Tree) -> Workspace:
+def _workspace(tree: Tree) -> Workspace:
     """Make the arrays that kernels of a tree need."""
     links, rows, loaded, plan = len(tree.kind) + 1, len(tree.row_kind), tree.loaded, tree.plan
     work = Workspace(
@@ -235,19 +281,12 @@ def lines(count: int) -> Array:
     return raw[first : first + max(count, 1) * LANES].reshape(-1, LANES)
 
 
-def _method(problem: Problem, near: float) -> Scheme:
-    given = coefficients()
-    rows = np.array([*given.A[:12, :12], given.B, given.E5[:12], given.E3[:12]])
-    row, stage = np.nonzero(rows)
-    return Scheme(
-        begin=np.searchsorted(row, np.arange(len(rows) + 1)),
-        stage=stage,
-        weight=rows[row, stage],
+def _scheme(problem: Problem, near: float) -> Scheme:
+    return _NO_SCHEME._replace(
         rtol=problem.rtol,
         first=marching.FIRST_STEP * problem.frame,
         smallest=marching.SMALLEST_STEP * problem.frame,
         most=marching.MOST_STEPS,
         companions=problem.companions,
         near=near,
-        follows=_FOLLOWS,
     )

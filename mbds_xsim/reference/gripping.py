@@ -12,10 +12,10 @@ import numpy as np
 
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.reference.brakes import Brakes, least_shares
-from mbds_xsim.reference.closure_kernel import accelerate_once, project_once
-from mbds_xsim.reference.compiled import body_states, chosen, lines, with_signs_of, workspace
+from mbds_xsim.reference.compiled import Kernel, chosen, with_signs_of
 from mbds_xsim.reference.first_impact import dips
 from mbds_xsim.reference.lanes import LANES
+from mbds_xsim.reference.march_kernel import ACCELERATE, PROJECT
 from mbds_xsim.reference.marching import (
     FIRST_STEP,
     MOST_STEPS,
@@ -61,8 +61,7 @@ class _Motion:
 
     def __init__(self, mechanism: Mechanism, y: Array, rtol: float) -> None:
         self._tree, spanned, _ = chosen(mechanism)
-        self._work, self._lanes = workspace(self._tree), lines(self._tree.size)
-        self._rates = lines(self._tree.size)
+        self._kernel = Kernel(self._tree)
         self._frame, self._rtol = mechanism.scene.clock.frame, rtol
         self._brakes = brakes = Brakes.of(self._tree, spanned)
         self._onto = np.equal.outer(np.arange(len(self._tree.law)), brakes.law).astype(float)
@@ -77,14 +76,14 @@ class _Motion:
 
     def state(self) -> Array:
         """Give the states of the bodies, shape (body + world, 13)."""
-        self._lanes[:] = self._y[:, None]
-        return body_states(self._tree, self._work, self._lanes)[0]
+        self._kernel.y[:] = self._y[:, None]
+        return self._kernel.body_states()[0]
 
     def through_frame(self, force: Array, torque: Array) -> bool:
         """Go on to the end of a frame, if that can be reached."""
-        loads = self._work.load.reshape(-1, 6, LANES)
+        loads = self._kernel.work.load.reshape(-1, 6, LANES)
         loads[:-1, :3] = force[self._tree.body][..., None]
-        self._work.torque[: len(torque)] = torque[:, None]
+        self._kernel.work.torque[: len(torque)] = torque[:, None]
         left, events = self._frame, 0
         self._turn_at(self._y)
         rate = self._derivative(self._y[None])
@@ -227,21 +226,21 @@ class _Motion:
 
     def _evaluated(self, y: Array, grips: Array) -> Array:
         """Derivatives of a state under several brakes' forces, shape (column, number)."""
-        self._lanes[:] = y[:, None]
+        self._kernel.y[:] = y[:, None]
         found = np.empty((len(grips), len(y)))
         for first in range(0, len(grips), LANES):
             part = grips[first : first + LANES]
-            self._work.grip[: len(self._onto), : len(part)] = self._onto @ part.T
-            accelerate_once(self._tree, self._work, self._lanes, self._rates)
-            found[first : first + len(part)] = self._rates.T[: len(part), : len(y)]
+            self._kernel.work.grip[: len(self._onto), : len(part)] = self._onto @ part.T
+            self._kernel.run(ACCELERATE)
+            found[first : first + len(part)] = self._kernel.rates.T[: len(part)]
         return found
 
     def _closed(self, y: Array) -> Array:
         """Put a state onto the closures; what stood still does so again."""
         brakes, rest = self._brakes, self._sense == 0
         still = brakes.fast[(y[brakes.fast] == 0.0) & rest]
-        self._lanes[:] = y[:, None]
-        project_once(self._tree, self._work, self._lanes)
-        closed = self._lanes[:, 0].copy()
+        self._kernel.y[:] = y[:, None]
+        self._kernel.run(PROJECT)
+        closed = self._kernel.y[:, 0].copy()
         closed[still] = 0.0
         return closed

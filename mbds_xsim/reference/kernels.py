@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import shutil
 import time
 from collections.abc import Callable, Sequence
@@ -45,7 +46,7 @@ def _solve_once() -> None:
     solve(scene, draw_batch(scene, range(1)), cache=False)
 
 
-REFERENCE = Kernels("reference", _solve_once, 15)
+REFERENCE = Kernels("reference", _solve_once, 10)
 """What the reference of a scene without contact needs."""
 
 
@@ -85,7 +86,11 @@ def compilation(
 
 
 def _compile(kernels: Kernels) -> None:
-    kernels.use()
+    gc.disable()  # looking for garbage takes a tenth of the time
+    try:
+        kernels.use()
+    finally:
+        gc.enable()
     folder = cache.kernel_folder()
     if folder.is_dir():
         kernels.marker.touch()

@@ -6,7 +6,8 @@ rows, quaternions of four (wxyz).
 
 from __future__ import annotations
 
-from mbds_xsim.reference.lanes import compiled, load, store
+from mbds_xsim.reference.compiling import compiled
+from mbds_xsim.reference.lanes import load, store
 
 
 @compiled

@@ -6,25 +6,21 @@ compiler can prove about arrays. They are kept in arrays of shape (number, 8).
 
 from __future__ import annotations
 
-import functools
 import math
 import operator
 from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
-from numba import njit, types
-from numba.core import cgutils, config
+from numba import types
+from numba.core import cgutils
 from numba.core.imputils import lower_builtin
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, models, register_model
 
-from mbds_xsim.reference.cache import kernel_folder
+from mbds_xsim.reference.compiling import FIRST
 
 LANES = 8
-
-# Nothing is left to be found here by what looks for vectors in loops and expressions.
-config.LOOP_VECTORIZE = config.SLP_VECTORIZE = 0
 
 _VECTOR = ir.VectorType(ir.DoubleType(), LANES)
 
@@ -60,6 +56,8 @@ def _arithmetic(operation: Any, instruction: str) -> None:
 
     @infer_global(operation)
     class _Typed(AbstractTemplate):
+        metadata = FIRST
+
         def generic(self, args: Any, kws: Any) -> Any:  # noqa: ARG002
             allowed = len(args) == 2 and lanes in args and set(args) <= {lanes, types.float64}
             return signature(lanes, *args) if allowed else None
@@ -91,6 +89,8 @@ for _operation, _instruction in (
 
 @infer_global(operator.neg)
 class _Negated(AbstractTemplate):
+    metadata = FIRST
+
     def generic(self, args: Any, kws: Any) -> Any:  # noqa: ARG002
         return signature(lanes, lanes) if args == (lanes,) else None
 
@@ -199,27 +199,3 @@ def arctan2(typing: Any, a: Any, b: Any) -> Any:  # noqa: ARG001
         return found
 
     return lanes(lanes, lanes), generate
-
-
-def compiled(function: Callable[..., Any]) -> Any:
-    """Compile a kernel that kernels call; no references are counted, as it makes no arrays."""
-    return _compiled(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
-
-
-def entered(function: Callable[..., Any]) -> Any:
-    """Compile a kernel that Python calls; what takes its arguments apart takes long to compile."""
-    return _compiled(function, no_cfunc_wrapper=True)
-
-
-def _compiled(function: Callable[..., Any], **options: bool) -> Any:
-    before = config.CACHE_DIR
-    config.CACHE_DIR = before or str(kernel_folder())
-    make = functools.partial(
-        njit, nogil=True, error_model="numpy", fastmath={"contract"}, _nrt=False, **options
-    )
-    try:
-        return make(cache=True)(function)
-    except RuntimeError:  # no folder can be written to
-        return make()(function)
-    finally:
-        config.CACHE_DIR = before

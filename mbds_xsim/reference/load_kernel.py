@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from mbds_xsim.reference.compiling import compiled
 from mbds_xsim.reference.lane_algebra import (
     add,
     add_to3,
@@ -18,7 +19,7 @@ from mbds_xsim.reference.lane_algebra import (
     sub,
     times,
 )
-from mbds_xsim.reference.lanes import compiled, larger, load, root, spread
+from mbds_xsim.reference.lanes import larger, load, root, spread
 from mbds_xsim.reference.tree import SLIDER, Tree
 from mbds_xsim.reference.tree_kernel import PLACES, F, H, J, M, N, R, V, W, Workspace, X, zero
 

@@ -2,6 +2,9 @@
 
 A lane whose trajectory has come to its end gets the next one. Steps, error estimate and restarts
 at frames are those of `marching` and `dop853`.
+
+`run` is the one kernel that Python calls, for whatever it wants of a tree: each that it calls is
+compiled with all that it calls in its turn, and most of that is the same.
 """
 
 from __future__ import annotations
@@ -12,23 +15,19 @@ from typing import NamedTuple
 import numpy as np
 
 from mbds_xsim.base.arrays import Array, Index, Mask
-from mbds_xsim.reference.closure_kernel import accelerate, project
+from mbds_xsim.reference.closure_kernel import accelerate, project, resist
+from mbds_xsim.reference.compiling import compiled, entered
 from mbds_xsim.reference.lane_algebra import hamilton
-from mbds_xsim.reference.lanes import (
-    LANES,
-    compiled,
-    entered,
-    larger,
-    load,
-    positive,
-    size,
-    spread,
-    store,
-)
+from mbds_xsim.reference.lanes import LANES, larger, load, positive, size, spread, store
 from mbds_xsim.reference.load_kernel import hold
 from mbds_xsim.reference.noted import noted
 from mbds_xsim.reference.tree import BALL, FREE, HINGE, Tree
-from mbds_xsim.reference.tree_kernel import PLACES, V, W, Workspace, X
+from mbds_xsim.reference.tree_kernel import PLACES, A, V, W, Workspace, X, move
+
+MARCH, EVALUATE, ACCELERATE, PROJECT, RESIST, MOVE = range(6)
+"""What Python wants: trajectories of a task; accelerations at its starts; or of the states in
+`Lane.y` their rates (in `Lane.stages`), to put them onto the closures, to eliminate the rows where
+nothing acts, or to place all bodies (in `Workspace`)."""
 
 REACHED, STUCK, SINGULAR = 0, 1, 2
 """What became of a trajectory."""
@@ -88,14 +87,53 @@ class Problems(NamedTuple):
     torque: Array
     frame: float
     states: Array
-    """Filled in: shape (trajectory, frame + 1, body + world, 13)."""
+    """Filled in: shape (trajectory, frame + 1, body + world, 13), or accelerations of states, shape
+    (state, 1, body, 6)."""
     status: Index
+    grip: Array
+    """Of states whose accelerations are wanted: dry friction, shape (state, law)."""
 
 
 @entered
-def march(t: Tree, work: Workspace, method: Scheme, lane: Lane, task: Problems):
-    """Find all trajectories of a task; there is one at least, of one frame at least."""
+def run(what, t: Tree, work: Workspace, method: Scheme, lane: Lane, task: Problems):
+    """Do what is wanted."""
     t, work, method, lane, task = noted(t), noted(work), noted(method), noted(lane), noted(task)
+    if what == MARCH:
+        _march(t, work, method, lane, task)
+    elif what == EVALUATE:
+        _evaluate(t, work, lane, task)
+    elif what == ACCELERATE:
+        accelerate(t, work, lane.y, lane.stages, np.int64(0))
+    elif what == PROJECT:
+        project(t, work, lane.y)
+    elif what == RESIST:
+        resist(t, work, lane.y, np.int64(0))
+    else:
+        move(t, work, lane.y)
+
+
+@compiled
+def _evaluate(t, work, lane, task):
+    """Find accelerations of the bodies at states that have nothing to do with each other."""
+    last = len(task.start) - 1
+    for first in range(0, len(task.start), LANES):
+        for k in range(LANES):
+            row = min(first + k, last)
+            for j in range(task.start.shape[1]):
+                lane.y[j, k] = task.start[row, j]
+            for j in range(task.grip.shape[1]):
+                work.grip[j, k] = task.grip[row, j]
+            hold(t, work, k, task.force[row, 0], task.torque[row, 0])
+        accelerate(t, work, lane.y, lane.stages, np.int64(0))
+        for i in range(len(t.kind)):
+            for j in range(6):
+                for k in range(min(LANES, len(task.start) - first)):
+                    task.states[first + k, 0, t.body[i], j] = work.link[i * PLACES + A + j, k]
+
+
+@compiled
+def _march(t, work, method, lane, task):
+    """Find all trajectories of a task; there is one at least, of one frame at least."""
     following = np.int64(0)
     for k in range(LANES):
         lane.row[k] = -1

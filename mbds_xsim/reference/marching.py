@@ -1,7 +1,7 @@
 """March a batch through its frames: adaptive steps of order 8, restarted where the inputs change.
 
 Method and error estimate: Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I,
-1993, section II.10; the coefficients are scipy's.
+1993, section II.10 (`dop853`).
 
 Every state has a clock of its own; they only share the calls that evaluate them. At a frame's
 end a state is put back onto the constraints, which keeps the drift of the acceleration-level
@@ -10,14 +10,13 @@ constraints at the tolerance.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from mbds_xsim.base.arrays import Array, Indices, Mask
+from mbds_xsim.reference import dop853
 from mbds_xsim.reference.dynamics import Dynamics
 from mbds_xsim.reference.first_impact import FirstImpact, dips, first_touch, resting
 from mbds_xsim.reference.singular import BIFURCATION, has_branch
@@ -43,26 +42,23 @@ def try_step(derivative: Derivative, y: Array, rate: Array, step: Array) -> tupl
     Returns:
         The new states, and the derivatives at all stages and at the end, shape (stage, batch, …).
     """
-    method = coefficients()
-    count = method.n_stages
-    stages = np.empty((count + 1, *y.shape))
-    flat = stages.reshape(count + 1, -1)
+    stages = np.empty((dop853.STAGES + 1, *y.shape))
+    flat = stages.reshape(len(stages), -1)
     stages[0] = rate
     h = step.reshape(-1, *[1] * (y.ndim - 1))
-    for k in range(1, count):
-        stages[k] = derivative(y + h * (method.A[k, :k] @ flat[:k]).reshape(y.shape))
-    new = y + h * (method.B @ flat[:count]).reshape(y.shape)
-    stages[count] = derivative(new)
+    for k in range(1, dop853.STAGES):
+        stages[k] = derivative(y + h * (dop853.A[k, :k] @ flat[:k]).reshape(y.shape))
+    new = y + h * (dop853.B @ flat[:-1]).reshape(y.shape)
+    stages[-1] = derivative(new)
     return new, stages
 
 
 def error_ratio(stages: Array, step: Array, allowed: Array) -> Array:
     """Estimated error of a step over what is allowed, shape (batch,): above 1 is too much."""
-    batch, method = stages.shape[1], coefficients()
-    flat = stages.reshape(len(stages), -1)
+    batch, flat = stages.shape[1], stages[:-1].reshape(len(stages) - 1, -1)
     fifth, third = (
         np.sum(((weights @ flat).reshape(allowed.shape) / allowed).reshape(batch, -1) ** 2, axis=1)
-        for weights in (method.E5, method.E3)
+        for weights in (dop853.E5, dop853.E3)
     )
     size = allowed[0].size
     combined = np.sqrt((fifth + 0.01 * third) * size)
@@ -74,14 +70,6 @@ def next_step(step: Array, ratio: Array) -> Array:
     with np.errstate(divide="ignore"):
         factor = np.clip(_SAFETY * ratio**-0.125, _SHRINK, _GROW)
     return step * np.where(np.isfinite(ratio), factor, _SHRINK)
-
-
-@functools.cache
-def coefficients() -> Any:
-    """Give the class that holds them; it is imported with the first step, as that takes long."""
-    from scipy.integrate import DOP853
-
-    return DOP853
 
 
 Progress = Callable[[int, int], None]

@@ -5,6 +5,7 @@ Rows are those of `mbds_xsim.scene.constraints`, and behind them couplings.
 
 from __future__ import annotations
 
+from mbds_xsim.reference.compiling import compiled
 from mbds_xsim.reference.lane_algebra import (
     add,
     apply,
@@ -17,7 +18,7 @@ from mbds_xsim.reference.lane_algebra import (
     sub,
     times,
 )
-from mbds_xsim.reference.lanes import compiled, larger, load, root, size, spread, store
+from mbds_xsim.reference.lanes import larger, load, root, size, spread, store
 from mbds_xsim.reference.tree import ALONG, COUPLED, DISTANCE, NORMAL
 from mbds_xsim.reference.tree_kernel import ALPHA, MI, PLACES, A, R, V, W, X, zero
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,9 @@ from mbds_xsim.scene.state import Batch, Failure, Trajectory
 
 Progress = Callable[[int, int], None]
 
-_TOGETHER = 256  # trajectories; with fewer, lanes wait at the end, and more do not get cheaper
+# Trajectories: with fewer, lanes wait at the end, and more do not get cheaper. Of large scenes no
+# more than fit into some memory, as far as that fills the lanes.
+_TOGETHER, _LEAST_TOGETHER, _MEMORY = 256, 8, 2**25
 _SUNK = 1e-9  # what rounding may do to a start on the ground [m]
 TIGHTEST, LOOSEST = 1e-14, 1e-3
 _CONFIRMED = 1e-13
@@ -92,8 +94,11 @@ def _solved(
             for states, failure in zip(marched.states, marched.failures, strict=True)
         ]
 
+    each = 8 * 13 * (len(scene.bodies) + 1) * (batch.steps + 1)
+    lanes = _MEMORY // each // _LEAST_TOGETHER * _LEAST_TOGETHER
+    together = min(max(_LEAST_TOGETHER, lanes), _TOGETHER)
     ready = entries.complete(
-        what, scene, batch, rtol, compute, keep=cache, together=_TOGETHER, progress=progress
+        what, scene, batch, rtol, compute, keep=cache, together=together, progress=progress
     )
     return _trajectory(scene, batch, ready)
 
@@ -167,16 +172,17 @@ def _gripping(problem: Problem) -> Marched:
     return march_gripping(dataclasses.replace(problem, rtol=rtol))
 
 
-def _trajectory(scene: Scene, batch: Batch, ready: list[entries.Arrays]) -> Trajectory:
+def _trajectory(
+    scene: Scene, batch: Batch, ready: Iterable[tuple[int, entries.Arrays]]
+) -> Trajectory:
     mechanism = Mechanism.of(scene)
     time = scene.clock.frame * np.arange(batch.steps + 1, dtype=float)
-    shape, dynamics = (len(ready), len(time), mechanism.body_count), dynamics_of(mechanism)
+    shape, dynamics = (len(batch), len(time), mechanism.body_count), dynamics_of(mechanism)
     position, velocity, spin = (np.empty((*shape, 3)) for _ in range(3))
     orientation = np.empty((*shape, 4))
-    failures = []
-    for row in range(len(ready)):  # one at a time, whose states are at hand, and then let go
-        entry, ready[row] = ready[row], {}
-        failures.append(_decoded(entry["failure"]))
+    failures: list[Failure | None] = [None] * len(batch)
+    for row, entry in ready:
+        failures[row] = _decoded(entry["failure"])
         bodies = dynamics.unpack(entry["states"])
         position[row], velocity[row] = bodies.position, bodies.velocity
         orientation[row] = mechanism.body_orientation(bodies.native)
@@ -244,7 +250,10 @@ def sensitivity(
     ready = entries.complete(
         what, scene, batch, rtol, compute, keep=cache, together=_PAIRS_TOGETHER, progress=progress
     )
-    return np.array([entry["growth"] for entry in ready]).reshape(len(batch), batch.steps + 1)
+    found = np.empty((len(batch), batch.steps + 1))
+    for row, entry in ready:
+        found[row] = entry["growth"]
+    return found
 
 
 def _growth(scene: Scene, batch: Batch, rtol: float, progress: Progress | None) -> Array:

@@ -18,6 +18,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from mbds_xsim.base.arrays import Array
+from mbds_xsim.reference.compiling import compiled
 from mbds_xsim.reference.lane_algebra import (
     add,
     add_to3,
@@ -43,8 +44,7 @@ from mbds_xsim.reference.lane_algebra import (
     times,
     transposed,
 )
-from mbds_xsim.reference.lanes import compiled, entered, load, spread, store
-from mbds_xsim.reference.noted import noted
+from mbds_xsim.reference.lanes import load, spread, store
 from mbds_xsim.reference.tree import BALL, FIXED, FREE, HINGE, SLIDER, Tree
 
 # Kinematics: place, matrix, angular and linear velocity; axis; arms from the centre of mass and
@@ -130,12 +130,6 @@ def move(t: Tree, work: Workspace, y):
         store3(a, b + X, sub(add(load3(a, p + X), reach), arm))
         store3(a, b + V, add(sub(add(load3(a, p + V), swing), roll), slide))
         store3(a, b + BEND, add(bend, sub(cross(spin, swing), cross(own, roll))))
-
-
-@entered
-def move_once(t: Tree, work: Workspace, y):
-    """Do it for Python."""
-    move(noted(t), noted(work), y)
 
 
 @compiled

@@ -97,7 +97,7 @@ def test_a_validation_announces_its_costs_and_names_its_parts(
     name = "mujoco (matched)"
     announced = f"{name} on 1pendulum: 4.2e+03 steps of 0.005 s, about 0 s of processor time"
     assert parts[:3] == ["costs of the runs", announced, "reference"]
-    assert parts[3:6] == [f"{name}, step {step} s" for step in ("0.005", "0.01", "0.02")]
+    assert parts[3:6] == [f"{name}, step {step} s" for step in ("0.01", "0.02", "0.005")]
     assert parts[-1] == f"{name}: checks"
 
 
