@@ -22,7 +22,8 @@ from mbds_xsim.reference.lane_algebra import (
     sub,
     times,
 )
-from mbds_xsim.reference.lanes import LANES, load, put_eight, root, spread, store
+from mbds_xsim.reference.lanes import LANES, put_eight, root, spread
+from mbds_xsim.reference.traced import load, store
 
 
 class Masses(NamedTuple):

@@ -28,15 +28,14 @@ from mbds_xsim.reference.lanes import (
     arctan2,
     cosine,
     larger,
-    load,
     positive,
     put_eight,
     root,
     sine,
     size,
     spread,
-    store,
 )
+from mbds_xsim.reference.traced import load, store
 
 _TINY = 2.2250738585072014e-308
 _SMALL = 1e-12

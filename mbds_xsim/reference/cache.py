@@ -37,7 +37,7 @@ _PHYSICS = (
 )  # fmt: skip
 _GEARS = 2
 """Version of scenes with gears alone: before, a gear beside a fixed joint could be left out."""
-_SOURCES = ("compiling", "lanes", "lane_algebra", "noted", "elimination", "tree")
+_SOURCES = ("compiling", "lanes", "traced", "lane_algebra", "noted", "elimination", "tree")
 _SEAL = hashlib.sha256().digest_size
 
 

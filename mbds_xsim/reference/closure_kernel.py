@@ -28,9 +28,10 @@ from mbds_xsim.reference.lane_algebra import (
     sub,
     times,
 )
-from mbds_xsim.reference.lanes import larger, load, positive, root, size, spread, store
+from mbds_xsim.reference.lanes import larger, positive, root, size, spread
 from mbds_xsim.reference.load_kernel import act, still, weigh
 from mbds_xsim.reference.row_kernel import ROW, along, contradiction, put_rows
+from mbds_xsim.reference.traced import load, store
 from mbds_xsim.reference.tree import BALL, COUPLED, FIXED, FREE, HINGE
 from mbds_xsim.reference.tree_kernel import (
     ALPHA,

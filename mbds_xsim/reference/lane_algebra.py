@@ -6,17 +6,16 @@ rows, quaternions of four (wxyz).
 
 from __future__ import annotations
 
-from mbds_xsim.reference.compiling import compiled
-from mbds_xsim.reference.lanes import load, store
+from mbds_xsim.reference.traced import load, store, traced
 
 
-@compiled
+@traced
 def load3(a, k):
     """Read a vector."""
     return load(a, k), load(a, k + 1), load(a, k + 2)
 
 
-@compiled
+@traced
 def store3(a, k, v):
     """Write a vector."""
     store(a, k, v[0])
@@ -24,21 +23,21 @@ def store3(a, k, v):
     store(a, k + 2, v[2])
 
 
-@compiled
+@traced
 def load6(a, k):
     """Read a symmetric matrix."""
     x, y = load3(a, k), load3(a, k + 3)
     return x[0], x[1], x[2], y[0], y[1], y[2]
 
 
-@compiled
+@traced
 def store6(a, k, m):
     """Write a symmetric matrix."""
     store3(a, k, (m[0], m[1], m[2]))
     store3(a, k + 3, (m[3], m[4], m[5]))
 
 
-@compiled
+@traced
 def load9(a, k):
     """Read a matrix."""
     return (
@@ -47,7 +46,7 @@ def load9(a, k):
     )  # fmt: skip
 
 
-@compiled
+@traced
 def store9(a, k, m):
     """Write a matrix."""
     store3(a, k, (m[0], m[1], m[2]))
@@ -55,55 +54,55 @@ def store9(a, k, m):
     store3(a, k + 6, (m[6], m[7], m[8]))
 
 
-@compiled
+@traced
 def number3(a, k):
     """Read three numbers that are the same in all lanes."""
     return a[k, 0], a[k, 1], a[k, 2]
 
 
-@compiled
+@traced
 def add(a, b):
     """Add vectors."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
-@compiled
+@traced
 def add_to3(a, k, v):
     """Add a vector to one in an array."""
     store3(a, k, add(load3(a, k), v))
 
 
-@compiled
+@traced
 def add_to(a, k, more):
     """Add to numbers in an array."""
     store(a, k, load(a, k) + more)
 
 
-@compiled
+@traced
 def sub(a, b):
     """Subtract vectors."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-@compiled
+@traced
 def times(f, v):
     """Multiply a vector."""
     return f * v[0], f * v[1], f * v[2]
 
 
-@compiled
+@traced
 def dot(a, b):
     """Multiply vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@compiled
+@traced
 def cross(a, b):
     """Multiply vectors."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@compiled
+@traced
 def apply(m, v):
     """Multiply a matrix and a vector."""
     return (
@@ -113,7 +112,7 @@ def apply(m, v):
     )
 
 
-@compiled
+@traced
 def apply_turned(m, v):
     """Multiply a transposed matrix and a vector."""
     return (
@@ -123,7 +122,7 @@ def apply_turned(m, v):
     )
 
 
-@compiled
+@traced
 def apply_even(m, v):
     """Multiply a symmetric matrix and a vector."""
     return (
@@ -133,7 +132,7 @@ def apply_even(m, v):
     )
 
 
-@compiled
+@traced
 def inverse_even(m):
     """Invert a symmetric matrix."""
     a = m[1] * m[2] - m[5] * m[5]
@@ -146,21 +145,21 @@ def inverse_even(m):
     )  # fmt: skip
 
 
-@compiled
+@traced
 def product(a, b):
     """Multiply matrices."""
     x, y, z = (b[0], b[3], b[6]), (b[1], b[4], b[7]), (b[2], b[5], b[8])
     return _columns(apply(a, x), apply(a, y), apply(a, z))
 
 
-@compiled
+@traced
 def even_product(a, b):
     """Multiply a symmetric matrix and another one."""
     x, y, z = (b[0], b[3], b[6]), (b[1], b[4], b[7]), (b[2], b[5], b[8])
     return _columns(apply_even(a, x), apply_even(a, y), apply_even(a, z))
 
 
-@compiled
+@traced
 def crossed_even(m, r):
     """Multiply a symmetric matrix M and [r]× from the right."""
     x, y, z = (m[0], m[3], m[4]), (m[3], m[1], m[5]), (m[4], m[5], m[2])
@@ -169,25 +168,25 @@ def crossed_even(m, r):
     return a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]
 
 
-@compiled
+@traced
 def cross_matrix(r, m):
     """Multiply [r]× and a matrix."""
     x, y, z = (m[0], m[3], m[6]), (m[1], m[4], m[7]), (m[2], m[5], m[8])
     return _columns(cross(r, x), cross(r, y), cross(r, z))
 
 
-@compiled
+@traced
 def transposed(m):
     """Transpose a matrix."""
     return m[0], m[3], m[6], m[1], m[4], m[7], m[2], m[5], m[8]
 
 
-@compiled
+@traced
 def _columns(x, y, z):
     return x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]
 
 
-@compiled
+@traced
 def hamilton(p, q):
     """Give the Hamilton product p ⊗ q: the rotation q followed by p."""
     return (
@@ -198,7 +197,7 @@ def hamilton(p, q):
     )
 
 
-@compiled
+@traced
 def rotated(q, v):
     """Turn a vector by a unit quaternion."""
     axis = q[1], q[2], q[3]
@@ -206,9 +205,10 @@ def rotated(q, v):
     return add(v, add(times(q[0], t), cross(axis, t)))
 
 
-@compiled
-def rotation_of(w, x, y, z):
+@traced
+def rotation_of(q):
     """Give the matrix of a quaternion of any length."""
+    w, x, y, z = q
     f = 2.0 / (w * w + x * x + y * y + z * z)
     fx, fy, fz = f * x, f * y, f * z
     return (

@@ -41,7 +41,7 @@ class _LanesModel(models.PrimitiveModel):
         super().__init__(manager, kind, _VECTOR)
 
 
-def _spread(builder: Any, value: Any) -> Any:
+def spread_over(builder: Any, value: Any) -> Any:
     """Put one number into all lanes."""
     one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), value, _INDEX(0))
     zeros = ir.Constant(ir.VectorType(_INDEX, LANES), [0] * LANES)
@@ -72,7 +72,7 @@ def _arithmetic(operation: Any, instruction: str) -> None:
             args: Any,
         ) -> Any:
             a, b = (
-                value if kind is lanes else _spread(builder, value)
+                value if kind is lanes else spread_over(builder, value)
                 for kind, value in zip(sig.args, args, strict=True)
             )
             return getattr(builder, instruction)(a, b)
@@ -100,32 +100,11 @@ def _negated(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: A
     return builder.fneg(args[0])
 
 
-def _address(context: Any, builder: Any, sig: Any, args: Any, width: int = LANES) -> Any:
+def address(context: Any, builder: Any, kind: Any, array: Any, row: Any, width: int = LANES) -> Any:
     """Point to a row of an array of lanes."""
-    array = context.make_array(sig.args[0])(context, builder, args[0])
-    row = builder.mul(args[1], context.get_constant(types.intp, width))
+    array = context.make_array(kind)(context, builder, array)
+    row = builder.mul(row, context.get_constant(types.intp, width))
     return builder.bitcast(builder.gep(array.data, [row]), _VECTOR.as_pointer())
-
-
-@intrinsic
-def load(typing: Any, array: Any, row: Any) -> Any:  # noqa: ARG001
-    """Read a row of an array of shape (number, 8)."""
-
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return builder.load(_address(context, builder, sig, args), align=8)
-
-    return lanes(array, types.intp), generate
-
-
-@intrinsic
-def store(typing: Any, array: Any, row: Any, value: Any) -> Any:  # noqa: ARG001
-    """Write a row of an array of shape (number, 8)."""
-
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        builder.store(args[2], _address(context, builder, sig, args[:2]), align=8)
-        return context.get_dummy_value()
-
-    return types.void(array, types.intp, lanes), generate
 
 
 @intrinsic
@@ -133,7 +112,7 @@ def eight(typing: Any, array: Any, at: Any) -> Any:  # noqa: ARG001
     """Read eight numbers that follow each other in an array of one axis."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return builder.load(_address(context, builder, sig, args, 1), align=8)
+        return builder.load(address(context, builder, sig.args[0], args[0], args[1], 1), align=8)
 
     return lanes(array, types.intp), generate
 
@@ -143,7 +122,7 @@ def put_eight(typing: Any, array: Any, at: Any, value: Any) -> Any:  # noqa: ARG
     """Write them."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        builder.store(args[2], _address(context, builder, sig, args[:2], 1), align=8)
+        builder.store(args[2], address(context, builder, sig.args[0], args[0], args[1], 1), align=8)
         return context.get_dummy_value()
 
     return types.void(array, types.intp, lanes), generate
@@ -152,7 +131,7 @@ def put_eight(typing: Any, array: Any, at: Any, value: Any) -> Any:  # noqa: ARG
 @intrinsic
 def spread(typing: Any, value: Any) -> Any:  # noqa: ARG001
     """Put one number into all lanes."""
-    return lanes(types.float64), lambda context, builder, sig, args: _spread(builder, args[0])  # noqa: ARG005
+    return lanes(types.float64), lambda context, builder, sig, args: spread_over(builder, args[0])  # noqa: ARG005
 
 
 @intrinsic

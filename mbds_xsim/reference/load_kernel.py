@@ -19,7 +19,8 @@ from mbds_xsim.reference.lane_algebra import (
     sub,
     times,
 )
-from mbds_xsim.reference.lanes import larger, load, root, spread
+from mbds_xsim.reference.lanes import larger, root, spread
+from mbds_xsim.reference.traced import load, traced
 from mbds_xsim.reference.tree import SLIDER, Tree
 from mbds_xsim.reference.tree_kernel import PLACES, F, H, J, M, N, R, V, W, Workspace, X, zero
 
@@ -88,7 +89,7 @@ def _driven(t, work, k, load_of_law):
     return larger(-larger(load(work.torque, t.pushed[k]) - load_of_law, -most), -most)
 
 
-@compiled
+@traced
 def _between(a, p, c, first, second):
     """Give the line from a point of one body to one of another, and its rate."""
     line = sub(add(sub(load3(a, c + X), load3(a, p + X)), second), first)
@@ -99,7 +100,7 @@ def _between(a, p, c, first, second):
     return line, rate
 
 
-@compiled
+@traced
 def _pull(a, p, c, first, second, pull):
     """Pull a point of one body to that of another, and this one back."""
     back = times(-1.0, pull)
@@ -109,7 +110,7 @@ def _pull(a, p, c, first, second, pull):
     add_to3(a, c + N, cross(second, back))
 
 
-@compiled
+@traced
 def _turn(a, p, c, moment):
     """Turn the second body, and the first one back."""
     add_to3(a, c + N, moment)

@@ -18,9 +18,10 @@ from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.reference.closure_kernel import accelerate, project, resist
 from mbds_xsim.reference.compiling import compiled, entered
 from mbds_xsim.reference.lane_algebra import hamilton
-from mbds_xsim.reference.lanes import LANES, larger, load, positive, size, spread, store
+from mbds_xsim.reference.lanes import LANES, larger, positive, size, spread
 from mbds_xsim.reference.load_kernel import hold
 from mbds_xsim.reference.noted import noted
+from mbds_xsim.reference.traced import load, store
 from mbds_xsim.reference.tree import BALL, FREE, HINGE, Tree
 from mbds_xsim.reference.tree_kernel import PLACES, A, V, W, Workspace, X, move
 

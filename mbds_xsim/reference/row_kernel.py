@@ -18,7 +18,8 @@ from mbds_xsim.reference.lane_algebra import (
     sub,
     times,
 )
-from mbds_xsim.reference.lanes import larger, load, root, size, spread, store
+from mbds_xsim.reference.lanes import larger, root, size, spread
+from mbds_xsim.reference.traced import load, store
 from mbds_xsim.reference.tree import ALONG, COUPLED, DISTANCE, NORMAL
 from mbds_xsim.reference.tree_kernel import ALPHA, MI, PLACES, A, R, V, W, X, zero
 

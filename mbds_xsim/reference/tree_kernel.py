@@ -44,7 +44,8 @@ from mbds_xsim.reference.lane_algebra import (
     times,
     transposed,
 )
-from mbds_xsim.reference.lanes import load, spread, store
+from mbds_xsim.reference.lanes import spread
+from mbds_xsim.reference.traced import load, store, traced
 from mbds_xsim.reference.tree import BALL, FIXED, FREE, HINGE, SLIDER, Tree
 
 # Kinematics: place, matrix, angular and linear velocity; axis; arms from the centre of mass and
@@ -141,7 +142,7 @@ def gather(a, speeds, b, p, fast, kind, armature, root):
         _gather_axis(a, speeds, b, p, fast, kind, armature, root)
 
 
-@compiled
+@traced
 def _at_joint(a, b):
     """Give H', J', f' and n' of a link at its joint."""
     m, h, arm = load6(a, b + M), load9(a, b + H), load3(a, b + ARM)
@@ -256,7 +257,7 @@ def _gather_axis(a, speeds, b, p, fast, kind, armature, root):
     _give(a, p, m, out, whole, f, add(n, cross(reach, f)))
 
 
-@compiled
+@traced
 def _give(a, p, m, h, j, f, n):
     """Add inertia and bias to those of the parent; of `j` the upper half is read."""
     add_to3(a, p + M, (m[0], m[1], m[2]))
@@ -330,16 +331,17 @@ def rates(t: Tree, work: Workspace, y, rate, first):
             store(rate, first + t.angle_at[k], dot(axis, sub(load3(a, c + W), load3(a, p + W))))
 
 
-@compiled
+@traced
 def _turning_rate(y, at, fast, rate, first):
     w, v, spin = load(y, at), load3(y, at + 1), times(0.5, load3(y, fast))
     store(rate, first + at, -dot(spin, v))
     store3(rate, first + at + 1, add(times(w, spin), cross(spin, v)))
 
 
-@compiled
+@traced
 def _turn_freely(a, b, y, at, fast):
-    store9(a, b + R, rotation_of(load(y, at), load(y, at + 1), load(y, at + 2), load(y, at + 3)))
+    turn = load(y, at), load(y, at + 1), load(y, at + 2), load(y, at + 3)
+    store9(a, b + R, rotation_of(turn))
     spin = load3(y, fast)
     store3(a, b + W, spin)
     return spin
@@ -376,7 +378,7 @@ def zero():
     return o, o, o
 
 
-@compiled
+@traced
 def times9(f, m):
     """Multiply a matrix by a number."""
     return (
