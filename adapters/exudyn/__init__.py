@@ -116,7 +116,6 @@ class Exudyn(Adapter):
         "slip_speed": Sweep((1e-3, 1e-1), needs=frozenset({Feature.CONTACT})),
     }
     limits: ClassVar[dict[Feature, str]] = {
-        Feature.ARMATURE: "Exudyn has no inertia of a joint beside those of its bodies",
         Feature.JOINT_REBOUND: "Exudyn's stops are springs and dampers, whose rebound goes by what "
         "they move",
     }

@@ -91,6 +91,23 @@ def couplings_listing(mechanism: Mechanism) -> Iterator[str]:
         )
 
 
+def rotors_listing(mechanism: Mechanism) -> Iterator[str]:
+    """Lines that make `rotors`: masses with a coordinate each, whose rate is that of a joint."""
+    for joint in mechanism.rotors:
+        yield (
+            "rotors.append(mbs.AddObject(items.ObjectMass1D("
+            f"mass={joint.armature!r}, nodeNumber=mbs.AddNode(items.Node1D()))))"
+        )
+        own = (
+            "mbs.AddMarker(items.MarkerNodeCoordinate("
+            "nodeNumber=mbs.GetObject(rotors[-1])['nodeNumber'], coordinate=0))"
+        )
+        yield (
+            "mbs.AddObject(items.CoordinateConstraint("
+            f"markerNumbers=[{_coordinate(joint)}, {own}], velocityLevel=True))"
+        )
+
+
 def held(names: Mapping[str, Any], mechanism: Mechanism) -> tuple[Array, Array]:
     """Read friction, shape (joint,), and limits, shape (joint, 2), of the brakes back."""
     brakes, count = names["brakes"], len(mechanism.frictional)

@@ -15,11 +15,11 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.joint_space import BodyStates, joint_rate
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
 from mbds_xsim.scene.shapes import THIN, shapes
 
-from .brakes import brakes_listing, couplings_listing, drives_listing
+from .brakes import brakes_listing, couplings_listing, drives_listing, rotors_listing
 
 # Exudyn wants names that no other item has, so the scene's names are comments.
 HEAD = """\
@@ -32,7 +32,7 @@ container = exu.SystemContainer()
 mbs = container.AddSystem()
 ground = mbs.CreateGround()
 bodies, joints, frames, springs, laws, brakes = [], [], [], [], [], []
-drives, couplings, forces, torques = [], [], [], []"""
+drives, couplings, rotors, forces, torques = [], [], [], [], []"""
 _CALLS = {
     "fixed": "CreateGenericJoint",
     "hinge": "CreateRevoluteJoint",
@@ -119,6 +119,10 @@ class Formulation(ABC):
         """Read back what `Readback.law` tells."""
 
     @abstractmethod
+    def armature(self, names: Mapping[str, Any]) -> Array:
+        """Read back what `Readback.armature` tells."""
+
+    @abstractmethod
     def joint_axes(self, names: Mapping[str, Any], turn: Array) -> Array:
         """Axes of hinges and sliders in W, with the bodies' rotations (body, 3, 3) as they are."""
 
@@ -126,7 +130,8 @@ class Formulation(ABC):
 class RigidBodies(Formulation):
     """Coordinates: displacement from the reference position and rotation vector of each body.
 
-    Their velocities are the body's velocity in W and its angular velocity in its own frame.
+    Their velocities are the body's velocity in W and its angular velocity in its own frame. What
+    rotors have turned by since the start follows.
     """
 
     def bodies(self) -> Iterator[str]:
@@ -142,6 +147,7 @@ class RigidBodies(Formulation):
         yield from brakes_listing(mechanism, self.step)
         yield from drives_listing(mechanism)
         yield from couplings_listing(mechanism)
+        yield from rotors_listing(mechanism)
 
     def ends(self, pair: PointPair) -> str:
         first, second = (point.tolist() for point in pair.in_body)
@@ -176,11 +182,18 @@ class RigidBodies(Formulation):
     def from_bodies(self, bodies: BodyStates) -> tuple[Array, Array]:
         shift = bodies.position - self.mechanism.com
         spin = rotation.rotate(rotation.conjugate(bodies.native), bodies.angular_velocity)
-        return _joined(shift, rotation.to_vector(bodies.native)), _joined(bodies.velocity, spin)
+        world = bodies.with_world()
+        rates = [joint_rate(joint, world)[..., None] for joint in self.mechanism.rotors]
+        places = _joined(shift, rotation.to_vector(bodies.native))
+        return (
+            np.concatenate([places, *(np.zeros_like(rate) for rate in rates)], axis=-1),
+            np.concatenate([_joined(bodies.velocity, spin), *rates], axis=-1),
+        )
 
     def to_bodies(self, coordinates: Array, velocities: Array) -> BodyStates:
-        shift, vector = _parted(coordinates)
-        velocity, spin = _parted(velocities)
+        of_bodies = 6 * self.mechanism.body_count
+        shift, vector = _parted(coordinates[..., :of_bodies])
+        velocity, spin = _parted(velocities[..., :of_bodies])
         native = rotation.from_vector(vector)
         position = self.mechanism.com + shift
         return BodyStates(position, native, velocity, rotation.rotate(native, spin))
@@ -206,6 +219,9 @@ class RigidBodies(Formulation):
         keys = ("stiffness", "damping", "offset")
         told = [[np.ravel(each[key])[0] for key in keys] for each in objects]
         return np.array(told).reshape(-1, len(keys))
+
+    def armature(self, names: Mapping[str, Any]) -> Array:
+        return np.array([names["mbs"].GetObject(number)["mass"] for number in names["rotors"]])
 
     def joint_axes(self, names: Mapping[str, Any], turn: Array) -> Array:
         mbs, axes = names["mbs"], []

@@ -16,6 +16,7 @@ _EARLIER = (
     ((1, 13), r"CreateTorque(.*?\))", r"AddLoad(items.LoadTorqueVector\1)"),
     ((1, 13), r"itemNumber=", "markerNumber="),
     ((1, 13), r"sphereRadius=", "radiusSphere="),
+    ((1, 13), r"Mass1D\(mass=", "Mass1D(physicsMass="),
     ((1, 13), r"itemNumbers=", "bodyNumbers="),
     ((1, 10), r", TreeLink$", ""),
     ((1, 9), r"(SpringDamper|Constraint)\(bodyNumbers=", r"\1(bodyList="),

@@ -170,6 +170,7 @@ class ExudynRun(Run):
             anchor=self._model.anchors(self._names, com, turn),
             spring=self._springs(),
             law=self._model.laws(self._names),
+            armature=self._model.armature(self._names),
             drive=np.array([self._drive(number) for number in self._names["drives"]]),
             coupling=np.array([self._coupling(number) for number in self._names["couplings"]]),
             friction=friction,

@@ -38,6 +38,13 @@ class KinematicTree(Formulation):
         rest = [_joint(link).rest for link in mechanism.links]
         offsets = f", jointPositionOffsetVector={rest!r}" if mechanism.compliant else ""
         yield f"tree = mbs.CreateKinematicTree(listOfTreeLinks=links, gravity={gravity!r}{offsets})"
+        if mechanism.rotors:
+            beside = np.diag([_joint(link).armature for link in mechanism.links]).tolist()
+            node = "mbs.GetObject(tree)['nodeNumber']"
+            yield (
+                "rotors.append(mbs.AddObject(items.ObjectGenericODE2("
+                f"nodeNumbers=[{node}], massMatrix={beside!r})))"
+            )
         for k in range(mechanism.body_count):
             yield f"frames.append({self.marker(k, np.zeros(3))})"
 
@@ -129,6 +136,12 @@ class KinematicTree(Formulation):
             return stiffness, damping, tree["jointPositionOffsetVector"][k]
 
         return joint_laws(self.mechanism, law)
+
+    def armature(self, names: Mapping[str, Any]) -> Array:
+        places = {_joint(link).index: k for k, link in enumerate(self.mechanism.links)}
+        rotors = [places[joint.index] for joint in self.mechanism.rotors]
+        held = [names["mbs"].GetObject(number)["massMatrix"] for number in names["rotors"]]
+        return np.array([np.diag(mass.Convert2DenseMatrix())[rotors] for mass in held]).ravel()
 
     def joint_axes(self, names: Mapping[str, Any], turn: Array) -> Array:
         link_frames = turn @ np.swapaxes(self._back(names), -1, -2)

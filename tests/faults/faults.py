@@ -307,7 +307,7 @@ MODELLING = (
     _fault("limit of a servo left out", "workbench with a limited servo",
         "mujoco, pybullet, dart", _LIMIT,
         to.part("servos", "", to.changed(limit=_as(1e9)), "limit of the servo of shoulder")),
-    _fault("rotor 5 % heavy", "workbench with rotors", "mujoco", _LIMIT,
+    _fault("rotor 5 % heavy", "workbench with rotors", "mujoco, exudyn", _LIMIT,
         to.part("joints", "elbow", to.changed(armature=to.scaled(1.05)), "armature of elbow")),
     _fault("rotor left out", "workbench with rotors", "mujoco", _LIMIT,
         to.part("joints", "elbow", to.changed(armature=_as(0.0)), "armature")),

@@ -18,7 +18,7 @@ SCENES = {
     "workbench": 16,
     "workbench with sprung joints": 16,
     "workbench with a limited servo": 8,
-    "workbench with rotors": 16,
+    "workbench with rotors": 8,
     "workbench with a gear": 16,
     "workbench with dry friction": 16,
     "workbench with stops": 16,
@@ -100,7 +100,7 @@ def _driven(scene: Scene) -> Scene:
 
 
 def _geared(scene: Scene) -> Scene:
-    """Give two hinges of the arm rotors, which MuJoCo alone of the engines has."""
+    """Give two hinges of the arm rotors, which PyBullet has not, and DART not beside loops."""
     joints = (
         msgspec.structs.replace(j, armature=0.05) if j.name in ("shoulder", "elbow") else j
         for j in scene.joints
