@@ -81,7 +81,8 @@ class Dart(Adapter):
     limits: ClassVar[Mapping[Feature, str]] = {
         Feature.LOOP_SLIDER: "DART has no constraint that keeps a point on a line",
         Feature.DISTANCE_LINK: "DART has no constraint that keeps a distance",
-        Feature.ARMATURE: "DART has no inertia of a joint beside those of its bodies",
+        Feature.HELD_ARMATURE: "DART has rotors as implicit dampers only, and its impulses go by "
+        "the inertia of bodies alone, whatever dampers do",
         Feature.COUPLING: "dartpy has no call that ties a joint to another",
         Feature.JOINT_REBOUND: "DART's limits of joints take velocities and give none back",
         Feature.CLOSING_LOAD: "DART's springs and dampers of joints act on coordinates, and a "

@@ -45,6 +45,13 @@ class SkeletonModel:
         """Number of generalised coordinates."""
         return int(self.skeleton.getNumDofs())
 
+    def armature(self) -> Array:
+        """What rotors add to the mass matrix, shape (coordinate, coordinate)."""
+        added = np.zeros(self.coordinate_count)
+        joints = (self.mechanism.links[k].joint for k in self.scalar)
+        added[self.scalar_at] = [joint.armature if joint else 0.0 for joint in joints]
+        return np.diag(added)
+
     def set_state(self, q: Array, u: Array) -> None:
         """Put the skeleton at generalised coordinates q and velocities u."""
         self.skeleton.setPositions(q)

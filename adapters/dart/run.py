@@ -65,7 +65,7 @@ class DartRun(Run):
         self._listing = build_listing(self._mechanism, self._step, error_reduction, contact)
         with _error_reduction(error_reduction):
             self._model = SkeletonModel(self._mechanism, self._listing)
-        self._loads = FrameLoads(self._model)
+        self._loads = FrameLoads(self._model, self._step)
         self._contact = ContactSolver(self._model.world)
         self._stepper = stepper(self._model, self._loads, self._step)
         rows = {"ball": 3, "hinge": 6, "fixed": 6}
@@ -146,6 +146,7 @@ class DartRun(Run):
             spring=self._loads.springs(),
             law=joint_laws(self._mechanism, self._law),
             drive=np.array([drive.as_read() for drive in self._mechanism.drives]),
+            armature=np.array(list(map(self._rotor, self._mechanism.rotors, self._held("rotors")))),
             friction=np.array([j.getCoulombFriction(0) for j in self._held("frictional")]),
             limits=np.array([_limits(joint) for joint in self._held("limited")]).reshape(-1, 2),
         )
@@ -162,10 +163,13 @@ class DartRun(Run):
         below = joint.getTransformFromChildBodyNode().translation()
         return above, body.getWorldTransform().multiply(below)
 
-    def _law(self, link: Link, _joint: PlacedJoint) -> tuple[float, float, float]:
+    def _law(self, link: Link, asked: PlacedJoint) -> tuple[float, float, float]:
         joint = self._model.joints[link.body]
-        stiffness, damping = joint.getSpringStiffness(0), joint.getDampingCoefficient(0)
-        return stiffness, damping, joint.getRestPosition(0)
+        damping = joint.getDampingCoefficient(0) - asked.armature / self._step
+        return joint.getSpringStiffness(0), damping, joint.getRestPosition(0)
+
+    def _rotor(self, asked: PlacedJoint, joint: Any) -> float:
+        return float(self._step * (joint.getDampingCoefficient(0) - asked.damping))
 
     def _held(self, which: str) -> list[Any]:
         """Give DART's joints of a property of the mechanism."""
@@ -181,8 +185,8 @@ class DartRun(Run):
                 stiffness, damping = joint.getSpringStiffness(k), joint.getDampingCoefficient(k)
                 friction = joint.getCoulombFriction(k)
                 if asked is not None:
-                    stiffness, damping = stiffness - asked.stiffness, damping - asked.damping
-                    friction -= asked.friction
+                    stiffness, friction = stiffness - asked.stiffness, friction - asked.friction
+                    damping -= asked.damping + asked.armature / self._step
                 found += [damping, friction, stiffness]
         return np.array(found)
 

@@ -58,7 +58,8 @@ def motion(body, point):
 
 
 def load():
-    skeleton.clearExternalForces()"""
+    skeleton.clearExternalForces()
+    skeleton.clearInternalForces()"""
 _VIEW = """
 # To watch it: viewer = dart.gui.osg.Viewer()
 # viewer.addWorldNode(dart.gui.osg.RealTimeWorldNode(world)); viewer.run()"""
@@ -88,7 +89,7 @@ def _model(
     yield f"world.setGravity({_vector(np.array(mechanism.scene.gravity))})"
     yield f"world.setTimeStep({step!r})"
     for link in mechanism.links:
-        yield from _body(mechanism, link)
+        yield from _body(mechanism, link, step)
     yield from contact
     yield "world.addSkeleton(skeleton)"
     for link in mechanism.links:
@@ -107,7 +108,7 @@ def _model(
         yield from _LOOPS[joint.kind](mechanism, joint)
 
 
-def _body(mechanism: Mechanism, link: Link) -> Iterator[str]:
+def _body(mechanism: Mechanism, link: Link, step: float) -> Iterator[str]:
     k, joint = link.body, link.joint
     parent = "None" if link.parent == WORLD_INDEX else f"bodies[{link.parent}]"
     kind = "Free" if joint is None else _PAIR[joint.kind]
@@ -126,9 +127,13 @@ def _body(mechanism: Mechanism, link: Link) -> Iterator[str]:
         yield f"joints[{k}].setTransformFrom{end}BodyNode(at({x!r}, {y!r}, {z!r}))"
     if joint.kind in ("hinge", "slider"):
         yield f"joints[{k}].setAxis({_vector(joint.axis)})"
-    if joint.complies:
+    if joint.complies or joint.armature:
+        # DART's dampers d are implicit: in a step h a rate changes as if d h were inertia beside
+        # the bodies'. For a rotor's, what else it does, a torque of -d times the rate, is undone
+        # by a load.
+        damping = joint.damping + joint.armature / step
         yield f"joints[{k}].setSpringStiffness(0, {joint.stiffness!r})"
-        yield f"joints[{k}].setDampingCoefficient(0, {joint.damping!r})"
+        yield f"joints[{k}].setDampingCoefficient(0, {damping!r})"
         yield f"joints[{k}].setRestPosition(0, {joint.rest!r})"
     if joint.friction:
         yield f"joints[{k}].setCoulombFriction(0, {joint.friction!r})"
@@ -195,19 +200,24 @@ def _running(mechanism: Mechanism, q: Array, u: Array, step: str, count: int) ->
     bodies = {link.joint.index: link.body for link in mechanism.links if link.joint}
     yield f"skeleton.setPositions({q.tolist()!r})"
     yield f"skeleton.setVelocities({u.tolist()!r})"
-    if mechanism.springs or mechanism.drives:
+    loaded = mechanism.springs or mechanism.drives or mechanism.rotors
+    if loaded:
         yield _SPRINGS
         for drive in mechanism.drives:
             at = f"joints[{bodies[drive.joint.index]}]"
             yield f"    angle, rate = {at}.getPosition(0), {at}.getVelocity(0)"
             yield f"    {at}.setForce(0, {drive.formula()})"
+        for joint in mechanism.rotors:
+            at = f"joints[{bodies[joint.index]}]"
+            taken = f"{joint.armature!r} / world.getTimeStep() * {at}.getVelocity(0)"
+            yield f"    {at}.setForce(0, {at}.getForce(0) + {taken})"
         for spring in mechanism.springs:
             yield pull_call(spring, "bodies[{}]".format, spring.in_body)
         yield "\n"
     yield _VIEW
     if step:
         yield f"for _ in range({count}):"
-        yield from ["    load()"] if mechanism.springs or mechanism.drives else []
+        yield from ["    load()"] if loaded else []
         yield f"    {step}"
     else:
         yield "# The steps are the toolkit's: RK4 on skeleton.computeForwardDynamics()."

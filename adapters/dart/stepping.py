@@ -11,7 +11,6 @@ import numpy as np
 
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.mechanism import WORLD_INDEX, PointPair
-from mbds_xsim.scene.servo import PlacedDrive
 from mbds_xsim.simulate.turning_rk4 import TurningRK4
 
 from .model import SkeletonModel
@@ -29,7 +28,7 @@ class FrameLoads:
     drive: they get opposite external torques about the axis fixed in either body.
     """
 
-    def __init__(self, model: SkeletonModel) -> None:
+    def __init__(self, model: SkeletonModel, step: float) -> None:
         self._model = model
         self._springs = [_Spring(pair, model.bodies) for pair in model.mechanism.springs]
         self._pulled = {k for spring in self._springs for k in spring.moving}
@@ -46,9 +45,15 @@ class FrameLoads:
             if hinge.index not in loops
         ]
         self._looped = [(k, hinge) for k, hinge in hinges if hinge.index in loops]
-        self._servos = [
-            (k, drive, model.joints[carried[drive.joint.index]])
+        drives = {
+            drive.joint.index: (k, drive)
             for k, drive in enumerate(model.mechanism.drives, len(hinges))
+        }
+        led = {joint.index: joint for joint in model.mechanism.joints if joint.driven}
+        led |= {joint.index: joint for joint in model.mechanism.rotors}
+        self._led = [
+            (model.joints[carried[k]], joint, drives.get(k), joint.armature / step)
+            for k, joint in led.items()
         ]
 
     def hold(self, force: Array, torque: Array) -> None:
@@ -67,10 +72,11 @@ class FrameLoads:
         self.forces = [(bodies[k].setExtForce, force[k]) for k in sorted(pushed)]
         self.others = [partial(bodies[k].addExtTorque, twist[k], True) for k in sorted(twist)]
         self.others += [spring.pull for spring in self._springs]
-        for k, drive, joint in self._servos:
-            turning = drive.joint in self._model.mechanism.hinges
+        for joint, placed, servo, undone in self._led:
+            turning = placed in self._model.mechanism.hinges
             held = joint.getForce(0) if turning else 0.0  # what hinges have was set just above
-            self.others.append(partial(_lead, joint, drive, float(torque[k]), held))
+            law = partial(servo[1].at, float(torque[servo[0]])) if servo else None
+            self.others.append(partial(_lead, joint, law, undone, held))
 
     def _twist(self, torque: Array) -> dict[int, Array]:
         """Torques of the driven loop hinges, by body and in its native frame [N·m]."""
@@ -93,9 +99,16 @@ class FrameLoads:
             act()
 
 
-def _lead(joint: Any, drive: PlacedDrive, push: float, held: float) -> None:
-    """Let a servo act on a joint at its present place and rate, beside what is held."""
-    joint.setForce(0, held + drive.at(push, joint.getPosition(0), joint.getVelocity(0)))
+def _lead(
+    joint: Any, law: Callable[[float, float], float] | None, undone: float, held: float
+) -> None:
+    """Let a servo act on a joint at its present place and rate, beside what is held.
+
+    And undo what the damper that is a rotor's does against the rate.
+    """
+    rate = joint.getVelocity(0)
+    effort = law(joint.getPosition(0), rate) if law else 0.0
+    joint.setForce(0, held + effort + undone * rate)
 
 
 class _Spring:
@@ -179,6 +192,7 @@ class ForwardDynamicsRK4(DartStepper):
         # A ball's increments stand on the right of its rotation, a free body's on the left.
         self._turns = np.concatenate([model.turning_at, model.free_turn_at])
         self._side = np.repeat([1.0, -1.0], [len(model.turning_at), len(model.free_turn_at)])
+        self._armature = model.armature()
         self._rk4 = TurningRK4(model.coordinate_count, self._turns, self._side)
 
     def advance(self, step_count: int) -> None:
@@ -195,7 +209,11 @@ class ForwardDynamicsRK4(DartStepper):
         skeleton.setVelocities(u)
         self.loads.apply()
         skeleton.computeForwardDynamics()
-        return skeleton.getAccelerations()
+        found = skeleton.getAccelerations()
+        if self._armature.any():
+            mass = skeleton.getMassMatrix()
+            found = np.linalg.solve(mass + self._armature, mass @ found)
+        return found
 
     def _moved(self, q: Array, increment: Array) -> Array:
         """Move q for good. DART cuts its exponential's series off below 1e-3 rad; this does not."""

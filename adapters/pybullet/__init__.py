@@ -81,7 +81,10 @@ class PyBullet(Adapter):
     limits: ClassVar[Mapping[Feature, str]] = {
         Feature.LOOP_SLIDER: "its constraint JOINT_PRISMATIC is not reliable between multibodies",
         Feature.DISTANCE_LINK: "it has no constraint that keeps a distance",
-        Feature.ARMATURE: "Bullet has no inertia of a joint beside those of its bodies",
+        **dict.fromkeys(
+            (Feature.ARMATURE, Feature.HELD_ARMATURE),
+            "Bullet has no inertia of a joint beside those of its bodies",
+        ),
         Feature.JOINT_REBOUND: "its limits of joints take velocities and give none back",
         Feature.CLOSING_LOAD: "its damping acts on coordinates, and a joint that closes a loop has "
         "none",

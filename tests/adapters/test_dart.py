@@ -5,13 +5,25 @@ import math
 import weakref
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
+from mbds_xsim.base import rotation
 from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Body, Clock, DistanceLink, Inertia, Scene, SpringDamper
+from mbds_xsim.scene.scene import (
+    Body,
+    Clock,
+    DistanceLink,
+    Inertia,
+    Joint,
+    Scene,
+    SpringDamper,
+    Torque,
+)
+from mbds_xsim.scene.servo import Servo
 from mbds_xsim.scene.state import Trajectory
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.readback import compare
@@ -116,6 +128,68 @@ def test_the_listing_runs_by_itself() -> None:
     assert names["skeleton"].getMass() == pytest.approx(scene.particle_count)
     seen = [names["bodies"][k].getShapeNode(0).getVisualAspect() for k in range(len(scene.bodies))]
     assert all(aspect is not None for aspect in seen)
+
+
+def _geared_wheel() -> tuple[Scene, float]:
+    """Turn a wheel with a rotor by a torque against a servo; give its angle after 1 s [rad]."""
+    moment, armature, stiffness, torque = 0.2, 0.3, 20.0, 0.5
+    scene = Scene(
+        "wheel",
+        (Body("wheel", inertia=Inertia(1.0, (0.2, 0.2, moment))),),
+        1.0,
+        joints=(Joint("axle", "hinge", "world", "wheel", (0, 0, 0), (0, 0, 1), armature=armature),),
+        torques=(Torque("axle", (torque,)),),
+        servos=(Servo("axle", (0.0,), stiffness=stiffness, limit=1e3),),
+        clock=SECOND,
+    )
+    beat = math.sqrt(stiffness / (moment + armature))
+    return scene, torque / stiffness * (1.0 - math.cos(beat * SECOND.steps * SECOND.frame))
+
+
+@pytest.mark.parametrize(("method", "near"), [(RK4, 1e-9), (EULER, 1e-4)])
+def test_a_torque_and_a_servo_act_beside_a_rotor(method: str, near: float) -> None:
+    scene, exact = _geared_wheel()
+
+    turn = rotation.to_vector(roll(scene, method, 20).orientation[0, -1, 0])
+
+    assert turn[2] == pytest.approx(exact, abs=near)
+
+
+def test_a_listing_has_the_servo_and_the_rotor_too() -> None:
+    scene = msgspec.structs.replace(_geared_wheel()[0], torques=(), clock=Clock(steps=10))
+    joint = msgspec.structs.replace(scene.joints[0], rate=2.0)
+    scene = msgspec.structs.replace(scene, joints=(joint,))
+    with ENGINE.open(scene, Settings(EULER, 0.001)) as run:
+        batch, names = draw_batch(scene, [0]), dict[str, Any]()
+        exec(run.native(batch), names)
+        motion = run.rollout(batch)
+
+    spin = names["bodies"][0].getAngularVelocity()
+    np.testing.assert_allclose(spin, motion.angular_velocity[0, -1, 0], rtol=0, atol=1e-12)
+
+
+def test_impulses_pass_implicit_dampers_by() -> None:
+    """Why rotors are refused where joints have stops: a stopped slider would turn its arm wrong."""
+    rates = []
+    for damping in (0.0, 5e3):
+        world, skeleton = dartpy.simulation.World(), dartpy.dynamics.Skeleton()
+        world.setTimeStep(1e-3)
+        world.setGravity([0.0, 0.0, 0.0])
+        rail, block = skeleton.createPrismaticJointAndBodyNodePair(None)
+        pin, arm = skeleton.createRevoluteJointAndBodyNodePair(block)
+        for joint, axis in ((rail, [1.0, 0.0, 0.0]), (pin, [0.0, 1.0, 0.0])):
+            joint.setAxis(axis)
+        arm.setInertia(dartpy.dynamics.Inertia(1.0, [0.0, 0.0, -0.5], 0.1 * np.eye(3)))
+        pin.setDampingCoefficient(0, damping)
+        rail.setPositionUpperLimit(0, 0.0)
+        rail.setLimitEnforcement(True)
+        world.addSkeleton(skeleton)
+        skeleton.setVelocities([1.0, 0.0])
+        world.step(False)
+        rates.append(pin.getVelocity(0))
+
+    assert rates[0] == pytest.approx(rates[1], rel=1e-9)
+    assert abs(rates[0]) > 1.0
 
 
 def test_process_wide_parameters_are_put_back() -> None:
