@@ -42,6 +42,7 @@ _ERRORS = 6.0  # standard errors (measured: 3.0)
 _ERRORS_OF_BODIES = 20.0  # the same of a single mass: what methods leave is most like these (12.6)
 _LIGHT = 1e-5  # of all mass: what methods leave looks like more or less of so small a part of it
 _OWN = 1e-3  # of a body's exchange of kinetic and potential energy
+_LATE = 0.03  # of a step, by which methods of order 1 take what bodies exchange (measured: 7e-3)
 _ALONE = 0.5  # of what a body gains, that at least something else must lose
 _UNKNOWN = 0.5  # of a step, by which velocities of an unknown method may lag
 _FEW = 10.0  # steps that count; fewer tell nothing
@@ -119,8 +120,9 @@ def parts_of(record: Record) -> list[BalancePart]:
         products += counts * np.einsum("tsc,tsc->ts", rest, gain.given)
         squares += counts * np.einsum("tsc,tsc->ts", gain.given, gain.given)
     found = [_part("inputs", products, squares, _ERRORS)]
-    for name, part, errors in _parts(record, here, left):
-        found.append(_part(name, weight * left[..., 0] * part, weight * part**2, errors))
+    for name, part, errors, faint in _parts(record, here, left):
+        vague = weight * np.abs(part) * faint
+        found.append(_part(name, weight * left[..., 0] * part, weight * part**2, errors, vague))
     return found
 
 
@@ -145,34 +147,47 @@ def _weighed(left: Array) -> tuple[Array, Array]:
     return left, known / np.maximum(near, floor)
 
 
-def _part(name: str, products: Array, squares: Array, errors: float) -> BalancePart:
-    """Sum up a part's products with what is left, and its squares, of all steps."""
+def _part(
+    name: str, products: Array, squares: Array, errors: float, vague: Array | float = 0.0
+) -> BalancePart:
+    """Sum up a part's products with what is left, and its squares, of all steps.
+
+    Taken off the share is what may be left of other parts.
+    """
     products, squares = numbers(products), numbers(squares)
     total = np.maximum(squares.sum(axis=1), np.finfo(float).tiny)
     share = -products.sum(axis=1) / total
     rest = np.sqrt(np.sum((products + share[:, None] * squares) ** 2, axis=1))
     of_all = squares / total[:, None]
     counting = of_all.any(axis=1) / np.maximum(np.sum(of_all**2, axis=1), np.finfo(float).eps)
+    beside = numbers(np.broadcast_to(vague, squares.shape)).sum(axis=1) / total
+    share = np.sign(share) * np.maximum(np.abs(share) - beside, 0.0)
     return BalancePart(name, share, rest / total, np.asarray(counting), errors)
 
 
-def _parts(record: Record, here: Array, left: Array) -> Iterator[tuple[str, Array, float]]:
+def _parts(
+    record: Record, here: Array, left: Array
+) -> Iterator[tuple[str, Array, float, Array | float]]:
     """Names of other parts, what they give in each step [J], and errors that are no finding.
+
+    And what a method may leave of all that bodies exchange, which a part may look like [J].
 
     Args:
         record: Of the motion.
         here: Work of the inputs in each step [J].
         left: Of the balance of each step [J], shape (trajectory, step, 1).
     """
-    yield "inputs a frame late", _work(record, -1) - here, _ERRORS
-    yield "inputs a frame early", _work(record, 1) - here, _ERRORS
+    yield "inputs a frame late", _work(record, -1) - here, _ERRORS, 0.0
+    yield "inputs a frame early", _work(record, 1) - here, _ERRORS, 0.0
     bodies = record.mechanism.body_count
     energy = energy_of(record).by_body
     change = np.diff(energy, axis=1)
     moving, lifted = change[..., :bodies], change[..., bodies:]
     faint = _FAINT * energy[..., :bodies].sum(axis=-1).max(axis=1, keepdims=True)
     gravity = lifted.sum(axis=-1)
-    yield "gravity", np.where(np.abs(gravity) < faint, 0.0, gravity), _ERRORS
+    late = _LATE * (record.step or 0.0) / record.frame if record.order == 1 else 0.0
+    exchange = late * np.abs(change).sum(axis=-1)
+    yield "gravity", np.where(np.abs(gravity) < faint, 0.0, gravity), _ERRORS, exchange
     # A body that keeps its own energy tells nothing of its mass: what changes is the method's.
     least = np.maximum(_OWN * (np.abs(moving) + np.abs(lifted)), faint[..., None])
     whole = np.where(np.abs(moving + lifted) < least, 0.0, moving + lifted)
@@ -180,7 +195,7 @@ def _parts(record: Record, here: Array, left: Array) -> Iterator[tuple[str, Arra
     whole = np.where(np.abs(left - whole) < _ALONE * np.abs(whole), 0.0, whole)
     mass = record.mechanism.mass
     for k in np.flatnonzero(mass >= _LIGHT * mass.sum()):
-        yield f"mass of {record.scene.bodies[k].name}", whole[..., k], _ERRORS_OF_BODIES
+        yield f"mass of {record.scene.bodies[k].name}", whole[..., k], _ERRORS_OF_BODIES, exchange
 
 
 def _work(record: Record, shift: int) -> Array:

@@ -11,6 +11,7 @@ this asks how often, or when, a contact was hit.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from dataclasses import dataclass
 
@@ -20,10 +21,12 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.finding import Figures, Record, check
 from mbds_xsim.checks.flights import numbers
+from mbds_xsim.checks.forced import Forced, forced
 from mbds_xsim.checks.ground import Push, pushes_of, responses
 from mbds_xsim.checks.stops import kicked
 
 _BEND = 0.5  # of second differences: 1/12 in smooth motion, ½ where a jump is anywhere in the frame
+_SWING = 0.5  # of what accelerations at the ends differ by: three times what the cubic leaves
 _PATH = 0.5  # of the changes of a velocity, by which its mean is off that of its ends
 _POSE = 1.5  # times the responses at the reference pose, of bodies that joints move
 _LASTING = 0.5  # of the same, where the ground carries the weight steadily (0.02 is needed)
@@ -47,34 +50,41 @@ def displacement(record: Record) -> Figures | None:
     Looked at are, in every frame, each body's place and turn, and the centre of mass of each group
     that the ground alone supports; over the trajectory, the mean of what is left of each body, in W
     and in its own frame, and its slope over the accelerations, which is a delay. A body whose pose
-    repeats exactly must be at rest.
+    repeats exactly must be at rest. What seems off is looked at again, by the equations of motion.
     """
     if record.steps < 1:
         return None
-    if record.many:
-        return Figures(_of_many(record), _names(record))
-    parts, names = [], _names(record)
-    place, turn = _Residual.of_places(record), _Residual.of_turns(record)
+    found, note = (_of_many(record), "") if record.many else _of_few(record)
+    doubted = np.flatnonzero(np.nan_to_num(found).max(axis=(1, 2)) > 1.0).tolist()
+    if doubted and not record.scene.contacts:
+        batch, motion = record.batch[doubted], record.trajectory[doubted]
+        again = dataclasses.replace(record, batch=batch, trajectory=motion, many=False)
+        found[doubted], _ = _of_few(again, forced(again))
+    return Figures(found, _names(record), note)
+
+
+def _of_few(record: Record, more: Forced | None = None) -> tuple[Array, str]:
+    """Compute the parts, with what forces do within frames where that is asked; and a note."""
+    parts = []
+    place, turn = _Residual.of_places(record, more), _Residual.of_turns(record, more)
     for residual in (place, turn):
         parts += [residual.by_frame, residual.drift(residual.left)]
     own = rotation.rotate(rotation.conjugate(record.bodies.native[:, :-1]), turn.left)
     parts += [turn.drift(own), _delay(record, place, turn)]
-    for push in pushes_of(record):
-        parts.append(_of_group(record, push, place.left))
-        names.append(f"centre of mass, {push.name}")
-    columns = [each[..., k] for each in parts for k in range(each.shape[-1])]
-    found = record.by_frame(columns)
+    parts += [_of_group(record, push, place.left) for push in pushes_of(record)]
+    found = record.by_frame([each[..., k] for each in parts for k in range(each.shape[-1])])
     found[:, 0] = np.where(record.finite[:, :1], np.nan_to_num(found[:, 0]), np.nan)
     allowed = np.nanmedian(turn.allowed) if record.finite[:, 1:].any() else np.nan
-    return Figures(found, names, f"turns are known to {allowed:.2g} rad/s in half of the frames")
+    return found, f"turns are known to {allowed:.2g} rad/s in half of the frames"
 
 
 def _names(record: Record) -> list[str]:
-    """Of the parts that every body has, and of the delay."""
+    """Of the parts that every body has, of the delay, and of groups."""
     kinds = ["place of {}", "mean place of {}", "turn of {}", "mean turn of {}"]
     kinds.append("mean turn of {} about its own axes")
     names = [kind.format(body.name) for kind in kinds for body in record.scene.bodies]
-    return [*names, "delay of places"]
+    groups = [f"centre of mass, {push.name}" for push in pushes_of(record)]
+    return [*names, "delay of places", *groups]
 
 
 def _of_many(record: Record) -> Array:
@@ -124,14 +134,15 @@ class _Residual:
     """Of a frame that a step takes: what a method leaves does not average out."""
 
     @staticmethod
-    def of_places(record: Record) -> _Residual:
+    def of_places(record: Record, more: Forced | None) -> _Residual:
         velocity = record.bodies.velocity
         mean = record.moved / record.frame
         left = mean - (velocity[:, 1:] + velocity[:, :-1]) / 2
-        return _residual(record, left, velocity, 1.0, _hidden(record, angular=False))
+        bend = None if more is None else more.places
+        return _residual(record, left, velocity, 1.0, _hidden(record, more, False), bend)
 
     @staticmethod
-    def of_turns(record: Record) -> _Residual:
+    def of_turns(record: Record, more: Forced | None) -> _Residual:
         """Take the turn that velocities give, to third order (Magnus), back from the recorded."""
         spin, facing, frame = record.bodies.angular_velocity, record.bodies.native, record.frame
         begin, end = spin[:, :-1], spin[:, 1:]
@@ -139,8 +150,9 @@ class _Residual:
         turned = rotation.multiply(facing[:, 1:], rotation.conjugate(facing[:, :-1]))
         back = rotation.multiply(rotation.from_vector(-given), turned)
         left = rotation.to_vector(back) / frame
-        hidden = _hidden(record, angular=True)
-        return _residual(record, left, spin, 1.0 / record.scene.length, hidden)
+        bend = None if more is None else more.turns
+        hidden = _hidden(record, more, True)
+        return _residual(record, left, spin, 1.0 / record.scene.length, hidden, bend)
 
     @functools.cached_property
     def allowed(self) -> Array:
@@ -174,13 +186,19 @@ class _Residual:
 
 
 def _residual(
-    record: Record, left: Array, velocity: Array, per_length: float, hidden: Array
+    record: Record,
+    left: Array,
+    velocity: Array,
+    per_length: float,
+    hidden: Array,
+    swung: Array | None,
 ) -> _Residual:
     gained = np.diff(velocity, axis=1)
     share = (record.step or 0.0) / record.frame
     own = min(_METHOD * share**2, _BEND)
     change = _second_differences(gained)
-    bend = (_BEND + own) * _with_ends(_window(np.maximum(change[:, 1:], change[:, :-1])))
+    change = _with_ends(_window(np.maximum(change[:, 1:], change[:, :-1])))
+    bend = (_BEND + own) * (change if swung is None else np.maximum(change, _SWING * swung))
     if record.lag:
         left = left + record.lag / record.frame * gained
         fastest = _window(rotation.norm(gained).max(axis=2, keepdims=True))
@@ -245,12 +263,12 @@ def _with_ends(window: Array) -> Array:
     return found
 
 
-def _hidden(record: Record, angular: bool) -> Array:
+def _hidden(record: Record, more: Forced | None, angular: bool) -> Array:
     """What impulses may do to the mean velocities of bodies, (trajectory, step, body)."""
     mechanism = record.mechanism
     found = np.zeros_like(record.bodies.position[:, 1:, :, 0])
     if mechanism.limited:
-        found += _PATH * kicked(record)[angular]
+        found += _PATH * kicked(record, 0.0 if more is None else more.pull)[angular]
     if not len(mechanism.sphere_body):
         return found
     moved = responses(mechanism)[angular]

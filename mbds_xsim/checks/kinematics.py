@@ -137,9 +137,15 @@ def _slope(mismatch: Mismatch, resolution: float) -> tuple[Array, Array]:
     def inner(one: Array, other: Array) -> Array:
         return np.where(known, weight * mismatch.points.inner(one, other), 0.0)
 
+    # What changes by less than can be told tells no lag.
+    unclear = np.sum(weight * np.where(known, mismatch.unclear, 0.0) ** 2, axis=1)
+    least = np.maximum(unclear, np.finfo(float).tiny)
+
+    def square_of(regressor: Array) -> Array:
+        return np.maximum(inner(regressor, regressor).sum(axis=1), least)
+
     def slope_over(regressor: Array, vectors: Array) -> Array:
-        square = inner(regressor, regressor).sum(axis=1)
-        return inner(vectors, regressor).sum(axis=1) / np.maximum(square, np.finfo(float).tiny)
+        return inner(vectors, regressor).sum(axis=1) / square_of(regressor)
 
     other = mismatch.acceleration - mismatch.rate_acceleration
     rates = mismatch.rate_acceleration
@@ -147,7 +153,7 @@ def _slope(mismatch: Mismatch, resolution: float) -> tuple[Array, Array]:
     slope = slope_over(rates, mismatch.left)
     rest = mismatch.left - _each(slope) * rates
     rest = rest - _each(slope_over(other, rest)) * other
-    square = np.maximum(inner(rates, rates).sum(axis=1), np.finfo(float).tiny)
+    square = square_of(rates)
     error = np.sqrt(np.sum(inner(rest, rates) ** 2, axis=1))
     blurred = np.sum(weight * blur * np.where(known, mismatch.points.rms(rates), 0.0), axis=1)
     seen = np.where(known.any(axis=1), slope, np.nan)

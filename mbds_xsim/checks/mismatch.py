@@ -10,7 +10,6 @@ Integration, 2.9).
 from __future__ import annotations
 
 import dataclasses
-import functools
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -18,6 +17,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index, Mask
+from mbds_xsim.checks.carried import CarriedPoints, carried
 from mbds_xsim.scene.joint_space import (
     BodyStates,
     joint_coordinate,
@@ -25,15 +25,14 @@ from mbds_xsim.scene.joint_space import (
     to_bodies,
     to_links,
 )
-from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
+from mbds_xsim.scene.mechanism import Mechanism
 
 EVERY_SECOND = (0, 2)
 """First step, and every how many: these take in every frame once."""
 
-_MOMENT = 5e-4  # of the interval of the frames: jerks are differences of accelerations over it
+MOMENT = 5e-4  # of the interval of the frames: jerks are differences of accelerations over it
 _STEADY = 0.02  # of the largest rate: below it a joint with dry friction may stop within a step
 _FACTOR = 5.0  # errors of the quintic are up to so many times their estimate (measured: 4.6)
-_ARMS = np.concatenate([np.zeros((1, 3)), np.eye(3)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +53,8 @@ class Mismatch:
     """Mean over the step [m/s²]."""
     rate_acceleration: Array
     """The part of it that changes of the velocity coordinates make [m/s²]."""
+    unclear: Array
+    """What that may err by, being a difference over a moment [m/s²], (trajectory, step)."""
     jerk: Array
     """Larger RMS of the two ends [m/s³], shape (trajectory, step)."""
     blur: Array
@@ -62,48 +63,6 @@ class Mismatch:
     """As jerk, but of each body with points at its ends, shape (trajectory, step, body)."""
     blur_each: Array
     """As blur, of the same."""
-
-
-@dataclass(frozen=True, eq=False)
-class CarriedPoints:
-    """Four points a body: its centre of mass and, along each axis of its native frame, a point at
-    its radius of gyration.
-    """
-
-    mechanism: Mechanism
-
-    def rms(self, vectors: Array) -> Array:
-        """RMS over mass and points, shape (trajectory, step)."""
-        return np.sqrt(self.inner(vectors, vectors))
-
-    def each(self, vectors: Array) -> Array:
-        """RMS over points of each body at its ends, not the radius of gyration, [..., body].
-
-        What points move moves with the distance from the centre.
-        """
-        center = vectors[..., :1, :]
-        stretch = _extents(self.mechanism) / _gyrations(self.mechanism)
-        ends = center + stretch[:, None, None] * (vectors - center)
-        return np.sqrt(np.einsum("...bpi,...bpi->...b", ends, ends) / len(_ARMS))
-
-    def as_bodies(self, points: Array, native: Array) -> tuple[Array, Array]:
-        """Velocities of bodies [m/s] and [rad/s] of those of their points, (…, body, 3)."""
-        axes = rotation.rotate(native[..., None, :], _ARMS[1:])
-        turns = rotation.cross(axes, points[..., 1:, :] - points[..., :1, :]).sum(axis=-2)
-        return points[..., 0, :], turns / (2.0 * _gyrations(self.mechanism)[:, None])
-
-    def as_points(self, velocity: Array, spin: Array, native: Array) -> Array:
-        """Give the reverse, (…, body, point, 3)."""
-        arm = rotation.rotate(
-            native[..., None, :], _gyrations(self.mechanism)[:, None, None] * _ARMS
-        )
-        return velocity[..., None, :] + rotation.cross(spin[..., None, :], arm)
-
-    def inner(self, one: Array, other: Array) -> Array:
-        """Scalar product averaged over mass and points, shape (trajectory, step)."""
-        share = self.mechanism.mass / (4.0 * self.mechanism.mass.sum())
-        weighed = share[:, None, None] * one  # einsum of three takes several times as long
-        return np.asarray(np.einsum("...bpi,...bpi->...", weighed, other))
 
 
 class _Points(NamedTuple):
@@ -142,7 +101,7 @@ def mismatch_of(
         many: As in `Record`.
     """
     first = np.arange(steps[0], bodies.position.shape[1] - 1, steps[1])
-    flow = Flow(mechanism, _MOMENT * frame, many)
+    flow = Flow(mechanism, MOMENT * frame, many)
     begin, end = _ends(flow, bodies, first, (flying, force, torque), lag)
     # Hermite's formulas with no, one and two derivatives at each end.
     trapezoid = (begin.velocity + end.velocity) / 2
@@ -151,6 +110,7 @@ def mismatch_of(
     quintic = trapezoid + bend / 10 + frame**2 / 120 * (begin.jerk + end.jerk)
     points = CarriedPoints(mechanism)
     gaps = trapezoid - cubic, cubic - quintic
+    jerk = np.maximum(points.rms(begin.jerk), points.rms(end.jerk))
     return Mismatch(
         points=points,
         frame=first + 1,
@@ -158,7 +118,8 @@ def mismatch_of(
         velocity=begin.velocity,
         acceleration=(begin.acceleration + end.acceleration) / 2,
         rate_acceleration=(begin.rate_acceleration + end.rate_acceleration) / 2,
-        jerk=np.maximum(points.rms(begin.jerk), points.rms(end.jerk)),
+        unclear=flow.moment * jerk,
+        jerk=jerk,
         blur=_blur(*map(points.rms, gaps)),
         jerk_each=np.maximum(points.each(begin.jerk), points.each(end.jerk)),
         blur_each=_blur(*map(points.each, gaps)),
@@ -173,7 +134,7 @@ def _ends(
     both, count = np.concatenate([first, first + 1]), len(first)
     free, force, torque = (np.concatenate([each[:, first]] * 2, axis=1) for each in held)
     if flow.mechanism.compliant or flow.mechanism.drives:
-        torque = torque + _wound(flow.mechanism, bodies)[:, both]
+        torque = torque + wound(flow.mechanism, bodies)[:, both]
     points = _points_at(flow, bodies[:, both], free, force, torque, lag)
     begin, end = (
         _Points(*(each[:, half] for each in points))
@@ -182,7 +143,7 @@ def _ends(
     return begin, end
 
 
-def _wound(mechanism: Mechanism, bodies: BodyStates) -> Array:
+def wound(mechanism: Mechanism, bodies: BodyStates) -> Array:
     """Torques of springs for whole turns, which states do not show [N·m], (…, frame, input)."""
     springs = [(joint, joint.stiffness) for joint in mechanism.hinges]
     springs += [(drive.joint, drive.servo.stiffness) for drive in mechanism.drives]
@@ -243,11 +204,11 @@ def _derivatives(
     rates = flow.accelerations(closed, force, torque)
     later = flow.closed(flow.later(closed, *rates))
     then = flow.accelerations(later, force, torque)
-    position, velocity, acceleration = _carried(mechanism, states, *rates)
-    change = _carried(mechanism, later, *then)[2] - _carried(mechanism, closed, *rates)[2]
+    position, velocity, acceleration = carried(mechanism, states, *rates)
+    change = carried(mechanism, later, *then)[2] - carried(mechanism, closed, *rates)[2]
     pull, push = flow.of_rates(closed, *rates)
     gained = dataclasses.replace(states, velocity=pull, angular_velocity=push)
-    swung = _carried(mechanism, gained, *rates)[1]
+    swung = carried(mechanism, gained, *rates)[1]
     return _Points(position, velocity, acceleration, change / flow.moment, swung)
 
 
@@ -257,52 +218,6 @@ def _faster(states: BodyStates, pull: Array, push: Array, time: float) -> BodySt
         velocity=states.velocity + time * pull,
         angular_velocity=states.angular_velocity + time * push,
     )
-
-
-def _carried(
-    mechanism: Mechanism, states: BodyStates, pull: Array, push: Array
-) -> tuple[Array, Array, Array]:
-    """Positions, velocities and accelerations of the points that the bodies carry."""
-    turn, spin = states.native[..., None, :], states.angular_velocity[..., None, :]
-    arm = rotation.rotate(turn, _gyrations(mechanism)[:, None, None] * _ARMS)
-    swing = rotation.cross(spin, arm)
-    return (
-        states.position[..., None, :] + arm,
-        states.velocity[..., None, :] + swing,
-        pull[..., None, :] + rotation.cross(push[..., None, :], arm) + rotation.cross(spin, swing),
-    )
-
-
-def _gyrations(mechanism: Mechanism) -> Array:
-    """Mean radii of gyration [m], shape (body,)."""
-    return np.sqrt(np.trace(mechanism.inertia, axis1=1, axis2=2) / (2 * mechanism.mass))
-
-
-@functools.lru_cache(maxsize=64)
-def _extents(mechanism: Mechanism) -> Array:
-    """From centres of mass to the furthest of what bodies carry [m], shape (body,).
-
-    Joints, particles, contact spheres, attachment points and the radius of gyration: a slender rod
-    that twists moves hardly any of its mass, but a joint on its side.
-    """
-    joints = [((one.parent, one.child), (one.in_parent, one.in_child)) for one in mechanism.joints]
-    pairs = [(pair.bodies, pair.in_body) for pair in (*mechanism.distances, *mechanism.springs)]
-    carried = [
-        (body, float(np.linalg.norm(point)))
-        for bodies, points in (*joints, *pairs)
-        for body, point in zip(bodies, points, strict=True)
-        if body != WORLD_INDEX
-    ]
-    particles = np.linalg.norm(mechanism.particle_offset, axis=1)
-    spheres = np.linalg.norm(mechanism.sphere_offset, axis=1) + mechanism.sphere_radius
-    found = _gyrations(mechanism)
-    for body, distance in (
-        *carried,
-        *zip(mechanism.particle_body, particles, strict=True),
-        *zip(mechanism.sphere_body, spheres, strict=True),
-    ):
-        found[body] = max(found[body], distance)
-    return found
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.checks.conservation import energy_of, input_work
-from mbds_xsim.checks.coordinates import clear_of_own, coordinate_of
+from mbds_xsim.checks.coordinates import clear_of_own, coordinate_of, stop_gap
 from mbds_xsim.checks.finding import Figures, Record, check
 from mbds_xsim.checks.flights import summed
 from mbds_xsim.checks.joint_work import losses
@@ -50,17 +50,24 @@ def stop_passivity(record: Record) -> Figures | None:
     return Figures((rise / energy.scale[:, None])[..., None], uncertainty=error / energy.scale)
 
 
-def kicked(record: Record) -> tuple[Array, Array]:
+def kicked(record: Record, pull: Array | float = 0.0) -> tuple[Array, Array]:
     """Bound what impulses of stops change velocities of bodies by within a step.
 
-    They change the rate of a joint that can reach its stop by no more than the step's ends show,
-    and with it all that it moves.
+    They change the rate of a joint that can reach its stop by no more than the step's ends show and
+    the joint falls towards it between them, and with it all that it moves.
+
+    Args:
+        record: Of a scene with limits.
+        pull: Sizes of the accelerations of joints with limits, (trajectory, step, joint).
 
     Returns:
         Linear [m/s] and angular [rad/s], shapes (trajectory, step, body).
     """
     limited, states = record.mechanism.limited, record.bodies[:, :-1]
     jumps = np.stack([_jump(record, joint) for joint in limited], axis=-1)
+    deep = np.stack([_deepest(record, joint) for joint in limited], axis=-1)
+    fallen = np.minimum(record.frame * pull, np.sqrt(2.0 * pull * deep))
+    jumps = np.where(np.isfinite(jumps), jumps + np.nan_to_num(fallen), 0.0)
     some = jumps.any(axis=-1)
     found = np.zeros((2, *states.position.shape[:-1]))
     moved = kicks(record.mechanism, limited, states[some])
@@ -70,7 +77,12 @@ def kicked(record: Record) -> tuple[Array, Array]:
 
 
 def _jump(record: Record, joint: PlacedJoint) -> Array:
-    """By how much stops may change the joint's rate, shape (trajectory, step)."""
+    """By how much its rate changes, (trajectory, step); NaN where it reaches no stop."""
     gained = np.abs(np.diff(joint_rate(joint, record.world), axis=1))
-    clear = clear_of_own(joint, record.world, record.frame)
-    return np.nan_to_num(np.where(clear, 0.0, gained))
+    return np.where(clear_of_own(joint, record.world, record.frame), np.nan, gained)
+
+
+def _deepest(record: Record, joint: PlacedJoint) -> Array:
+    """How far it is from its stop at the farther end of each step, shape (trajectory, step)."""
+    gap = np.maximum(stop_gap(joint, coordinate_of(record, joint)), 0.0)
+    return np.maximum(gap[:, 1:], gap[:, :-1])

@@ -17,6 +17,7 @@ from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
 
 _AT_ONCE = 256  # states; more only cost memory
+_HOLLOW = 1e-12  # of mass · length²: constraints that reach so far off lose four digits of it
 
 
 @functools.lru_cache(maxsize=64)
@@ -66,13 +67,20 @@ def accelerations(
     force = np.broadcast_to(force, shape).reshape(-1, *shape[-2:])
     inputs = len(mechanism.hinges) + len(mechanism.drives)
     torque = np.broadcast_to(torque, (*shape[:-2], inputs)).reshape(len(state), inputs)
-    if many and _turns_bodies_alone(mechanism):
+    if _hollow(mechanism) or (many and _turns_bodies_alone(mechanism)):
         found = _Compiled(mechanism).accelerations(state, force, torque)
         return found[..., :3].reshape(shape), found[..., 3:].reshape(shape)
     parts = [slice(k, k + _AT_ONCE) for k in range(0, len(state), _AT_ONCE)]
     rates = [dynamics.derivative(state[part], force[part], torque[part]) for part in parts]
     rate = dynamics.unpack(np.concatenate([*rates, state[:0]]))
     return rate.velocity.reshape(shape), rate.angular_velocity.reshape(shape)
+
+
+@functools.lru_cache(maxsize=64)
+def _hollow(mechanism: Mechanism) -> bool:
+    """Whether bodies resist a turn so little that maximal coordinates lose the rest in rounding."""
+    least = np.linalg.eigvalsh(mechanism.inertia)[:, 0]
+    return bool((least < _HOLLOW * mechanism.mass * mechanism.scene.length**2).any())
 
 
 def _turns_bodies_alone(mechanism: Mechanism) -> bool:

@@ -12,10 +12,12 @@ from mbds_xsim import reference
 from mbds_xsim.checks import Finding, Record
 from mbds_xsim.checks.coefficients import coefficients
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene
+from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene
 from mbds_xsim.scene.state import Batch
+from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.claims import Method
-from mbds_xsim.simulate.registry import load_scene
+from mbds_xsim.simulate.registry import load_adapter, load_scene
+from mbds_xsim.simulate.timed import simulate as run
 
 RK4 = Method("RK4", "RK4", 4)
 LEAPFROG = Method("Euler", "semi-implicit Euler", 1, velocity_lag=-0.5)
@@ -135,3 +137,30 @@ def test_energy_that_nothing_exchanges_with_a_body_tells_nothing_of_its_mass() -
     slowing = dataclasses.replace(motion, angular_velocity=spin)
     found = coefficients.finding(Record(scene, batch, slowing, RK4, 2e-3))
     assert (found.figure < 0.1).all()
+
+
+def test_what_a_method_takes_late_of_gears_is_no_error_of_gravity() -> None:
+    """A wheel beside a spider, which exchange a hundred times as much as gravity gives."""
+    hub, ring = Inertia(0.1, (4e-6,) * 3), Inertia(0.06, (0.025, 0.044, 0.025))
+    bodies = (
+        Body("hub", inertia=hub),
+        Body("wheel", inertia=Inertia(0.34, (2.6e-4, 4.1e-4, 2.6e-4)), position=(0, 0.0225, 0)),
+        Body("ring", inertia=ring),
+        Body("spider", inertia=Inertia(0.06, (0.025, 0.025, 0.044))),
+    )
+    y, origin = (0.0, 1.0, 0.0), (0.0, 0.0, 0.0)
+    joints = (
+        Joint("king", "hinge", "world", "hub", origin, (0.0, 0.0, 1.0), rate=0.46),
+        Joint("axle", "hinge", "hub", "wheel", origin, (3.7e-6, 1.0, 0.0), rate=-0.47),
+        Joint("pinion", "hinge", "world", "ring", origin, y, rate=-0.185),
+        Joint("cross", "hinge", "ring", "spider", origin, (1.0, 0.0, 0.0), rate=0.3),
+    )
+    scene = Scene("gears", bodies, 1.0, joints=joints, clock=Clock(0.02, 25))
+    batch, method = draw_batch(scene, [0]), load_adapter("dart").methods["semi-implicit-euler"]
+    chosen = Settings(method.name, 2e-4)
+    motion = run(scene, batch, "dart", chosen).trajectory
+
+    found = coefficients.finding(Record(scene, batch, motion, method, chosen.step))
+    assert found.passed.all()
+    # The same of a method that claims to be exact.
+    assert not coefficients.finding(Record(scene, batch, motion, RK4, chosen.step)).passed.any()

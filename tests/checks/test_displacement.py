@@ -274,3 +274,50 @@ def test_a_joint_thrown_off_its_stop_within_a_frame_is_not_blamed(stop: float) -
     if stop == 0.5:  # its impact is where this cannot be seen at the ends of a frame
         unaware = msgspec.structs.replace(scene, joints=loose)
         assert not judged(unaware, motion).passed.any()
+
+
+def test_a_whip_within_a_frame_is_not_blamed() -> None:
+    """A heavy arm swings a light one round its end, which frames of 60 ms hardly show."""
+    rods = Inertia(1.0, (1e-3, 0.02, 0.02)), Inertia(0.02, (1e-6, 1e-5, 1e-5))
+    bodies = (
+        Body("arm", inertia=rods[0], position=(0.25, 0.0, 0.0)),
+        Body("lash", inertia=rods[1], position=(0.52, 0.0, 0.0)),
+    )
+    y = (0.0, 1.0, 0.0)
+    joints = (
+        Joint("shoulder", "hinge", "world", "arm", (0, 0, 0), y, 0.0, 10.0),
+        Joint("tip", "hinge", "arm", "lash", (0.5, 0, 0), y, 2.8, 0.0),
+    )
+    scene = Scene("whip", bodies, 0.6, joints=joints, clock=Clock(0.06, 17))
+    motion = solve(scene, draw_batch(scene, [0]), cache=False)
+
+    assert judged(scene, motion).figure[0] < 0.7
+    for fault in ("drift", "late", "frozen"):
+        assert not judged(scene, FAULTS[fault](motion)).passed.any()
+
+
+@pytest.mark.parametrize("blow", [0.1, 0.25, 0.5])
+def test_a_joint_that_falls_back_on_its_stop_within_a_frame_is_not_blamed(blow: float) -> None:
+    """A hammer throws a sledge up so that it is on top, and at rest, at the end of the frame."""
+    share, hit = 0.02, (2 + blow) * FRAME
+    speed = 9.81 * FRAME * (1 - blow) * (1 + share) / share
+    start, way = speed + 9.81 * hit, speed * hit + 0.5 * 9.81 * hit**2
+    z = (0.0, 0.0, 1.0)
+    bodies = (
+        Body("sledge", inertia=Inertia(1.0, (0.1,) * 3)),
+        Body("hammer", inertia=Inertia(share, (0.1 * share,) * 3)),
+    )
+    joints = (
+        Joint("rail", "slider", "world", "sledge", (0, 0, 0), z, 0.0, 0.0, limits=(0.0, 1.0)),
+        Joint("bolt", "slider", "sledge", "hammer", (0, 0, 0), z, 0.0, start, limits=(-1.0, way)),
+    )
+    scene = Scene("hop", bodies, 1.0, joints=joints, clock=Clock(FRAME, 10))
+    motion = solve(scene, draw_batch(scene, [0]), cache=False)
+    rise = 0.5 * 9.81 * (FRAME * (1 - blow)) ** 2
+
+    assert np.abs(motion.velocity[0, :, 0]).max() < 1e-9
+    assert np.allclose(motion.position[0, :, 0, 2], rise * (np.arange(11) == 3), atol=1e-9)
+    assert judged(scene, motion).figure[0] < 0.9
+    risen = motion.position.copy()
+    risen[0, 3, 0, 2] = 0.01
+    assert not judged(scene, dataclasses.replace(motion, position=risen)).passed.any()

@@ -212,6 +212,47 @@ def test_a_motion_without_acceleration_has_no_lag() -> None:
     assert not speeds.passed.any()
 
 
+def test_rates_that_change_by_rounding_alone_have_no_lag() -> None:
+    """A cart with a wheel that is out of true by 1e-20 m."""
+    inertia = Inertia(1.0, (0.1, 0.1, 0.2))
+    wheel = Body("wheel", inertia=inertia, position=(0.0, 1e-20, 0.0))
+    joints = (
+        Joint("rail", "slider", "world", "cart", (0, 0, 0), (1.0, 0.0, 0.0)),
+        Joint("axle", "hinge", "cart", "wheel", (0, 0, 0), (0.0, 0.0, 1.0), rate=1.0),
+    )
+    bodies, still = (Body("cart", inertia=inertia), wheel), (0.0, 0.0, 0.0)
+    scene = Scene("cart", bodies, 0.3, gravity=still, joints=joints, clock=Clock(0.02, 10))
+    batch = draw_batch(scene, [0])
+    exact = reference.solve(scene, batch, cache=False)
+
+    _, lag = _both(Record(scene, batch, exact, METHODS["rk4"], 1e-4))
+
+    assert lag.figure[0] < 1e-9
+    assert lag.uncertainty[0] < 1e-9
+
+
+def test_a_link_without_moments_of_inertia_turns_as_exactly_as_any() -> None:
+    """A pendulum of a link that is a point of mass, and a rod."""
+    hollow, rod = Inertia(1.0, (1e-34,) * 3), Inertia(0.5, (0.01, 0.01, 0.001))
+    bodies = tuple(
+        Body(name, inertia=inertia, position=(place, 0.0, 0.0))
+        for name, inertia, place in (("link", hollow, 0.1), ("rod", rod, 0.4))
+    )
+    joints = (
+        Joint("shoulder", "hinge", "world", "link", (0, 0, 0), (0.0, 1.0, 0.0), 0.0, 1.0),
+        Joint("elbow", "hinge", "link", "rod", (0.2, 0, 0), (1.0, 1.0, 0.0), 0.0, 3.0),
+    )
+    scene = Scene("hollow", bodies, 0.6, joints=joints, clock=Clock(0.02, 20))
+    batch = draw_batch(scene, [0])
+    exact = reference.solve(scene, batch, cache=False)
+
+    speeds, lag = _both(Record(scene, batch, exact, METHODS["rk4"], 1e-4))
+
+    assert speeds.figure[0] < 1e-6
+    assert lag.uncertainty[0] < 1e-6
+    assert lag.passed.all()
+
+
 def test_frames_after_a_failure_are_left_out(pendulum: Any) -> None:
     velocity = pendulum.exact.velocity.copy()
     velocity[0, 9:] = np.nan

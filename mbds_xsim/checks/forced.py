@@ -1,0 +1,60 @@
+"""What a scene's forces do to velocities within frames, where frames are too far apart to show it.
+
+A light link that whips round, or a joint that falls back on its stop, has velocities between two
+frames that no differences of recorded ones tell. The equations of motion do, at both ends.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.checks.finding import Record
+from mbds_xsim.checks.mismatch import MOMENT, Flow, wound
+from mbds_xsim.scene.joint_space import BodyStates, joint_rate
+
+
+@dataclass(frozen=True, eq=False)
+class Forced:
+    """What accelerations at both ends of a step tell of what is between them."""
+
+    places: Array
+    """Velocities that bodies would gain by the difference of both, shape (trajectory, step, body)
+    [m/s]."""
+    turns: Array
+    """The same of angular velocities [rad/s]."""
+    pull: Array
+    """Of joints with limits, as if they had no stops, the larger size of both ends [rad/s² or
+    m/s²], shape (trajectory, step, joint)."""
+
+
+def forced(record: Record) -> Forced:
+    """Ask the equations of motion, without contact; 0 where they have no answer."""
+    lost = ~record.finite[..., None, None]
+    bodies = record.bodies.each(lambda values: np.where(lost, values[:, :1], values))
+    torque = record.torque[:, : record.steps]
+    held = wound(record.mechanism, bodies)
+    begin, end = (
+        _accelerations(record, bodies[:, part], torque + held[:, part])
+        for part in (slice(-1), slice(1, None))
+    )
+    places, turns = (
+        record.frame * rotation.norm(a - b) for a, b in zip(begin[:2], end[:2], strict=True)
+    )
+    pull = np.maximum(np.abs(begin[2]), np.abs(end[2]))
+    return Forced(*(np.where(np.isfinite(each), each, 0.0) for each in (places, turns, pull)))
+
+
+def _accelerations(record: Record, states: BodyStates, torque: Array) -> tuple[Array, Array, Array]:
+    """Linear and angular ones of bodies, and those of joints with limits."""
+    flow = Flow(record.mechanism, MOMENT * record.frame)
+    closed = flow.closed(states)
+    pull, push = flow.accelerations(closed, record.force, torque)
+    here, then = (each.with_world() for each in (closed, flow.later(closed, pull, push)))
+    rates = np.zeros((*pull.shape[:2], len(record.mechanism.limited)))
+    for k, joint in enumerate(record.mechanism.limited):
+        rates[..., k] = (joint_rate(joint, then) - joint_rate(joint, here)) / flow.moment
+    return pull, push, rates
