@@ -15,7 +15,6 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.scene.coupling import PlacedCoupling
 from mbds_xsim.scene.joint_space import BodyStates, to_links
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
 from mbds_xsim.simulate.adapter import ModelSize
@@ -23,14 +22,13 @@ from mbds_xsim.simulate.readback import joint_anchors, joint_axes
 
 from .client import Client, Constant
 from .contact import BulletContact
+from .gears import IMPULSE_CAP, armatures, gear_rotors, speed, tie, with_rotors
 from .parts import Multibody, split
 
 SPEED_CAP = 1e6
 """Bullet cuts every rate of a multibody to this [m/s or rad/s]."""
 RATES = slice(7, 13)
 """Where `Multibodies.read` gives velocity and angular velocity."""
-# Impulse of a constraint in a step [N·s]; Bullet's own cap is 500.
-_IMPULSE_CAP = 1e12
 # Distance of the two points that close a hinge from its anchor, over the longest arm there.
 _HINGE_ARM = 0.5
 
@@ -77,9 +75,13 @@ class Multibodies:
         # Of a joint's constraints: the number, and of the joint's parent, then child, the body and
         # which of the constraint's ends it is.
         self._ties: dict[int, list[tuple[int, list[tuple[int, int]]]]] = {}
-        rows = sum(self._close(joint) for joint in self.closures) + len(mechanism.couplings)
-        for coupling in mechanism.couplings:
-            self._gear(coupling)
+        rows = sum(self._close(joint) for joint in self.closures)
+        rows += len(mechanism.couplings) + len(mechanism.rotors)
+        bodies = {link.joint.index: link.body for link in mechanism.links if link.joint}
+        for each in mechanism.couplings:
+            client.note(each.name)
+            ends = [self.address(bodies[joint.index]) for joint in (each.follower, each.leader)]
+            tie(client, ends, each.ratio)
         self.size = ModelSize(
             sum(part.coordinate_count for part in self.parts), rows, len(mechanism.sphere_body)
         )
@@ -128,10 +130,13 @@ class Multibodies:
                 ball = link.joint is not None and link.joint.kind == "ball"
                 values.append(_xyzw(turn[k]) if ball else [float(links.coordinate[k])])
                 rates.append(spin[k].tolist() if ball else [float(links.rate[k])])
-            if moving:
+            rotors = range(len(part.links), len(part.links) + len(part.geared))
+            values += [[0.0]] * len(rotors)
+            rates += [[speed(joint) * float(links.rate[row[k]])] for joint, k in part.geared]
+            if values:
                 self.client.put(
                     "resetJointStatesMultiDof",
-                    number, moving, targetValues=values, targetVelocities=rates,
+                    number, [*moving, *rotors], targetValues=values, targetVelocities=rates,
                 )  # fmt: skip
 
     def read(self) -> Array:
@@ -177,6 +182,11 @@ class Multibodies:
         axes = rotation.matrix(self.read()[:, [6, 3, 4, 5]])
         moments = np.array([self._dynamics(body)[2] for body in range(count)])
         return np.asarray(np.einsum("bij,bj,bkj->bik", axes, moments, axes))
+
+    def armature(self) -> Array:
+        """Of the joints with rotors, in scene order [kg·m² or kg], by the rotors' moments."""
+        found = armatures(self.client, zip(self._ids, self.parts, strict=True))
+        return np.array([found[joint.index] for joint in self.mechanism.rotors])
 
     def joint_axis(self) -> Array:
         """Of hinges and sliders in scene order, in W at the present state, shape (joint, 3)."""
@@ -239,6 +249,24 @@ class Multibodies:
         # Link frames sit at the joints; a free base's frame sits at its centre of mass.
         origin = {link.body: joint.anchor for link, joint in zip(part.links, joints, strict=True)}
         origin[part.base] = base_at
+        links: dict[str, list[Any]] = {
+            "linkMasses": [float(mass[link.body]) for link in part.links],
+            "linkCollisionShapeIndices": [
+                self._shape(link.body, -joint.in_child)
+                for link, joint in zip(part.links, joints, strict=True)
+            ],
+            "linkVisualShapeIndices": [-1] * count,
+            "linkPositions": [
+                (joint.anchor - origin[link.parent]).tolist()
+                for link, joint in zip(part.links, joints, strict=True)
+            ],
+            "linkOrientations": [[0.0, 0.0, 0.0, 1.0]] * count,
+            "linkInertialFramePositions": [(-joint.in_child).tolist() for joint in joints],
+            "linkInertialFrameOrientations": [_xyzw(self.principal[k.body]) for k in part.links],
+            "linkParentIndices": [row.get(link.parent, 0) for link in part.links],
+            "linkJointTypes": [Constant(_JOINT_TYPES[joint.kind]) for joint in joints],
+            "linkJointAxis": [_axis(joint) for joint in joints],
+        }
         number = build(
             "createMultiBody",
             baseMass=base_mass,
@@ -246,26 +274,12 @@ class Multibodies:
             basePosition=base_at.tolist(),
             baseInertialFramePosition=[0.0, 0.0, 0.0],
             baseInertialFrameOrientation=_xyzw(base_turn),
-            linkMasses=[float(mass[link.body]) for link in part.links],
-            linkCollisionShapeIndices=[
-                self._shape(link.body, -joint.in_child)
-                for link, joint in zip(part.links, joints, strict=True)
-            ],
-            linkVisualShapeIndices=[-1] * count,
-            linkPositions=[
-                (joint.anchor - origin[link.parent]).tolist()
-                for link, joint in zip(part.links, joints, strict=True)
-            ],
-            linkOrientations=[[0.0, 0.0, 0.0, 1.0]] * count,
-            linkInertialFramePositions=[(-joint.in_child).tolist() for joint in joints],
-            linkInertialFrameOrientations=[_xyzw(self.principal[k.body]) for k in part.links],
-            linkParentIndices=[row.get(link.parent, 0) for link in part.links],
-            linkJointTypes=[Constant(_JOINT_TYPES[joint.kind]) for joint in joints],
-            linkJointAxis=[_axis(joint) for joint in joints],
+            **with_rotors(links, joints),
             # Without it Bullet numbers the links depth first.
             flags=Constant("URDF_MAINTAIN_LINK_ORDER"),
         )
-        build("changeDynamics", number, -1, **drag, maxJointVelocity=SPEED_CAP)
+        cap = SPEED_CAP * max([1.0, *map(speed, joints)])
+        build("changeDynamics", number, -1, **drag, maxJointVelocity=cap)
         name = [body.name for body in mechanism.scene.bodies]
         if part.base != WORLD_INDEX:
             self.client.note(f"{name[part.base]!r} is the base of {number}")
@@ -279,6 +293,7 @@ class Multibodies:
                     "changeDynamics", number, k,
                     jointLowerLimit=joint.limits[0], jointUpperLimit=joint.limits[1],
                 )  # fmt: skip
+        gear_rotors(self.client, number, joints)
         return int(number)
 
     def _set_dynamics(self, number: int, link: int, body: int, damping: float) -> None:
@@ -317,19 +332,6 @@ class Multibodies:
         ends = (-arm * joint.axis, arm * joint.axis)
         return sum(self._constrain("JOINT_POINT2POINT", joint, shift, 3) for shift in ends)
 
-    def _gear(self, coupling: PlacedCoupling) -> None:
-        """Tie the rates of two joints; the start is on the coupling, and Bullet keeps it there."""
-        self.client.note(coupling.name)
-        bodies = {link.joint.index: link.body for link in self.mechanism.links if link.joint}
-        ends = (bodies[joint.index] for joint in (coupling.follower, coupling.leader))
-        (first, second), none = (self.address(body) for body in ends), [0.0, 0.0, 0.0]
-        number = self.client.build(
-            "createConstraint", *first, *second, Constant("JOINT_GEAR"), none, none, none
-        )  # fmt: skip
-        self.client.build(
-            "changeConstraint", number, gearRatio=-coupling.ratio, maxForce=_IMPULSE_CAP
-        )
-
     def _constrain(self, kind: str, joint: PlacedJoint, shift: Array, rows: int) -> int:
         """Tie the points of both bodies that are at the anchor plus a shift."""
         first, pivot = self._carrier(joint.child, joint.in_child + shift)
@@ -346,7 +348,7 @@ class Multibodies:
             [0.0, 0.0, 0.0], rotation.rotate(turn_first, pivot).tolist(),
             rotation.rotate(turn_second, other).tolist(), _xyzw(turn_first), _xyzw(turn_second),
         )  # fmt: skip
-        self.client.build("changeConstraint", number, maxForce=_IMPULSE_CAP)
+        self.client.build("changeConstraint", number, maxForce=IMPULSE_CAP)
         forwards = self.mechanism.joints[joint.index].child == joint.child
         tie = (int(number), ends if forwards else ends[::-1])
         self._ties.setdefault(joint.index, []).append(tie)

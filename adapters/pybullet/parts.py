@@ -28,10 +28,17 @@ class Multibody:
     """Parents before children; their order is Bullet's."""
 
     @property
+    def geared(self) -> list[tuple[PlacedJoint, int]]:
+        """Joints with rotors, and bodies they carry: rotors are links behind the bodies'."""
+        joints = [(link.joint, link.body) for link in self.links]
+        return [(joint, body) for joint, body in joints if joint and joint.armature]
+
+    @property
     def coordinate_count(self) -> int:
-        """Rates of the base and of all joints."""
+        """Rates of the base, of all joints and of rotors."""
         base = 0 if self.base == WORLD_INDEX else 6
-        return base + sum(FREEDOMS[link.joint.kind] for link in self.links if link.joint)
+        joints = sum(FREEDOMS[link.joint.kind] for link in self.links if link.joint)
+        return base + joints + len(self.geared)
 
 
 def split(mechanism: Mechanism) -> tuple[tuple[Multibody, ...], tuple[PlacedJoint, ...]]:
@@ -72,6 +79,7 @@ def _cuts(mechanism: Mechanism) -> set[int]:
     cut: set[int] = set()
     for link in reversed(mechanism.links):
         own = 0 if link.joint is None else _COORDINATES[link.joint.kind]
+        own += bool(link.joint and link.joint.armature)
         outer = carried[link.body]
         load[link.body] = own + sum(load[child.body] for child in outer)
         while load[link.body] > COORDINATE_LIMIT:

@@ -186,6 +186,7 @@ class PyBulletRun(Run):
             sphere=self._contact.centers(self._model.address, reading) if self._contact else None,
             anchor=self._model.anchors(reading),
             spring=self._loads.springs(state),
+            armature=self._model.armature(),
             drive=np.array([drive.as_read() for drive in self._mechanism.drives]),
         )
 

@@ -100,7 +100,7 @@ def _driven(scene: Scene) -> Scene:
 
 
 def _geared(scene: Scene) -> Scene:
-    """Give two hinges of the arm rotors, which PyBullet has not, and DART not beside loops."""
+    """Give two hinges of the arm rotors, which DART has not beside loops."""
     joints = (
         msgspec.structs.replace(j, armature=0.05) if j.name in ("shoulder", "elbow") else j
         for j in scene.joints
