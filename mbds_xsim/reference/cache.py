@@ -37,6 +37,8 @@ _PHYSICS = (
 )  # fmt: skip
 _GEARS = 2
 """Version of scenes with gears alone: before, a gear beside a fixed joint could be left out."""
+_BRAKES = 2
+"""Of those with dry friction or stops: before, a rest at two stops at once could be given up."""
 _SOURCES = ("compiling", "lanes", "traced", "lane_algebra", "noted", "elimination", "tree")
 _SEAL = hashlib.sha256().digest_size
 
@@ -126,6 +128,8 @@ def key_of(what: str, scene: Scene, batch: Batch, row: int, rtol: float) -> str:
     physics = [getattr(scene, key) for key in _PHYSICS]
     physics += [scene.servos] if scene.servos else []
     physics += [_GEARS, scene.couplings] if scene.couplings else []
+    braked = any(joint.friction or joint.limits for joint in scene.joints)
+    physics += [_BRAKES] if braked else []
     # Scenes made in Python may hold numpy's numbers.
     digest.update(
         msgspec.json.encode([what, PHYSICS, rtol, scene.clock.frame, physics], enc_hook=float)

@@ -32,9 +32,10 @@ from mbds_xsim.scene.state import Failure
 
 _HALVINGS = 50  # of a step, until an event in it is found
 _ALL = 1.0 - 1e-9  # share of its friction from which on a joint that stands still gives way
-_STILL = 1e-12  # of accelerations without friction: what keeps on standing still
+_STILL = 1e-12  # of all joints' accelerations without friction: what keeps on standing still
 _TOUCHING = 1e-12  # [rad or m]: before a stop
 _SLOW = 1e-6  # of a joint's fastest approach to its stop: what does not bounce
+_NOISE = 1e-6  # of the fastest rate of any joint: at rest against a stop, rounding moves a joint
 _MOST_EVENTS = 1000  # in a frame
 
 
@@ -173,7 +174,8 @@ class _Motion:
         """Let joints rebound from stops by Newton's law, all at once."""
         brakes = self._brakes
         speed = brakes.approach(y)
-        self._fastest = np.fmax(self._fastest, speed * touched)
+        least = _NOISE * float(np.abs(y[self._tree.speed_at[0] :]).max())
+        self._fastest = np.fmax(self._fastest, np.maximum(speed * touched, least))
         rebound = brakes.restitution * (speed > _SLOW * self._fastest)
         columns = self._columns(y, 0.0 * self._sense, touched)
         change = columns[0] - columns[1:]
@@ -190,13 +192,15 @@ class _Motion:
         held, brakes = np.flatnonzero(sense == 0), self._brakes
         if not len(held):
             return sense
-        power = brakes.turn * brakes.size * self._columns(y, sense, sense == 0)[:, brakes.fast]
+        found = self._columns(y, sense, sense == 0)
+        power = brakes.turn * brakes.size * found[:, brakes.fast]
         free, taken = power[0, held], (power[0, held] - power[1:, held]).T
         least, most, stops = brakes.least[held], brakes.most[held], brakes.stops[held]
         share, size = least_shares(free, taken, least, most), brakes.size[held]
         # As accelerations, of which a joint with both has one.
         left, gripped = (free - taken @ share) / size, np.abs(taken[:, ~stops]).sum(axis=1)
-        small = _STILL * ((np.abs(free) + gripped) / size).max()
+        largest = np.abs(found[0, self._tree.speed_at[0] :]).max()
+        small = _STILL * max(largest, ((np.abs(free) + gripped) / size).max())
         yields = (np.abs(share) > _ALL) & (np.abs(left) > small)
         settled = sense.copy()
         settled[held] = np.where(stops, left < -small, np.where(yields, np.sign(share), 0.0))

@@ -12,6 +12,7 @@ from mbds_xsim.checks import Record
 from mbds_xsim.checks.conservation import energy_of
 from mbds_xsim.checks.stops import past_limits
 from mbds_xsim.reference.solution import solve
+from mbds_xsim.scene.coupling import Coupling
 from mbds_xsim.scene.joint_space import BodyStates, to_links
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
@@ -69,6 +70,30 @@ def test_two_carts_that_meet_their_stops_at_once_share_the_impulse() -> None:
 
     assert np.abs(links.rate[0, -1]).max() < 1e-12
     np.testing.assert_allclose(links.coordinate[0, -1], 0.1, atol=1e-12)
+
+
+def test_a_gripper_that_nothing_opens_stays_at_its_stops() -> None:
+    """On a swinging arm: alike fingers on one gear, which only rounding moves to and fro."""
+    across, up = (0.6, 0.8, 0.0), (0.0, 0.0, 0.3)
+    away = (-0.6, -0.8, 0.0)
+    scene = Scene(
+        "gripper",
+        (even("arm", 3.0, 0.3, up), even("left", 0.1, 0.01, up), even("right", 0.1, 0.01, up)),
+        1.0,
+        joints=(
+            Joint("shoulder", "hinge", "world", "arm", NONE, (0.48, 0.64, 0.6), rate=1.3),
+            Joint("one", "slider", "arm", "left", up, across, damping=0.3, limits=(0.0, 0.04)),
+            Joint("other", "slider", "arm", "right", up, away, damping=0.3, limits=(0.0, 0.04)),
+        ),
+        couplings=(Coupling("other", "one"),),
+        clock=Clock(0.02, 50),
+    )
+    mechanism, found = Mechanism.of(scene), solve(scene, draw_batch(scene, [0]), cache=False)
+    links = to_links(mechanism, BodyStates.of(mechanism, found))
+
+    assert found.failures == (None,)
+    assert np.ptp(links.coordinate[0, :, 0]) > 1.0
+    assert np.abs(links.coordinate[0, :, 1:]).max() < 1e-14
 
 
 def test_a_start_past_the_limits_is_refused() -> None:
