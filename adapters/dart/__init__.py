@@ -81,8 +81,9 @@ class Dart(Adapter):
     limits: ClassVar[Mapping[Feature, str]] = {
         Feature.LOOP_SLIDER: "DART has no constraint that keeps a point on a line",
         Feature.DISTANCE_LINK: "DART has no constraint that keeps a distance",
-        Feature.HELD_ARMATURE: "DART has rotors as implicit dampers only, and its impulses go by "
-        "the inertia of bodies alone, whatever dampers do",
+        Feature.HELD_ARMATURE: "DART has rotors as implicit dampers only, and its impulses, which "
+        "close loops, brake joints and keep bodies out of the ground, go by the inertia of bodies "
+        "alone",
         Feature.COUPLING: "dartpy has no call that ties a joint to another",
         Feature.JOINT_REBOUND: "DART's limits of joints take velocities and give none back",
         Feature.CLOSING_LOAD: "DART's springs and dampers of joints act on coordinates, and a "

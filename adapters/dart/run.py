@@ -125,6 +125,7 @@ class DartRun(Run):
     def readback(self, batch: Batch) -> Readback:
         model = self._model
         q, u = self._start(batch[:1])
+        self._loads.stops.release()
         model.set_state(q[0], u[0])
         places = [body.getWorldTransform() for body in model.bodies]
         native = rotation.from_matrix(np.array([place.rotation() for place in places]))
@@ -148,7 +149,9 @@ class DartRun(Run):
             drive=np.array([drive.as_read() for drive in self._mechanism.drives]),
             armature=np.array(list(map(self._rotor, self._mechanism.rotors, self._held("rotors")))),
             friction=np.array([j.getCoulombFriction(0) for j in self._held("frictional")]),
-            limits=np.array([_limits(joint) for joint in self._held("limited")]).reshape(-1, 2),
+            limits=np.array([self._limits(joint) for joint in self._held("limited")]).reshape(
+                -1, 2
+            ),
         )
 
     def _axis(self, link: Link) -> Array:
@@ -176,6 +179,11 @@ class DartRun(Run):
         bodies = {link.joint.index: link.body for link in self._mechanism.links if link.joint}
         return [self._model.joints[bodies[j.index]] for j in getattr(self._mechanism, which)]
 
+    def _limits(self, joint: Any) -> tuple[float, float]:
+        if not (joint.areLimitsEnforced() or self._mechanism.rotors):
+            return -np.inf, np.inf
+        return joint.getPositionLowerLimit(0), joint.getPositionUpperLimit(0)
+
     def _damping(self) -> Array:
         carried = {link.body: link.joint for link in self._mechanism.links}
         found = []
@@ -201,12 +209,6 @@ class DartRun(Run):
 
     def close(self) -> None:
         vars(self).clear()
-
-
-def _limits(joint: Any) -> tuple[float, float]:
-    if not joint.areLimitsEnforced():
-        return -np.inf, np.inf
-    return joint.getPositionLowerLimit(0), joint.getPositionUpperLimit(0)
 
 
 @contextlib.contextmanager

@@ -90,6 +90,9 @@ def _model(
     yield f"world.setTimeStep({step!r})"
     for link in mechanism.links:
         yield from _body(mechanism, link, step)
+        # Beside rotors stops are not DART's, see `stops`.
+        if link.joint and link.joint.limits and not mechanism.rotors:
+            yield f"joints[{link.body}].setLimitEnforcement(True)"
     yield from contact
     yield "world.addSkeleton(skeleton)"
     for link in mechanism.links:
@@ -140,7 +143,6 @@ def _body(mechanism: Mechanism, link: Link, step: float) -> Iterator[str]:
     if joint.limits:
         for side, limit in zip(("Lower", "Upper"), joint.limits, strict=True):
             yield f"joints[{k}].setPosition{side}Limit(0, {limit!r})"
-        yield f"joints[{k}].setLimitEnforcement(True)"
 
 
 def _pin(joint: PlacedJoint, point: Array) -> str:
@@ -215,6 +217,8 @@ def _running(mechanism: Mechanism, q: Array, u: Array, step: str, count: int) ->
             yield pull_call(spring, "bodies[{}]".format, spring.in_body)
         yield "\n"
     yield _VIEW
+    if mechanism.rotors and mechanism.limited:
+        yield "# Stops are left out: the toolkit sets the dampers that hold joints in each step."
     if step:
         yield f"for _ in range({count}):"
         yield from ["    load()"] if loaded else []

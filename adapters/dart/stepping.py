@@ -14,6 +14,7 @@ from mbds_xsim.scene.mechanism import WORLD_INDEX, PointPair
 from mbds_xsim.simulate.turning_rk4 import TurningRK4
 
 from .model import SkeletonModel
+from .stops import ImplicitStops
 
 _NEXT, _AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])
 # Below it sin(x)/x is 1; squares of smaller numbers vanish.
@@ -55,6 +56,7 @@ class FrameLoads:
             (model.joints[carried[k]], joint, drives.get(k), joint.armature / step)
             for k, joint in led.items()
         ]
+        self.stops = ImplicitStops(model, step)
 
     def hold(self, force: Array, torque: Array) -> None:
         """Take the inputs of a frame.
@@ -77,6 +79,8 @@ class FrameLoads:
             held = joint.getForce(0) if turning else 0.0  # what hinges have was set just above
             law = partial(servo[1].at, float(torque[servo[0]])) if servo else None
             self.others.append(partial(_lead, joint, law, undone, held))
+        if self.stops.all:
+            self.others.append(self.stops.hold)
 
     def _twist(self, torque: Array) -> dict[int, Array]:
         """Torques of the driven loop hinges, by body and in its native frame [N·m]."""

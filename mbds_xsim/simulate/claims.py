@@ -50,7 +50,7 @@ class Feature(Enum):
     JOINT_SPRING = "spring in a joint"
     JOINT_DAMPER = "damper in a joint"
     ARMATURE = "armature of a joint"
-    HELD_ARMATURE = "armature beside loops, links, couplings, stops, dry friction or contact"
+    HELD_ARMATURE = "armature beside loops, links, couplings, dry friction or contact"
     COUPLING = "joint that follows another"
     JOINT_FRICTION = "dry friction in a joint"
     JOINT_LIMITS = "limits of a joint"
@@ -87,7 +87,7 @@ def features_of(scene: Scene, cut: tuple[JointKind, ...] = CUT) -> frozenset[Fea
     drives = [drive.servo for drive in mechanism.drives]
     servos = [servo for servo in scene.servos if servo not in drives]
     driving = {load.joint for load in scene.torques} | {servo.joint for servo in servos}
-    holds = bool(mechanism.braked or scene.contacts)
+    holds = bool(mechanism.frictional or scene.contacts)
     asked = {
         Feature.FREE_BODY: None in tree,
         Feature.DISTANCE_LINK: bool(scene.distance_links),

@@ -169,7 +169,7 @@ def test_a_listing_has_the_servo_and_the_rotor_too() -> None:
 
 
 def test_impulses_pass_implicit_dampers_by() -> None:
-    """Why rotors are refused where joints have stops: a stopped slider would turn its arm wrong."""
+    """Why rotors have stops of their own: a stopped slider would turn its arm wrong."""
     rates = []
     for damping in (0.0, 5e3):
         world, skeleton = dartpy.simulation.World(), dartpy.dynamics.Skeleton()
@@ -190,6 +190,32 @@ def test_impulses_pass_implicit_dampers_by() -> None:
 
     assert rates[0] == pytest.approx(rates[1], rel=1e-9)
     assert abs(rates[0]) > 1.0
+
+
+def test_a_stop_turns_an_arm_by_its_inertia_and_its_rotor() -> None:
+    """No impulse acts about the pin, so that what the block loses and the arm gains are known."""
+    mass, moment, arm, armature, rate = 1.0, 0.1, 0.5, 5.0, 0.2
+    still = (0.0, 0.0, 0.0)
+    scene = Scene(
+        "cart",
+        (
+            Body("block", inertia=Inertia(2.0, (1.0, 1.0, 1.0))),
+            Body("bob", position=(0.0, 0.0, -arm), inertia=Inertia(mass, (moment,) * 3)),
+        ),
+        1.0,
+        gravity=still,
+        joints=(
+            Joint("rail", "slider", "world", "block", still, (1, 0, 0), rate=1.0, limits=(-1, 0)),
+            Joint("pin", "hinge", "block", "bob", still, (0, 1, 0), rate=rate, armature=armature),
+        ),
+        clock=Clock(frame=1e-3, steps=1),
+    )
+
+    motion = roll(scene, EULER, 1)
+
+    kicked = rate + mass * -arm / (moment + mass * arm**2 + armature)
+    assert motion.velocity[0, 1, 0, 0] == pytest.approx(0.0, abs=1e-8)
+    assert motion.angular_velocity[0, 1, 1, 1] == pytest.approx(kicked, abs=1e-6)
 
 
 def test_process_wide_parameters_are_put_back() -> None:
