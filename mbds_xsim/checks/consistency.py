@@ -177,7 +177,9 @@ def extrapolate(
     unsure = np.where(faster, sizes[0] / 2.0**order, _SAFETY * apart / 3.0)
     asymptotic = settled | (observed >= order - _SHORT)
     if bumps:
-        limit, unsure = runs[-1], np.maximum(0.5 * gain * sizes[0], gain * sizes[1])
+        unsure = np.maximum(0.5 * gain * sizes[0], gain * sizes[1])
+        # An impact just before a frame is in the velocities there, and in places at the next.
+        limit, unsure[:, :-1] = runs[-1], np.fmax(unsure[:, :-1], unsure[:, 1:])
         asymptotic = settled | (observed >= order - _IRREGULAR)
     return Extrapolation(limit, unsure + floor, observed, asymptotic)
 
@@ -188,6 +190,8 @@ class _Comparison:
 
     name: str
     declared: str
+    bumps: bool
+    """As in `extrapolate`: there one order says little of the next."""
     series: Array
     """Deviation of the limit over its uncertainty, NaN where no order shows, (trajectory, frame).
     """
@@ -219,7 +223,7 @@ class _Comparison:
         seen = self.orders[row][np.isfinite(self.orders[row])]
         if self.unexplained[row] > 1.0:
             return f"{_told(seen)} observed, and further from the reference than any explains"
-        alone = len(seen) == 1 and self.orders.shape[1] == 1
+        alone = len(seen) == 1 and self.orders.shape[1] == 1 and not self.bumps
         rises = len(seen) > 1 and seen[-1] > seen[0] + _OVER and seen.mean() > _SHORT
         if not len(seen) or self.harmless[row] or not (alone or len(seen) > 1) or rises:
             return ""
@@ -232,8 +236,10 @@ class _Comparison:
             return "the runs differ by less than a thousandth of the accuracy budget at any step"
         if len(seen) > 1:
             return f"the order still rises as steps are halved, {_told(seen)}"
-        stops = _stops(runs, row)
-        return stops or "the runs agree to rounding"
+        if stops := _stops(runs, row):
+            return stops
+        irregular = f"three runs do not tell how errors of bumps fall, {_told(seen)}"
+        return irregular if len(seen) else "the runs agree to rounding"
 
 
 def _either(first: _Comparison, second: _Comparison) -> _Comparison:
@@ -280,6 +286,7 @@ def _compare(
     return _Comparison(
         name=name,
         declared=str(order),
+        bumps=bumps,
         series=series,
         orders=np.stack([_median(each) for each in orders], axis=1),
         unexplained=np.where(known, left, 0.0).max(axis=1),

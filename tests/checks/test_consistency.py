@@ -15,7 +15,9 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.checks import Finding
 from mbds_xsim.checks.consistency import Consistency, extrapolate
-from mbds_xsim.scene.scene import Scene
+from mbds_xsim.reference.solution import solve
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene
 from mbds_xsim.scene.state import Failure, Trajectory
 from mbds_xsim.simulate.claims import Method
 
@@ -287,6 +289,43 @@ def test_a_lower_order_than_declared_or_none_is_told_by_four_runs(
     for finding in consistency(pendulum.scene, pendulum.batch, runs, pendulum.exact, _SECOND):
         assert not finding.passed.any()
         assert "nowhere as high as declared" in finding.where[0]
+
+
+def test_three_runs_refuse_no_order_where_joints_run_into_stops(pendulum: Any) -> None:
+    """Such errors fall in no regular way: the finer move may be the larger one."""
+    joints = list(pendulum.scene.joints)
+    hinge = Joint("pin", "hinge", "world", "stopped", (0, 0, 0), (1, 0, 0), limits=(-1.0, 1.0))
+    body = Body("stopped", inertia=Inertia(1.0, (0.1,) * 3), position=(0.0, 0.0, -1.0))
+    bodies = (*pendulum.scene.bodies, body)
+    scene = msgspec.structs.replace(pendulum.scene, bodies=bodies, joints=(*joints, hinge))
+    batch = draw_batch(scene, pendulum.batch.index.tolist())
+    exact = solve(scene, batch, cache=False)
+
+    def found(errors: Sequence[float]) -> list[Finding]:
+        return consistency(scene, batch, _off(exact, errors), exact, METHODS["rk4"][0])
+
+    for finding in found((9e-4, 6e-4, 2e-5)):
+        assert finding.passed.all()
+        assert not finding.applies.any()
+        assert "three runs do not tell how errors of bumps fall, order -0.95" in finding.note
+    for finding in found((9e-2, 8e-2, 7e-2)):
+        assert not finding.passed.any()
+    for finding in found((0.0, 1e-3, -1e-3, 3e-3, -5e-3)):
+        assert "nowhere as high as declared" in finding.where[0]
+
+
+def test_an_impact_just_before_a_frame_shows_in_what_runs_differ_by_at_the_next() -> None:
+    """All runs are off alike at frame 12, and each by its own at the frames after."""
+    late = np.maximum(np.arange(25) - 12, 0)
+    runs = [
+        (1e-6 * (late >= 0) * (np.arange(25) >= 12) + h * late)[None, :, None] for h in (4, 2, 1)
+    ]
+    floor = np.full((1, 25), 1e-9)
+
+    found = extrapolate(runs, 1, floor, bumps=True)
+
+    assert (np.abs(found.limit[..., 0]) <= 3.0 * found.uncertainty)[0, :13].all()
+    assert (found.uncertainty[0, :12] <= 1e-8).all()
 
 
 def test_a_wrong_limit_shows_though_the_order_cannot_be_measured(pendulum: Any) -> None:
