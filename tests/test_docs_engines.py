@@ -94,3 +94,15 @@ def test_the_engine_of_the_page_is_validated_beside_mujoco(package: Path) -> Non
     assert row["error_1s_m"] < 1e-6
     assert beside["engine"] == "mujoco"
     assert "read-back" not in done.stdout
+
+
+@pytest.mark.slow
+def test_the_engine_of_the_page_makes_data(package: Path) -> None:
+    program = "from mbds_xsim.__main__ import main; main()"
+    words = ["--engines", "plain", "--settings", "native", "--trajectories", "6", "--out", "data"]
+
+    made = _run(package, "-c", program, "generate", "1pendulum", *words)
+    verified = _run(package, "-c", program, "verify", "data")
+
+    assert (made.returncode, verified.returncode) == (0, 0), made.stderr + verified.stderr
+    assert "6 trajectories checked: everything holds what it says" in verified.stdout
