@@ -30,7 +30,8 @@ from mbds_xsim.reference.tree import to_tree
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.state import Failure
 
-_HALVINGS = 50  # of a step, until an event in it is found
+_NARROW = 2.0**-50  # share of a step within which an event in it is found
+_APART = 1e-9  # the same of two that are looked at one by one
 _ALL = 1.0 - 1e-9  # share of its friction from which on a joint that stands still gives way
 _STILL = 1e-12  # of all joints' accelerations without friction: what keeps on standing still
 _TOUCHING = 1e-12  # [rad or m]: before a stop
@@ -126,11 +127,33 @@ class _Motion:
             if (found := next(crossed, None)) is None:
                 return None
             high = found
-        for _ in range(_HALVINGS):
+        return self._narrowed(rate, h, low, high)
+
+    def _narrowed(self, rate: Array, h: float, low: float, high: float) -> float:
+        """Find the least share of a step at which it has happened, as it has at the upper one."""
+        from scipy.optimize import brentq  # takes long to import
+
+        after = self._left(self._tried(rate, high * h)[0])
+        for brake in np.flatnonzero((self._left(self._y) > 0.0) & (after < 0.0)).tolist():
+            if self._left_at(high, rate, h, brake) < 0.0:
+                root = brentq(self._left_at, low, high, (rate, h, brake), xtol=_NARROW)
+                high = min(high, root + 2.0 * _NARROW)
+        if not self._has_turned(self._tried(rate, high * (1.0 - _APART) * h)[0]):
+            return high  # nothing happens before
+        while high - low > _NARROW:
             middle = (low + high) / 2
             turned = self._has_turned(self._tried(rate, middle * h)[0])
             low, high = (low, middle) if turned else (middle, high)
         return high
+
+    def _left_at(self, share: float, rate: Array, h: float, brake: int) -> float:
+        return float(self._left(self._tried(rate, share * h)[0])[brake])
+
+    def _left(self, y: Array) -> Array:
+        """Give what is left until joints come to rest, or to open stops, shape (brake,)."""
+        brakes = self._brakes
+        gaps = np.where(self._open, brakes.gaps(y), np.inf)
+        return np.where(brakes.stops, gaps, self._sense * y[brakes.fast])
 
     def _dips(self, h: float, new: Array) -> Array:
         """Find where in a step joints may be past stops that they are before at both ends."""
