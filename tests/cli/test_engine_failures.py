@@ -29,7 +29,9 @@ _BOB = bob("length = 1.0", "clock = { steps = 10 }")
 def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
     """Install some of the faulty engines, and lose patience with those that hang."""
     monkeypatch.setattr(campaign, "Task", _impatient)
-    monkeypatch.setattr(refinement, "_REFINEMENT", ())  # one run an engine tells enough
+    # One run an engine tells enough.
+    monkeypatch.setattr(refinement, "other_steps", lambda *_: [])
+    monkeypatch.setattr(campaign, "other_steps", lambda *_: [])
     monkeypatch.setattr(campaign, "_CHUNKS", 1)
     monkeypatch.setattr(registry, "_TIMEOUT", _HANG)
     with ExitStack() as stack:
@@ -37,8 +39,13 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
 
 
 @functools.wraps(Task)
-def _impatient(function: Callable[..., Any], arguments: tuple[Any, ...], timeout: float) -> Task:
-    return Task(function, arguments, _HANG if "hanging" in arguments else timeout)
+def _impatient(
+    function: Callable[..., Any],
+    arguments: tuple[Any, ...],
+    timeout: float,
+    after: int | None = None,
+) -> Task:
+    return Task(function, arguments, _HANG if "hanging" in arguments else timeout, after)
 
 
 @pytest.mark.slow
