@@ -32,6 +32,22 @@ def test_answers_come_in_the_order_of_the_tasks() -> None:
     assert sorted(seen) == [0, 1]
 
 
+def test_a_task_waits_for_the_one_that_it_comes_after_even_if_that_crashes() -> None:
+    told: list[tuple[str, int]] = []
+    tasks = [Task(os.abort, ()), Task(math.factorial, (4,), after=0), Task(math.factorial, (3,))]
+
+    _, *answers = run_tasks(
+        tasks,
+        workers=3,
+        started=lambda place: told.append(("begins", place)),
+        finished=lambda place, _: told.append(("ended", place)),
+    )
+
+    assert answers == [24, 6]
+    assert told.index(("ended", 0)) < told.index(("begins", 1))
+    assert told.index(("begins", 2)) < told.index(("begins", 1))
+
+
 def test_no_task_needs_no_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(subprocess, "Popen", None)
 

@@ -142,11 +142,8 @@ def run_tasks(
         memory = _SHARE * memory_bytes()
         try:
             while waiting or running:
-                while len(running) < most:
-                    ready = (place for place in waiting if tasks[place].after in ended)
-                    if (place := next(ready, None)) is None:
-                        break
-                    waiting.remove(place)
+                while len(running) < most and (ready := _ready(tasks, waiting, ended)):
+                    waiting.remove(place := ready[0])
                     if starter.over:  # something has killed it
                         starter.end()
                         starter = _Starter(tasks, Path(folder), packages)
@@ -166,6 +163,11 @@ def run_tasks(
         finally:
             starter.end()
     return answers
+
+
+def _ready(tasks: Sequence[Task], waiting: list[int], ended: set[int | None]) -> list[int]:
+    """List the tasks that wait for no other."""
+    return [place for place in waiting if tasks[place].after in ended]
 
 
 def _run_here(

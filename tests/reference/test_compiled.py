@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
+from scipy.integrate import DOP853
 
 from mbds_xsim.base.arrays import Array, Mask
-from mbds_xsim.reference import compiled, marching
+from mbds_xsim.reference import compiled, dop853, marching
 from mbds_xsim.reference.elimination import with_short_loops
 from mbds_xsim.reference.equations import dynamics_of
 from mbds_xsim.reference.marching import Marched, Problem
@@ -244,3 +245,14 @@ def test_a_loop_that_turns_as_a_whole_keeps_its_independent_rows(
     monkeypatch.delattr(marching, "march")
     whole = compiled.march_compiled(problem(mechanism, batch, 1e-9))
     assert np.isfinite(whole.states).all()
+
+
+def test_the_coefficients_of_the_method_are_those_of_scipy() -> None:
+    count = dop853.STAGES
+    for own, theirs in (
+        (dop853.A, DOP853.A[:count, :count]),
+        (dop853.B, DOP853.B),
+        (dop853.E5, DOP853.E5[:count]),
+        (dop853.E3, DOP853.E3[:count]),
+    ):
+        assert np.array_equal(own, theirs)
