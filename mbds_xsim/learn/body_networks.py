@@ -140,7 +140,7 @@ class BodySGNN(BodyModel):
         return vectors[:, :-1], scalars[:, :-1]
 
     def _with_up(self, vectors: Tensor) -> Tensor:
-        return torch.cat([vectors, self.up.expand(*vectors.shape[:2], 1, 3)], dim=-2)
+        return torch.cat([vectors, self.up.to(vectors).expand(*vectors.shape[:2], 1, 3)], dim=-2)
 
 
 def _flat(seen: Seen) -> Tensor:

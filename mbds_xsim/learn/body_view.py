@@ -30,10 +30,18 @@ _FINE = 1e-3  # of the scene's length: gaps that decide on support
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """Vectors (batch, item, channel, 3) and scalars (batch, item, scalar) of items of a kind."""
+    """Vectors (batch, item, channel, 3) and scalars (batch, item, scalar) of items of a kind.
+
+    In single precision, as networks compute; differences are taken before.
+    """
 
     vectors: Tensor
     scalars: Tensor
+
+    @staticmethod
+    def of(vectors: Sequence[Tensor], scalars: Tensor) -> Seen:
+        """Put vectors (batch, item, 3) beside each other."""
+        return Seen(torch.stack([*vectors], dim=-2).float(), scalars.float())
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,8 +119,8 @@ class BodyViewer(nn.Module):
         return BodyView(
             self._bodies(before, middle, after),
             self._joints(after),
-            Seen(
-                torch.stack([*contact, spin / self.speed], dim=-2),
+            Seen.of(
+                [*contact, spin / self.speed],
                 self._gaps(first, gap, start[..., 2:], end[..., 2:]),
             ),
             arm,
@@ -128,8 +136,7 @@ class BodyViewer(nn.Module):
             for vector in (state[..., V], spin, self.links.beside(state[..., W]) * self.radius)
         ]
         frame = turning.matrix(after[..., Q]).mT
-        whole = torch.cat([torch.stack(vectors, dim=-2), frame], dim=-2)
-        return Seen(whole, self.shape.expand(len(after), -1, -1))
+        return Seen.of([*vectors, *frame.unbind(-2)], self.shape.expand(len(after), -1, -1))
 
     def _joints(self, state: Tensor) -> Seen:
         world = state.new_zeros(len(state), 1, 13)
@@ -144,7 +151,7 @@ class BodyViewer(nn.Module):
             (own[..., W] - other[..., W]) * radius / self.speed,
             turning.rotate(own[..., Q], self.arms[:, 2]),
         ]
-        return Seen(torch.stack(vectors, dim=-2), self.kind.expand(len(state), -1, -1))
+        return Seen.of(vectors, self.kind.expand(len(state), -1, -1))
 
     def _touch(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Gaps (batch, contact, 1) [m], velocities of the lowest points [m/s], arms to them [m]."""

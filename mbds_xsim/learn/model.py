@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any, ClassVar, Literal, final
+from typing import Any, ClassVar, Literal, Self, final
 
 import torch
 from torch import Tensor, nn
@@ -45,7 +45,7 @@ class LearnedModel(nn.Module, ABC):
     """Hyper-parameters by track: `paper`, `native`, `lite`, `native+`; none where there is nothing
     to set. The last is the smallest, and what is taken where a profile's is not there."""
     dtype: ClassVar[torch.dtype] = torch.float32
-    """Of what it is given, and of its parameters."""
+    """Of what it is given, and of its parameters if `in_precision` does not say otherwise."""
     needs_bodies: ClassVar[bool] = False
     """Whether starts must have the bodies' states."""
     symmetries: ClassVar[frozenset[Symmetry]] = frozenset()
@@ -57,6 +57,10 @@ class LearnedModel(nn.Module, ABC):
     def __init__(self, graph: Graph, statistics: Statistics, settings: Any) -> None:
         super().__init__()
         self.graph = graph
+
+    def in_precision(self) -> Self:
+        """Bring parameters and constants to the precision that the model computes in."""
+        return self.to(self.dtype)
 
     @abstractmethod
     def begin(self, start: Start) -> Tensor:
@@ -188,7 +192,7 @@ def build(
     kind, track = load_model(name), track_of(name, track, "native")
     with torch.random.fork_rng():
         torch.manual_seed(seed)
-        return kind(graph, statistics, kind.tracks.get(track)).to(kind.dtype)
+        return kind(graph, statistics, kind.tracks.get(track)).in_precision()
 
 
 def refusal(name: str, graph: Graph, *, track: str | None = None) -> str:

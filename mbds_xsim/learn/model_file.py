@@ -85,7 +85,7 @@ def read_model(path: Path, scene: Scene | None = None) -> tuple[LearnedModel, di
         raise _other_code(path, error) from error
     try:
         with _no_larger_than(parameters):
-            model = kind(Graph.of(scene or own), statistics, settings).to(kind.dtype)
+            model = kind(Graph.of(scene or own), statistics, settings).in_precision()
         model.load_state_dict(parameters)
     except InputError:
         raise

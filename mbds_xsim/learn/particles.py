@@ -212,6 +212,11 @@ class RolloutFigures:
     """Squared distance of predictions by one frame from true windows [m²], (trajectory,); NaN
     where there is no such prediction."""
 
+    def split(self, parts: int) -> list[RolloutFigures]:
+        """Take so many equal parts of the trajectories, in order."""
+        each = zip(*(np.split(values, parts) for values in vars(self).values()), strict=True)
+        return [RolloutFigures(*values) for values in each]
+
     def write(self, path: Path) -> None:
         """Keep them, whole or not at all."""
         write_whole(path, sealed(path, vars(self)))

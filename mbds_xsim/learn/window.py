@@ -175,6 +175,16 @@ class Motions(RowBundle):
         """Frames of a trajectory."""
         return self.position.shape[1]
 
+    def until(self, frames: int) -> Motions:
+        """Take no more than the first frames of all trajectories."""
+        return replace(
+            self,
+            position=self.position[:, :frames],
+            velocity=self.velocity[:, :frames],
+            inputs=self.inputs[:, : frames - 1],
+            body=None if self.body is None else self.body[:, :frames],
+        )
+
     def window_count(self, horizon: int = 1) -> int:
         """How many windows of `HISTORY` frames and so many to come there are."""
         return len(self) * max(0, self.frame_count - HISTORY - horizon + 1)

@@ -167,7 +167,8 @@ def test_without_the_cache_all_is_done_anew(
     monkeypatch.setattr(rollouts, "_predicted", noted_restart)
     question = study.question_of(folder / "models", folder / "data", SCENE)
     again = study.study(question, conduct=Conduct(0, cache=False)).shift
-    assert len(tested) == 3 * (len(TRAININGS) * SEEDS + 3)
+    assert len(tested) == len(TRAININGS) * SEEDS + 3
+    assert all(len(motions) == 3 * len(shift.index) for _, motions in tested)
     assert len({(job.engine.name, job.domain.name) for job, *_ in gone_on}) == 2 * 3
     assert again.cells == shift.cells
     assert again.gaps == shift.gaps
@@ -242,9 +243,10 @@ def test_a_restart_that_crashes_takes_no_other_along(
     assert again.gaps == shift.gaps
 
 
-def test_memory_holds_one_domain_and_no_figures(
+def test_memory_holds_few_trajectories_and_no_figures(
     folder: Path, shift: Shift, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """One domain at a time where there are too many trajectories; figures are the same."""
     test = load_paired(folder / "data", SCENE)
     seen: list[weakref.ref[Motions]] = []
 
@@ -256,11 +258,19 @@ def test_memory_holds_one_domain_and_no_figures(
 
     monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path))
     monkeypatch.setattr(rollouts, "figures_on", watched)
+    monkeypatch.setattr(rollouts, "_ROWS", len(test.index))
     entries, plan = trivial_models(), rollouts.RolloutPlan(shift.horizon)
     found = rollouts.evaluate(test.scene, entries, test.domains, plan, conduct=HERE)
     assert len(seen) == len(found) == len(entries) * len(test.domains)
     figures = weakref.ref(next(iter(found.values())))
     assert figures() is None
+    alone = {key: found[key].error for key in found}
+    monkeypatch.setattr(rollouts, "_ROWS", 512)
+    anew = Conduct(0, cache=False)
+    together = rollouts.evaluate(test.scene, entries, test.domains, plan, conduct=anew)
+    assert len(seen) == len(found) + len(entries)
+    for key, error in alone.items():
+        np.testing.assert_allclose(together[key].error, error, rtol=1e-6)
 
 
 def test_answers_and_tables_are_given_at_the_frame_asked_for(folder: Path, shift: Shift) -> None:

@@ -43,6 +43,7 @@ from mbds_xsim.simulate.timed import simulate
 _TIMEOUT = 4 * 3600.0  # of the work of a process [s]
 _MODELS = 6  # a process: starting one takes seconds
 _RESTARTS = 3  # a process: one engine may take longest by far
+_ROWS = 512  # trajectories at a time: few of one domain alone leave most of a step to its calls
 _STRIDE = 8  # frames from a start of one-step predictions to the next
 Paths = dict[tuple[TrainedModel, str], Path]
 """Where the figures of a model on a domain are kept."""
@@ -127,13 +128,23 @@ def _test(scene: Scene, paths: Paths, domains: Sequence[Domain], plan: RolloutPl
         put(model, plan.device)
         return model
 
-    for domain in domains:  # outermost, so that the motions of one alone are in memory
-        motions = functools.cache(domain.motions)
-        for (trained, name), path in paths.items():
-            if name == domain.name and read_figures(path) is None:
-                model = load(trained)
-                known = motions(model.dtype)
-                figures_on(model, known, **dataclasses.asdict(plan)).write(path)
+    together = max(1, _ROWS // len(domains[0].rows))
+    for k in range(0, len(domains), together):
+        # Outermost, so that the motions of one group alone are in memory.
+        group = domains[k : k + together]
+        motions = functools.cache(functools.partial(_joined, group, HISTORY + plan.horizon))
+        for trained in dict.fromkeys(trained for trained, _ in paths):
+            own = [paths[trained, domain.name] for domain in group]
+            if all(map(read_figures, own)):
+                continue
+            model = load(trained)
+            figures = figures_on(model, motions(model.dtype), **dataclasses.asdict(plan))
+            for path, part in zip(own, figures.split(len(group)), strict=True):
+                part.write(path)
+
+
+def _joined(domains: Sequence[Domain], frames: int, dtype: torch.dtype) -> Motions:
+    return Motions.joined([domain.motions(dtype).until(frames) for domain in domains])
 
 
 def _path(domain: Domain, *what: object) -> Path:
