@@ -4,6 +4,8 @@
     python -m benchmarks.models_in_the_wild PACKAGES found.json --validate 60
     python -m benchmarks.models_in_the_wild found.json > reports/wild/models.md
 
+Beside found.json stands causes.toml, written by hand: what was found out about failed verdicts.
+
 PACKAGES is a folder into which the wheels of the extra `wild` are installed; nothing is copied from
 it. What was found of a model is kept by its content and the versions, so that an interrupted run
 goes on where it was. `--validate` also runs models in all engines: that many, smallest first. What
@@ -14,23 +16,20 @@ from __future__ import annotations
 
 import hashlib
 import re
-import site
 import sys
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
+from fnmatch import fnmatch
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import msgspec
-import numpy as np
 
 from benchmarks.harness import print_head, print_made, print_table
+from benchmarks.other_readings import from_compiled, from_pinocchio
 from benchmarks.validated_model import ENGINES, verdicts_on
-from mbds_xsim.base import rotation
-from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.files import write_whole
 from mbds_xsim.base.text import in_markdown
@@ -74,18 +73,36 @@ class SurveyRow(msgspec.Struct):
     moved_m: dict[str, float] = {}
     """By engine, how far the bodies are after 1 s from where the file has them go [m]."""
     verdicts: dict[str, str] = {}
-    """By engine, where it was validated: pass, fail, refused or no result."""
+    """By engine, where it was validated: pass, fail, refused, timed out or crashed."""
     reasons: dict[str, str] = {}
     """By engine, why it does not pass."""
     reference: str = ""
-    """Why the reference ends early."""
+    """Why the reference ends early, or is not there."""
     validation_s: float = 0.0
+
+
+class Cause(msgspec.Struct):
+    """What was found out about failed verdicts."""
+
+    models: str
+    """Pattern of their paths, as of a shell."""
+    engine: str
+    finding: str
+    """What the verdict's reason begins with: a cause does not outlive its finding."""
+    why: str
+
+    def explains(self, row: SurveyRow, engine: str) -> bool:
+        """Say whether this is why a model does not pass in an engine."""
+        told = row.reasons.get(engine, "").startswith(self.finding)
+        return told and engine == self.engine and fnmatch(row.path, self.models)
 
 
 def main(words: list[str]) -> None:
     """Survey, or print the page."""
     if len(words) == 1:
-        page(msgspec.json.decode(Path(words[0]).read_bytes(), type=list[SurveyRow]))
+        by_hand = Path(words[0]).with_name("causes.toml").read_bytes()
+        causes = msgspec.toml.decode(by_hand, type=dict[str, list[Cause]])["causes"]
+        page(msgspec.json.decode(Path(words[0]).read_bytes(), type=list[SurveyRow]), causes)
         return
     packages, target = map(Path, words[:2])
     known = (
@@ -155,10 +172,10 @@ def _surveyed(path: Path, packages: Path, key: str) -> SurveyRow:
         _counts(imported, what) for what in ("dropped", "approximated")
     )
     with suppress(ValueError):  # MuJoCo refuses masses that it was not given for the import
-        row.from_compiled = _from_compiled(path, imported)
+        row.from_compiled = from_compiled(path, imported)
     if row.format == "URDF":
         with suppress(ValueError):
-            row.from_second = _from_pinocchio(path, imported, packages)
+            row.from_second = from_pinocchio(path, imported, packages)
     return row
 
 
@@ -190,108 +207,6 @@ def _counts(imported: Imported, outcome: str) -> dict[str, int]:
     return dict(counts)
 
 
-def _sound_bodies(imported: Imported) -> set[str]:
-    """Give the bodies whose mass is what the file states."""
-    changed = {
-        place.split(":")[0]
-        for fate in imported.fates
-        if fate.outcome == "approximated" and fate.element == "inertial"
-        for place in fate.places
-    }
-    return {body.name for body in imported.scene.bodies} - changed
-
-
-def _deviation(
-    imported: Imported, told: dict[str, tuple[float, Array, Array, Array, Array]]
-) -> float:
-    """Compare bodies by the joint that holds them."""
-    scene, sound = imported.scene, _sound_bodies(imported)
-    mechanism = Mechanism.of(scene)
-    index = {body.name: k for k, body in enumerate(scene.bodies)}
-    worst = 0.0
-    for joint in scene.joints:
-        if joint.name not in told:
-            continue
-        mass, com, inertia, anchor, axis = told[joint.name]
-        apart = float(np.linalg.norm(np.array(joint.anchor) - anchor))
-        worst = max(worst, apart / scene.length)
-        if joint.axis is not None:
-            worst = max(worst, float(np.linalg.norm(np.array(joint.axis) - axis)))
-        if joint.child in sound and mass > 0:
-            k = index[joint.child]
-            scale = float(np.linalg.norm(inertia))
-            worst = max(worst, abs(float(mechanism.mass[k]) / mass - 1))
-            worst = max(worst, float(np.linalg.norm(mechanism.com[k] - com)) / scene.length)
-            worst = max(worst, float(np.linalg.norm(mechanism.inertia[k] - inertia)) / scale)
-    return worst
-
-
-def _from_compiled(path: Path, imported: Imported) -> float:
-    """Compare with what MuJoCo compiles, body by body, those fixed to each other together."""
-    import mujoco
-
-    spec = mujoco.MjSpec.from_file(str(path))
-    if path.suffix == ".urdf":
-        spec.compiler.inertiafromgeom = 0
-        spec.compiler.fusestatic = False  # it drops the inertia of what has no mass
-        for item in [*spec.geoms, *spec.meshes]:
-            spec.delete(item)
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    told = {}
-    for j in range(model.njnt):
-        body = model.jnt_bodyid[j]
-        last = model.body_jntadr[body] + model.body_jntnum[body] - 1 == j
-        own = np.flatnonzero(model.body_weldid == body) if last else np.array([], dtype=int)
-        mass, com, inertia = _together(model, data, own)
-        told[model.joint(j).name] = (
-            mass,
-            com,
-            inertia,
-            data.xanchor[j].copy(),
-            data.xaxis[j].copy(),
-        )
-    return _deviation(imported, told)
-
-
-def _together(model: Any, data: Any, bodies: Any) -> tuple[float, Array, Array]:
-    mass = model.body_mass[bodies]
-    if not mass.sum() > 0:
-        return 0.0, np.zeros(3), np.zeros((3, 3))
-    turns = [data.xmat[body].reshape(3, 3) for body in bodies]
-    # `data.xipos` would round a centre of mass near the frame's origin to it.
-    arms = [turn @ model.body_ipos[body] for turn, body in zip(turns, bodies, strict=True)]
-    places = data.xpos[bodies] + np.array(arms)
-    com, inertia = mass @ places / mass.sum(), np.zeros((3, 3))
-    for own, body, turn, arm in zip(mass, bodies, turns, places - com, strict=True):
-        axes = turn @ rotation.matrix(model.body_iquat[body])
-        inertia += axes @ np.diag(model.body_inertia[body]) @ axes.T
-        inertia += own * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-    return float(mass.sum()), com, inertia
-
-
-def _from_pinocchio(path: Path, imported: Imported, packages: Path) -> float:
-    """Compare with what Pinocchio reads of a URDF; it adds up what is fixed to a link as well."""
-    site.addsitedir(str(packages))
-    import pinocchio
-
-    model = pinocchio.buildModelFromUrdf(str(path))
-    data = model.createData()
-    pose = pinocchio.neutral(model)
-    pinocchio.computeJointJacobians(model, data, pose)
-    told = {}
-    for j in range(1, model.njoints):
-        place, body = data.oMi[j], model.inertias[j]
-        found = pinocchio.getJointJacobian(model, data, j, pinocchio.LOCAL_WORLD_ALIGNED)
-        column = np.reshape(found, (6, -1))[:, model.joints[j].idx_v]
-        axis = column[3:] if np.linalg.norm(column[3:]) > 0 else column[:3]
-        com = place.act(body.lever)
-        inertia = place.rotation @ body.inertia @ place.rotation.T
-        told[model.names[j]] = (body.mass, com, inertia, place.translation.copy(), axis)
-    return _deviation(imported, told)
-
-
 def _validate_some(
     paths: dict[str, Path], rows: dict[str, SurveyRow], target: Path, most: int, packages: Path
 ) -> None:
@@ -321,7 +236,7 @@ command, of the same files and the same releases of the engines.
 """
 
 
-def page(rows: list[SurveyRow]) -> None:
+def page(rows: list[SurveyRow], causes: list[Cause]) -> None:
     """Print the survey as Markdown."""
     print_head("Models in the wild", "make reports-models-in-the-wild", _HEAD)
     read = [row for row in rows if not row.refused]
@@ -338,7 +253,7 @@ def page(rows: list[SurveyRow]) -> None:
     heads = "model|>dof|>lost|>deviation|>from Pinocchio|mujoco|pybullet|dart|runs in"
     print_table(heads, (_cells(row) for row in read))
     print("\n## Why models do not pass\n")
-    print_table("model|engine|verdict|why", _failed(read))
+    print_table("model|engine|verdict|by|why", _failed(read, causes))
     print("\n## Not imported\n")
     print_table(
         "file|why", ((_place(row), in_markdown(row.refused)) for row in rows if row.refused)
@@ -396,12 +311,13 @@ def _cells(row: SurveyRow) -> tuple[str, ...]:
     return (_place(row), str(row.degrees_of_freedom), str(lost), *told, *readers, runs)
 
 
-def _failed(read: list[SurveyRow]) -> Iterator[tuple[str, ...]]:
+def _failed(read: list[SurveyRow], causes: list[Cause]) -> Iterator[tuple[str, ...]]:
     for row in read:
         if row.reference:
-            yield _place(row), "reference", "ends early", in_markdown(row.reference)
-        for engine, why in row.reasons.items():
-            yield _place(row), engine, row.verdicts[engine], in_markdown(why)
+            yield _place(row), "reference", "ends early", in_markdown(row.reference), ""
+        for engine, reason in row.reasons.items():
+            known = next((cause.why for cause in causes if cause.explains(row, engine)), "")
+            yield _place(row), engine, row.verdicts[engine], in_markdown(reason), in_markdown(known)
 
 
 def _place(row: SurveyRow) -> str:

@@ -1,0 +1,120 @@
+"""How far an import is from what two other readers make of a file: MuJoCo's compiler and Pinocchio.
+
+Bodies are compared by the joint that holds them: mass, centre of mass, inertia, and the joint's
+place and axis. A deviation is the largest of these differences, over the model's own size.
+"""
+
+from __future__ import annotations
+
+import site
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.scene.imported import Imported
+from mbds_xsim.scene.mechanism import Mechanism
+
+
+def from_compiled(path: Path, imported: Imported) -> float:
+    """Compare with what MuJoCo compiles, body by body, those fixed to each other together."""
+    import mujoco
+
+    spec = mujoco.MjSpec.from_file(str(path))
+    if path.suffix == ".urdf":
+        spec.compiler.inertiafromgeom = 0
+        spec.compiler.fusestatic = False  # it drops the inertia of what has no mass
+        for item in [*spec.geoms, *spec.meshes]:
+            spec.delete(item)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    told = {}
+    for j in range(model.njnt):
+        body = model.jnt_bodyid[j]
+        last = model.body_jntadr[body] + model.body_jntnum[body] - 1 == j
+        own = np.flatnonzero(model.body_weldid == body) if last else np.array([], dtype=int)
+        mass, com, inertia = _together(model, data, own)
+        told[model.joint(j).name] = (
+            mass,
+            com,
+            inertia,
+            data.xanchor[j].copy(),
+            data.xaxis[j].copy(),
+        )
+    return _deviation(imported, told)
+
+
+def from_pinocchio(path: Path, imported: Imported, packages: Path) -> float:
+    """Compare with what Pinocchio reads of a URDF; it adds up what is fixed to a link as well."""
+    site.addsitedir(str(packages))
+    import pinocchio
+
+    model = pinocchio.buildModelFromUrdf(str(path))
+    data = model.createData()
+    pose = pinocchio.neutral(model)
+    pinocchio.computeJointJacobians(model, data, pose)
+    told = {}
+    for j in range(1, model.njoints):
+        place, body = data.oMi[j], model.inertias[j]
+        found = pinocchio.getJointJacobian(model, data, j, pinocchio.LOCAL_WORLD_ALIGNED)
+        column = np.reshape(found, (6, -1))[:, model.joints[j].idx_v]
+        axis = column[3:] if np.linalg.norm(column[3:]) > 0 else column[:3]
+        com = place.act(body.lever)
+        inertia = place.rotation @ body.inertia @ place.rotation.T
+        told[model.names[j]] = (body.mass, com, inertia, place.translation.copy(), axis)
+    return _deviation(imported, told)
+
+
+def _together(model: Any, data: Any, bodies: Any) -> tuple[float, Array, Array]:
+    mass = model.body_mass[bodies]
+    if not mass.sum() > 0:
+        return 0.0, np.zeros(3), np.zeros((3, 3))
+    turns = [data.xmat[body].reshape(3, 3) for body in bodies]
+    # `data.xipos` would round a centre of mass near the frame's origin to it.
+    arms = [turn @ model.body_ipos[body] for turn, body in zip(turns, bodies, strict=True)]
+    places = data.xpos[bodies] + np.array(arms)
+    com, inertia = mass @ places / mass.sum(), np.zeros((3, 3))
+    for own, body, turn, arm in zip(mass, bodies, turns, places - com, strict=True):
+        axes = turn @ rotation.matrix(model.body_iquat[body])
+        inertia += axes @ np.diag(model.body_inertia[body]) @ axes.T
+        inertia += own * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    return float(mass.sum()), com, inertia
+
+
+def _sound_bodies(imported: Imported) -> set[str]:
+    """Give the bodies whose mass is what the file states."""
+    changed = {
+        place.split(":")[0]
+        for fate in imported.fates
+        if fate.outcome == "approximated" and fate.element == "inertial"
+        for place in fate.places
+    }
+    return {body.name for body in imported.scene.bodies} - changed
+
+
+def _deviation(
+    imported: Imported, told: dict[str, tuple[float, Array, Array, Array, Array]]
+) -> float:
+    """Compare bodies by the joint that holds them."""
+    scene, sound = imported.scene, _sound_bodies(imported)
+    mechanism = Mechanism.of(scene)
+    index = {body.name: k for k, body in enumerate(scene.bodies)}
+    worst = 0.0
+    for joint in scene.joints:
+        if joint.name not in told:
+            continue
+        mass, com, inertia, anchor, axis = told[joint.name]
+        apart = float(np.linalg.norm(np.array(joint.anchor) - anchor))
+        worst = max(worst, apart / scene.length)
+        if joint.axis is not None:
+            worst = max(worst, float(np.linalg.norm(np.array(joint.axis) - axis)))
+        if joint.child in sound and mass > 0:
+            k = index[joint.child]
+            scale = float(np.linalg.norm(inertia))
+            worst = max(worst, abs(float(mechanism.mass[k]) / mass - 1))
+            worst = max(worst, float(np.linalg.norm(mechanism.com[k] - com)) / scene.length)
+            worst = max(worst, float(np.linalg.norm(mechanism.inertia[k] - inertia)) / scale)
+    return worst
