@@ -170,7 +170,8 @@ def _parts(
 ) -> Iterator[tuple[str, Array, float, Array | float]]:
     """Names of other parts, what they give in each step [J], and errors that are no finding.
 
-    And what a method may leave of all that bodies exchange, which a part may look like [J].
+    And what a method may leave of all that bodies, rotors, springs and dampers exchange, which a
+    part may look like [J].
 
     Args:
         record: Of the motion.
@@ -180,13 +181,15 @@ def _parts(
     yield "inputs a frame late", _work(record, -1) - here, _ERRORS, 0.0
     yield "inputs a frame early", _work(record, 1) - here, _ERRORS, 0.0
     bodies = record.mechanism.body_count
-    energy = energy_of(record).by_body
+    every = energy_of(record)
+    energy = every.by_body
     change = np.diff(energy, axis=1)
     moving, lifted = change[..., :bodies], change[..., bodies:]
     faint = _FAINT * energy[..., :bodies].sum(axis=-1).max(axis=1, keepdims=True)
     gravity = lifted.sum(axis=-1)
     late = _LATE * (record.step or 0.0) / record.frame if record.order == 1 else 0.0
-    exchange = late * np.abs(change).sum(axis=-1)
+    exchanged = np.concatenate([energy, every.others, losses(record)[0][..., None]], axis=-1)
+    exchange = late * np.abs(np.diff(exchanged, axis=1)).sum(axis=-1)
     yield "gravity", np.where(np.abs(gravity) < faint, 0.0, gravity), _ERRORS, exchange
     # A body that keeps its own energy tells nothing of its mass: what changes is the method's.
     least = np.maximum(_OWN * (np.abs(moving) + np.abs(lifted)), faint[..., None])

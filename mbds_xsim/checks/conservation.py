@@ -27,6 +27,8 @@ class Energy:
     def __init__(self, by_body: Array, rotors: Array, springs: Array, floor: float) -> None:
         self.by_body = by_body
         """Kinetic, then gravitational energies of the bodies, (trajectory, frame, 2 · body)."""
+        self.others = np.stack([rotors, springs], axis=-1)
+        """Energies of rotors and of springs, (trajectory, frame, 2)."""
         moving, weight = (part.sum(axis=-1) for part in np.split(by_body, 2, axis=-1))
         self.kinetic, self.potential = moving + rotors, weight + springs
         self.total = self.kinetic + self.potential

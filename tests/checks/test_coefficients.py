@@ -164,3 +164,29 @@ def test_what_a_method_takes_late_of_gears_is_no_error_of_gravity() -> None:
     assert found.passed.all()
     # The same of a method that claims to be exact.
     assert not coefficients.finding(Record(scene, batch, motion, RK4, chosen.step)).passed.any()
+
+
+def _arm(mass: float, moment: float, axis: tuple[float, float, float]) -> Scene:
+    """An arm that turns a rotor of 1 kg·m² with a damper of 1 N·m·s/rad."""
+    pin = Joint("pin", "hinge", "world", "arm", (0.0, 0.0, 0.0), axis, rate=0.1)
+    pin = msgspec.structs.replace(pin, damping=1.0, armature=1.0)
+    inertia = Inertia(mass, (moment,) * 3, com=(0.05, 0.0, 0.0))
+    return Scene("arm", (Body("arm", inertia=inertia),), 0.1, joints=(pin,), clock=Clock(0.02, 25))
+
+
+@pytest.mark.parametrize("name", ["pybullet", "dart"])
+def test_what_a_method_takes_late_of_rotors_and_dampers_is_no_error_of_masses(name: str) -> None:
+    method, step = load_adapter(name).methods["semi-implicit-euler"], 2e-3
+
+    def moved(scene: Scene, claim: Method, other: Scene) -> Finding:
+        batch = draw_batch(scene, [0])
+        motion = run(scene, batch, name, Settings(method.name, step)).trajectory
+        return coefficients.finding(Record(other, batch, motion, claim, step))
+
+    light, heavy = _arm(0.04, 4e-5, (0.0, 0.0, 1.0)), _arm(1.0, 0.1, (0.0, 1.0, 0.0))
+    assert moved(light, method, light).passed.all()
+    assert moved(heavy, method, heavy).passed.all()
+    # The same of a method that claims to be exact, and what a scene says otherwise.
+    assert not moved(light, RK4, light).passed.any()
+    pull = msgspec.structs.replace(heavy, gravity=(0.0, 0.0, -1.01 * 9.81))
+    assert not moved(heavy, method, pull).passed.any()
