@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -21,23 +20,25 @@ from typing import Any
 import numpy as np
 
 from mbds_xsim.base.arrays import Array, Mask
-from mbds_xsim.base.errors import InputError
 from mbds_xsim.checks.agreement import CHAOS, markers_of
 from mbds_xsim.checks.conservation import energy_of
+from mbds_xsim.checks.coordinates import clear_of_stops
+from mbds_xsim.checks.extrapolation import (
+    LEAST_SPAN,
+    OVER,
+    SHORT,
+    Extrapolation,
+    extrapolate,
+    running,
+)
 from mbds_xsim.checks.finding import Finding, Record
+from mbds_xsim.checks.mismatch import steady
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.claims import Method
 
 _FACTOR = 3.0
-_SAFETY = 1.25  # Roache's grid convergence index with a confirmed order
-_SHORT = 0.5
-"""So much below the declared order rounds to it. Of 300 starts of 6pendulum, RK4 at 10 ms has 2
-that nowhere come within 0.25 of order 4 in energy; all 300 limits are within 0.7 uncertainties.
-"""
-_OVER = 0.25
-_IRREGULAR = 1.0  # the same where joints stick or run into stops
 _UNEXPLAINED = 5.0
 """Moves of the finest run beyond which no order explains how far the reference is: at half an
 order already, all that is left to converge is 2.4 moves."""
@@ -48,24 +49,6 @@ UNMEASURED = "not measurable"
 STOPPED = "run of the check stopped"
 """What a finding's note says of a run of its own that did not reach the end."""
 _PLACES = ("coarsest", "second coarsest", "third", "fourth", "fifth")
-LEAST_SPAN = 10
-"""Frames that a stretch must have to be judged by."""
-
-
-@dataclass(frozen=True, eq=False)
-class Extrapolation:
-    """The limit of vanishing step of some quantities, and how well it is known."""
-
-    limit: Array
-    """Shape (trajectory, frame, component)."""
-    uncertainty: Array
-    """RMS over the components, never falling in time, shape (trajectory, frame)."""
-    order: Array
-    """Observed order of convergence up to each frame; NaN with two runs, or where the runs agree
-    to the resolution; shape (trajectory, frame)."""
-    asymptotic: Mask
-    """Where the observed order rounds to the declared one or is higher, so that the uncertainty
-    holds, same shape."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +70,8 @@ class Consistency:
     resolution: float = 1e-9
     """Accuracy of the reference and of the engine's arithmetic, over the scene's length and over
     the energy scale; grows with G."""
+    step: float = 0.0
+    """The shortest one [s]; 0: unknown. By so much the instant of a bump may be off."""
 
     @property
     def findings(self) -> list[Finding]:
@@ -122,66 +107,41 @@ class Consistency:
         grown = np.ones(shape) if growth is None else np.maximum(1.0, growth[:, : shape[1]])
         near = scene.length * scene.budget.error_1s
         with np.errstate(over="ignore", invalid="ignore"):
-            floor, predictable = self.resolution * grown, grown < CHAOS
-            positions = (
-                "consistency of positions",
-                places,
-                scene.length * floor,
-                predictable,
-                near,
-            )
-            energies = ("consistency of energy", levels, floor, predictable, scene.budget.energy)
+            predictable = grown < CHAOS
+            # A jump of a body's kinetic energy is known, whenever it is.
+            lifted = levels[-1][..., mechanism.body_count :]
+            floors = [
+                scale * self.resolution * grown + self._late(values)
+                for scale, values in ((scene.length, places[-1]), (1.0, lifted))
+            ]
+            positions = "consistency of positions", places, floors[0], predictable, near
+            allowed = scene.budget.energy
+            energies = "consistency of energy", levels, floors[1], predictable, allowed
             compare = functools.partial(_compare, mechanism.braked or mechanism.saturates)
             both = [compare(each, *energies) for each in (order, lower)]
             return [compare(order, *positions), _either(*both) if lower < order else both[0]]
 
+    @functools.cached_property
+    def _bumps(self) -> Mask:
+        """Steps in which a joint may stick or run into a stop, or a servo saturate."""
+        record = Record(self.scene, self.batch, self.reference)
+        smooth = steady(record.mechanism, record.world, record.torque)
+        clear = clear_of_stops(record.mechanism, record.world, record.frame, None)
+        return np.asarray(~(clear & smooth))
 
-def extrapolate(
-    runs: Sequence[Array], order: int, floor: Array, *, bumps: bool = False
-) -> Extrapolation:
-    """Extrapolate quantities of runs at steps h, h/2 (and h/4) to a vanishing step.
+    def _late(self, values: Array) -> Array:
+        """Say what bumps up to each frame leave open, as runs may agree on the wrong instant.
 
-    With three runs there are two extrapolations. Their difference is at least three times the
-    error of the finer one, because what the extrapolation leaves falls at least with the square
-    of the step. Where the runs converge faster than declared, terms of several orders may cancel
-    in the finer difference; what the coarser one gives at the declared order is taken for
-    uncertain. With two runs nothing tells how good the extrapolation is, and all that it moves is.
+        In a step the rates of the values jump, at an instant that may be off by as much as a step.
 
-    Args:
-        runs: Shape (trajectory, frame, component) each, coarsest first.
-        order: Declared order of convergence.
-        floor: Differences up to this are rounding, shape (trajectory, frame).
-        bumps: Whether joints stick or run into stops, or servos saturate. Where in a step they do
-            changes with the step, so that errors fall with it in no regular way: the finest run is
-            the limit, and what the runs differ by is uncertain.
-
-    Raises:
-        InputError: There are neither two nor three runs.
-    """
-    if len(runs) not in (2, 3):
-        msg = f"runs: got {len(runs)}, allowed are 2 or 3 (at steps h, h/2 and h/4)"
-        raise InputError(msg)
-    gain = 2.0**order - 1.0
-    moved = [(fine - coarse) / gain for coarse, fine in itertools.pairwise(runs)]
-    sizes = [_running(move) for move in moved]
-    limit = runs[-1] + moved[-1]
-    if len(runs) == 2:
-        known = np.isfinite(sizes[0])
-        return Extrapolation(limit, sizes[0] + floor, np.full(known.shape, np.nan), known)
-    apart = _running(limit - runs[-2] - moved[-2])
-    settled = gain * sizes[0] <= floor
-    coarse, fine = map(_gathered, moved)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        observed = np.where(settled, np.nan, np.log2(coarse / fine))
-    faster = observed > order + _OVER
-    unsure = np.where(faster, sizes[0] / 2.0**order, _SAFETY * apart / 3.0)
-    asymptotic = settled | (observed >= order - _SHORT)
-    if bumps:
-        unsure = np.maximum(0.5 * gain * sizes[0], gain * sizes[1])
-        # An impact just before a frame is in the velocities there, and in places at the next.
-        limit, unsure[:, :-1] = runs[-1], np.fmax(unsure[:, :-1], unsure[:, 1:])
-        asymptotic = settled | (observed >= order - _IRREGULAR)
-    return Extrapolation(limit, unsure + floor, observed, asymptotic)
+        Args:
+            values: Of the reference, shape (trajectory, frame, component).
+        """
+        step = self.step * 2.0 ** max(0, len(self.runs) - 3)  # the shortest of the first three
+        bend = np.pad(np.linalg.norm(np.diff(values, 2, axis=1), axis=-1), ((0, 0), (1, 1)))
+        jumps = np.where(self._bumps, np.nan_to_num(bend[:, :-1] + bend[:, 1:]), 0.0)
+        grown = np.maximum.accumulate(jumps, axis=1)
+        return step / self.scene.clock.frame * np.pad(grown, ((0, 0), (1, 0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,7 +184,7 @@ class _Comparison:
         if self.unexplained[row] > 1.0:
             return f"{_told(seen)} observed, and further from the reference than any explains"
         alone = len(seen) == 1 and self.orders.shape[1] == 1 and not self.bumps
-        rises = len(seen) > 1 and seen[-1] > seen[0] + _OVER and seen.mean() > _SHORT
+        rises = len(seen) > 1 and seen[-1] > seen[0] + OVER and seen.mean() > SHORT
         if not len(seen) or self.harmless[row] or not (alone or len(seen) > 1) or rises:
             return ""
         return f"{_told(seen)} observed, nowhere as high as declared"
@@ -277,7 +237,7 @@ def _compare(
         deviation = np.sqrt(np.sum((each.limit - truth) ** 2, axis=-1))
         unsure = each.uncertainty if before is None else _unsteady(before, each, finest, floor)
         series, before = np.where(judged, deviation / unsure, series), each
-    moves = _running(runs[-1] - runs[-2])
+    moves = running(runs[-1] - runs[-2])
     left = np.sqrt(np.sum((runs[-1] - truth) ** 2, axis=-1)) / (_UNEXPLAINED * moves + floor)
     known = predictable & np.isfinite(left)
     there = np.isfinite(truth).all(axis=-1)
@@ -306,8 +266,8 @@ def _unsteady(before: Extrapolation, found: Extrapolation, finest: Array, floor:
 
     An order that rises passes the declared one, and then looks as if it were confirmed.
     """
-    moves = np.abs(found.order - before.order) > _OVER
-    whole = _running(found.limit - finest) + floor
+    moves = np.abs(found.order - before.order) > OVER
+    whole = running(found.limit - finest) + floor
     return np.where(moves, np.maximum(found.uncertainty, whole), found.uncertainty)
 
 
@@ -355,23 +315,6 @@ def _flat(points: Array) -> Array:
     """Components whose sum of squares is the mean square over the particles."""
     scaled = points / np.sqrt(points.shape[2])
     return scaled.reshape(*points.shape[:2], -1)
-
-
-def _running(values: Array) -> Array:
-    """Largest norm up to each frame: an error that passes through zero is still known."""
-    return _shared(np.maximum.accumulate(np.sqrt(np.sum(values**2, axis=-1)), axis=1))
-
-
-def _gathered(values: Array) -> Array:
-    """Norm of all values up to each frame; unlike the largest one it grows smoothly."""
-    return _shared(np.sqrt(np.cumsum(np.sum(values**2, axis=-1), axis=1)))
-
-
-def _shared(grown: Array) -> Array:
-    """Let the first frames, of which none may be typical, take what all of them come to."""
-    first = min(LEAST_SPAN, grown.shape[1])
-    grown[:, :first] = grown[:, first - 1 : first]
-    return np.asarray(grown)
 
 
 def _longest(mask: Mask) -> Mask:

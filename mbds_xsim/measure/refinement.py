@@ -10,7 +10,8 @@ from functools import partial
 
 from mbds_xsim.base.isolate import Conduct, Task
 from mbds_xsim.checks import Finding
-from mbds_xsim.checks.consistency import LEAST_SPAN, Consistency
+from mbds_xsim.checks.consistency import Consistency
+from mbds_xsim.checks.extrapolation import LEAST_SPAN
 from mbds_xsim.measure.outcome import Outcome, ReferenceOutcome
 from mbds_xsim.measure.runner import Account, Piece, carry_out
 from mbds_xsim.reference import FirstImpact
@@ -159,7 +160,7 @@ def _given(
     growth = reference.growth[rows]
     most = rounding.stepped(method, round(float(truth.time[-1]) / min(runs)))
     known = max(Consistency.resolution, most)
-    return Consistency(scene, batch[rows], ordered, truth[rows], method, growth, known)
+    return Consistency(scene, batch[rows], ordered, truth[rows], method, growth, known, min(runs))
 
 
 def smooth(scene: Scene, reference: ReferenceOutcome) -> list[bool]:
