@@ -32,20 +32,32 @@ def test_answers_come_in_the_order_of_the_tasks() -> None:
     assert sorted(seen) == [0, 1]
 
 
-def test_a_task_waits_for_the_one_that_it_comes_after_even_if_that_crashes() -> None:
-    told: list[tuple[str, int]] = []
-    tasks = [Task(os.abort, ()), Task(math.factorial, (4,), after=0), Task(math.factorial, (3,))]
+def test_a_task_waits_for_the_one_that_it_comes_after_even_if_that_crashes(tmp_path: Path) -> None:
+    told: list[int] = []
+    mark = tmp_path / "mark"
+    code = f"import os, time; time.sleep(0.2); open({str(mark)!r}, 'w').close(); os.abort()"
+    tasks = [Task(exec, (code,)), Task(mark.exists, (), after=0), Task(math.factorial, (3,))]
 
-    _, *answers = run_tasks(
-        tasks,
-        workers=3,
-        started=lambda place: told.append(("begins", place)),
-        finished=lambda place, _: told.append(("ended", place)),
-    )
+    _, *answers = run_tasks(tasks, workers=3, started=told.append)
 
-    assert answers == [24, 6]
-    assert told.index(("ended", 0)) < told.index(("begins", 1))
-    assert told.index(("begins", 2)) < told.index(("begins", 1))
+    assert answers == [True, 6]
+    assert told == [0, 2, 1]
+
+
+def test_what_hears_of_an_end_keeps_no_other_task_waiting_and_can_be_interrupted() -> None:
+    begun: list[int] = []
+
+    def interrupted(_place: int, _answer: object) -> None:
+        begun.append(-1)
+        signal.raise_signal(signal.SIGINT)
+        begun.append(-2)
+
+    with pytest.raises(KeyboardInterrupt):
+        run_tasks(
+            [Task(math.factorial, (3,))] * 2, workers=1, started=begun.append, finished=interrupted
+        )
+
+    assert begun == [0, 1, -1]
 
 
 def test_no_task_needs_no_process(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -185,12 +197,12 @@ except KeyboardInterrupt:
 
 
 def _interrupted(reached: list[str], number: int) -> None:
-    with held_back() as let_through:
-        let_through()
+    with held_back() as held:
+        held.let_through()
         signal.raise_signal(number)
         reached.append("the next step")
         if number == signal.SIGINT:
-            let_through()
+            held.let_through()
         reached.append("the end")
 
 

@@ -6,7 +6,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
@@ -72,40 +72,60 @@ def _page() -> int:
     return os.sysconf("SC_PAGE_SIZE")
 
 
-@contextmanager
-def held_back() -> Iterator[Callable[[], None]]:
-    """Hold interruptions back; gives what lets through one that came in the meantime.
-
-    Python raises `KeyboardInterrupt` between any two steps: a process that is being started then
-    belongs to nobody, and where `subprocess` has just taken the lock under which it asks for a
-    process's end, it never gives it back, so that waiting for that end takes forever.
+class Held:
+    """Interruptions that wait until they are let through.
 
     Signals that no Python function handles stay as they are, and so does everything outside the
     main thread, where none arrive.
     """
-    if threading.current_thread() is not threading.main_thread():
-        yield lambda: None
-        return
-    came: list[tuple[int, FrameType | None]] = []
 
-    def note(number: int, frame: FrameType | None) -> None:
-        came.append((number, frame))
+    def __init__(self) -> None:
+        main = threading.current_thread() is threading.main_thread()
+        found = {int(number): signal.getsignal(number) for number in _SIGNALS if main}
+        self._handlers = {number: handler for number, handler in found.items() if callable(handler)}
+        self._came: list[tuple[int, FrameType | None]] = []
 
-    def let_through() -> None:
-        while came:
-            number, frame = came.pop()
-            handlers[number](number, frame)
+    def let_through(self) -> None:
+        """Let one through that came in the meantime."""
+        while self._came:
+            number, frame = self._came.pop()
+            self._handlers[number](number, frame)
 
-    found = {int(number): signal.getsignal(number) for number in _SIGNALS}
-    handlers = {number: handler for number, handler in found.items() if callable(handler)}
-    for number in handlers:
-        signal.signal(number, note)
-    try:
-        yield let_through
-    finally:
-        for number, handler in handlers.items():
+    def hold(self) -> None:
+        """Let none through from now on."""
+        for number in self._handlers:
+            signal.signal(number, lambda *interruption: self._came.append(interruption))
+
+    def release(self) -> None:
+        """Let all through from now on."""
+        for number, handler in self._handlers.items():
             signal.signal(number, handler)
-        let_through()
+        self.let_through()
+
+    @contextmanager
+    def released(self) -> Iterator[None]:
+        """Let all through at once meanwhile."""
+        try:
+            self.release()
+            yield
+        finally:
+            self.hold()
+
+
+@contextmanager
+def held_back() -> Iterator[Held]:
+    """Hold interruptions back; gives what lets them through.
+
+    Python raises `KeyboardInterrupt` between any two steps: a process that is being started then
+    belongs to nobody, and where `subprocess` has just taken the lock under which it asks for a
+    process's end, it never gives it back, so that waiting for that end takes forever.
+    """
+    held = Held()
+    held.hold()
+    try:
+        yield held
+    finally:
+        held.release()
 
 
 @contextmanager

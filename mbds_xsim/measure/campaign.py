@@ -6,6 +6,7 @@ One work item is one engine at one step over some trajectories, or one trajector
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,7 @@ _LANES = 8  # trajectories that take the compiled reference as long as one
 _TIMEOUT = 3600.0
 RTOL = 1e-11
 """Of the reference."""
-_SAMPLE = 3  # trajectories that run at other steps too
+_SAMPLE = 3  # trajectories that run at other steps too, in one process
 
 
 def run_campaign(
@@ -38,10 +39,12 @@ def run_campaign(
     contenders: list[Contender],
     conduct: Conduct,
     spent: Account,
+    then: Callable[[Outcome, ReferenceOutcome], object] = lambda *_: None,
 ) -> tuple[list[Outcome], ReferenceOutcome]:
     """Simulate everything; engines while the reference is compiled, where it has to be.
 
-    What it takes is added to `spent`, the seconds of processes by what they did.
+    What it takes is added to `spent`, the seconds of processes by what they did. What an engine
+    delivered goes to `then` once it is complete and the reference is there, while others still run.
 
     Raises:
         InputError: The reference could not be had; without it nothing can be judged.
@@ -50,28 +53,36 @@ def run_campaign(
     references: list[Any] = []
     compiling = None if scene.contacts else compilation(meter.notice)
     compiled = None if compiling is None else 0
-    truth, engines = [], []
+    work = [] if compiling is None else [Piece("compiler", "compiler", *compiling)]
     for rows in _reference_chunks(scene, len(batch)):
         task = Task(reference_of, (scene, batch[rows], conduct.cache), _TIMEOUT, after=compiled)
-        truth.append(Piece(REFERENCE, REFERENCE, task, references.append))
+        work.append(Piece(REFERENCE, REFERENCE, task, references.append))
     for outcome in outcomes:
         own = compiled if method_of(outcome.contender).is_truth else None
-        engines += _engine_work(scene, batch, outcome, after=own)
-    work = [*truth, *engines]
-    if compiling is not None:
-        work = [Piece("compiler", "compiler", *compiling), *engines, *truth]
+        work += _engine_work(scene, batch, outcome, after=own)
     meter.begin(len(work))
     meter.doing("costs of the runs")
     costs = [_work_of(scene, batch, outcome) for outcome in outcomes]
     for line in forewarnings(scene, batch[[0]], costs, workers=conduct.workers):
         meter.notice(line)
-    carry_out(work, conduct, spent)
-    reference = _joined(references)
+    reference: ReferenceOutcome | None = None
+    complete: list[Outcome] = []
+
+    def done(what: str) -> None:
+        nonlocal reference
+        if what == REFERENCE:
+            reference = _joined(references)
+        complete.extend(each for each in outcomes if each.contender.engine == what)
+        while reference is not None and complete:
+            then(complete.pop(0), reference)
+
     if may_end(scene):
-        pieces = [piece for each in outcomes for piece in pieces_of(scene, batch, each, reference)]
-        meter.begin(len(pieces))
-        carry_out(pieces, conduct, spent)
-    return outcomes, reference
+        carry_out(work, conduct, spent)
+        reference = _joined(references)
+        work = [piece for each in outcomes for piece in pieces_of(scene, batch, each, reference)]
+        meter.begin(len(work))
+    carry_out(work, conduct, spent, done)
+    return outcomes, reference or _joined(references)
 
 
 def run_references(scene: Scene, batch: Batch, conduct: Conduct) -> ReferenceOutcome:
@@ -92,7 +103,7 @@ def run_references(scene: Scene, batch: Batch, conduct: Conduct) -> ReferenceOut
 def _engine_work(scene: Scene, batch: Batch, outcome: Outcome, after: int | None) -> list[Piece]:
     contender, work = outcome.contender, []
     name = step_name(contender, contender.settings.step)
-    for rows in _chunks(len(batch)):
+    for rows in _chunks(len(batch), least=_SAMPLE):
         arguments = (scene, batch[rows], contender.engine, contender.settings)
         outcome.rows.append(rows)
         task = Task(simulate, arguments, contender.limit, after)
@@ -110,7 +121,7 @@ def _work_of(scene: Scene, batch: Batch, outcome: Outcome) -> Work:
     return Work(contender.name, contender.engine, contender.settings, sum(steps))
 
 
-def _chunks(count: int, *, least: int = 1) -> list[list[int]]:
+def _chunks(count: int, *, least: int) -> list[list[int]]:
     """Part rows evenly, into as many pieces as there would be of so many rows at the most."""
     parts = min(_CHUNKS, -(-count // least))
     return [rows.tolist() for rows in np.array_split(np.arange(count), parts)]

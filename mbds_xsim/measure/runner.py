@@ -300,34 +300,50 @@ class Piece:
     """What its time is counted as: an engine, the reference."""
     task: Task
     keep: Callable[[Any], None]
+    """Called when all pieces of the same are done."""
 
 
-def carry_out(pieces: Sequence[Piece], conduct: Conduct, spent: Account) -> None:
-    """Carry pieces of work out side by side, and keep their answers in their order.
+def carry_out(
+    pieces: Sequence[Piece],
+    conduct: Conduct,
+    spent: Account,
+    then: Callable[[str], object] = str,
+) -> None:
+    """Carry pieces of work out side by side, and keep answers of each engine in their order.
 
     Args:
         pieces: What to do; those whose answers know their own time have it as `busy_s`.
         conduct: How.
         spent: Seconds of processes by what they did, to which these are added.
+        then: Called with what all pieces are done of, once they are kept; others may still run.
     """
     running = Running(conduct.meter, [piece.name for piece in pieces])
     begun: dict[int, float] = {}
+    answers: dict[int, Any] = {}
+    away = 0.0  # while this process did not look whether others had ended [s]
 
     def started(place: int) -> None:
-        begun[place] = time.perf_counter()
+        begun[place] = time.perf_counter() - away
         running.started(place)
 
     def finished(place: int, answer: Any) -> None:
-        whole = time.perf_counter() - begun[place]
-        own = min(whole, getattr(answer, "busy_s", whole))
-        spent[pieces[place].of] += own
-        spent[PROCESSES] += whole - own
+        nonlocal away
+        of, now = pieces[place].of, time.perf_counter()
+        whole = now - away - begun[place]
+        own = getattr(answer, "busy_s", whole)
+        spent[of] += own
+        spent[PROCESSES] += max(0.0, whole - own)
         running.finished(place, answer)
+        answers[place] = answer
+        alike = [k for k, piece in enumerate(pieces) if piece.of == of]
+        if answers.keys() >= set(alike):
+            for k in alike:
+                pieces[k].keep(answers[k])
+            then(of)
+        away += time.perf_counter() - now
 
     tasks = [piece.task for piece in pieces]
-    answers = run_tasks(tasks, workers=conduct.workers, started=started, finished=finished)
-    for piece, answer in zip(pieces, answers, strict=True):
-        piece.keep(answer)
+    run_tasks(tasks, workers=conduct.workers, started=started, finished=finished)
 
 
 @dataclass

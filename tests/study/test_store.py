@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from collections import defaultdict
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from mbds_xsim.measure.runner import Keyed, Store
+from mbds_xsim.base.isolate import HERE, Task
+from mbds_xsim.measure.runner import Keyed, Piece, Store, carry_out
 
 
 class _Row(Keyed, frozen=True, kw_only=True):
@@ -27,3 +31,22 @@ def test_a_row_that_was_changed_is_passed_over(old: bytes, new: bytes, tmp_path:
     assert set(Store(path, _Row).rows) == {"one", "last"}
     path.write_bytes(whole.replace(old, new, 1))
     assert set(Store(path, _Row).rows) == {"last"}
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_answers_are_kept_in_their_order_as_soon_as_all_of_an_engine_are_there(
+    workers: int,
+) -> None:
+    kept: list[object] = []
+    slow = Task(exec, ("import time; time.sleep(0.5)",))
+    pieces = [
+        Piece("", of, Task(math.factorial, (count,)), kept.append)
+        for of, count in (("one", 3), ("other", 4), ("one", 5))
+    ]
+    last = Piece("", "last", slow, kept.append)
+
+    carry_out([last, *pieces], replace(HERE, workers=workers), defaultdict(float), then=kept.append)
+
+    assert kept.index("one") == kept.index(120) + 1 == kept.index(6) + 2
+    assert kept.index("other") == kept.index(24) + 1
+    assert (kept[-2:] == [None, "last"]) == bool(workers)

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
+import functools
 import operator
 import os
 import platform
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from mbds_xsim.base.isolate import USUAL, Conduct, Meter
+from mbds_xsim.base.isolate import USUAL, Conduct
 from mbds_xsim.base.text import counted
 from mbds_xsim.checks import agreement
 from mbds_xsim.measure.campaign import run_campaign
 from mbds_xsim.measure.judge import Judged, judge, reference_result
 from mbds_xsim.measure.outcome import Outcome, ReferenceOutcome
 from mbds_xsim.measure.quick import searched
-from mbds_xsim.measure.refinement import refine
+from mbds_xsim.measure.refinement import further_step, refine
 from mbds_xsim.measure.result import (
     SCHEMA,
     EngineResult,
@@ -62,15 +63,27 @@ def validate_with_evidence(
         spent["search of settings"] = time.perf_counter() - begin
     contenders, left_out = chosen.contenders(scene)
     batch = starts.draw(scene)
-    outcomes, reference = run_campaign(scene, batch, contenders, conduct, spent)
-    refine(scene, batch, outcomes, reference, conduct, spent)
-    checking, named = time.perf_counter(), _named(outcomes, conduct.meter)
-    rows = [judge(scene, batch, each, reference, native=readback) for each in named]
+    judged: dict[str, Judged] = {}
+    checked_reference = functools.cache(functools.partial(reference_result, scene, batch))
+
+    def check(outcome: Outcome, reference: ReferenceOutcome) -> None:
+        checking, name = time.perf_counter(), outcome.contender.name
+        conduct.meter.doing(f"{name}: checks")
+        checked_reference(reference)
+        if further_step(scene, batch, outcome, reference) is None:
+            judged[name] = judge(scene, batch, outcome, reference, native=readback)
+        spent["checks"] += time.perf_counter() - checking
+
+    outcomes, reference = run_campaign(scene, batch, contenders, conduct, spent, then=check)
+    left = [outcome for outcome in outcomes if outcome.contender.name not in judged]
+    refine(scene, batch, left, reference, conduct, spent)
+    for outcome in left:
+        check(outcome, reference)
+    rows, voting = [judged[each.contender.name] for each in outcomes], time.perf_counter()
     results = [row.result for row in rows]
     names, matrix, odd = _vote(scene, rows, reference)
     ensembles = _ensembles(scene, batch, rows, reference)
-    judged = reference_result(scene, batch, reference)
-    spent["checks"] = time.perf_counter() - checking
+    spent["checks"] += time.perf_counter() - voting
     validation = Validation(
         schema=SCHEMA,
         scene=scene.name,
@@ -84,7 +97,7 @@ def validate_with_evidence(
         budget={key: getattr(scene.budget, key) for key in scene.budget.__struct_fields__},
         engines=tuple(results),
         left_out=left_out,
-        reference=judged,
+        reference=checked_reference(reference),
         names=names,
         matrix_m=matrix,
         odd_one_out=odd,
@@ -95,13 +108,6 @@ def validate_with_evidence(
         fingerprint=fingerprint(scene),
     )
     return validation, _evidence(scene, batch, rows, reference)
-
-
-def _named(outcomes: Iterable[Outcome], meter: Meter) -> Iterator[Outcome]:
-    """Give outcomes, and tell of each that it is being checked."""
-    for outcome in outcomes:
-        meter.doing(f"{outcome.contender.name}: checks")
-        yield outcome
 
 
 def _worst(results: Sequence[EngineResult]) -> Verdict:
