@@ -155,7 +155,7 @@ WAYS = each,leave-one-out,all
 # A change of speed, to hold one of engine against.
 SPEEDS = mujoco-low,mujoco-medium,mujoco-high
 SEEDS ?= 1
-SHIFTED ?= 6pendulum 6pendulum-matched balldrop 3ladder simplecubli balldrop-factors 6pendulum-factors
+SHIFTED ?= 6pendulum 6pendulum-matched balldrop 3ladder simplecubli $(SCENES:%=%-factors)
 drawn = $(BIN)/mbds-xsim generate $(1) --settings $(2) --trajectories $(DRAWN) --out $(STUDY) \
 	|| [ $$? -eq 1 ]
 trained = $(BIN)/mbds-xsim train $(STUDY)/$(1) --on $(2) --steps $(STEPS) --out $(MODELS) \
@@ -163,7 +163,8 @@ trained = $(BIN)/mbds-xsim train $(STUDY)/$(1) --on $(2) --steps $(STEPS) --out 
 told = --json $(REPORTS)/$(1).json.gz --markdown $(REPORTS)/$(1).md --png $(REPORTS)/$(1).png --rollouts $(REPORTS)/$(1)-rollouts.png
 shifted = $(BIN)/mbds-xsim shift $(MODELS) $(STUDY) --scene $(2) $(call told,shift/$(1))
 shift-targets = $(addprefix shift-,$(SHIFTED))
-.PHONY: $(shift-targets)
+factor-targets = $(SCENES:%=shift-%-factors)
+.PHONY: $(shift-targets) $(factor-targets)
 
 reports-shift: $(shift-targets)
 	$(BIN)/python -m benchmarks.shift_summary $(REPORTS)/shift > $(REPORTS)/shift/README.md
@@ -192,18 +193,18 @@ shift-6pendulum-matched: shift-%-matched: $(VENV)/ready
 	$(call trained,$*,each --seeds $(SEEDS),$*-matched)
 	$(call shifted,$*-matched,$* --on each --seeds $(SEEDS))
 
-# Which factor of a change of engine costs how much, by a model of bodies, in an hour of one core: engines as they
-# are, and at one step without damping; and alone another step, and no damping.
+# Which factor of a change of engine costs how much, by models of bodies, in two core-hours a scene: four engines
+# as they are and matched; three of them at one step without damping; and alone another step, and no damping.
 FACTORS ?= out/factors
 FACTORED = equal coarse undamped
+$(factor-targets): STEPS = 200
 shift-balldrop-factors: STEPS = 500
-shift-6pendulum-factors: STEPS = 200
-shift-balldrop-factors shift-6pendulum-factors: shift-%-factors: $(VENV)/ready
+$(factor-targets): shift-%-factors: $(VENV)/ready
 	$(BIN)/mbds-xsim generate $* --trajectories 300 --out $(FACTORS) \
-		--settings $(subst $() ,$(comma),$(FACTORED:%=benchmarks/factors/%.toml))$(comma)native \
-		--engines mujoco,pybullet,dart
-	$(BIN)/mbds-xsim train $(FACTORS)/$* --track native+ --models sgnn+ --steps $(STEPS) --out $(FACTORS)/models \
-		--png $(REPORTS)/shift/$*-factors-curves.png
+		--settings $(subst $() ,$(comma),$(FACTORED:%=benchmarks/factors/%.toml))$(comma)native$(comma)matched \
+		--engines mujoco,pybullet,dart,exudyn || [ $$? -eq 1 ]
+	$(BIN)/mbds-xsim train $(FACTORS)/$* --track native+ --steps $(STEPS) \
+		--out $(FACTORS)/models --png $(REPORTS)/shift/$*-factors-curves.png
 	$(BIN)/mbds-xsim shift $(FACTORS)/models $(FACTORS) --scene $* $(call told,shift/$*-factors)
 
 # All four models until more steps bring no more, on each engine's data: two and a half core-hours.

@@ -14,5 +14,5 @@ PHYSICS = 2
 CHECKS = 14
 """Figures and verdicts of checks on a trajectory, and what studies derive from them."""
 
-MODELS = 1
+MODELS = 2
 """Predictions of learned models, and figures of them."""

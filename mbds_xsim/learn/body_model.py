@@ -1,11 +1,11 @@
 """Models of bodies: what an engine does beside smooth rigid motion, frame by frame.
 
-A frame begins with smooth motion on the joints under the known inputs (`BodyMechanics.smooth`),
-which flies bodies exactly. A network adds what that lacks, from what it sees of the frame
-(`BodyView`): of each body a displacement and a change of its twist, of each contact sphere two
-impulses on its body, one that displaces it and one that changes its twist. What joints forbid of it
-is taken away by the least mass-weighted change, so that rods keep their lengths; nothing is asked
-of a GPU on the way.
+A frame begins with smooth motion on the joints under the known inputs: that of `BodyMechanics`,
+which flies bodies exactly, or of a learned energy. A network adds what that lacks, from what it
+sees of the frame (`BodyView`): of each body a displacement and a change of its twist, of each
+contact sphere two impulses on its body, one that displaces it and one that changes its twist. What
+joints forbid of it is taken away by the least mass-weighted change, so that rods keep their
+lengths; nothing is asked of a GPU on the way.
 
 The loss holds displacement and twist against the teacher's, body by body, not particle by particle:
 an impact of a disc is one wrench, not nineteen accelerations.
@@ -14,12 +14,10 @@ an impact of a disc is one wrench, not nineteen accelerations.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
-import msgspec
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.learn import turning
@@ -27,8 +25,7 @@ from mbds_xsim.learn.body_view import BodyView, BodyViewer
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.layers import keep
 from mbds_xsim.learn.model import LearnedModel
-from mbds_xsim.learn.recipe import Cosine, Recipe
-from mbds_xsim.learn.rigid import TWIST, BodyMechanics, Q, X
+from mbds_xsim.learn.rigid import TWIST, BodyMechanics, JointHold, Q, X
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import KnownInputs, Sample, Start
 
@@ -39,36 +36,22 @@ _LEAST = 1e-6
 """Of a squared distance: keeps the root's slope finite."""
 
 
-class BodySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Hyper-parameters of models of bodies."""
-
-    width: int = 64
-    layers: int = 3
-    """Linear layers of each perceptron."""
-    steps: int = 2
-    """Of message passing over the joints."""
-    substeps: int = 4
-    """Steps of smooth motion in a frame, an even number."""
-    recipe: Recipe = Recipe(rate=3e-3, batch=128, schedule=Cosine(), clip=1.0, skip=True)
-
-
 class BodyModel(LearnedModel):
-    """Smooth rigid motion on a scene's joints, and a network for all else."""
+    """Smooth motion on a scene's joints, and a network for all else."""
 
     dtype: ClassVar[torch.dtype] = torch.float64
     needs_bodies: ClassVar[bool] = True
-    tracks: ClassVar[Mapping[str, BodySettings]] = {"native+": BodySettings()}
+    exact: ClassVar[frozenset[str]] = frozenset({"rigid", "viewer"})
+    """Parts that compute in double precision."""
 
     to_native: Tensor
     owner: Tensor
     offset: Tensor
 
-    def __init__(self, graph: Graph, statistics: Statistics, settings: BodySettings) -> None:
+    def __init__(self, graph: Graph, statistics: Statistics, settings: Any) -> None:
         super().__init__(graph, statistics, settings)
-        self.settings = settings
         self.rigid = BodyMechanics(graph)
         self.viewer = BodyViewer(graph, statistics)
-        self.plain = nn.Parameter(torch.zeros(2 * ADDED, BodyViewer.BODY))
         mechanism, points = graph.mechanism, Points.of(graph.scene)
         keep(
             self,
@@ -80,10 +63,18 @@ class BodyModel(LearnedModel):
     def in_precision(self) -> Self:
         """Networks in single precision: they add little, and take less than half the time so."""
         super().in_precision()
-        for part in self.children():
-            if part not in (self.rigid, self.viewer):
+        for name, part in self.named_children():
+            if name not in self.exact:
                 part.float()
         return self
+
+    @abstractmethod
+    def smooth(self, state: Tensor, inputs: KnownInputs) -> tuple[list[Tensor], JointHold | None]:
+        """Move over a frame without contact.
+
+        Returns:
+            The states after none, one and so on of the steps, and the joints at the last.
+        """
 
     @abstractmethod
     def corrections(self, view: BodyView) -> tuple[Tensor, Tensor]:
@@ -119,15 +110,11 @@ class BodyModel(LearnedModel):
         That is a displacement [m, rad] and a change of the twists [m/s, rad/s], shape (batch, 2,
         body, 6), as joints let them through.
         """
+        inputs = KnownInputs(inputs.force.to(state), inputs.torque.to(state))
+        states, hold = self.smooth(state, inputs)
         with torch.no_grad():
-            inputs = KnownInputs(inputs.force.to(state), inputs.torque.to(state))
-            step = self.graph.frame_s, self.settings.substeps
-            states, hold = self.rigid.smooth(state, inputs, *step)
-            view, smooth = self.viewer(states), states[-1]
+            view, smooth = self.viewer([each.detach() for each in states]), states[-1]
         of_bodies, of_contacts = self.corrections(view)
-        of_bodies = of_bodies + (self.plain @ view.bodies.vectors.to(self.plain)).unflatten(
-            2, (ADDED, 2)
-        )
         unit = torch.stack([self.viewer.change * self.graph.frame_s, self.viewer.change])
         added = []
         for k in range(ADDED):

@@ -8,25 +8,67 @@ names of their kinds of network, not of the papers' models: those see particles 
 
 from __future__ import annotations
 
+from abc import abstractmethod
+from collections.abc import Mapping
 from typing import ClassVar
 
+import msgspec
 import torch
 from torch import Tensor, nn
 
-from mbds_xsim.learn.body_model import ADDED, BodyModel, BodySettings
+from mbds_xsim.learn.body_model import ADDED, BodyModel
 from mbds_xsim.learn.body_view import BodyView, BodyViewer, Seen
 from mbds_xsim.learn.gns import InteractionLayer
 from mbds_xsim.learn.graph import DIMENSION, Graph
-from mbds_xsim.learn.layers import keep, mlp
+from mbds_xsim.learn.layers import keep, mlp, silence
 from mbds_xsim.learn.model import Symmetry
+from mbds_xsim.learn.recipe import Cosine, Recipe
+from mbds_xsim.learn.rigid import JointHold
 from mbds_xsim.learn.sgnn_network import Edges, Passing, Scalars, SubequivariantMap
 from mbds_xsim.learn.statistics import Statistics
+from mbds_xsim.learn.window import KnownInputs
 
 _VECTORS = 2 * ADDED  # that a body is given: linear and angular parts
-_FAINT = 0.01
 
 
-class BodyGNS(BodyModel):
+class BodySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Hyper-parameters of GNS and SGNN over bodies."""
+
+    width: int = 64
+    layers: int = 3
+    """Linear layers of each perceptron."""
+    steps: int = 2
+    """Of message passing over the joints."""
+    substeps: int = 4
+    """Steps of smooth motion in a frame, an even number."""
+    recipe: Recipe = Recipe(rate=3e-3, batch=128, schedule=Cosine(), clip=1.0, skip=True)
+
+
+class JointedModel(BodyModel):
+    """Known smooth motion, and a network that passes messages over the joints."""
+
+    tracks: ClassVar[Mapping[str, BodySettings]] = {"native+": BodySettings()}
+
+    def __init__(self, graph: Graph, statistics: Statistics, settings: BodySettings) -> None:
+        super().__init__(graph, statistics, settings)
+        self.substeps = settings.substeps
+        self.plain = nn.Parameter(torch.zeros(_VECTORS, BodyViewer.BODY))
+
+    def smooth(self, state: Tensor, inputs: KnownInputs) -> tuple[list[Tensor], JointHold | None]:
+        with torch.no_grad():
+            return self.rigid.smooth(state, inputs, self.graph.frame_s, self.substeps)
+
+    def corrections(self, view: BodyView) -> tuple[Tensor, Tensor]:
+        plain = self.plain @ view.bodies.vectors.to(self.plain)
+        added, pushes = self.read(view)
+        return added + plain.reshape(added.shape), pushes
+
+    @abstractmethod
+    def read(self, view: BodyView) -> tuple[Tensor, Tensor]:
+        """Give `corrections` but for what is a fixed combination of a body's own vectors."""
+
+
+class BodyGNS(JointedModel):
     """Perceptrons of components, and GNS's interaction networks over the joints."""
 
     symmetries: ClassVar[frozenset[Symmetry]] = frozenset({"shift"})
@@ -46,9 +88,9 @@ class BodyGNS(BodyModel):
         )
         self.to_body = perceptron(width, DIMENSION * _VECTORS)
         self.to_contact = perceptron(2 * width, DIMENSION * ADDED)
-        _silence(self.to_body, self.to_contact)
+        silence(self.to_body, self.to_contact)
 
-    def corrections(self, view: BodyView) -> tuple[Tensor, Tensor]:
+    def read(self, view: BodyView) -> tuple[Tensor, Tensor]:
         carrier = self.viewer.sphere_body
         contacts = self.of_contact(_flat(view.contacts))
         bodies = _flat(view.bodies)
@@ -71,7 +113,7 @@ class BodyGNS(BodyModel):
         return nodes[:-1].transpose(0, 1)
 
 
-class BodySGNN(BodyModel):
+class BodySGNN(JointedModel):
     """Subequivariant maps: combinations of what is seen, and of gravity's direction.
 
     Spins and cross products are among the vectors, so turns are kept, and mirror images are not.
@@ -105,9 +147,9 @@ class BodySGNN(BodyModel):
             see.CONTACT + 1 + _VECTORS, [see.CONTACT_SCALARS, width, width], outputs=ADDED, **size
         )
         self.edges = Edges(self.viewer.senders, self.viewer.receivers, graph.body_count + 1)
-        _silence(self.to_body.rest, self.to_contact.rest)
+        silence(self.to_body.rest, self.to_contact.rest)
 
-    def corrections(self, view: BodyView) -> tuple[Tensor, Tensor]:
+    def read(self, view: BodyView) -> tuple[Tensor, Tensor]:
         carrier, seen, touching = self.viewer.sphere_body, view.bodies, view.contacts
         bodies, contacts = self._with_up(seen.vectors), self._with_up(touching.vectors)
         said, known = self.of_contact(contacts, Scalars(touching.scalars))
@@ -145,13 +187,3 @@ class BodySGNN(BodyModel):
 
 def _flat(seen: Seen) -> Tensor:
     return torch.cat([seen.vectors.flatten(2), seen.scalars], dim=-1)
-
-
-def _silence(*networks: nn.Sequential) -> None:
-    """Have networks begin by adding next to nothing: smooth motion is where learning starts."""
-    for network in networks:
-        last = network[-1]
-        assert isinstance(last, nn.Linear)
-        with torch.no_grad():
-            last.weight.mul_(_FAINT)
-            last.bias.zero_()

@@ -86,6 +86,9 @@ class EnergyShape(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     hidden_layers: int = 2
     passes: int = 1
     """Rounds of message passing."""
+    bend: float = 1.0
+    """Share of the kinetic energy's network beside the energy of the known masses; the less, the
+    nearer to it learning starts."""
 
 
 class SquarePlus(nn.Module):
@@ -100,7 +103,7 @@ class ConvexScalar(nn.Module):
 
     def __init__(self, kinds: int, shape: EnergyShape) -> None:
         super().__init__()
-        width, layers = shape.width, shape.hidden_layers
+        width, layers, self.bend = shape.width, shape.hidden_layers, shape.bend
         sizes = [1, *[width] * layers]
         self.raw = nn.ParameterList(
             0.5 * torch.randn(after, before) for before, after in itertools.pairwise(sizes)
@@ -119,7 +122,7 @@ class ConvexScalar(nn.Module):
             across = (_squareplus(raw) / raw.shape[1]).T
             value, first, second = (part @ across for part in jet)
             jet = _bend(value + shift, first, second)
-        across = _squareplus(self.last) / len(self.last)
+        across = self.bend * _squareplus(self.last) / len(self.last)
         value, first, second = (part @ across for part in jet)
         slope = 0.5 * _squareplus(self.slope(kind))[:, 0]
         return value + slope * s, first + slope, second

@@ -27,6 +27,7 @@ import torch
 from torch import Tensor, nn
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.learn.energy import (
     Drag,
@@ -172,6 +173,13 @@ class EnergyModel(FlowModel):
 
     def __init__(self, graph: Graph, statistics: Statistics, settings: EnergySettings) -> None:
         super().__init__(graph, statistics, settings)
+        if graph.scene.contacts:
+            msg = (
+                f"scene {graph.scene.name!r}: got {len(graph.scene.contacts)} contact spheres, "
+                "allowed are none: HGNN and LGNN hold smooth forces and two-sided constraints; "
+                "take hgnn+, lgnn+, gns or sgnn"
+            )
+            raise Unsupported(msg)
         self.mechanics = Mechanics(graph.scene)
         self.substeps, self.floor = settings.substeps, settings.floor
         self.energy = EnergyNetwork(self.mechanics, settings.shape)

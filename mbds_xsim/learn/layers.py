@@ -9,6 +9,8 @@ from typing import Any
 import torch
 from torch import nn
 
+_FAINT = 0.01
+
 
 def mlp(
     inputs: int,
@@ -31,3 +33,13 @@ def keep(module: nn.Module, **values: Any) -> None:
     """Keep arrays that follow a module's device but are no part of what it learned."""
     for name, value in values.items():
         module.register_buffer(name, torch.as_tensor(value), persistent=False)
+
+
+def silence(*networks: nn.Sequential) -> None:
+    """Have networks begin by giving next to nothing: learning starts where all else leads."""
+    for network in networks:
+        last = network[-1]
+        assert isinstance(last, nn.Linear)
+        with torch.no_grad():
+            last.weight.mul_(_FAINT)
+            last.bias.zero_()

@@ -111,8 +111,8 @@ def _saddle(
 class Mechanics(nn.Module):
     """Nodes, constraints, mass matrix and known forces of one scene.
 
-    Of one with contact there are none (Unsupported): these coordinates' equations are smooth. Nor
-    are there of one with springs, dampers or rotors in joints.
+    Of contact they know nothing. Of one with springs, dampers or rotors in joints there are none
+    (Unsupported).
     """
 
     fixed: Tensor
@@ -138,12 +138,6 @@ class Mechanics(nn.Module):
 
     def __init__(self, scene: Scene) -> None:
         super().__init__()
-        if scene.contacts:
-            msg = (
-                f"scene {scene.name!r}: got {len(scene.contacts)} contact spheres, allowed are "
-                "none: HGNN and LGNN hold smooth forces and two-sided constraints; take gns or sgnn"
-            )
-            raise Unsupported(msg)
         self.mechanism = Mechanism.of(scene)
         loaded = [joint.name for joint in self.mechanism.joints if joint.is_loaded]
         if loaded:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any, ClassVar, Literal, Self, final
@@ -125,12 +125,17 @@ class FlowModel(LearnedModel):
     def advance(self, state: Tensor, inputs: KnownInputs) -> Tensor:
         step = self.graph.frame_s / self.substeps
         for _ in range(self.substeps):
-            first = self.derivative(state, inputs)
-            second = self.derivative(state + 0.5 * step * first, inputs)
-            third = self.derivative(state + 0.5 * step * second, inputs)
-            fourth = self.derivative(state + step * third, inputs)
-            state = state + step / 6.0 * (first + 2.0 * (second + third) + fourth)
+            state = runge_kutta(lambda at: self.derivative(at, inputs), state, step)
         return state
+
+
+def runge_kutta(derivative: Callable[[Tensor], Tensor], state: Tensor, step: float) -> Tensor:
+    """Take a step [s] of the classical method of fourth order."""
+    first = derivative(state)
+    second = derivative(state + 0.5 * step * first)
+    third = derivative(state + 0.5 * step * second)
+    fourth = derivative(state + step * third)
+    return state + step / 6.0 * (first + 2.0 * (second + third) + fourth)
 
 
 def model_names() -> list[str]:

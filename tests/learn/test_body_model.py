@@ -6,18 +6,21 @@ import pytest
 import torch
 
 from mbds_xsim.learn.body_model import BodyModel
+from mbds_xsim.learn.impulse_models import ImpulseModel
 from mbds_xsim.learn.model import build, load_model, rollout, track_of
 from mbds_xsim.learn.particles import RigidPairs
 from mbds_xsim.learn.recipe import Profile
+from mbds_xsim.learn.rigid import Q
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.train import train
-from mbds_xsim.learn.window import Motions
+from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.testing.models import motions_of
 
 from .models import squared_error
 
-_MODELS = ["gns+", "sgnn+"]
+_KNOWN = ["gns+", "sgnn+"]  # whose smooth motion is known
+_MODELS = [*_KNOWN, "hgnn+", "lgnn+"]
 
 
 @pytest.fixture(params=_MODELS)
@@ -43,6 +46,7 @@ def test_predictions_keep_all_lengths_whatever_a_network_adds(name: str) -> None
     assert RigidPairs.of(motions.graph).gap(nodes).max() < 1e-6 * motions.graph.length
 
 
+@pytest.mark.parametrize("name", _KNOWN)
 def test_what_is_smooth_is_known_before_any_training(name: str) -> None:
     """Without a correction a whipping chain is 0.2 mm a metre off after ten frames, no more."""
     motions = motions_of(load_model(name), load_scene("3pendulum"))
@@ -54,7 +58,32 @@ def test_what_is_smooth_is_known_before_any_training(name: str) -> None:
     assert off < 2e-4 * motions.graph.length
 
 
+@pytest.mark.parametrize("scene", ["3pendulum", "simplecubli"])
+def test_bodies_are_found_in_their_nodes(scene: str) -> None:
+    """Poses and twists, whether a body is one rod that never spins or has three axes."""
+    motions = motions_of(load_model("lgnn+"), load_scene(scene))
+    model = _built("lgnn+", motions)
+    assert isinstance(model, ImpulseModel)
+    state = model.begin(motions.sample(torch.arange(len(motions)), HISTORY - 1, 1).start)
+    found = model.nodes.bodies(*model.nodes.placed(state), state, 0.0)
+    torch.testing.assert_close(found, state, rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("followed", [0.0, 0.02])
+def test_a_turn_is_found_whatever_of_it_the_spin_tells(followed: float) -> None:
+    motions = motions_of(load_model("hgnn+"), load_scene("balldrop"))
+    model = _built("hgnn+", motions)
+    assert isinstance(model, ImpulseModel)
+    state = model.begin(motions.sample(torch.arange(len(motions)), HISTORY - 1, 1).start)
+    turn = torch.tensor([0.0, 0.0, 0.0, 0.7, -0.9, 0.4], dtype=torch.float64)
+    turned = model.rigid.moved(state, turn.expand(len(state), 1, 6))
+    found = model.nodes.bodies(*model.nodes.placed(turned), state, followed)
+    same = (found[..., Q] * turned[..., Q]).sum(-1).abs()  # q and -q are one turn
+    torch.testing.assert_close(same, torch.ones_like(same), rtol=0.0, atol=1e-12)
+
+
 @pytest.mark.slow
+@pytest.mark.parametrize("name", [*_KNOWN, "lgnn+"])
 def test_impacts_are_learned_in_seconds(name: str) -> None:
     """A disc that is dropped: after its bounces, less than a tenth of what flight alone errs by."""
     scene = load_scene("balldrop")
@@ -64,7 +93,7 @@ def test_impacts_are_learned_in_seconds(name: str) -> None:
     validation = motions[:8]
     validation = Motions(**{**vars(validation), "split": "validation"})
     recipe = model.tracks[track_of(name)].recipe
-    train(model, motions, validation, recipe, Profile(300, 100, until_level=False))
+    train(model, motions, validation, recipe, Profile(150, 50, until_level=False))
     assert squared_error(model, motions)[:, -1].median() < 0.1 * before
 
 

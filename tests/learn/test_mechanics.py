@@ -13,7 +13,6 @@ from torch import Tensor
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.learn.energy_models import Hamiltonian, Lagrangian
 from mbds_xsim.learn.mechanics import Mechanics, constrained
 from mbds_xsim.reference import accelerations, solve
@@ -258,11 +257,6 @@ def test_a_lost_state_takes_no_other_along(name: str) -> None:
         moved = acceleration(kind(TrueEnergy(mechanics)), at, v, *no_inputs(mechanics, len(q)))
         assert moved[others].isfinite().all()
         assert moved[1].isnan().all() == (at is lost)
-
-
-def test_contact_is_refused() -> None:
-    with pytest.raises(Unsupported, match=r"balldrop.*contact.*gns or sgnn"):
-        Mechanics(load_scene("balldrop"))
 
 
 def test_the_gradient_of_constrained_accelerations_is_right() -> None:

@@ -305,7 +305,8 @@ def test_tensorboard_is_told_of_a_run_that_was_finished_before(ask: Ask, tmp_pat
         (["empty"], "empty holds no data set; name a folder that mbds-xsim generate has finished"),
         (
             ["DATA", "--models", "gsn"],
-            "is called 'gsn'; did you mean 'gns'? There are: gns, gns+, hgnn, lgnn, sgnn, sgnn+",
+            "is called 'gsn'; did you mean 'gns'? There are: gns, gns+, hgnn, hgnn+, lgnn, lgnn+, "
+            "sgnn, sgnn+",
         ),
         (["DATA", "--models", "hold"], "no model to train is called 'hold'"),
         (["DATA", "--on", "bullet"], "--on: got 'bullet', allowed for 2pendulum/native is each,"),

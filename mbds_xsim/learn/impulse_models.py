@@ -1,0 +1,176 @@
+"""HGNN and LGNN with contact: a learned energy moves bodies, and impulses at contacts are learned.
+
+After Zhong, Dey and Chakraborty, "Extending Lagrangian and Hamiltonian neural networks with
+differentiable contact models", NeurIPS 2021: smooth motion follows from an energy between impacts,
+which change velocities at once. Theirs solve a convex problem for impulses, friction and
+restitution being learned; here a network gives them, from what `BodyViewer` shows of the contacts,
+so that soft contact that lasts for longer can be learned, too. Without contact spheres all is
+learned energy, as in `energy_models`, from poses and twists of bodies rather than from particles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import msgspec
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from mbds_xsim.learn import turning
+from mbds_xsim.learn.body_model import ADDED, BodyModel
+from mbds_xsim.learn.body_view import BodyView, BodyViewer
+from mbds_xsim.learn.energy import Drag, EnergyNetwork, EnergyShape
+from mbds_xsim.learn.energy_models import Hamiltonian, Lagrangian, NodeDynamics
+from mbds_xsim.learn.graph import DIMENSION, Graph
+from mbds_xsim.learn.layers import keep, mlp, silence
+from mbds_xsim.learn.mechanics import Mechanics
+from mbds_xsim.learn.model import runge_kutta
+from mbds_xsim.learn.recipe import Cosine, Recipe
+from mbds_xsim.learn.rigid import TWIST, JointHold, Q, V, W, X
+from mbds_xsim.learn.statistics import Statistics
+from mbds_xsim.learn.window import KnownInputs
+
+
+class ImpulseSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Hyper-parameters of energies with impulses."""
+
+    shape: EnergyShape = EnergyShape(width=16, bend=0.01)
+    width: int = 64
+    """Of the contacts' networks."""
+    layers: int = 3
+    """Linear layers of each of them."""
+    substeps: int = 1
+    """Runge-Kutta steps in a frame."""
+    recipe: Recipe = Recipe(rate=3e-3, batch=128, schedule=Cosine(), clip=1.0, skip=True)
+
+
+class ImpulseModel(BodyModel):
+    """Motion that follows from a learned energy, but for learned impulses at contacts."""
+
+    kind: ClassVar[type[NodeDynamics]]
+    tracks: ClassVar[Mapping[str, ImpulseSettings]] = {"native+": ImpulseSettings()}
+    exact: ClassVar[frozenset[str]] = BodyModel.exact | {"nodes", "dynamics"}
+
+    def __init__(self, graph: Graph, statistics: Statistics, settings: ImpulseSettings) -> None:
+        super().__init__(graph, statistics, settings)
+        self.substeps = settings.substeps
+        mechanics = Mechanics(graph.scene)
+        energy = EnergyNetwork(mechanics, settings.shape)
+        self.dynamics = self.kind(energy, Drag(energy, settings.shape))
+        self.nodes = BodyNodes(mechanics)
+        seen = DIMENSION * BodyViewer.CONTACT + BodyViewer.CONTACT_SCALARS
+        width, layers = settings.width, settings.layers
+        self.of_contact = mlp(seen, width, hidden=width, layers=layers)
+        self.to_contact = mlp(3 * width, DIMENSION * ADDED, hidden=width, layers=layers)
+        silence(self.to_contact)
+
+    def smooth(self, state: Tensor, inputs: KnownInputs) -> tuple[list[Tensor], JointHold | None]:
+        step, states = self.graph.frame_s / self.substeps, [state]
+        q, v = self.nodes.placed(state)
+        moving = torch.stack([q, self.dynamics.conjugate(v)], dim=1)
+
+        def rate(at: Tensor) -> Tensor:
+            q, x = at.unbind(1)
+            rates = self.dynamics.derivative(q, x, inputs.force, inputs.torque)
+            return torch.stack(rates, dim=1)
+
+        for _ in range(self.substeps):
+            moving = runge_kutta(rate, moving, step)
+            q, v = moving[:, 0], self.dynamics.velocity(moving[:, 1])
+            after = self.nodes.bodies(q, v, states[-1], step)
+            twist = after[..., TWIST] * self.rigid.moves
+            states.append(torch.cat([after[..., :7], twist], dim=-1))
+        return states, self.rigid.hold(states[-1].detach())
+
+    def corrections(self, view: BodyView) -> tuple[Tensor, Tensor]:
+        carrier, bodies = self.viewer.sphere_body, view.bodies.vectors
+        given = torch.cat([view.contacts.vectors.flatten(2), view.contacts.scalars], dim=-1)
+        contacts = self.of_contact(given)
+        own = contacts.new_zeros(*bodies.shape[:2], contacts.shape[-1])
+        own = own.index_add(1, carrier, contacts)[:, carrier]
+        whole = contacts.sum(1, keepdim=True).expand_as(contacts)
+        pushes = self.to_contact(torch.cat([contacts, own, whole], dim=-1))
+        nothing = bodies.new_zeros(*bodies.shape[:2], ADDED, 2, DIMENSION)
+        return nothing, pushes.unflatten(-1, (ADDED, DIMENSION))
+
+
+class BodyNodes(nn.Module):
+    """Bodies as the nodes of `mechanics_points`, and back."""
+
+    carrier: Tensor
+    carried: Tensor
+    com: Tensor
+    tip: Tensor
+    """Node of each tip, or a fixed one behind them, shape (tip,)."""
+    body: Tensor
+    """Whose tip it is, shape (tip,)."""
+    direction: Tensor
+    """To it in the native frame, of length 1, shape (tip, 3)."""
+    distance: Tensor
+    """Of it from the centre of mass [m], shape (tip, 1)."""
+    share: Tensor
+    """Of a body's tips in its spin, shape (tip, 1): each sees two of three axes."""
+
+    def __init__(self, mechanics: Mechanics) -> None:
+        super().__init__()
+        self.mechanics, bodies = mechanics, mechanics.points.bodies
+        carrier, carried = mechanics.points.carrier
+        count = np.array([len(body.tips) for body in bodies])
+        keep(
+            self,
+            carrier=carrier,
+            carried=carried,
+            com=np.array([body.com for body in bodies]),
+            tip=np.concatenate([body.tips for body in bodies]),
+            body=np.repeat(np.arange(len(bodies)), count),
+            direction=np.concatenate([body.directions for body in bodies]),
+            distance=np.concatenate([body.distances for body in bodies])[:, None],
+            share=(2.0 / (1.0 + np.repeat(count, count)))[:, None],
+        )
+
+    def placed(self, state: Tensor) -> tuple[Tensor, Tensor]:
+        """Nodes and their velocities, on the constraints, each (batch, node, 3)."""
+        own = state[:, self.carrier]
+        arm = turning.rotate(own[..., Q], self.carried)
+        moving = own[..., V] + torch.linalg.cross(own[..., W], arm)
+        return self.mechanics.project(own[..., X] + arm, moving)
+
+    def bodies(self, q: Tensor, v: Tensor, before: Tensor, step: float) -> Tensor:
+        """States of the bodies with these nodes and velocities, shape (batch, body, 13).
+
+        So long [s] after states `before`, whose spin is followed first: what is left is a small
+        turn, the least one where a body has one tip alone.
+        """
+        x, v = self.mechanics.all_nodes(q), nn.functional.pad(v, (0, 0, 0, self._fixed))
+        turned = turning.multiply(turning.from_vector(step * before[..., W]), before[..., Q])
+        expected = turning.rotate(turned[:, self.body], self.direction)
+        arm = (x[:, self.tip] - x[:, self.com][:, self.body]) / self.distance
+        rate = (v[:, self.tip] - v[:, self.com][:, self.body]) / self.distance
+        scalar = self._summed((expected * arm).sum(-1, keepdim=True)) + 1.0
+        turn = torch.cat([scalar, self._summed(torch.linalg.cross(expected, arm))], dim=-1)
+        turned = turning.multiply(turn / turn.norm(dim=-1, keepdim=True), turned)
+        spin = self._summed(self.share * torch.linalg.cross(arm, rate))
+        return torch.cat([x[:, self.com], turned, v[:, self.com], spin], dim=-1)
+
+    @property
+    def _fixed(self) -> int:
+        return self.mechanics.points.count - self.mechanics.points.free
+
+    def _summed(self, values: Tensor) -> Tensor:
+        """Sum over each body's tips."""
+        whole = values.new_zeros(len(values), len(self.com), values.shape[-1])
+        return whole.index_add(1, self.body, values)
+
+
+class ImpulseHGNN(ImpulseModel):
+    """A learned Hamiltonian, and learned impulses."""
+
+    kind: ClassVar[type[NodeDynamics]] = Hamiltonian
+
+
+class ImpulseLGNN(ImpulseModel):
+    """A learned Lagrangian, and learned impulses."""
+
+    kind: ClassVar[type[NodeDynamics]] = Lagrangian
