@@ -23,14 +23,21 @@ class JointRows(nn.Module):
     first: Tensor
     second: Tensor
     length: Tensor
-    parent: Tensor
-    child: Tensor
-    each: Tensor
+    ends: Tensor
+    """Bodies of the parents' ends of the rows, then of the children's, shape (2 · row,)."""
+    pairs: Tensor
+    """Ends at one and the same body, the world apart, shape (2, pair)."""
+    place: Tensor
+    """Where the product of such a pair is in a flat matrix (row, row), shape (pair,)."""
     axes: Tensor
 
     def __init__(self, mechanism: Mechanism) -> None:
         super().__init__()
         self.layout = layout = layout_of(mechanism)
+        self.body_count = mechanism.body_count
+        ends = torch.from_numpy(layout.row_body % (mechanism.body_count + 1)).flatten()
+        moves = ends < mechanism.body_count
+        first, second = torch.nonzero((ends[:, None] == ends) & moves[:, None], as_tuple=True)
         keep(
             self,
             vector_body=layout.vector_body,
@@ -38,9 +45,9 @@ class JointRows(nn.Module):
             first=layout.span_body[0],
             second=layout.span_body[1],
             length=layout.length,
-            parent=layout.row_body[0],
-            child=layout.row_body[1],
-            each=torch.arange(layout.row_count),
+            ends=ends,
+            pairs=torch.stack([first, second]),
+            place=layout.row_count * (first % layout.row_count) + second % layout.row_count,
             axes=torch.eye(3).double().repeat(layout.points.stop, 1),
         )
 
@@ -61,8 +68,11 @@ class JointRows(nn.Module):
         """
         return self._spans(x, turn)[2]
 
-    def jacobian(self, x: Tensor, turn: Tensor) -> Tensor:
-        """Derivatives of the rows by the bodies' twists, shape (batch, row, body, 6)."""
+    def halves(self, x: Tensor, turn: Tensor) -> Tensor:
+        """Derivatives of the rows by the twists of the bodies at their ends (`ends`).
+
+        Shape (batch, 2 · row, 6): by the parents' first, then by the children's.
+        """
         carried, span, _ = self._spans(x, turn)
         layout, count = self.layout, len(self.first)
         points, along, links = layout.points, layout.along, layout.distances
@@ -77,15 +87,11 @@ class JointRows(nn.Module):
         lever = torch.linalg.cross(carried[:, layout.lever], carried[:, layout.normal])
         move = torch.cat([*directions[:2], torch.zeros_like(lever), directions[2]], dim=1)
         halves = []
-        for arms in (parents, children):
+        for arms, sign in ((parents, -1.0), (children, 1.0)):
             swing = [torch.linalg.cross(*pair) for pair in zip(arms, directions, strict=True)]
-            halves.append(
-                torch.cat([move, torch.cat([*swing[:2], lever, swing[2]], dim=1)], dim=-1)
-            )
-        jacobian = x.new_zeros(len(x), len(self), x.shape[1], 6)
-        jacobian[:, self.each, self.parent] = -halves[0]
-        jacobian[:, self.each, self.child] = halves[1]
-        return jacobian[:, :, :-1]
+            spin = torch.cat([*swing[:2], lever, swing[2]], dim=1)
+            halves.append(sign * torch.cat([move, spin], dim=-1))
+        return torch.cat(halves, dim=1)
 
     def _spans(self, x: Tensor, turn: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """What is fixed in bodies, spans from parents to children, and residuals."""

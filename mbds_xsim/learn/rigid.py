@@ -32,24 +32,32 @@ _REST = 1e-10  # of a row's own size: rows that follow from others have a factor
 
 @dataclass(frozen=True, eq=False)
 class JointHold:
-    """Joints at one pose: what they leave of a change of twists or of a displacement."""
+    """Joints at one pose: what they leave of a change of twists or of a displacement.
 
+    Rows touch two bodies each, so matrices are kept by ends of rows (`JointRows.halves`).
+    """
+
+    rows: JointRows
     jacobian: Tensor
-    """By twists, shape (batch, row, 6 · body)."""
+    """J, by the twist at each end, shape (batch, 2 · row, 6)."""
     over_mass: Tensor
-    """M⁻¹ Jᵀ, shape (batch, 6 · body, row)."""
+    """J M⁻¹, of the same shape."""
     factor: Tensor
     """Of J M⁻¹ Jᵀ."""
 
     def least(self, goal: Tensor) -> Tensor:
         """Mass-weighted least change c with J c = goal, shape (batch, body, 6)."""
         multiplier = torch.cholesky_solve(goal[..., None], self.factor)
-        return (self.over_mass @ multiplier).reshape(len(goal), -1, 6)
+        pull = self.over_mass * multiplier.repeat(1, 2, 1)
+        world = self.rows.body_count
+        whole = pull.new_zeros(len(pull), world + 1, 6).index_add(1, self.rows.ends, pull)
+        return whole[:, :world]
 
     def kept(self, change: Tensor) -> Tensor:
         """What the joints let through of changes (batch, body, 6)."""
-        along = (self.jacobian @ change.flatten(1)[..., None])[..., 0]
-        return change - self.least(along)
+        whole = nn.functional.pad(change, (0, 0, 0, 1))  # the world does not change
+        along = (self.jacobian * whole.index_select(1, self.rows.ends)).sum(-1)
+        return change - self.least(along[:, : len(self.rows)] + along[:, len(self.rows) :])
 
 
 class BodyMechanics(nn.Module):
@@ -121,16 +129,21 @@ class BodyMechanics(nn.Module):
         """Give the joints at a pose; None without any."""
         if not len(self.rows):
             return None
-        jacobian = self.rows.jacobian(*self._placed(state))
-        linear = jacobian[..., :3] / self.mass
-        turned = jacobian[..., None, 3:] @ self._turned(self.lightness, state[..., Q])[:, None]
-        over_mass = torch.cat([linear, turned[..., 0, :]], dim=-1).flatten(2).mT
-        jacobian = jacobian.flatten(2)
-        matrix = jacobian @ over_mass
+        rows, count = self.rows, len(self.rows)
+        jacobian = rows.halves(*self._placed(state))
+        # What the world weighs does not matter: none of its ends is in a pair, or kept of `least`.
+        ends = rows.ends.clamp(max=rows.body_count - 1)
+        spin = self._turned(self.lightness, state[..., Q]).index_select(1, ends)
+        turned = (jacobian[..., None, 3:] @ spin)[..., 0, :]
+        over_mass = torch.cat([jacobian[..., :3] / self.mass[ends], turned], dim=-1)
+        first, second = rows.pairs
+        product = jacobian.index_select(1, first) * over_mass.index_select(1, second)
+        matrix = jacobian.new_zeros(len(state), count * count)
+        matrix = matrix.index_add(1, rows.place, product.sum(-1)).view(-1, count, count)
         matrix = matrix + torch.diag_embed(_REST * matrix.diagonal(dim1=-2, dim2=-1))
         factor, failed = torch.linalg.cholesky_ex(matrix)
         factor = torch.where((failed > 0)[:, None, None], torch.nan, factor)
-        return JointHold(jacobian, over_mass, factor)
+        return JointHold(rows, jacobian, over_mass, factor)
 
     def residual(self, state: Tensor) -> Tensor:
         """How far joints are open [m or rad], shape (batch, row)."""

@@ -86,9 +86,9 @@ def engine_style(engine: str, others: Iterable[str] = (), *, dashed: bool = Fals
 
 
 def model_style(model: str, *, dashed: bool = False) -> Style:
-    """Give a learned model its colour."""
-    known = list(MODELS)
-    place = known.index(model) if model in MODELS else len(MODELS)
+    """Give a learned model its colour, and a variant of it with a plus the same."""
+    known, kin = list(MODELS), model.removesuffix("+")
+    place = known.index(kin) if kin in MODELS else len(MODELS)
     return Style(len(ENGINES) + place, dashed, model[:1].upper())
 
 
