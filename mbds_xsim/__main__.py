@@ -25,6 +25,7 @@ def main() -> None:
     for number in ends:
         signal.signal(number, _end_at_once)
     os.environ.pop("MPLBACKEND", None)  # pictures go into files, and a name of none ends the import
+    os.environ.setdefault("MUJOCO_GL", "disable")  # a toolkit for windows takes as long as MuJoCo
     import_module("mbds_xsim.commands")
     for number in ends:
         signal.signal(number, signal.default_int_handler)

@@ -200,7 +200,8 @@ class _Starter:
         modules = {str(getattr(task.function, "__module__", "")) for task in tasks}
         own = sorted(name for name in modules if name.startswith("mbds_xsim."))
         threads = {key: "1" for key in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
-        windows = {"MUJOCO_GL": "disable"}  # a toolkit for windows takes as long as MuJoCo itself
+        # A toolkit for windows takes as long as MuJoCo itself; numba colours what it throws away.
+        plain = {"MUJOCO_GL": "disable", "NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING": "1"}
         first = {} if packages is None else {"PYTHONPATH": _before(packages)}
         # Arrays of megabytes come and go; memory that the system gives anew each time costs more
         # than what most checks do with it.
@@ -212,7 +213,7 @@ class _Starter:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=log,
-                env={"GLIBC_TUNABLES": memory} | windows | os.environ | threads | first,
+                env={"GLIBC_TUNABLES": memory} | plain | os.environ | threads | first,
                 cwd=folder,  # engines drop log files where they stand
                 bufsize=0,
             )

@@ -8,8 +8,10 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.checks import Finding, Record, agreement, audit, audited
+from mbds_xsim.checks import Finding, Record, agreement, audited
+from mbds_xsim.checks.conservation import energy_balance
 from mbds_xsim.checks.eccentric import impact_coefficients
+from mbds_xsim.checks.integrity import gap
 from mbds_xsim.measure.outcome import Outcome, ReferenceOutcome
 from mbds_xsim.measure.refinement import convergence
 from mbds_xsim.measure.result import EngineResult, FindingResult, ReferenceResult
@@ -82,8 +84,9 @@ def _together(record: Record) -> list[Finding]:
 
 
 def reference_result(scene: Scene, batch: Batch, reference: ReferenceOutcome) -> ReferenceResult:
-    """Hold the reference to the checks that judge the engines."""
-    findings = {finding.check: finding for finding in audit(scene, batch, reference.trajectory)}
+    """Hold the reference to those of the checks that judge the engines whose figures are told."""
+    record = Record(scene, batch, reference.trajectory)
+    findings = {found.check: found for found in audited(record, (gap, energy_balance))}
     return ReferenceResult(
         rtol=reference.rtol,
         constraint_gap_m=_worst_of(findings, "gap") or 0.0,

@@ -63,12 +63,23 @@ _PASSES = (
 class _Entered(CompilerBase):
     """Compiles what Python calls."""
 
+    def __init__(self, typingctx: Any, targetctx: Any, *others: Any) -> None:
+        super().__init__(typingctx, targetctx, *others)
+        # They look for news some 3000 times, and would import all that numba has each time.
+        for context in (typingctx, targetctx):
+            context.load_additional_registries = functools.partial(_take_in_news, context)
+
     def define_pipelines(self) -> list[PassManager]:
         manager = PassManager("kernel")
         for each in _PASSES:
             manager.add_pass(each, each._name)
         manager.finalize()
         return [manager]
+
+
+def _take_in_news(context: Any) -> None:
+    for registry in tuple(context._registries):
+        context.install_registry(registry)
 
 
 class _Called(_Entered):
