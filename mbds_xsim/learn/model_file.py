@@ -33,7 +33,8 @@ from mbds_xsim.scene.scene import Scene
 
 _FORMAT = "mbds-xsim model 1"
 _LARGEST = 10_000
-"""Of all whole numbers in settings: layers, widths, passes, steps in a frame."""
+"""Of all whole numbers in settings: layers, widths, passes, steps in a frame; but of the recipe's,
+which decide on a training and not on a model."""
 
 
 def save_model(
@@ -108,7 +109,7 @@ def _settings(kind: type[LearnedModel], whole: _Whole) -> Any:
 
 def _check_sizes(settings: Any) -> None:
     for key, value in settings.items():
-        if isinstance(value, dict):
+        if isinstance(value, dict) and key != "recipe":
             _check_sizes(value)
         elif isinstance(value, int) and not 0 <= value <= _LARGEST:
             msg = f"{key}: got {value}, allowed is at most {_LARGEST}"

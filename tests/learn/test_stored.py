@@ -14,9 +14,13 @@ import pytest
 import torch
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.learn.model_file import read_facts, read_model
+from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.model import build, load_model, trainable
+from mbds_xsim.learn.model_file import read_facts, read_model, save_model
+from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.train import read_identity
 from mbds_xsim.learn.trained import trained_in
+from mbds_xsim.simulate.registry import load_scene
 from tests.learn.hostile import FACTS, called, model_file, rewrite, with_pickle
 
 Change = Callable[[dict[str, Any]], None]
@@ -165,3 +169,16 @@ def test_what_a_sound_file_holds_does_not_hang_on_it(tmp_path: Path) -> None:
     assert facts == FACTS
     for name, value in model.state_dict().items():
         assert torch.equal(value, whole["parameters"][name])
+
+
+@pytest.mark.parametrize(
+    ("name", "track"),
+    [(name, track) for name in trainable() for track in load_model(name).tracks],
+)
+def test_a_model_of_any_track_is_read_back(name: str, track: str, tmp_path: Path) -> None:
+    """Whatever its recipe is: the decay of GNS's rate is over millions of steps."""
+    settings, statistics = load_model(name).tracks[track], Statistics.of_nothing()
+    graph, path = Graph.of(load_scene("3pendulum")), tmp_path / "model.pt"
+    save_model(path, build(name, graph, statistics, track=track), name, settings, statistics)
+    read, _ = read_model(path)
+    assert isinstance(read, load_model(name))

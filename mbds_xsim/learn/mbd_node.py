@@ -1,0 +1,110 @@
+"""MBD-NODE: a network gives the accelerations of a mechanism's independent motions.
+
+Wang, Wang, Unjhawala, Wu and Negrut, "MBD-NODE: Physics-informed data-driven modeling and
+simulation of constrained multibody systems", Nonlinear Dynamics, 2024 (arXiv 2407.08664): one fully
+connected network sees the whole state and the inputs, its accelerations are integrated by
+Runge-Kutta's classical method, and constraints are kept by letting it move independent coordinates
+alone. Here these are each body's motions on the joint of the tree that carries it (`Links`); what a
+closed loop forbids of them is taken away once a frame, by the least mass-weighted change.
+
+It is told no mass and no law, and knows nothing of contact but the state: a floor must be learned
+as a stiff force. It learns from one frame at a time, as all models here do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import msgspec
+import torch
+from torch import Tensor, nn
+
+from mbds_xsim.learn import turning
+from mbds_xsim.learn.body_model import ADDED, BodyModel
+from mbds_xsim.learn.body_view import BodyView
+from mbds_xsim.learn.graph import DIMENSION, Graph
+from mbds_xsim.learn.layers import mlp, silence
+from mbds_xsim.learn.model import runge_kutta
+from mbds_xsim.learn.recipe import Cosine, Recipe
+from mbds_xsim.learn.rigid import TWIST, JointHold, Q, V, W, X
+from mbds_xsim.learn.statistics import Statistics
+from mbds_xsim.learn.window import KnownInputs
+
+_SEEN = 18  # numbers of a body: place, frame, velocity and spin
+
+
+class NodeSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Hyper-parameters of MBD-NODE."""
+
+    width: int = 256
+    layers: int = 3
+    """Linear layers, tanh between them."""
+    substeps: int = 1
+    """Runge-Kutta steps in a frame."""
+    recipe: Recipe = Recipe(rate=1e-3, batch=128, schedule=Cosine(), clip=1.0, skip=True)
+
+
+class MbdNode(BodyModel):
+    """Accelerations of bodies on their joints from the whole state, by one network."""
+
+    tracks: ClassVar[Mapping[str, NodeSettings]] = {"paper": NodeSettings()}
+
+    def __init__(self, graph: Graph, statistics: Statistics, settings: NodeSettings) -> None:
+        super().__init__(graph, statistics, settings)
+        self.substeps = settings.substeps
+        hinges, bodies = len(graph.mechanism.hinges), graph.body_count
+        self.network = mlp(
+            bodies * (_SEEN + DIMENSION) + hinges,
+            bodies * 2 * DIMENSION,
+            hidden=settings.width,
+            layers=settings.layers,
+            activation=nn.Tanh,
+        )
+        silence(self.network)
+
+    def smooth(self, state: Tensor, inputs: KnownInputs) -> tuple[list[Tensor], JointHold | None]:
+        states = [state]
+        for _ in range(self.substeps):
+            after = runge_kutta(
+                lambda at: self.rate(at, inputs), states[-1], self.graph.frame_s / self.substeps
+            )
+            turned = after[..., Q] / after[..., Q].norm(dim=-1, keepdim=True)
+            states.append(torch.cat([after[..., X], turned, after[..., TWIST]], dim=-1))
+        hold = self.rigid.hold(states[-1].detach())
+        if hold is not None:
+            states[-1] = torch.cat([states[-1][..., :7], hold.kept(states[-1][..., TWIST])], dim=-1)
+        return states, hold
+
+    def rate(self, state: Tensor, inputs: KnownInputs) -> Tensor:
+        """Time derivative of states (batch, body, 13), under inputs over the frame."""
+        shift, turn = (
+            self.network(self._seen(state, inputs).float())
+            .to(state)
+            .unflatten(-1, (-1, 2, DIMENSION))
+            .unbind(-2)
+        )
+        change = self.viewer.change / self.graph.frame_s
+        gain = change * self.viewer.links(state, shift, turn / self.viewer.radius)
+        spin = torch.cat([torch.zeros_like(state[..., :1]), 0.5 * state[..., W]], dim=-1)
+        turning_rate = turning.multiply(spin, state[..., Q])
+        return torch.cat([state[..., V], turning_rate, gain * self.rigid.moves], dim=-1)
+
+    def _seen(self, state: Tensor, inputs: KnownInputs) -> Tensor:
+        view, unit = self.viewer, self.viewer.change / self.graph.frame_s
+        bodies = [
+            state[..., X] / self.graph.length,
+            turning.matrix(state[..., Q]).flatten(-2),
+            state[..., V] / view.speed,
+            state[..., W] * view.radius / view.speed,
+            inputs.force / (unit * self.rigid.mass),
+        ]
+        torque = inputs.torque / (unit * self.rigid.mass.mean() * view.radius.mean())
+        return torch.cat([torch.cat(bodies, dim=-1).flatten(1), torque], dim=-1)
+
+    def corrections(self, view: BodyView) -> tuple[Tensor, Tensor]:
+        bodies, contacts = view.bodies.vectors, view.contacts.vectors
+        return (
+            bodies.new_zeros(*bodies.shape[:2], ADDED, 2, DIMENSION),
+            contacts.new_zeros(*contacts.shape[:2], ADDED, DIMENSION),
+        )
