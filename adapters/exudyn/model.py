@@ -31,14 +31,14 @@ from exudyn.utilities import RigidBodyInertia, TreeLink
 container = exu.SystemContainer()
 mbs = container.AddSystem()
 ground = mbs.CreateGround()
-bodies, joints, frames, springs, laws, brakes = [], [], [], [], [], []
+bodies, joints, frames, centres, springs, laws, brakes = [], [], [], [], [], [], []
 drives, couplings, rotors, forces, torques = [], [], [], [], []"""
 _CALLS = {
     "fixed": "CreateGenericJoint",
     "hinge": "CreateRevoluteJoint",
     "slider": "CreatePrismaticJoint",
-    "ball": "CreateSphericalJoint",
 }
+_CENTRED = 1e-14  # of the scene's length: what is so near to a centre of mass is there
 _AXIS_COLUMN = {"JointRevoluteZ": 2, "JointPrismaticX": 0}
 # Exudyn keeps the inertia tensor as xx, yy, zz, yz, xz, xy.
 _VOIGT = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
@@ -62,7 +62,7 @@ class Formulation(ABC):
     """A mechanism in Exudyn's terms.
 
     `names` are those that the listing leaves behind, among them `mbs` and, body by body, `frames`:
-    markers at the centres of mass, parallel to the native frames.
+    markers at the centres of mass, parallel to the native frames; `centres` are as good for forces.
     """
 
     def __init__(self, mechanism: Mechanism, step: float) -> None:
@@ -84,7 +84,7 @@ class Formulation(ABC):
 
     @abstractmethod
     def bodies(self) -> Iterator[str]:
-        """Lines that make bodies, joints, distance links and `frames`."""
+        """Lines that make bodies, joints, distance links, `frames` and `centres`."""
 
     @abstractmethod
     def ends(self, pair: PointPair) -> str:
@@ -139,7 +139,9 @@ class RigidBodies(Formulation):
         for k in range(mechanism.body_count):
             yield from _body(mechanism, k)
         for joint in mechanism.joints:
-            yield from _joint(joint)
+            yield f"# {joint.name!r}"
+            ball = joint.kind == "ball"
+            yield _ball(joint, nil=_CENTRED * mechanism.scene.length) if ball else _joint(joint)
         for link in mechanism.distances:
             yield f"mbs.CreateDistanceConstraint({self.ends(link)}, distance={link.length!r})"
         for joint in mechanism.compliant:
@@ -246,16 +248,30 @@ def _body(mechanism: Mechanism, k: int) -> Iterator[str]:
         "nodeType=exu.NodeType.RotationRotationVector))"
     )
     yield f"frames.append(mbs.AddMarker(items.MarkerBodyRigid(bodyNumber=bodies[{k}])))"
+    node = f"mbs.GetObject(bodies[{k}])['nodeNumber']"
+    yield f"centres.append(mbs.AddMarker(items.MarkerNodePosition(nodeNumber={node})))"
 
 
-def _joint(joint: PlacedJoint) -> Iterator[str]:
+def _joint(joint: PlacedJoint) -> str:
     axis = f", axis={joint.axis.tolist()!r}" if joint.axis.any() else ""
-    yield f"# {joint.name!r}"
-    yield (
+    return (
         f"joints.append(mbs.{_CALLS[joint.kind]}("
         f"itemNumbers=[{_item(joint.parent)}, {_item(joint.child)}], "
         f"position={joint.anchor.tolist()!r}{axis}))"
     )
+
+
+def _ball(joint: PlacedJoint, nil: float) -> str:
+    """Write a joint of two points; one at a centre of mass takes no rotation matrix to compute."""
+    ends = ((joint.parent, joint.in_parent), (joint.child, joint.in_child))
+    markers = ", ".join(
+        f"centres[{body}]"
+        if body != WORLD_INDEX and np.abs(point).max() < nil
+        else f"mbs.AddMarker(items.MarkerBodyPosition(bodyNumber={_item(body)}, "
+        f"localPosition={point.tolist()!r}))"
+        for body, point in ends
+    )
+    return f"joints.append(mbs.AddObject(items.ObjectJointSpherical(markerNumbers=[{markers}])))"
 
 
 def _turning_law(joint: PlacedJoint) -> str:
@@ -312,7 +328,7 @@ def _parted(values: Array) -> tuple[Array, Array]:
 def loads_listing(mechanism: Mechanism) -> Iterator[str]:
     """Lines that make `forces`, one a body, and `torques`, pairs (child, parent) of a hinge."""
     for k in range(mechanism.body_count):
-        yield f"forces.append(mbs.CreateForce(itemNumber=frames[{k}]))"
+        yield f"forces.append(mbs.CreateForce(itemNumber=centres[{k}]))"
     for joint in mechanism.hinges:
         # The axis is fixed in both bodies, so loads in their frames turn with it.
         pair = ", ".join(

@@ -47,6 +47,7 @@ class KinematicTree(Formulation):
             )
         for k in range(mechanism.body_count):
             yield f"frames.append({self.marker(k, np.zeros(3))})"
+        yield "centres = frames"
 
     def _link(self, link: Link) -> Iterator[str]:
         mechanism, joint = self.mechanism, _joint(link)

@@ -270,3 +270,16 @@ def test_a_joint_leaves_its_stop_where_another_meets_one(method: str) -> None:
     exact = reference.solve(scene, draw_batch(scene, [0]))
     assert np.ptp(exact.position[0, :6, 0, 2]) > 5e-3  # it is thrown off
     np.testing.assert_allclose(motion.position, exact.position, atol=1e-4)
+
+
+def test_a_joint_at_a_centre_of_mass_is_that_of_any_point(monkeypatch: pytest.MonkeyPatch) -> None:
+    """There the engine is given the body's node, whose place takes no rotation to compute."""
+    scene = load_scene("2ladder")
+    scene = msgspec.structs.replace(scene, clock=CLOCK)
+    by_nodes = roll(scene, "generalised-alpha", 4)
+    monkeypatch.setattr("mbds_xsim_adapters.exudyn.model._CENTRED", 0.0)
+
+    by_points = roll(scene, "generalised-alpha", 4)
+
+    assert np.abs(by_nodes.position - by_points.position).max() < 1e-12
+    assert np.abs(by_nodes.orientation - by_points.orientation).max() < 1e-12
