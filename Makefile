@@ -197,13 +197,14 @@ shift-6pendulum-matched: shift-%-matched: $(VENV)/ready
 # as they are and matched; three of them at one step without damping; and alone another step, and no damping.
 FACTORS ?= out/factors
 FACTORED = equal coarse undamped
+NETWORKS ?= gns+,hgnn+,lgnn+,sgnn+
 $(factor-targets): STEPS = 200
 shift-balldrop-factors: STEPS = 500
 $(factor-targets): shift-%-factors: $(VENV)/ready
 	$(BIN)/mbds-xsim generate $* --trajectories 300 --out $(FACTORS) \
 		--settings $(subst $() ,$(comma),$(FACTORED:%=benchmarks/factors/%.toml))$(comma)native$(comma)matched \
 		--engines mujoco,pybullet,dart,exudyn || [ $$? -eq 1 ]
-	$(BIN)/mbds-xsim train $(FACTORS)/$* --track native+ --steps $(STEPS) \
+	$(BIN)/mbds-xsim train $(FACTORS)/$* --track native+ --models $(NETWORKS) --steps $(STEPS) \
 		--out $(FACTORS)/models --png $(REPORTS)/shift/$*-factors-curves.png
 	$(BIN)/mbds-xsim shift $(FACTORS)/models $(FACTORS) --scene $* $(call told,shift/$*-factors)
 

@@ -282,9 +282,7 @@ def test_answers_and_tables_are_given_at_the_frame_asked_for(folder: Path, shift
     assert "At t = 1 on native data" in early.answers[0].answer
     assert early.gaps == shift.gaps
     titles = [next(tables(found)).title for found in (shift, early)]
-    assert titles == [
-        f"What a change of engine or settings costs at t = {frame}" for frame in (10, 1)
-    ]
+    assert titles == [f"Which model survives which change at t = {frame}" for frame in (10, 1)]
     with pytest.raises(InputError, match=r"--at: got 15, allowed is 1, 10$"):
         shift_of(folder, at=15)
 

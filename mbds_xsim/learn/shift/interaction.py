@@ -38,7 +38,8 @@ FALSE = 0.05
 """Share of the resolved that may be chance."""
 _ROUNDING = 1e-9  # of a logarithm
 _SEVERAL = 2  # changes that are put side by side
-_OTHER = {"engine": "another engine", "settings": "other settings"}
+OTHER = {"engine": "another engine", "settings": "other settings"}
+"""Words for changes."""
 
 
 def interactions_of(draws: Draws) -> tuple[Interaction, ...]:
@@ -117,7 +118,7 @@ def answers_of_interactions(
 
     `since` are words for where frames are counted from, if not from the last known one.
     """
-    for (change, where), own in _by_change(found).items():
+    for (change, where), own in by_change(found).items():
         models = dict.fromkeys(each.model for each in own)
         parts = [_told([e for e in own if e.model == model], model, place) for model in models]
         question = f"What does a change of {change} cost {where}{since}?"
@@ -128,7 +129,7 @@ def answer_of_factors(
     found: Sequence[Interaction], place: int, frame: int, since: str = ""
 ) -> Iterator[Answer]:
     """Put the costs of all changes side by side in one sentence, where there are several."""
-    changes = _by_change(found)
+    changes = by_change(found)
     if len(changes) < _SEVERAL:
         return
     parts = [_side_by_side(found, model, place) for model in dict.fromkeys(e.model for e in found)]
@@ -139,9 +140,9 @@ def answer_of_factors(
 def _side_by_side(found: Sequence[Interaction], model: str, place: int) -> str:
     """Name the changes that cost a model something, the dearest first, and those that do not."""
     costs, free = [], []
-    for (change, where), whole in _by_change(found).items():
+    for (change, where), whole in by_change(found).items():
         most = _most([each for each in whole if each.model == model], place)
-        text = f"with {_OTHER[change]} {where}"
+        text = f"with {OTHER[change]} {where}"
         if most > 1.0:
             costs.append((most, f"{most:.3g} times {text}"))
         else:
@@ -152,7 +153,8 @@ def _side_by_side(found: Sequence[Interaction], model: str, place: int) -> str:
     return f"of {model} up to {', '.join(told)}" if costs else f"of {model} {told[0]}"
 
 
-def _by_change(found: Sequence[Interaction]) -> dict[tuple[str, str], list[Interaction]]:
+def by_change(found: Sequence[Interaction]) -> dict[tuple[str, str], list[Interaction]]:
+    """Group them by what differs, "engine" or "settings", and where it does."""
     changes: dict[tuple[str, str], list[Interaction]] = {}
     for each in found:
         change = _changed(each.first, each.second)

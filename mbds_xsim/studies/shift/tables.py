@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import statistics
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 
 from mbds_xsim.learn.shift.domains import REFERENCE
 from mbds_xsim.learn.shift.evaluation import ENGINE, RESTART
 from mbds_xsim.learn.shift.gaps import PAPER, paper_errors
-from mbds_xsim.learn.shift.interaction import FALSE
-from mbds_xsim.learn.shift.result import INTERVALS, Gap, Interaction, Shift
+from mbds_xsim.learn.shift.result import INTERVALS, Gap, Shift
 from mbds_xsim.learn.trained import TRIVIAL
-from mbds_xsim.report.blocks import Column, Table, table_of
+from mbds_xsim.report.blocks import Table
 from mbds_xsim.report.quantity import NONE, number, with_unit
+from mbds_xsim.studies.shift.changes import change_tables, titled
 from mbds_xsim.studies.shift.figures import Pick, at, best_formula, matrix_of, mean, trained_models
 
 
@@ -26,7 +26,7 @@ def tables(shift: Shift) -> Iterator[Table]:
 def _tables(shift: Shift) -> Iterator[Table]:
     frame, models = shift.at, trained_models(shift)
     place = shift.frames.index(frame)
-    yield from _interactions(shift, place)
+    yield from change_tables(shift, place)
     yield from (_errors(shift, model, place) for model in models)
     yield from (_one_step(shift, model) for model in models)
     yield _transfer(shift, frame)
@@ -42,42 +42,6 @@ def _tables(shift: Shift) -> Iterator[Table]:
         yield _agreements(shift)
     if paper_errors(shift.scene):
         yield _paper(shift)
-
-
-def _table(title: str, note: str, heading: Sequence[str], rows: Iterable[tuple[str, ...]]) -> Table:
-    columns = [Column(text, words=not place) for place, text in enumerate(heading)]
-    return table_of(columns, tuple(rows), title=title, note=note)
-
-
-def _interactions(shift: Shift, place: int) -> Iterator[Table]:
-    """From the last known frame on, and from the first contact on."""
-    yield _changes(shift.interactions, place, f"at t = {shift.frames[place]}")
-    if shift.after_contact:
-        frames = [frame for frame in shift.contact_frames if frame <= shift.frames[place]]
-        when = f"{frames[-1]} frames after the first contact, {shift.contact_trajectories} of them"
-        yield _changes(shift.after_contact, len(frames) - 1, when)
-
-
-def _changes(found: Sequence[Interaction], place: int, when: str) -> Table:
-    rows = (
-        (
-            f"{each.model}, {each.first} ↔ {each.second}",
-            str(each.seeds),
-            number(each.value[place]),
-            f"{number(each.low[place])} … {number(each.high[place])}",
-            "told from chance" if each.resolved[place] else "",
-        )
-        for each in found
-    )
-    return _table(
-        f"What a change of engine or settings costs {when}",
-        "√(R_ij R_ji / (R_ii R_jj)), R_ij the mean squared error of the training on i, tested on "
-        "j: 1 is no loss by the change, 2 twice the squared error. 95 % by paired bootstrap over "
-        "trajectories and seeds; told from chance: of all pairs together, by the rule of Benjamini "
-        f"and Hochberg, at most {FALSE:.0%} of them false",
-        ("model, engines", "seeds", "ratio", "95 %", ""),
-        rows,
-    )
 
 
 def _errors(shift: Shift, model: str, place: int) -> Table:
@@ -96,7 +60,7 @@ def _errors(shift: Shift, model: str, place: int) -> Table:
         found = [f for f in shift.floors if f.kind == kind and f.interval == INTERVALS[0]]
         text = number(found[0].mse[place]) if found else NONE
         rows.append((f"{kind} floor", *(text for _ in headings)))
-    return _table(
+    return titled(
         f"{model}: position error at t = {frame}",
         "Mean squared distance [m²], mean over seeds; predictions that were lost or had been off "
         f"by over {shift.exploded:g} lengths of the scene count as {shift.exploded:g} lengths, "
@@ -107,7 +71,7 @@ def _errors(shift: Shift, model: str, place: int) -> Table:
 
 
 def _one_step(shift: Shift, model: str) -> Table:
-    return _table(
+    return titled(
         f"{model}: teacher-forced error",
         f"Squared distance [m²] of predictions by one frame from true windows, every "
         f"{shift.stride} frames: not chaotic",
@@ -157,7 +121,7 @@ def _transfer(shift: Shift, frame: int) -> Table:
                     number(mean(into)),
                 )
             )
-    return _table(
+    return titled(
         f"From engine to engine at t = {frame}",
         "Mean squared distance [m²]. Out: a training on the variant's other engines, mean and "
         "worst. In: the other engines' trainings here. Spread: standard deviation over seeds; the "
@@ -176,7 +140,7 @@ def _over_seeds(shift: Shift, model: str, name: str, pick: Pick) -> float | None
 
 
 def _gaps(shift: Shift, place: int) -> Table:
-    return _table(
+    return titled(
         f"Gaps to the target-trained model at t = {shift.frames[place]}",
         "Errors [m²] are means over trajectories and seeds, lost predictions counting as exploded; "
         "ratio and its 95 % interval by paired bootstrap over trajectories and seeds. A shift is "
@@ -217,7 +181,7 @@ def _costs(shift: Shift, place: int) -> Table:
         for domain in sorted(told, key=lambda d: d.cost_s or 0.0)
         if any(domain.name in matrix.rows for matrix in matrices)
     )
-    return _table(
+    return titled(
         f"What training data cost, and what is learned from them, t = {shift.frames[place]}",
         "Processor time of the engine for a trajectory of its data, and the mean squared error "
         "[m²], against the independent reference, of each model that was trained on it alone: the "
@@ -237,7 +201,7 @@ def _effort(shift: Shift) -> Table:
         if reached:
             seeds = f"{len(reached)} of {len(own)}"
             rows.append((f"{model}, {training}", seeds, *map(number, (min(reached), max(reached)))))
-    return _table(
+    return titled(
         "Processor time to the engine floor",
         "Seconds of training, validations included, until the validation error, a mean over ten "
         "frames, was below the distance of the nearest other engine that goes on from the same "
@@ -256,7 +220,7 @@ def _floors(shift: Shift) -> Table:
         twice = floor.kind == ENGINE and test != REFERENCE and first > test
         if floor.interval == INTERVALS[0] and not twice:
             rows.append((names.get(floor.kind, floor.kind), *map(number, floor.mse)))
-    return _table(
+    return titled(
         "Floors",
         "Mean squared distance [m²] of the published motions of two domains, from identical "
         "starts; of an engine that goes on from a domain's last known frame from that domain "
@@ -284,7 +248,7 @@ def _across_intervals(shift: Shift, frame: int) -> Table:
             ]
             figures = [*errors, *map(_over, errors, there)]
             rows.append((f"{model}, {facts.training}", *map(number, figures)))
-    return _table(
+    return titled(
         f"The covariate axis: trained on one interval, tested on all, t = {frame}",
         "Mean squared distance [m²] on the training's own engine, of models that were trained on "
         "the starts of one interval alone, a third as many at as many steps; and over the error of "
@@ -303,7 +267,7 @@ def _by_interval(shift: Shift, frame: int) -> Table:
     for label, training, errors in _at_home(shift, [(pick, name) for name in names]):
         parts = [_over(e, f.get(training)) for e, f in zip(errors, formulas, strict=True)]
         rows.append((label, *map(number, [*errors, *parts])))
-    return _table(
+    return titled(
         f"Error at home by interval of starts, t = {frame}",
         "Mean squared distance [m²] on the training's own engine: how much the interval of starts "
         "and inputs matters, without any change of engine; and as a part of the least that hold, "
@@ -326,7 +290,7 @@ def _quality(shift: Shift, place: int) -> Table:
         lambda cell: cell.diverged[-1] / max(cell.known[-1], 1),
     )
     homes = _at_home(shift, [(pick, INTERVALS[0]) for pick in picks])
-    return _table(
+    return titled(
         "What else rollouts keep, each training at home",
         f"Valid prediction time: until the error first exceeds {shift.lost:g} of the scene's "
         f"length ({shift.length_m:.3g} m), median, at most {shift.horizon * shift.frame_s:.3g} s. "
@@ -354,7 +318,7 @@ def _agreements(shift: Shift) -> Table:
         (f"{one}, {two}", *(number(found.get((one, two, frame))) for frame in shift.frames))
         for one, two in pairs
     ]
-    return _table(
+    return titled(
         "Rank agreement",
         "Kendall's τ-b of the orders that two domains give the models, each trained where it is "
         "tested: 1 the same, −1 reversed; from three models on",
@@ -378,7 +342,7 @@ def _paper(shift: Shift) -> Table:
             matrix = matrix_of(shift, model, at(shift, frame))
             homes[frame] = number(mean([matrix.at_home(row) for row in matrix.homes]))
         rows.append((f"{model}, here", *homes.values()))
-    return _table(
+    return titled(
         "The paper's figures beside these",
         "Not comparable in absolute value: the paper's unit, averaging, masses, noise and test "
         "part are not stated, its figures are of the set that steered training, and its values "

@@ -1,0 +1,116 @@
+"""What changes of engine and settings cost: which model survives which, then each pair."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Sequence
+
+from mbds_xsim.learn.shift.interaction import FALSE, OTHER, by_change
+from mbds_xsim.learn.shift.result import Interaction, Shift
+from mbds_xsim.report.blocks import Column, Table, table_of
+from mbds_xsim.report.quantity import NONE, number
+
+_BEARABLE = 2.0  # times the squared error
+
+
+def change_tables(shift: Shift, place: int) -> Iterator[Table]:
+    """From the last known frame on, and from the first contact on."""
+    when, seen = f"at t = {shift.frames[place]}", _noticed(shift, place)
+    yield survivors(shift.interactions, place, when, seen)
+    yield _pairs(shift.interactions, place, when)
+    if shift.after_contact:
+        frames = [frame for frame in shift.contact_frames if frame <= shift.frames[place]]
+        when = f"{frames[-1]} frames after the first contact, {shift.contact_trajectories} of them"
+        yield survivors(shift.after_contact, len(frames) - 1, when, seen)
+        yield _pairs(shift.after_contact, len(frames) - 1, when)
+
+
+def _noticed(shift: Shift, place: int) -> set[tuple[str, frozenset[str]]]:
+    """Models and pairs of domains that are further apart than the model errs where it learned."""
+    return {
+        (gap.model, frozenset((gap.training, gap.test)))
+        for gap in shift.gaps
+        if (own := gap.own[place]) is not None
+        and (apart := gap.engine_floor[place]) is not None
+        and own < apart
+    }
+
+
+def survivors(
+    found: Sequence[Interaction],
+    place: int,
+    when: str,
+    noticed: Collection[tuple[str, frozenset[str]]],
+) -> Table:
+    """Give a table with a row for each change and a column for each model.
+
+    Noticed are models and pairs of domains that are further apart than the model errs at home.
+    """
+    models = list(dict.fromkeys(each.model for each in found))
+
+    def cell(whole: Sequence[Interaction], model: str) -> str:
+        own = [e for e in whole if e.model == model and e.value[place] is not None]
+        seen = [e for e in own if (model, frozenset((e.first, e.second))) in noticed]
+        return _cost(own, seen, place)
+
+    rows = (
+        (f"{OTHER[change]} {where}", *(cell(whole, model) for model in models))
+        for (change, where), whole in by_change(found).items()
+    )
+    return titled(
+        f"Which model survives which change {when}",
+        "How many times the squared error grows by the dearest change of its kind that is told "
+        "from chance, its 95 % interval, and which it is. Where none is told a model survives if "
+        "it errs less at home than the domains are apart, and the intervals leave room for less "
+        f"than {_BEARABLE:g} times; where it errs more it cannot notice the change",
+        ("change", *models),
+        rows,
+    )
+
+
+def _cost(own: Sequence[Interaction], noticed: Sequence[Interaction], place: int) -> str:
+    """Say what the dearest pair costs, or how sure it is that none costs anything."""
+    told = [each for each in own if each.resolved[place] and (each.value[place] or 0.0) > 1.0]
+    if told:
+        most = max(told, key=lambda each: each.value[place] or 0.0)
+        low, high = number(most.low[place]), number(most.high[place])
+        return f"{number(most.value[place])} [{low}, {high}], {_between(most)}"
+    rooms = [room for e in noticed or own if (room := e.high[place]) is not None]
+    if not rooms:
+        return NONE
+    sure = "survives" if max(rooms) < _BEARABLE else "cannot be told"
+    return f"{sure if noticed else 'not noticed'}, below {number(max(rooms))}"
+
+
+def _between(each: Interaction) -> str:
+    """Name what differs of two domains."""
+    names = [tuple(name.rpartition("-")[::2]) for name in (each.first, each.second)]
+    of_engines = names[0][1] == names[1][1]
+    return " ↔ ".join(engine if of_engines else variant for engine, variant in names)
+
+
+def _pairs(found: Sequence[Interaction], place: int, when: str) -> Table:
+    rows = (
+        (
+            f"{each.model}, {each.first} ↔ {each.second}",
+            str(each.seeds),
+            number(each.value[place]),
+            f"{number(each.low[place])} … {number(each.high[place])}",
+            "told from chance" if each.resolved[place] else "",
+        )
+        for each in found
+    )
+    return titled(
+        f"What a change of engine or settings costs {when}",
+        "√(R_ij R_ji / (R_ii R_jj)), R_ij the mean squared error of the training on i, tested on "
+        "j: 1 is no loss by the change, 2 twice the squared error. 95 % by paired bootstrap over "
+        "trajectories and seeds; told from chance: of all pairs together, by the rule of Benjamini "
+        f"and Hochberg, at most {FALSE:.0%} of them false",
+        ("model, engines", "seeds", "ratio", "95 %", ""),
+        rows,
+    )
+
+
+def titled(title: str, note: str, heading: Sequence[str], rows: Iterable[tuple[str, ...]]) -> Table:
+    """Give a table whose first column has words, and others figures."""
+    columns = [Column(text, words=not place) for place, text in enumerate(heading)]
+    return table_of(columns, tuple(rows), title=title, note=note)
