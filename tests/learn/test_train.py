@@ -125,6 +125,24 @@ def test_only_networks_that_carry_no_positions_are_mixed(data: Data, name: str) 
     assert _same(*states) != kind.mixes
 
 
+@pytest.mark.slow
+def test_compiled_networks_learn_the_same(parts: tuple[Motions, Motions]) -> None:
+    """Loss and slopes, as traced for a GPU, by the backend that runs what was traced on a CPU."""
+    counters = pytest.importorskip("torch._dynamo.utils").counters  # which takes seconds
+    sample = parts[0].draw(8, torch.Generator().manual_seed(0), 1)
+    found = []
+    for compiled in (False, True):
+        model = _model(parts[0])
+        if compiled:
+            recipe.compile_networks(model, backend="aot_eager")
+        loss = model.loss(sample, torch.Generator().manual_seed(0))
+        torch.autograd.backward(loss)
+        found.append([loss.detach(), *(p.grad for p in model.parameters() if p.grad is not None)])
+    assert counters["frames"]["ok"] >= 1
+    for eager, traced in zip(*found, strict=True):
+        torch.testing.assert_close(traced, eager)
+
+
 def test_seeds_decide(parts: tuple[Motions, Motions]) -> None:
     first, same, other = (_model(parts[0]) for _ in range(3))
     for model, seed in ((first, 0), (same, 0), (other, 1)):
