@@ -23,7 +23,7 @@ from mbds_xsim.studies.ablate.effects import Effect
 
 SCHEMA = "mbds-xsim/ablate/1"
 
-Verdict = Literal["needed", "not needed", "not resolvable", "not possible"]
+Need = Literal["needed", "not needed", "not resolvable", "not possible"]
 """The change is above the floor, or where engines have parted clearly above their distance; below
 the floor; not to be told, as motions can be compared for less than 1 s; there is no such scene,
 start or simulation."""
@@ -59,7 +59,7 @@ class WeakenedEffect(msgspec.Struct, frozen=True):
     """0: dropped, 0.5: halved."""
     left: str
     """What is left without the effect."""
-    verdict: Verdict
+    verdict: Need
     sentence: str
     change_1s_m: float | None = None
     """RMS particle change at 1 s, worst of the low and medium starts [m]."""
@@ -282,13 +282,13 @@ def _over(change: float, disagreement: float | None) -> float:
     return change / disagreement if disagreement else np.inf
 
 
-def _verdict(excess: float, beyond: float, window: Window) -> Verdict:
+def _verdict(excess: float, beyond: float, window: Window) -> Need:
     if excess > 1.0 or (not window.reaches and beyond > _CLEARLY):
         return "needed"
     return "not needed" if window.reaches else "not resolvable"
 
 
-def _sentence(verdict: Verdict, excess: float, apart: float, beyond: float, window: Window) -> str:
+def _sentence(verdict: Need, excess: float, apart: float, beyond: float, window: Window) -> str:
     if excess > 1.0:
         return f"motion changes by {_told(excess)} × the floor"
     share = f"{_told(excess)} of the floor" if excess else "no change"
