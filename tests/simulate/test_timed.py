@@ -202,3 +202,16 @@ def test_engines_run_while_the_reference_is_compiled(
     at_once = {piece.name.partition(",")[0] for piece in others if piece.task.after is None}
     assert waiting == {"reference", "reference (matched)"}
     assert at_once == {"mujoco (matched)"}
+
+
+def test_an_engine_is_judged_before_the_next_has_run() -> None:
+    notes = _Notes()
+
+    validation, _ = validate_with_evidence(
+        _SCENE, choice=Choice.parse(engines="mujoco,pybullet"), conduct=Conduct(0, meter=notes)
+    )
+
+    assert validation.verdict == "pass"
+    runs = [k for k, note in enumerate(notes.done) if note.startswith("pybullet (matched), ")]
+    checks = [k for k, note in enumerate(notes.done) if note.endswith(": checks")]
+    assert checks[0] < runs[0] < runs[-1] < checks[1]
