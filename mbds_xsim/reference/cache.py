@@ -37,8 +37,8 @@ _PHYSICS = (
 )  # fmt: skip
 _GEARS = 2
 """Version of scenes with gears alone: before, a gear beside a fixed joint could be left out."""
-_BRAKES = 2
-"""Of those with dry friction or stops: before, a rest at two stops at once could be given up."""
+_BRAKES = 3
+"""Of those with dry friction or stops: before, a rest at a stop with friction could be given up."""
 _SOURCES = ("compiling", "lanes", "traced", "lane_algebra", "noted", "elimination", "tree")
 _SEAL = hashlib.sha256().digest_size
 

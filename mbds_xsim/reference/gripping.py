@@ -224,9 +224,13 @@ class _Motion:
         left, gripped = (free - taken @ share) / size, np.abs(taken[:, ~stops]).sum(axis=1)
         largest = np.abs(found[0, self._tree.speed_at[0] :]).max()
         small = _STILL * max(largest, ((np.abs(free) + gripped) / size).max())
-        yields = (np.abs(share) > _ALL) & (np.abs(left) > small)
+        opens = stops & (left < -small)
+        # Its friction does not give way where a joint still rests against a stop.
+        joint = brakes.fast[held]
+        rests = np.isin(joint, joint[stops & ~opens])
+        yields = (np.abs(share) > _ALL) & (np.abs(left) > small) & ~rests
         settled = sense.copy()
-        settled[held] = np.where(stops, left < -small, np.where(yields, np.sign(share), 0.0))
+        settled[held] = np.where(stops, opens, np.where(yields, np.sign(share), 0.0))
         return settled
 
     def _derivative(self, y: Array) -> Array:

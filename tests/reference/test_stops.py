@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -94,6 +95,32 @@ def test_a_gripper_that_nothing_opens_stays_at_its_stops() -> None:
     assert found.failures == (None,)
     assert np.ptp(links.coordinate[0, :, 0]) > 1.0
     assert np.abs(links.coordinate[0, :, 1:]).max() < 1e-14
+
+
+def _lifted(mass: float, radius: float, friction: float, rate: float) -> Scene:
+    """An arm that lies on its stop, and at its end a wheel with its mass above the axle."""
+    origin, hub, axis = (0.0, 0.0, 0.0), (0.5, 0.0, 0.0), (0.0, 1.0, 0.0)
+    arm = Body("arm", inertia=Inertia(1.0, (0.01, 0.02, 0.02), com=(0.3, 0.0, 0.0)))
+    wheel = Inertia(mass, (0.001,) * 3, com=(0.0, 0.0, radius))
+    pin = Joint("pin", "hinge", "world", "arm", origin, axis, rate=0.0, friction=friction)
+    pin = msgspec.structs.replace(pin, limits=(-1.0, 0.0))
+    axle = Joint("axle", "hinge", "arm", "wheel", hub, axis, rate=rate)
+    bodies = (arm, Body("wheel", position=hub, inertia=wheel))
+    return Scene("lifted", bodies, 1.0, joints=(pin, axle), clock=Clock(0.002, 1))
+
+
+def test_a_joint_is_lifted_off_its_stop_against_its_friction_as_a_whole() -> None:
+    """At the last bit of the rate at which the wheel does so, one could give way alone."""
+    for mass, radius, friction, rate in (
+        (0.59, 0.153, 1.336, 12.605420836817402),
+        (0.461, 0.129, 0.689, 14.077148474752903),
+        (0.397, 0.101, 0.844, 16.911715008318424),
+    ):
+        for share, moves in ((0.999, False), (1.0, None), (1.001, True)):
+            scene = _lifted(mass, radius, friction, share * rate)
+            motion = solve(scene, draw_batch(scene, [0]), cache=False)
+            assert motion.failures == (None,)
+            assert moves in (None, bool(motion.velocity[0, -1, 0].any()))
 
 
 def test_a_start_past_the_limits_is_refused() -> None:
