@@ -119,7 +119,8 @@ def run_tasks(
             one after the other, for debuggers and for tests that change what a task does: there
             is no timeout then, and an error is raised where it happens.
         started: Called with a task's place as its process begins.
-        finished: Called with a task's place and answer as each one ends, and others have begun.
+        finished: Called with a task's place and answer as each one ends, in place of the next
+            process, which waits for it to return; so no more of them work than were asked for.
         packages: Folder whose packages the processes have in place of this one's.
 
     Returns:
@@ -133,40 +134,32 @@ def run_tasks(
     waiting = list(range(len(tasks)))
     ended: set[int | None] = {None}
     running: list[_Process] = []
-    most = min(workers or core_count(), len(tasks))
-    memory = _SHARE * memory_bytes()
     with (
         held_back() as held,
         tempfile.TemporaryDirectory(prefix="mbds-xsim-") as folder,
     ):
         starter = _Starter(tasks, Path(folder), packages)
-
-        def start() -> None:
-            nonlocal starter
-            while len(running) < most and (ready := _ready(tasks, waiting, ended)):
-                waiting.remove(place := ready[0])
-                if starter.over:  # something has killed it
-                    starter.end()
-                    starter = _Starter(tasks, Path(folder), packages)
-                running.append(_Process(place, tasks[place], starter))
-                if started is not None:
-                    started(place)
-
+        most = min(workers or core_count(), len(tasks))
+        memory = _SHARE * memory_bytes()
         try:
-            start()
-            while running:
+            while waiting or running:
+                while len(running) < most and (ready := _ready(tasks, waiting, ended)):
+                    waiting.remove(place := ready[0])
+                    if starter.over:  # something has killed it
+                        starter.end()
+                        starter = _Starter(tasks, Path(folder), packages)
+                    running.append(_Process(place, tasks[place], starter))
+                    if started is not None:
+                        started(place)
                 starter.listen()
                 if sum(process.bytes for process in running) > memory:
                     max(running, key=lambda process: process.bytes).end_for_memory()
-                over = [process for process in running if process.ended()]
-                for process in over:
+                for process in [process for process in running if process.ended()]:
                     running.remove(process)
                     ended.add(process.place)
                     answers[process.place] = process.answer()
-                start()
-                if finished is not None:
-                    with held.released():
-                        for process in over:
+                    if finished is not None:
+                        with held.released():
                             finished(process.place, answers[process.place])
                 held.let_through()
         finally:
