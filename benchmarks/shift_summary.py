@@ -9,7 +9,7 @@ import itertools
 import math
 import statistics
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 import msgspec
@@ -18,8 +18,11 @@ from benchmarks.harness import print_table
 from mbds_xsim.base.files import read_file
 from mbds_xsim.learn.shift.answers import MATCHED, ROBUST
 from mbds_xsim.learn.shift.gaps import ALL, LEAVE_ONE_OUT, SINGLE
+from mbds_xsim.learn.shift.interaction import by_change
 from mbds_xsim.learn.shift.result import Gap, Shift
+from mbds_xsim.report.files import table_text
 from mbds_xsim.report.quantity import NONE, number
+from mbds_xsim.studies.shift.changes import change_tables
 from mbds_xsim.studies.shift.figures import at, best_formula, matrix_of, trained_models
 from mbds_xsim.studies.shift.present import answers, protocol
 
@@ -27,6 +30,13 @@ _HEAD = """\
 # Learned models under a change of engine, in short
 
 <!-- Written by: python -m benchmarks.shift_summary reports/shift > reports/shift/README.md -->
+
+Which models survive a change of engine or settings, and which factor costs how much? Models were
+trained on one engine's data and tested on all others'; the more times the squared error grows, the
+less the change is survived. Each study's page has all figures and says how it was made.
+"""
+_ALL = """
+## All studies
 
 Models trained on one engine's trajectories, on all but one engine's or on all, at equal budget,
 and tested on every engine's. Each study's page has all figures.
@@ -67,10 +77,24 @@ def main(folder: Path) -> None:
     results = {file.name.removesuffix(".json.gz"): read_file(file) for file in files}
     studies = {name: msgspec.json.decode(text, type=Shift) for name, text in results.items()}
     print(_HEAD)
+    several = {n: shift for n, shift in studies.items() if len(by_change(shift.interactions)) > 1}
+    print("\n".join(_survivors(several)))
+    print(_ALL)
     rows = [row for name, shift in studies.items() for row in rows_of(shift, name)]
     print_table(_HEADINGS, [*rows, *_over_scenes(studies.values())])
     for name, shift in studies.items():
         print("\n".join(_answers(shift, folder / name)))
+
+
+def _survivors(studies: Mapping[str, Shift]) -> Iterator[str]:
+    """Say in a table each which model survives which change, with links to the studies."""
+    for place, (name, shift) in enumerate(studies.items()):
+        table = next(change_tables(shift, shift.frames.index(shift.at)))
+        yield "" if place else f"{table.note}.\n"
+        yield f"**[{name}]({name}.md), t = {shift.at}**\n"
+        change, *models = (column.heading for column in table.columns)
+        headings = [change, *(f">{model}" for model in models)]
+        yield table_text(headings, (row.texts for row in table.rows)).rstrip()
 
 
 def rows_of(shift: Shift, name: str) -> Iterator[tuple[str, ...]]:

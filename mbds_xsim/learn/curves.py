@@ -114,10 +114,10 @@ def to_png(curves: Sequence[LearningCurve]) -> bytes:
     rows = max(1, math.ceil(len(panels) / columns))
 
     def draw(figure: Any) -> None:
-        grid = figure.subplots(rows, columns, squeeze=False).flat
+        grid = list(figure.subplots(rows, columns, squeeze=False).flat)
         for axes, (name, members) in zip(grid, panels.items(), strict=False):
             _panel(axes, name, members, styles)
-        for axes in list(grid)[len(panels) :]:
+        for axes in grid[len(panels) :]:
             axes.remove()
         _legend(figure, styles)
 

@@ -123,6 +123,6 @@ def test_settings_of_one_engine_are_compared_too_but_not_both_at_once() -> None:
         ("a-undamped", "c-undamped"),
     ]
     assert [answer.question for answer in answers_of_interactions(found, 0, 1)] == [
-        "What does a change of settings cost in a?",
         "What does a change of engine cost on undamped data?",
+        "What does a change of settings cost in a?",
     ]

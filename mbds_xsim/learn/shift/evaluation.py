@@ -26,6 +26,7 @@ ENGINE = "engine"
 """Stands for a model where an engine's own motion is the prediction."""
 RESTART = "restarted engine"
 """The same where the engine goes on from the last known frame of the domain."""
+_SHOWN = 4  # digits of figures that are only looked at: they are most of a study's file
 CHAOS_START = 1e-4
 """Root mean square displacement of the last known frame that chaos grows from [m]."""
 
@@ -115,10 +116,18 @@ class Evaluation:
 
 
 def cells_of(evaluation: Evaluation) -> Iterator[ErrorCell]:
-    """Give a cell for every model, domain and interval."""
+    """Give a cell for every model and domain.
+
+    By interval of starts only where a model is at home, of formulas, and of trainings on one
+    interval: a change of engine is told of all, and four times the cells are four times the file.
+    """
+    parted = {entry.training for entry in evaluation.entries if entry.interval or not entry.engines}
     for key, figures in evaluation.rolled():
+        _, training, _, test = key
+        split = training == test or training in parted
         for interval, rows in evaluation.intervals():
-            yield _cell(evaluation, (*key, interval), figures, rows)
+            if split or interval == INTERVALS[0]:
+                yield _cell(evaluation, (*key, interval), figures, rows)
 
 
 def _cell(
@@ -140,13 +149,13 @@ def _cell(
         finite=_counts(np.isfinite(at)),
         diverged=_counts(exploded & ~np.isnan(at)),
         mse=values(known_mean(evaluation.counted(error))),
-        median=values(median(at)),
-        energy=values(median(figures.energy[rows][:, evaluation.at])),
-        gap=values(median(figures.gap[rows][:, evaluation.at])),
+        median=values(median(at), _SHOWN),
+        energy=values(median(figures.energy[rows][:, evaluation.at]), _SHOWN),
+        gap=values(median(figures.gap[rows][:, evaluation.at]), _SHOWN),
         one_step=float(one_step.mean()) if len(one_step) and np.isfinite(one_step).all() else None,
         valid_s=float(np.median(time[begun])) if begun.any() else None,
         never_lost=int((never & begun).sum()),
-        curve=values(median(error)) if key[-1] == INTERVALS[0] else (),
+        curve=values(median(error), _SHOWN) if key[-1] == INTERVALS[0] else (),
     )
 
 
@@ -246,7 +255,7 @@ def chaos_floor(test: Paired, truth: ReferenceFrames, horizon: int) -> Array:
 
 
 def floors_of(evaluation: Evaluation) -> Iterator[ErrorFloor]:
-    """Give all floors of all intervals."""
+    """Give all floors."""
     errors = {
         (kind, first, test): figures.error
         for (kind, first, _, test), figures in evaluation.rolled()
@@ -254,14 +263,13 @@ def floors_of(evaluation: Evaluation) -> Iterator[ErrorFloor]:
     }
     errors |= {(kind, REFERENCE, REFERENCE): error for kind, error in evaluation.floors.items()}
     for key, error in errors.items():
-        for interval, rows in evaluation.intervals():
-            yield ErrorFloor(
-                *key,
-                interval,
-                mse=values(known_mean(evaluation.counted(error)[rows])),
-                median=values(median(error[rows][:, evaluation.at])),
-                curve=values(median(error)) if interval == INTERVALS[0] else (),
-            )
+        yield ErrorFloor(
+            *key,
+            INTERVALS[0],
+            mse=values(known_mean(evaluation.counted(error))),
+            median=values(median(error[:, evaluation.at])),
+            curve=values(median(error), _SHOWN),
+        )
 
 
 _FRAMES = 10  # as of a validation

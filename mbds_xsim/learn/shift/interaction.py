@@ -37,6 +37,8 @@ INTERACTION = "interaction"
 FALSE = 0.05
 """Share of the resolved that may be chance."""
 _ROUNDING = 1e-9  # of a logarithm
+BEARABLE = 2.0
+"""Times the squared error: less is called survived."""
 _SEVERAL = 2  # changes that are put side by side
 OTHER = {"engine": "another engine", "settings": "other settings"}
 """Words for changes."""
@@ -88,11 +90,11 @@ def _pairs(draws: Draws) -> Iterator[tuple[TrainedModel, TrainedModel]]:
             if training.single and training.domains[0] in tested
         ]
         for first, second in itertools.combinations(singles, 2):
-            if _changed(first.domains[0], second.domains[0]):
+            if changed(first.domains[0], second.domains[0]):
                 yield first, second
 
 
-def _changed(first: str, second: str) -> tuple[str, str] | None:
+def changed(first: str, second: str) -> tuple[str, str] | None:
     """Say what differs between two domains, and where, if it is one thing alone."""
     engine, _, variant = first.rpartition("-")
     other_engine, _, other_variant = second.rpartition("-")
@@ -128,39 +130,33 @@ def answers_of_interactions(
 def answer_of_factors(
     found: Sequence[Interaction], place: int, frame: int, since: str = ""
 ) -> Iterator[Answer]:
-    """Put the costs of all changes side by side in one sentence, where there are several."""
+    """Put the largest costs of all changes side by side, where there are several."""
     changes = by_change(found)
     if len(changes) < _SEVERAL:
         return
-    parts = [_side_by_side(found, model, place) for model in dict.fromkeys(e.model for e in found)]
-    text = f"At t = {frame}{since} the squared error grows: {'; '.join(parts)}"
+    costs = {
+        f"with {OTHER[change]} {where}": _most(whole, place)
+        for (change, where), whole in changes.items()
+    }
+    ranked = sorted(costs.items(), key=lambda cost: -cost[1])
+    dear = ", ".join(f"{most:.3g} times {words}" for words, most in ranked if most >= BEARABLE)
+    cheap = ", ".join(words for words, most in ranked if most < BEARABLE)
+    told = [f"up to {dear}"] if dear else []
+    told += [f"by less than {BEARABLE:g} times, if at all, {cheap}"] if cheap else []
+    models = ", ".join(dict.fromkeys(each.model for each in found))
+    text = f"At t = {frame}{since} the squared error of {models} grows {'; '.join(told)}"
     yield Answer(INTERACTION, f"Which change costs how much{since}?", text)
 
 
-def _side_by_side(found: Sequence[Interaction], model: str, place: int) -> str:
-    """Name the changes that cost a model something, the dearest first, and those that do not."""
-    costs, free = [], []
-    for (change, where), whole in by_change(found).items():
-        most = _most([each for each in whole if each.model == model], place)
-        text = f"with {OTHER[change]} {where}"
-        if most > 1.0:
-            costs.append((most, f"{most:.3g} times {text}"))
-        else:
-            free.append(text)
-    told = [text for _, text in sorted(costs, reverse=True)]
-    if free:
-        told.append(f"by nothing that can be told {' and '.join(free)}")
-    return f"of {model} up to {', '.join(told)}" if costs else f"of {model} {told[0]}"
-
-
 def by_change(found: Sequence[Interaction]) -> dict[tuple[str, str], list[Interaction]]:
-    """Group them by what differs, "engine" or "settings", and where it does."""
+    """Group them by what differs, first "engine" and then "settings", and where it does."""
     changes: dict[tuple[str, str], list[Interaction]] = {}
     for each in found:
-        change = _changed(each.first, each.second)
+        change = changed(each.first, each.second)
         if change is not None:
             changes.setdefault(change, []).append(each)
-    return changes
+    kinds = list(OTHER)
+    return dict(sorted(changes.items(), key=lambda change: kinds.index(change[0][0])))
 
 
 def _most(own: Sequence[Interaction], place: int) -> float:

@@ -225,6 +225,6 @@ class Shift(msgspec.Struct, frozen=True, kw_only=True):
     """How many of the models had been tested before, in no time of this."""
 
 
-def values(numbers: Iterable[float]) -> Values:
-    """Write numbers, to seven digits; those that are not finite become None."""
-    return tuple(float(f"{x:.7g}") if math.isfinite(x) else None for x in numbers)
+def values(numbers: Iterable[float], digits: int = 7) -> Values:
+    """Write numbers, to so many digits; those that are not finite become None."""
+    return tuple(float(f"{x:.{digits}g}") if math.isfinite(x) else None for x in numbers)

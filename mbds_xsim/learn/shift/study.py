@@ -207,10 +207,10 @@ def _shift(evaluation: Evaluation, plan: RolloutPlan, at: int, **facts: Any) -> 
 def _changes(
     found: Sequence[Interaction], frames: Sequence[int], at: int, since: str = ""
 ) -> Iterator[Answer]:
-    """What changes cost: all side by side, then each."""
+    """What changes cost: all side by side, which a table follows; or the only one."""
     place = max(k for k, frame in enumerate(frames) if frame <= at)
-    yield from answer_of_factors(found, place, frames[place], since)
-    yield from answers_of_interactions(found, place, frames[place], since)
+    side_by_side = list(answer_of_factors(found, place, frames[place], since))
+    yield from side_by_side or answers_of_interactions(found, place, frames[place], since)
 
 
 def _facts(evaluation: Evaluation, model: TrainedModel) -> TrainedFacts:

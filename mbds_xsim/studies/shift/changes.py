@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
 
-from mbds_xsim.learn.shift.interaction import FALSE, OTHER, by_change
+from mbds_xsim.learn.shift.interaction import BEARABLE, FALSE, OTHER, by_change
 from mbds_xsim.learn.shift.result import Interaction, Shift
 from mbds_xsim.report.blocks import Column, Table, table_of
 from mbds_xsim.report.quantity import NONE, number
-
-_BEARABLE = 2.0  # times the squared error
 
 
 def change_tables(shift: Shift, place: int) -> Iterator[Table]:
@@ -61,7 +59,7 @@ def survivors(
         "How many times the squared error grows by the dearest change of its kind that is told "
         "from chance, its 95 % interval, and which it is. Where none is told a model survives if "
         "it errs less at home than the domains are apart, and the intervals leave room for less "
-        f"than {_BEARABLE:g} times; where it errs more it cannot notice the change",
+        f"than {BEARABLE:g} times; where it errs more it cannot notice the change",
         ("change", *models),
         rows,
     )
@@ -73,25 +71,26 @@ def _cost(own: Sequence[Interaction], noticed: Sequence[Interaction], place: int
     if told:
         most = max(told, key=lambda each: each.value[place] or 0.0)
         low, high = number(most.low[place]), number(most.high[place])
-        return f"{number(most.value[place])} [{low}, {high}], {_between(most)}"
+        return f"{number(most.value[place])} [{low}, {high}], {between(most.first, most.second)}"
     rooms = [room for e in noticed or own if (room := e.high[place]) is not None]
     if not rooms:
         return NONE
-    sure = "survives" if max(rooms) < _BEARABLE else "cannot be told"
+    sure = "survives" if max(rooms) < BEARABLE else "cannot be told"
     return f"{sure if noticed else 'not noticed'}, below {number(max(rooms))}"
 
 
-def _between(each: Interaction) -> str:
-    """Name what differs of two domains."""
-    names = [tuple(name.rpartition("-")[::2]) for name in (each.first, each.second)]
-    of_engines = names[0][1] == names[1][1]
-    return " ↔ ".join(engine if of_engines else variant for engine, variant in names)
+def between(first: str, second: str, *, where: bool = False) -> str:
+    """Name what differs of two domains, engines or settings, and before it what does not."""
+    (engine, variant), (other, another) = (n.rpartition("-")[::2] for n in (first, second))
+    if variant == another:
+        return f"{variant}: {engine} ↔ {other}" if where else f"{engine} ↔ {other}"
+    return f"{engine}: {variant} ↔ {another}" if where else f"{variant} ↔ {another}"
 
 
 def _pairs(found: Sequence[Interaction], place: int, when: str) -> Table:
     rows = (
         (
-            f"{each.model}, {each.first} ↔ {each.second}",
+            f"{each.model}, {between(each.first, each.second, where=True)}",
             str(each.seeds),
             number(each.value[place]),
             f"{number(each.low[place])} … {number(each.high[place])}",

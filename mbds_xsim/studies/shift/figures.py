@@ -14,10 +14,12 @@ from mbds_xsim.base.text import in_figure
 from mbds_xsim.learn.curves import looks
 from mbds_xsim.learn.shift.domains import REFERENCE
 from mbds_xsim.learn.shift.evaluation import RESTART
+from mbds_xsim.learn.shift.interaction import by_change
 from mbds_xsim.learn.shift.result import INTERVALS, ErrorCell, Shift
 from mbds_xsim.learn.trained import TRIVIAL
 from mbds_xsim.report import themed
 from mbds_xsim.report.quantity import number
+from mbds_xsim.studies.shift.changes import between
 
 Pick = Callable[[ErrorCell], float | None]
 
@@ -167,8 +169,9 @@ def draw_matrix(axes: Any, matrix: Matrix, spread: tuple[float, float]) -> None:
 
 
 def pairs_of(shift: Shift) -> list[tuple[str, str]]:
-    """Give the pairs of domains that there are interactions of."""
-    return list(dict.fromkeys((each.first, each.second) for each in shift.interactions))
+    """Give the pairs of domains that there are interactions of, by what differs in them."""
+    ranked = by_change(shift.interactions).values()
+    return list(dict.fromkeys((each.first, each.second) for own in ranked for each in own))
 
 
 def interactions_size(shift: Shift) -> tuple[float, float]:
@@ -204,7 +207,7 @@ def draw_interactions(axes: Any, shift: Shift, frame: int) -> None:
     axes.imshow(logs, cmap="RdBu_r", vmin=-most, vmax=most, aspect="auto")
     axes.grid(visible=False)
     axes.set_xticks(range(len(models)), models)
-    axes.set_yticks(range(len(pairs)), [f"{one} ↔ {two}" for one, two in pairs])
+    axes.set_yticks(range(len(pairs)), [between(*pair, where=True) for pair in pairs])
     axes.tick_params(length=0, labelsize=8)
 
 

@@ -89,7 +89,7 @@ def _blocks(shift: Shift, samples: Samples | None, *, played: bool) -> Iterator[
         yield _worth(shift)
     if samples is not None:
         yield from _figures(shift, samples, played=played)
-    few = len(trained_models(shift)) + bool(shift.interactions) + bool(shift.after_contact)
+    few = len(trained_models(shift)) + 2 * (bool(shift.interactions) + bool(shift.after_contact))
     for place, table in enumerate(tables(shift)):
         shown = replace(table, folded=place > 0)
         yield shown if place < few else Section("", (shown,), on=_BESIDE)

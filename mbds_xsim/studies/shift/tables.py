@@ -10,6 +10,7 @@ from types import MappingProxyType
 from mbds_xsim.learn.shift.domains import REFERENCE
 from mbds_xsim.learn.shift.evaluation import ENGINE, RESTART
 from mbds_xsim.learn.shift.gaps import PAPER, paper_errors
+from mbds_xsim.learn.shift.interaction import changed
 from mbds_xsim.learn.shift.result import INTERVALS, Gap, Shift
 from mbds_xsim.learn.trained import TRIVIAL
 from mbds_xsim.report.blocks import Table
@@ -145,12 +146,16 @@ def _gaps(shift: Shift, place: int) -> Table:
         "Errors [m²] are means over trajectories and seeds, lost predictions counting as exploded; "
         "ratio and its 95 % interval by paired bootstrap over trajectories and seeds. A shift is "
         "resolved where the model's own error is below the engine floor and the interval of the "
-        "difference is without 0",
+        "difference is without 0. Of two domains that differ in engine and settings, see the JSON",
         (
             "model, trained on → tested on", "kind", "own error", "error", "target-trained",
             "ratio", "95 %", "engine floor", "noise floor", "chaos floor", "shift",
         ),
-        (_gap_row(gap, place) for gap in shift.gaps),
+        (
+            _gap_row(gap, place)
+            for gap in shift.gaps
+            if gap.kind != "single" or changed(gap.training, gap.test)
+        ),
     )  # fmt: skip
 
 
@@ -218,7 +223,8 @@ def _floors(shift: Shift) -> Table:
         names = {ENGINE: f"{first} and {test}", RESTART: f"{first} gone on from {test}"}
         # A distance is the same both ways, and stands once.
         twice = floor.kind == ENGINE and test != REFERENCE and first > test
-        if floor.interval == INTERVALS[0] and not twice:
+        alike = not first or test in (first, REFERENCE) or changed(first, test)
+        if floor.interval == INTERVALS[0] and alike and not twice:
             rows.append((names.get(floor.kind, floor.kind), *map(number, floor.mse)))
     return titled(
         "Floors",
@@ -226,7 +232,8 @@ def _floors(shift: Shift) -> Table:
         "starts; of an engine that goes on from a domain's last known frame from that domain "
         "(its own: what restarting costs); of the reference without noise from that with it; of "
         "two motions whose last known frame is 0.1 mm apart (chaos, by linear growth). No error "
-        "below them says anything of a model",
+        "below them says anything of a model. Domains that differ in engine and settings are left "
+        "out",
         ("", *(f"t = {frame}" for frame in shift.frames)),
         rows,
     )
