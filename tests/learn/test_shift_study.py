@@ -34,6 +34,7 @@ from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene
 from mbds_xsim.scene.state import Batch
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.studies.shift.figures import costs_of
+from mbds_xsim.studies.shift.nearness import nearness
 from mbds_xsim.studies.shift.present import present, protocol
 from mbds_xsim.studies.shift.tables import tables
 from tests.learn.shifts import ENGINES, SCENE, SEEDS, STEPS, TRAININGS, make, train
@@ -401,3 +402,21 @@ def test_models_that_are_not_there_are_said_so(shift: Shift) -> None:
     plate = Scene("plate", (Body("plate", inertia=flat),), 1.0, joints=(hinge,))
     assert refusal("gns", Graph.of(plate)) == ""
     assert "points stand for bodies, which of a flat one" in refusal("lgnn", Graph.of(plate))
+
+
+def test_a_model_is_held_against_the_nearest_other_engine(shift: Shift) -> None:
+    """Where that is no nearer than the noise; what learned for a moment is further than that."""
+    assert nearness(shift).rows == ()
+    floors = [f for f in shift.floors if f.kind != "noise"]
+    rows = nearness(msgspec.structs.replace(shift, floors=tuple(floors))).rows
+    assert len(rows) == len(ENGINES)
+    for row in rows:
+        home, text = row.texts
+        own, sign, other = text.split()
+        (floor,) = (
+            f for f in floors
+            if (f.kind, f"gns, {f.test}") == ("restarted engine", home) and f.first != f.test
+        )  # fmt: skip
+        assert float(other) == pytest.approx(floor.mse[1], rel=0.1)
+        assert sign == ">"
+        assert float(own) > float(other)

@@ -17,6 +17,7 @@ from mbds_xsim.report.blocks import Table
 from mbds_xsim.report.quantity import NONE, number, with_unit
 from mbds_xsim.studies.shift.changes import change_tables, titled
 from mbds_xsim.studies.shift.figures import Pick, at, best_formula, matrix_of, mean, trained_models
+from mbds_xsim.studies.shift.nearness import nearness
 
 
 def tables(shift: Shift) -> Iterator[Table]:
@@ -33,6 +34,7 @@ def _tables(shift: Shift) -> Iterator[Table]:
     yield _transfer(shift, frame)
     yield _gaps(shift, place)
     yield _costs(shift, place)
+    yield nearness(shift)
     yield _effort(shift)
     yield _floors(shift)
     yield _by_interval(shift, frame)
