@@ -107,7 +107,8 @@ def _exudyn() -> AbstractContextManager[object]:
     def listed_beside(mechanism: Any) -> Iterator[str]:
         for line in listing(mechanism):
             if line.startswith("forces"):
-                yield line.replace("frames", "bodies").replace("])", f"], localPosition={_OFFSET})")
+                line = line.replace("centres", "bodies")
+                yield line.replace("])", f"], localPosition={_OFFSET})")
             else:
                 yield line
 
