@@ -73,7 +73,7 @@ class SurveyRow(msgspec.Struct):
     moved_m: dict[str, float] = {}
     """By engine, how far the bodies are after 1 s from where the file has them go [m]."""
     verdicts: dict[str, str] = {}
-    """By engine, where it was validated: pass, fail, refused, timed out or crashed."""
+    """By engine, where it was validated: as in `Verdicts`."""
     reasons: dict[str, str] = {}
     """By engine, why it does not pass."""
     reference: str = ""
@@ -291,7 +291,7 @@ def _summary(rows: list[SurveyRow], read: list[SurveyRow]) -> Iterator[tuple[str
         both = sum(count == 4 and known for count, known in zip(judged, truth, strict=True))
         yield (
             "run in all four engines, with a verdict against the reference",
-            f"{both} of {len(ran)}",
+            f"{both} ({both / len(read):.0%} of all that are imported)",
         )
         yield "pass in all four engines", f"{passed} of {len(ran)}"
         for engine in ENGINES:

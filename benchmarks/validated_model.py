@@ -35,7 +35,7 @@ class Verdicts(msgspec.Struct):
     """What the engines make of a model, by engine."""
 
     verdicts: dict[str, str] = {}
-    """pass, fail, refused, timed out or crashed."""
+    """pass, fail, refused, timed out, crashed, or no truth where the reference has none."""
     reasons: dict[str, str] = {}
     """Why it does not pass."""
     reference: str = ""
