@@ -152,8 +152,7 @@ def run_tasks(
                     if started is not None:
                         started(place)
                 starter.listen()
-                if sum(process.bytes for process in running) > memory:
-                    max(running, key=lambda process: process.bytes).end_for_memory()
+                _keep_within(memory, running)
                 for process in [process for process in running if process.ended()]:
                     running.remove(process)
                     ended.add(process.place)
@@ -165,6 +164,12 @@ def run_tasks(
         finally:
             starter.end()
     return answers
+
+
+def _keep_within(memory: float, running: Sequence[_Process]) -> None:
+    """End the largest process where all together have more than so many bytes."""
+    if sum(process.bytes for process in running) > memory:
+        max(running, key=lambda process: process.bytes).end_for_memory()
 
 
 def _ready(tasks: Sequence[Task], waiting: list[int], ended: set[int | None]) -> list[int]:

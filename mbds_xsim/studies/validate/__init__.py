@@ -24,6 +24,7 @@ from mbds_xsim.measure.result import (
     EngineResult,
     EnsembleResult,
     Evidence,
+    ReferenceResult,
     Validation,
     Verdict,
 )
@@ -34,7 +35,7 @@ from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, fingerprint
 from mbds_xsim.simulate import registry
-from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.choice import Choice, Contender
 from mbds_xsim.simulate.claims import TRUTH
 
 _ONE_SECOND = 1.0
@@ -63,23 +64,8 @@ def validate_with_evidence(
         spent["search of settings"] = time.perf_counter() - begin
     contenders, left_out = chosen.contenders(scene)
     batch = starts.draw(scene)
-    judged: dict[str, Judged] = {}
-    checked_reference = functools.cache(functools.partial(reference_result, scene, batch))
-
-    def check(outcome: Outcome, reference: ReferenceOutcome) -> None:
-        checking, name = time.perf_counter(), outcome.contender.name
-        conduct.meter.doing(f"{name}: checks")
-        checked_reference(reference)
-        if further_step(scene, batch, outcome, reference) is None:
-            judged[name] = judge(scene, batch, outcome, reference, native=readback)
-        spent["checks"] += time.perf_counter() - checking
-
-    outcomes, reference = run_campaign(scene, batch, contenders, conduct, spent, then=check)
-    left = [outcome for outcome in outcomes if outcome.contender.name not in judged]
-    refine(scene, batch, left, reference, conduct, spent)
-    for outcome in left:
-        check(outcome, reference)
-    rows, voting = [judged[each.contender.name] for each in outcomes], time.perf_counter()
+    rows, reference, checked = _judged(scene, batch, contenders, conduct, spent, native=readback)
+    voting = time.perf_counter()
     results = [row.result for row in rows]
     names, matrix, odd = _vote(scene, rows, reference)
     ensembles = _ensembles(scene, batch, rows, reference)
@@ -97,7 +83,7 @@ def validate_with_evidence(
         budget={key: getattr(scene.budget, key) for key in scene.budget.__struct_fields__},
         engines=tuple(results),
         left_out=left_out,
-        reference=checked_reference(reference),
+        reference=checked,
         names=names,
         matrix_m=matrix,
         odd_one_out=odd,
@@ -108,6 +94,36 @@ def validate_with_evidence(
         fingerprint=fingerprint(scene),
     )
     return validation, _evidence(scene, batch, rows, reference)
+
+
+def _judged(
+    scene: Scene,
+    batch: Batch,
+    contenders: list[Contender],
+    conduct: Conduct,
+    spent: Account,
+    *,
+    native: bool,
+) -> tuple[list[Judged], ReferenceOutcome, ReferenceResult]:
+    """Run the engines, and judge each as soon as it can be, while others still run."""
+    judged: dict[str, Judged] = {}
+    checked_reference = functools.cache(functools.partial(reference_result, scene, batch))
+
+    def check(outcome: Outcome, reference: ReferenceOutcome) -> None:
+        checking, name = time.perf_counter(), outcome.contender.name
+        conduct.meter.doing(f"{name}: checks")
+        checked_reference(reference)
+        if further_step(scene, batch, outcome, reference) is None:
+            judged[name] = judge(scene, batch, outcome, reference, native=native)
+        spent["checks"] += time.perf_counter() - checking
+
+    outcomes, reference = run_campaign(scene, batch, contenders, conduct, spent, then=check)
+    left = [outcome for outcome in outcomes if outcome.contender.name not in judged]
+    refine(scene, batch, left, reference, conduct, spent)
+    for outcome in left:
+        check(outcome, reference)
+    rows = [judged[outcome.contender.name] for outcome in outcomes]
+    return rows, reference, checked_reference(reference)
 
 
 def _worst(results: Sequence[EngineResult]) -> Verdict:
