@@ -9,7 +9,8 @@ Beside found.json stands causes.toml, written by hand: what was found out about 
 PACKAGES is a folder into which the wheels of the extra `wild` are installed; nothing is copied from
 it. What was found of a model is kept by its content and the versions, so that an interrupted run
 goes on where it was. `--validate` also runs models in all engines: that many, smallest first. What
-engines' own readers make of the models is looked at last.
+engines' own readers make of the models is looked at last. Each model has a process of its own, and
+as many are at work as there are cores.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import re
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from fnmatch import fnmatch
 from importlib.metadata import version
@@ -30,8 +31,10 @@ import msgspec
 from benchmarks.harness import print_head, print_made, print_table
 from benchmarks.other_readings import from_compiled, from_pinocchio
 from benchmarks.validated_model import ENGINES, verdicts_on
+from mbds_xsim.base import versions
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.files import write_whole
+from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.base.text import in_markdown
 from mbds_xsim.scene.imported import Imported
 from mbds_xsim.scene.mechanism import Mechanism
@@ -105,26 +108,40 @@ def main(words: list[str]) -> None:
         page(msgspec.json.decode(Path(words[0]).read_bytes(), type=list[SurveyRow]), causes)
         return
     packages, target = map(Path, words[:2])
-    known = (
-        msgspec.json.decode(target.read_bytes(), type=list[SurveyRow]) if target.exists() else []
-    )
-    rows = {row.key: row for row in known}
-    kept = {_key(path): path for path in _models(packages)}
-    for done, (key, path) in enumerate(kept.items()):
-        if key not in rows:
-            rows[key] = _surveyed(path, packages, key)
-            print(f"{done + 1}/{len(kept)} {rows[key].path}", file=sys.stderr, flush=True)
-            _save(target, (rows[k] for k in kept if k in rows))
+    old = msgspec.json.decode(target.read_bytes(), type=list[SurveyRow]) if target.exists() else []
+    known = {row.key: row for row in old}
+    rows = [_begun(path.relative_to(packages), packages) for path in _models(packages)]
+    rows = [known.get(row.key, row) for row in rows]
+    _fill(looked_at, [row for row in rows if not (row.refused or row.bodies)], rows, words)
     if "--validate" in words:
-        _validate_some(kept, rows, target, int(words[words.index("--validate") + 1]), packages)
-    for key, path in kept.items():
-        if not (rows[key].refused or rows[key].readers):
-            _let_engines_read(rows[key], path, packages)
-            _save(target, (rows[k] for k in kept))
+        waiting = [row for row in rows if row.bodies and not row.verdicts]
+        waiting.sort(key=lambda row: row.degrees_of_freedom)
+        _fill(validated, waiting[: int(words[words.index("--validate") + 1])], rows, words)
+    _fill(read_by_engines, [r for r in rows if not (r.refused or r.readers)], rows, words)
 
 
-def _save(target: Path, rows: Iterable[SurveyRow]) -> None:
-    write_whole(target, msgspec.json.format(msgspec.json.encode(list(rows)), indent=1))
+def _fill(
+    fill: Callable[[SurveyRow, Path], SurveyRow],
+    waiting: list[SurveyRow],
+    rows: list[SurveyRow],
+    words: list[str],
+) -> None:
+    """Fill rows, each in a process of its own, and keep every one as it comes."""
+    packages, target = map(Path, words[:2])
+    done = 0
+
+    def keep(place: int, filled: SurveyRow | Crash) -> None:
+        nonlocal done
+        done += 1
+        row = waiting[place]
+        told = filled.reason if isinstance(filled, Crash) else filled.verdicts or "done"
+        print(f"{fill.__name__} {done}/{len(waiting)} {row.path}: {told}", file=sys.stderr)
+        if not isinstance(filled, Crash):  # such a row is tried again by the next run
+            rows[rows.index(row)] = filled
+            write_whole(target, msgspec.json.format(msgspec.json.encode(rows), indent=1))
+
+    tasks = [Task(fill, (row, packages)) for row in waiting]
+    run_tasks(tasks, finished=keep, packages=Path(__file__).parents[1])
 
 
 def _models(packages: Path) -> Iterator[Path]:
@@ -144,17 +161,17 @@ def _models(packages: Path) -> Iterator[Path]:
             yield path
 
 
-def _key(path: Path) -> str:
-    versions = "".join(version(name) for name in ("mbds-xsim", "mujoco", "pybullet", "dartpy"))
-    content = path.read_bytes() + str(path).encode() + f"{versions} {_REVISION}".encode()
-    return hashlib.sha256(content).hexdigest()[:16]
+def _begun(inside: Path, packages: Path) -> SurveyRow:
+    releases = [version(name) for name in ("mbds-xsim", "mujoco", "pybullet", "dartpy")]
+    of = f"{inside} {releases} {versions.PHYSICS} {versions.CHECKS} {_REVISION}"
+    key = hashlib.sha256((packages / inside).read_bytes() + of.encode()).hexdigest()[:16]
+    kind = "URDF" if inside.suffix == ".urdf" else "MJCF"
+    return SurveyRow(key, _package(inside), str(inside), kind)
 
 
-def _surveyed(path: Path, packages: Path, key: str) -> SurveyRow:
-    inside = path.relative_to(packages)
-    row = SurveyRow(
-        key, _package(inside), str(inside), "URDF" if path.suffix == ".urdf" else "MJCF"
-    )
+def looked_at(row: SurveyRow, packages: Path) -> SurveyRow:
+    """Import a model, and hold it against what two other readers make of it."""
+    path = packages / row.path
     begin = time.perf_counter()
     try:
         imported = read_model(path, folder=packages)
@@ -179,8 +196,18 @@ def _surveyed(path: Path, packages: Path, key: str) -> SurveyRow:
     return row
 
 
-def _let_engines_read(row: SurveyRow, path: Path, packages: Path) -> None:
+def validated(row: SurveyRow, packages: Path) -> SurveyRow:
+    """Run a model in all engines."""
+    begin = time.perf_counter()
+    found = verdicts_on(packages / row.path, packages)
+    row.verdicts, row.reasons, row.reference = found.verdicts, found.reasons, found.reference
+    row.validation_s = round(time.perf_counter() - begin, 1)
+    return row
+
+
+def read_by_engines(row: SurveyRow, packages: Path) -> SurveyRow:
     """Look at what engines' own readers make of a model that is imported."""
+    path = packages / row.path
     imported = read_model(path, folder=packages)
     for reading in compared(imported, path, _ENGINES).readings:
         row.readers[reading.engine] = (
@@ -188,6 +215,7 @@ def _let_engines_read(row: SurveyRow, path: Path, packages: Path) -> None:
         )
         if reading.moved_m is not None:
             row.moved_m[reading.engine] = reading.moved_m
+    return row
 
 
 def _fields(differences: Iterable[Difference]) -> str:
@@ -207,19 +235,6 @@ def _counts(imported: Imported, outcome: str) -> dict[str, int]:
     return dict(counts)
 
 
-def _validate_some(
-    paths: dict[str, Path], rows: dict[str, SurveyRow], target: Path, most: int, packages: Path
-) -> None:
-    waiting = [row for key, row in rows.items() if key in paths and row.bodies and not row.verdicts]
-    for row in sorted(waiting, key=lambda row: row.degrees_of_freedom)[:most]:
-        begin = time.perf_counter()
-        found = verdicts_on(paths[row.key], packages)
-        row.verdicts, row.reasons, row.reference = found.verdicts, found.reasons, found.reference
-        row.validation_s = round(time.perf_counter() - begin, 1)
-        print(f"{row.path} {row.verdicts} {row.validation_s} s", file=sys.stderr, flush=True)
-        _save(target, (rows[key] for key in paths if key in rows))
-
-
 _HEAD = """\
 Models in the wheels of pybullet (pybullet_data), dm_control, gymnasium, gymnasium-robotics and
 example-robot-data that have joints, each imported, held against what two other readers make of it,
@@ -230,9 +245,9 @@ imported bodies and joints, over the model's own size, from MuJoCo's compiled mo
 Pinocchio's reading of URDF. What an engine has otherwise than the file says is what
 `mbds-xsim readers MODEL` lists; see [what engines' own readers lose](../../docs/reader-losses.md).
 
-Imports and deviations are of the present program. Verdicts were made while defects that they
-showed were mended, and not all were made again since. Readings are of an earlier run of the same
-command, of the same files and the same releases of the engines.
+*Verdicts* are on half a second of motion from three starts, at the engines' presets (`matched`,
+without a search for better settings), with a minute of processor time for each engine and for the
+reference.
 """
 
 
@@ -325,4 +340,6 @@ def _place(row: SurveyRow) -> str:
 
 
 if __name__ == "__main__":
+    from benchmarks.models_in_the_wild import main  # by a name that other processes know
+
     main(sys.argv[1:])

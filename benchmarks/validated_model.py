@@ -9,7 +9,6 @@ a process of their own, and a minute of its time: one that is slow takes no verd
 
 from __future__ import annotations
 
-import functools
 import sys
 from pathlib import Path
 from typing import Any
@@ -43,17 +42,10 @@ class Verdicts(msgspec.Struct):
 
 
 def verdicts_on(path: Path, folder: Path) -> Verdicts:
-    """Validate a model, if this process has not met the same under another name."""
+    """Validate a model."""
     scene = read_model(path, folder=folder).scene
     clock = msgspec.structs.replace(scene.clock, steps=_FRAMES)
-    scene = msgspec.structs.replace(scene, clock=clock)
-    nameless = msgspec.structs.replace(scene, name="model", description="", source="")
-    return _verdicts_on(msgspec.json.encode(nameless))
-
-
-@functools.cache
-def _verdicts_on(told: bytes) -> Verdicts:
-    scene = msgspec.json.decode(told, type=Scene)
+    scene = msgspec.structs.replace(scene, clock=clock, name="model", description="", source="")
     batch = draw_batch(scene, range(3))
     # It is kept, and the engines' processes find it.
     (truth,) = _apart([Task(reference_of, (scene, batch, True), _LIMIT)])
