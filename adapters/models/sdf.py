@@ -36,6 +36,7 @@ _FAR = 1e10  # a limit beyond is none
 _VERSIONS = ("1.5", "1.6", "1.7", "1.8", "1.9", "1.10", "1.11")
 """Until 1.4 axes were in the frame of the model, which DART does not tell apart."""
 _FRAMES = ("relative_to", "expressed_in", "frame", "degrees", "rotation_format")
+_OFF = ("0", "false")
 _NOT_READ = ("include", "frame", "experimental:params")
 
 
@@ -57,10 +58,13 @@ def read(path: Path, folder: Path, floating: bool) -> Imported:
         turns = {link.get("name", ""): _inertial_turn(link) for link in element.findall("link")}
         parts += _parts(skeleton, len(parts), turns)
     named = next(iter(root.iter("model"))).get("name") or path.stem
-    model = Parts(named, tuple(parts), gravity, labels=_LABELS)
+    model = Parts(named, tuple(parts), _stated(root, gravity), labels=_LABELS)
     had = {key for part in parts for freedom in part.freedoms for key in freedom.properties}
     told = {label: key in had for key, label in _LABELS.items()}
     told["upper", ""] = told["lower", ""]
+    for link in root.iter("link"):
+        if (own := link.find("gravity")) is not None and (own.text or "").strip() in _OFF:
+            own.tag = "link/gravity"  # as the table of fates has it
     from importlib.metadata import version
 
     reader = f"DART {version('dartpy')}"
@@ -71,6 +75,7 @@ def read(path: Path, folder: Path, floating: bool) -> Imported:
 def _skeletons(parser: Any, root: Element) -> tuple[list[Any], Array]:
     """Let DART read the models, without shapes: it crashes on meshes that it does not find."""
     bare = copy.deepcopy(root)
+    bare.set("version", "1.6")  # the last that it takes a world of; without frames all are alike
     for link in list(bare.iter("link")):
         for shape in [*link.findall("visual"), *link.findall("collision")]:
             link.remove(shape)
@@ -89,6 +94,18 @@ def _skeletons(parser: Any, root: Element) -> tuple[list[Any], Array]:
         msg = "DART's parser gives no model of it"
         raise InputError(msg)
     return skeletons, gravity
+
+
+def _stated(root: Element, parsed: Array) -> Array:
+    """Give the world's own gravity, which SDF has from 1.6 on and DART's parser passes over."""
+    words = root.findtext("world/gravity")
+    if words is None:
+        return parsed
+    try:
+        x, y, z = map(float, words.split())
+    except ValueError as error:
+        raise InputError(f"<gravity> is {words!r}, allowed are three numbers") from error
+    return np.array([x, y, z])
 
 
 def _refuse(root: Element) -> None:

@@ -71,6 +71,21 @@ def test_what_is_lost_is_named(here: Path) -> None:
     assert imported.facts.joints[0].limits == (-1, 2)
 
 
+def test_gravity_is_that_of_the_world(here: Path) -> None:
+    """Which DART's parser passes over; links without it are told."""
+    model = (
+        '<model name="robot">' + _ARM.format("<gravity>0</gravity>", "revolute", "") + "</model>"
+    )
+    text = f'<sdf version="1.7"><world name="w"><gravity>1 2 -3</gravity>{model}</world></sdf>'
+    (here / "model.sdf").write_text(text)
+
+    imported = read_model(here / "model.sdf")
+
+    assert imported.scene.gravity == (1, 2, -3)
+    told = {(fate.element, fate.outcome) for fate in imported.fates}
+    assert {("gravity", "kept"), ("link/gravity", "dropped")} <= told
+
+
 _BAD = {
     "frames": (_ARM.format("", "revolute", "").replace("<pose>1", '<pose relative_to="b">1'),
                "does not read (relative_to=)"),
