@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -89,6 +90,7 @@ class _Reading:
         self._up = np.eye(3) if upright else turn
         self._places = UsdGeom.XformCache()
         self._found = UsdPhysics.UsdPhysicsLoadStageFromPrimRange(stage, ["/"])
+        self._count = Counter(prim.GetName() for prim in stage.Traverse())
         self.fates: list[Fate] = []
         self._drives: list[Drive] = []
 
@@ -99,12 +101,10 @@ class _Reading:
         nodes = [self._node(desc) for desc in moving]
         places = np.array([node.position for node in nodes] or [np.zeros(3)])
         extent = float(np.linalg.norm(np.ptp(places, axis=0))) or 1.0
-        ties = [
-            tie
-            for what in _KINDS
-            for desc in self._all(what)
-            if desc.jointEnabled and (tie := self._tie(desc, what, index, extent)) is not None
-        ]
+        joints = [(what, desc) for what in _KINDS for desc in self._all(what) if desc.jointEnabled]
+        joints.sort(key=lambda joint: joint[1].excludeFromArticulation)  # those that close loops
+        found = (self._tie(desc, what, index, extent) for what, desc in joints)
+        ties = [tie for tie in found if tie is not None]
         parts, closings = tree_of(nodes, ties)
         place = {part.name: k for k, part in enumerate(parts)}
         lines = tuple(self._lines(index, [place[node.name] for node in nodes]))
@@ -140,7 +140,8 @@ class _Reading:
 
     def _name(self, path: Any) -> str:
         """Give the last part of a path where no other has it."""
-        return str(path).removeprefix("/").replace("/", " ")
+        alone = self._count[path.name] == 1
+        return path.name if alone else str(path).removeprefix("/").replace("/", " ")
 
     def _frame(self, path: Any) -> tuple[Array, Array]:
         """Place and axes of a prim in W."""

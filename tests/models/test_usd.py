@@ -167,6 +167,14 @@ def test_a_joint_from_the_hand_to_the_base_is_turned_around(here: Path) -> None:
     assert backward.joints[1].child == "fore"
 
 
+def test_a_name_is_the_last_part_of_a_path_where_no_other_has_it(here: Path) -> None:
+    rod, other = (_body("rod", place) for place in ("(1, 2, 3)", "(4, 5, 6)"))
+    arm = _body("arm", "(7, 8, 9)")
+    scene = _read(here, f'def "left"\n{{\n{rod}{arm}}}\n', f'def "right"\n{{\n{other}}}\n').scene
+
+    assert [body.name for body in scene.bodies] == ["left rod", "arm", "right rod"]
+
+
 def test_what_is_lost_is_named(here: Path) -> None:
     inside = "    float drive:angular:physics:stiffness = 3\n    float physxJoint:armature = 0.1\n"
     imported = _read(
