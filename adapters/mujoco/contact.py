@@ -30,7 +30,6 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
@@ -39,6 +38,7 @@ import mujoco
 import numpy as np
 
 from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.xml import numbers
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
 from mbds_xsim.simulate.claims import ContactLaw
 
@@ -75,11 +75,6 @@ _PHASES = 400
 # A damping of 1 takes the whole velocity in a step.
 _STRONGEST = 1.0
 _MOST_STEPS = 2000
-
-
-def numbers(values: Iterable[float]) -> str:
-    """Write numbers as MJCF has them, with every digit and blanks between them."""
-    return " ".join(repr(float(value)) for value in values)
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,11 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.xml import indented, numbers
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint, PointPair
 from mbds_xsim.scene.servo import PlacedDrive
 
-from .contact import Impact, add_ground, cone_options, numbers, stop_law
+from .contact import Impact, add_ground, cone_options, stop_law
 from .state import slim
 
 _JOINT_TYPES = {"ball": "ball", "hinge": "hinge", "slider": "slide"}
@@ -122,12 +123,6 @@ def mechanics(
     return bodies
 
 
-def text(root: Element) -> str:
-    """Indent and write."""
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="unicode") + "\n"
-
-
 def closing_point(joint: PlacedJoint, k: int) -> str:
     """Name the k-th point at which a loop joint is closed."""
     return f"{joint.name} {k}"
@@ -141,7 +136,7 @@ def with_start(xml: str, qpos: Array, qvel: Array, command: Array, remark: str) 
     key = SubElement(keyframe, "key", name="start", qpos=numbers(qpos), qvel=numbers(qvel))
     if command.any():
         key.set("ctrl", numbers(command))
-    return text(root)
+    return indented(root)
 
 
 def _option(root: Element, mechanism: Mechanism, stepping: StepOptions) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.xml import indented
 from mbds_xsim.scene.joint_space import BodyStates, to_links
 from mbds_xsim.scene.mechanism import Link, Mechanism, PlacedJoint
 from mbds_xsim.scene.servo import with_pushes
@@ -28,7 +29,7 @@ from mbds_xsim.simulate.adapter import (
 from mbds_xsim.simulate.readback import joint_anchors, joint_axes, joint_laws
 
 from .contact import SphereGeoms
-from .model import CLOSING_POINTS, StepOptions, closing_point, mjcf, text, with_start
+from .model import CLOSING_POINTS, StepOptions, closing_point, mjcf, with_start
 from .state import Coordinates, Frames, Hanger
 from .steps import FinerNearGround, FinerWhereFast, OneCall, Stepper, turning_rates
 
@@ -57,7 +58,7 @@ class ModelRun(Run):
         self._mechanism = mechanism
         self._idle = np.zeros((mechanism.body_count, 3)) if idle is None else idle
         self._division = division
-        self._xml = text(mjcf(mechanism, stepping, self._idle))
+        self._xml = indented(mjcf(mechanism, stepping, self._idle))
         self.model = mujoco.MjModel.from_xml_string(self._xml)
         self.data = mujoco.MjData(self.model)
         self._hanger = Hanger(mechanism, self._idle)

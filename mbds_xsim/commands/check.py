@@ -150,12 +150,15 @@ def export_model(
     to: shared.Outputs,
     scene: shared.SceneName,
     out: Annotated[Path, Option(metavar="FILE", help="Write the model.")],
-    kind: Annotated[str, Option("--format", metavar="NAME", help="mjcf or urdf.")] = "mjcf",
+    kind: Annotated[
+        str, Option("--format", metavar="NAME", help="mjcf, urdf, sdf or usda.")
+    ] = "mjcf",
 ) -> None:
     """Write a scene as another program's model, and tell what of it is lost.
 
-    Example:
+    Examples:
         mbds-xsim export-model bricard --format mjcf --out bricard.xml
+        mbds-xsim export-model 2ladder --format usda --out ladder.usda
     """
     from mbds_xsim.base.files import write_whole
     from mbds_xsim.report.losses import loss_blocks

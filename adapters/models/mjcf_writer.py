@@ -1,0 +1,81 @@
+"""Scenes as MJCF."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.frame import optional
+from mbds_xsim.base.xml import indented, numbers
+from mbds_xsim.scene.imported import Fate, Written, gathered
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.servo import Servo
+
+from .writing import dropped, first_targets, lacking, no_model, without_servos
+
+_LACKS = {"joints.restitution": "a softness of limits stands for it in MuJoCo"}
+_NO_LAW = "a joint that closes a loop is an equality, on which nothing acts"
+
+
+def write(scene: Scene) -> Written:
+    """Write MJCF; see `mbds_xsim.simulate.registry`.
+
+    Raises:
+        InputError: A slider closes a loop, or MuJoCo is not installed.
+    """
+    optional("mujoco", "writing MJCF", "mujoco")
+    from ..mujoco.model import CLOSING_POINTS, mechanics
+
+    mechanism = without_servos(scene)
+    for joint in mechanism.loops:
+        if joint.kind not in CLOSING_POINTS:
+            msg = f"the joint {joint.name!r} is a {joint.kind} that closes a loop; MJCF closes "
+            raise InputError(msg + "them at points, by ball joints and hinges")
+    root = Element("mujoco", model=scene.name)
+    SubElement(root, "compiler", angle="radian", autolimits="false")
+    SubElement(root, "option", gravity=numbers(scene.gravity))
+    mechanics(root, mechanism, np.zeros((mechanism.body_count, 3)), {}, {})
+    loops = {joint.name for joint in mechanism.loops}
+    servos = [servo for servo in scene.servos if servo.joint not in loops]
+    if servos:
+        actuators = SubElement(root, "actuator")
+        for servo in servos:
+            _servo(actuators, servo)
+    fates = [*no_model(scene), *lacking(scene, _LACKS), *_loops(mechanism), *first_targets(scene)]
+    fates += [dropped("servos", _NO_LAW, [s.joint]) for s in scene.servos if s.joint in loops]
+    return Written(indented(root), gathered(fates))
+
+
+def _loops(mechanism: Mechanism) -> Iterator[Fate]:
+    for joint in mechanism.loops:
+        reason = "points of it are kept together, by a solver that is soft"
+        yield Fate("joints", (), "approximated", reason, True, (joint.name,))
+        if joint.complies:
+            yield dropped("joints", _NO_LAW, [joint.name], "stiffness", "damping")
+    for pair in mechanism.distances:
+        reason = "a tendon of constant length, by a solver that is soft"
+        yield Fate("distance_links", (), "approximated", reason, True, (pair.name,))
+    for tie in mechanism.couplings:
+        reason = "an equality of two joints, by a solver that is soft"
+        yield Fate("couplings", (), "approximated", reason, True, (tie.name,))
+
+
+def _servo(actuators: Element, servo: Servo) -> None:
+    """Write a servo that is at its first target without a command, which moves the target."""
+    from ..mujoco.model import limit_force
+
+    push = servo.stiffness * servo.position[0] + servo.damping * servo.velocity[0]
+    gain, bias = servo.stiffness or servo.damping, (push, -servo.stiffness, -servo.damping)
+    element = SubElement(
+        actuators,
+        "general",
+        joint=servo.joint,
+        gainprm=repr(gain),
+        biastype="affine",
+        biasprm=numbers(bias),
+    )
+    limit_force(element, servo.limit)
