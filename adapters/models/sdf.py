@@ -16,7 +16,7 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.frame import optional
-from mbds_xsim.scene.imported import Imported
+from mbds_xsim.scene.imported import Fate, Imported
 
 from .assembling import assemble
 from .fates import fates_of
@@ -36,6 +36,7 @@ _FAR = 1e10  # a limit beyond is none
 _VERSIONS = ("1.5", "1.6", "1.7", "1.8", "1.9", "1.10", "1.11")
 """Until 1.4 axes were in the frame of the model, which DART does not tell apart."""
 _FRAMES = ("relative_to", "expressed_in", "frame", "degrees", "rotation_format")
+_ONE = "DART's parser takes one joint for each link, between links that are there"
 _OFF = ("0", "false")
 _NOT_READ = ("include", "frame", "experimental:params")
 
@@ -53,7 +54,9 @@ def read(path: Path, folder: Path, floating: bool) -> Imported:
     except RuntimeError as error:
         raise InputError(f"DART's parser refuses it: {error}") from error
     parts: list[Part] = []
+    untaken: list[str] = []
     for skeleton, element in zip(skeletons, root.iter("model"), strict=True):
+        untaken += _untaken(skeleton, element)
         skeleton.setPositions(np.zeros(skeleton.getNumDofs()))
         turns = {link.get("name", ""): _inertial_turn(link) for link in element.findall("link")}
         parts += _parts(skeleton, len(parts), turns)
@@ -68,7 +71,9 @@ def read(path: Path, folder: Path, floating: bool) -> Imported:
     from importlib.metadata import version
 
     reader = f"DART {version('dartpy')}"
-    fates = fates_of(root, told)
+    fates = [*fates_of(root, told)]
+    if untaken:
+        fates.append(Fate("joint", (), "dropped", _ONE, True, tuple(untaken), len(untaken)))
     return assemble(model, file=path.name, kind="SDF", reader=reader, fates=fates)
 
 
@@ -76,6 +81,11 @@ def _skeletons(parser: Any, root: Element) -> tuple[list[Any], Array]:
     """Let DART read the models, without shapes: it crashes on meshes that it does not find."""
     bare = copy.deepcopy(root)
     bare.set("version", "1.6")  # the last that it takes a world of; without frames all are alike
+    for joint in bare.iter("joint"):
+        if joint.get("type") == "continuous":  # which it does not know
+            joint.set("type", "revolute")
+            for limit in joint.findall("axis/limit"):
+                limit.clear()
     for link in list(bare.iter("link")):
         for shape in [*link.findall("visual"), *link.findall("collision")]:
             link.remove(shape)
@@ -124,6 +134,20 @@ def _refuse(root: Element) -> None:
             what = f"{framed[0]}=" if framed else within
             msg = f"<{element.tag}> has what DART's parser does not read ({what}); resolve it first"
             raise InputError(msg)
+
+
+def _untaken(skeleton: Any, model: Element) -> list[str]:
+    """Name the joints that DART's parser does not take; raise where it leaves out links."""
+    nodes = skeleton.getBodyNodes()
+    links, joints = {n.getName() for n in nodes}, {n.getParentJoint().getName() for n in nodes}
+    for link in model.findall("link"):
+        if (name := link.get("name", "")) not in links:
+            msg = (
+                f"DART's parser leaves out the link {name!r}; it takes joints that are revolute, "
+                "revolute2, continuous, prismatic, ball, universal, screw or fixed"
+            )
+            raise InputError(msg)
+    return [n for joint in model.findall("joint") if (n := joint.get("name", "")) not in joints]
 
 
 def _inertial_turn(link: Element) -> Array:

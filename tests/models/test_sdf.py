@@ -86,12 +86,31 @@ def test_gravity_is_that_of_the_world(here: Path) -> None:
     assert {("gravity", "kept"), ("link/gravity", "dropped")} <= told
 
 
+def test_a_continuous_joint_is_a_hinge_without_limits(here: Path) -> None:
+    """DART does not know the type, and reads nothing that hangs on such a joint."""
+    limit = "<limit><lower>-1</lower><upper>2</upper></limit>"
+    (joint,) = _read(here, _ARM.format("", "continuous", limit)).scene.joints
+
+    assert (joint.kind, joint.limits) == ("hinge", None)
+
+
+def test_a_joint_that_closes_a_loop_is_told(here: Path) -> None:
+    """DART takes the first joint of a link."""
+    again = '<joint name="second" type="ball"><parent>world</parent><child>arm</child></joint>'
+    imported = _read(here, _ARM.format("", "revolute", "") + again)
+
+    assert [joint.name for joint in imported.scene.joints] == ["pivot"]
+    dropped = [f for f in imported.fates if f.element == "joint" and f.outcome == "dropped"]
+    assert [(fate.places, fate.moves) for fate in dropped] == [(("second",), True)]
+
+
 _BAD = {
     "frames": (_ARM.format("", "revolute", "").replace("<pose>1", '<pose relative_to="b">1'),
                "does not read (relative_to=)"),
     "include": ("<include><uri>model://a</uri></include>", "does not read (include)"),
     "nested": ('<model name="b"/>', "a model in a model"),
     "misplaced": ('<link name="rod"><model><mass>2</mass></model></link>', "a model in a link"),
+    "gears": (_ARM.format("", "gearbox", ""), "leaves out the link 'arm'"),
     "screw": (_ARM.format("", "screw", ""), "ScrewJoint"),
     "nothing": (_ARM.format("", "fixed", ""), "nothing in it moves"),
     "old": (None, "version 1.4"),
