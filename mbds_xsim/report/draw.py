@@ -19,9 +19,10 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.files import write_whole
 from mbds_xsim.base.text import counted, in_figure
 from mbds_xsim.report import themed
+from mbds_xsim.report.blocks import Figure
 from mbds_xsim.report.catalogue import scene_row
 from mbds_xsim.report.motion import Projection, Skeleton, outline, point_of, pose_of, skeleton
-from mbds_xsim.report.themed import DRAWN, PALE, PARTS
+from mbds_xsim.report.themed import DRAWN, PALE, PARTS, Draw
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
 from mbds_xsim.scene.scene import Scene
@@ -44,13 +45,36 @@ def draw_scene(scene: Scene, path: Path, *, start: int | None = None) -> None:
     Raises:
         InputError: The file cannot be written.
     """
+    draw, size = _drawing(scene, start)
+    write_whole(path, themed.picture(draw, size, None))
+
+
+def scene_figure(scene: Scene) -> Figure:
+    """Give the drawing of a scene at its reference pose for a page."""
+    draw, size = _drawing(scene, None)
+
+    def on_white(figure: Any) -> None:
+        import matplotlib
+        from matplotlib.patches import Rectangle
+
+        figure.set_layout_engine("none")  # the drawing fills it
+        # Its colours are for white, and the page may be dark.
+        figure.add_artist(Rectangle((0, 0), 1, 1, zorder=-1, color="white"))
+        with matplotlib.rc_context(themed.ON_WHITE):
+            draw(figure)
+
+    return Figure(f"{scene.name} at its reference pose", on_white, size, wide=True)
+
+
+def _drawing(scene: Scene, start: int | None) -> tuple[Draw, tuple[float, float]]:
+    """Give what draws a scene on a figure, and the size that fits [in]."""
     picture = _Picture.of(scene, start)
 
     def draw(figure: Any) -> None:
         picture.paint(figure.add_axes((0.0, 0.0, 1.0, 1.0)))
         _title(figure, scene, start)
 
-    write_whole(path, themed.picture(draw, picture.inches(), None))
+    return draw, picture.inches()
 
 
 @dataclass(frozen=True, eq=False)

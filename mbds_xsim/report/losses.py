@@ -6,10 +6,23 @@ from collections.abc import Iterator
 from typing import Any
 
 from mbds_xsim.base.text import counted
-from mbds_xsim.report.blocks import Block, Cell, Mark, Place, Report, Section, Table, Text, table_of
+from mbds_xsim.report.blocks import (
+    Block,
+    Cell,
+    FigureGroup,
+    Mark,
+    Place,
+    Report,
+    Section,
+    Table,
+    Text,
+    table_of,
+)
+from mbds_xsim.report.draw import scene_figure
 from mbds_xsim.scene.constraints import degrees_of_freedom
 from mbds_xsim.scene.imported import Fate, Imported, Outcome, Written
 from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Scene
 
 _MARKS: dict[Outcome, Mark] = {"kept": "pass", "approximated": "warn", "dropped": "fail"}
 _WRITTEN: frozenset[Place] = frozenset({"markdown", "page"})
@@ -51,9 +64,15 @@ def present(imported: Imported, command: str) -> Report:
         what="imported",
         description=f"{imported.format}, read by {imported.reader}: {size}",
         conclusion=conclusion(imported),
-        blocks=tuple(loss_blocks(imported)),
+        blocks=(*loss_blocks(imported), _drawn(imported.scene)),
         command=command,
     )
+
+
+def _drawn(scene: Scene) -> Section:
+    """Show the model as it stands; bodies are ellipsoids of their inertia."""
+    figures = FigureGroup((scene_figure(scene),))
+    return Section("The model at its reference pose", (figures,), on=frozenset({"page"}))
 
 
 def conclusion(imported: Imported) -> str:

@@ -134,6 +134,7 @@ _STYLE = {
     "axes.spines.top": False,
     "axes.spines.right": False,
 }
+ON_WHITE = {"font.size": 9, "text.color": DRAWN, "axes.edgecolor": PALE}
 
 Draw = Callable[[Any], None]
 Layout = Literal["constrained"] | None
@@ -152,7 +153,7 @@ def picture(draw: Draw, size: tuple[float, float], layout: Layout, **how: Any) -
     from matplotlib.figure import Figure
 
     stream = io.BytesIO()
-    with matplotlib.rc_context({"font.size": 9, "text.color": DRAWN, "axes.edgecolor": PALE}):
+    with matplotlib.rc_context(ON_WHITE):
         figure = Figure(figsize=size, layout=layout)
         draw(figure)
         figure.savefig(stream, format="png", dpi=150, metadata={"Software": None}, **how)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from mbds_xsim.report.themed import PARTS
 from mbds_xsim.scene.file import read_scene
 from tests.command_line import CommandLine
 
@@ -122,8 +123,9 @@ def test_an_import_is_a_scene_file_and_a_report(run: CommandLine, here: Path) ->
     (here / "leg.xml").write_text(_MJCF.format(_BODY.replace("<joint/>", joint), ""))
 
     ended = run(
-        "import", "leg.xml", "--out", "leg.toml", "--json", "leg.json", "--markdown", "leg.md"
-    )
+        "import", "leg.xml", "--out", "leg.toml", "--json", "leg.json", "--markdown", "leg.md",
+        "--html", "leg.html",
+    )  # fmt: skip
 
     assert ended.code == 0
     assert "hip:" in ended.out
@@ -132,6 +134,9 @@ def test_an_import_is_a_scene_file_and_a_report(run: CommandLine, here: Path) ->
     (limits,) = (fate for fate in told["fates"] if "range" in fate["properties"])
     assert limits["outcome"] == "dropped"
     assert "as the compiler resolves it" in (here / "leg.md").read_text()
+    assert "reference pose" not in (here / "leg.md").read_text()
+    page = (here / "leg.html").read_text()
+    assert all(word in page for word in ("at its reference pose", PARTS["ball"], "1 body", "hip:"))
     shown = run("show", "leg.xml", "--toml")
     assert shown.out == (here / "leg.toml").read_text()
     lost = sum(fate["moves"] and fate["outcome"] == "dropped" for fate in told["fates"])
