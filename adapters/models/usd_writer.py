@@ -170,7 +170,7 @@ def _unit(kind: str) -> float:
 def _principal(inertia: Array) -> tuple[list[float], Array]:
     """Give moments of single precision that a body can have, and their axes in columns."""
     values, axes = np.linalg.eigh(inertia)
-    low, mid, high = np.float32(values)
+    low, mid, high = values.astype(np.float32)
     if float(low) + float(mid) < float(high):  # as flat bodies may be once rounded
         high = np.nextafter(low + mid, np.float32(0.0))
     return [float(low), float(mid), float(high)], axes * np.linalg.det(axes)

@@ -81,7 +81,7 @@ def test_gravity_is_that_of_the_world(here: Path) -> None:
 
     imported = read_model(here / "model.sdf")
 
-    assert imported.scene.gravity == (1, 2, -3)
+    assert imported.scene.gravity == (1.0, 2.0, -3.0)
     told = {(fate.element, fate.outcome) for fate in imported.fates}
     assert {("gravity", "kept"), ("link/gravity", "dropped")} <= told
 

@@ -385,11 +385,10 @@ def test_a_joint_that_closes_no_loop_keeps_its_limits(here: Path) -> None:
 def test_losses_of_mjcf_are_named_or_refused() -> None:
     """Of rebounds, and of what acts on joints that close loops."""
     bodies = tuple(Body(n, inertia=Inertia(1.0, (1.0, 1.0, 1.0))) for n in ("a", "b"))
-    hinge = {"name": "h", "kind": "hinge", "anchor": (0, 0, 1), "axis": (0, 1, 0)}
-    held = {"stiffness": 3.0}
+    ends = ((WORLD, "a"), ("a", "b"), ("b", WORLD))
     joints = tuple(
-        Joint(**(hinge | {"name": f"h{k}"}), parent=ends[0], child=ends[1], **held)
-        for k, ends in enumerate(((WORLD, "a"), ("a", "b"), ("b", WORLD)))
+        Joint(f"h{k}", "hinge", parent, child, (0, 0, 1), (0, 1, 0), stiffness=3.0)
+        for k, (parent, child) in enumerate(ends)
     )
     scene = Scene("loop", bodies, 1.0, joints=joints, servos=(Servo("h2", stiffness=4.0),))
     told = {(f.element, f.properties) for f in write_model(scene, "mjcf").fates}
@@ -437,7 +436,7 @@ def test_drake_reads_the_same_sdf(here: Path) -> None:
     scene = _with_law(random_tree(np.random.default_rng(3), [*_KINDS, "hinge"]), law)
     (here / "tree.sdf").write_text(write_model(scene, "sdf").text)
     plant = MultibodyPlant(1e-3)
-    Parser(plant).AddModels(str(here / "tree.sdf"))
+    Parser(plant).AddModels(here / "tree.sdf")
     plant.Finalize()
     context, ours = plant.CreateDefaultContext(), Mechanism.of(scene)
 
