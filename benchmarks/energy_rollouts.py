@@ -48,8 +48,8 @@ def from_places(model: EnergyModel, motions: Motions) -> Tensor:
     still[..., 7:] = 0.0
 
     def places(frame: int) -> Tensor:
-        start = Start(motions.position[:, :HISTORY], motions.velocity[:, frame], still[:, frame])
-        return model.begin(start)[:, 0]
+        known = motions.position[:, :HISTORY], motions.velocity[:, frame], still[:, frame, None]
+        return model.begin(Start(*known))[:, 0]
 
     each = [places(frame) for frame in range(HISTORY)]
     parts = [weight * place for weight, place in zip(BACKWARD, each, strict=True)]

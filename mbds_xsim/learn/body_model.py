@@ -1,11 +1,11 @@
-"""Models of bodies: what an engine does beside smooth rigid motion, frame by frame.
+"""Models of bodies: what an engine makes of the bodies of a scene, frame by frame.
 
-A frame begins with smooth motion on the joints under the known inputs: that of `BodyMechanics`,
-which flies bodies exactly, or of a learned energy. A network adds what that lacks, from what it
-sees of the frame (`BodyView`): of each body a displacement and a change of its twist, of each
-contact sphere two impulses on its body, one that displaces it and one that changes its twist. What
-joints forbid of it is taken away by the least mass-weighted change, so that rods keep their
-lengths; nothing is asked of a GPU on the way.
+Most correct smooth motion. A frame then begins with that on the joints under the known inputs, of
+`BodyMechanics`, which flies bodies exactly, or of a learned energy. A network adds what that lacks,
+from what it sees of the frame (`BodyView`): of each body a displacement and a change of its twist,
+of each contact sphere two impulses on its body, one that displaces it and one that changes its
+twist. What joints forbid of it is taken away by the least mass-weighted change, so that rods keep
+their lengths; nothing is asked of a GPU on the way.
 
 The loss holds displacement and twist against the teacher's, body by body, not particle by particle:
 an impact of a disc is one wrench, not nineteen accelerations.
@@ -37,7 +37,7 @@ _LEAST = 1e-6
 
 
 class BodyModel(LearnedModel):
-    """Smooth motion on a scene's joints, and a network for all else."""
+    """Motion of a scene's bodies on its joints."""
 
     dtype: ClassVar[torch.dtype] = torch.float64
     needs_bodies: ClassVar[bool] = True
@@ -69,25 +69,17 @@ class BodyModel(LearnedModel):
         return self
 
     @abstractmethod
-    def smooth(self, state: Tensor, inputs: KnownInputs) -> tuple[list[Tensor], JointHold | None]:
-        """Move over a frame without contact.
+    def predict(self, state: Tensor, inputs: KnownInputs) -> tuple[Tensor, Tensor]:
+        """Give states that a frame leads to, and what is to be added to them.
 
-        Returns:
-            The states after none, one and so on of the steps, and the joints at the last.
-        """
-
-    @abstractmethod
-    def corrections(self, view: BodyView) -> tuple[Tensor, Tensor]:
-        """Give what bodies and contacts add, in units of the deviation of second differences.
-
-        Of bodies displacement and change of the twist, linear and angular parts, (batch, body, 2,
-        2, 3); of contacts their impulses over the body's mass, (batch, contact, 2, 3).
+        States (batch, body, 13); a displacement [m, rad] and a change of the twists [m/s, rad/s],
+        shape (batch, 2, body, 6), as joints let them through.
         """
 
     def begin(self, start: Start) -> Tensor:
         """Give the bodies' states in native frames, shape (batch, body, 13)."""
         assert start.body is not None
-        return self.native(start.body)
+        return self.native(start.body[:, -1])
 
     def native(self, body: Tensor) -> Tensor:
         """Turn published states (…, body, 13) to native frames."""
@@ -104,12 +96,48 @@ class BodyModel(LearnedModel):
             moved = self.rigid.moved(moved, -hold.least(self.rigid.residual(moved)))
         return torch.cat([moved[..., :7], smooth[..., TWIST] + added[:, 1]], dim=-1)
 
-    def predict(self, state: Tensor, inputs: KnownInputs) -> tuple[Tensor, Tensor]:
-        """Give what smooth motion makes of a state, and what is added to it.
+    def positions(self, state: Tensor) -> Tensor:
+        arm = turning.rotate(state[:, self.owner, Q], self.offset)
+        return state[:, self.owner, X] + arm
 
-        That is a displacement [m, rad] and a change of the twists [m/s, rad/s], shape (batch, 2,
-        body, 6), as joints let them through.
+    def loss(self, sample: Sample, generator: torch.Generator) -> Tensor:
+        """Mean distance of the next frame from the teacher's, in units of second differences.
+
+        Root mean square over the mass, of displacements and twists together. Not its square: of
+        that rare violent frames would be all that counts; nor its logarithm: impacts would be
+        learned last.
         """
+        del generator
+        assert sample.body is not None
+        smooth, added = self.predict(self.begin(sample.start), sample.inputs.at(0))
+        target = self.native(sample.body[:, 0])
+        place = self.rigid.square(smooth, added[:, 0] - self.rigid.apart(smooth, target))
+        twist = target[..., TWIST] - smooth[..., TWIST]
+        speed = self.rigid.square(smooth, added[:, 1] - twist)
+        error = place / self.graph.frame_s**2 + speed
+        return torch.sqrt(error / self.viewer.change**2 + _LEAST).mean()
+
+
+class CorrectedModel(BodyModel):
+    """Smooth motion on a scene's joints, and a network for all else."""
+
+    @abstractmethod
+    def smooth(self, state: Tensor, inputs: KnownInputs) -> tuple[list[Tensor], JointHold | None]:
+        """Move over a frame without contact.
+
+        Returns:
+            The states after none, one and so on of the steps, and the joints at the last.
+        """
+
+    @abstractmethod
+    def corrections(self, view: BodyView) -> tuple[Tensor, Tensor]:
+        """Give what bodies and contacts add, in units of the deviation of second differences.
+
+        Of bodies displacement and change of the twist, linear and angular parts, (batch, body, 2,
+        2, 3); of contacts their impulses over the body's mass, (batch, contact, 2, 3).
+        """
+
+    def predict(self, state: Tensor, inputs: KnownInputs) -> tuple[Tensor, Tensor]:
         inputs = KnownInputs(inputs.force.to(state), inputs.torque.to(state))
         states, hold = self.smooth(state, inputs)
         with torch.no_grad():
@@ -132,24 +160,3 @@ class BodyModel(LearnedModel):
         each = torch.cat([pushes, torch.linalg.cross(view.arm, pushes)], dim=-1)
         whole = each.new_zeros(len(each), self.graph.body_count, 6)
         return whole.index_add(1, carrier, each)
-
-    def positions(self, state: Tensor) -> Tensor:
-        arm = turning.rotate(state[:, self.owner, Q], self.offset)
-        return state[:, self.owner, X] + arm
-
-    def loss(self, sample: Sample, generator: torch.Generator) -> Tensor:
-        """Mean distance of the next frame from the teacher's, in units of second differences.
-
-        Root mean square over the mass, of displacements and twists together. Not its square: of
-        that rare violent frames would be all that counts; nor its logarithm: impacts would be
-        learned last.
-        """
-        del generator
-        assert sample.body is not None
-        smooth, added = self.predict(self.begin(sample.start), sample.inputs.at(0))
-        target = self.native(sample.body[:, 0])
-        place = self.rigid.square(smooth, added[:, 0] - self.rigid.apart(smooth, target))
-        twist = target[..., TWIST] - smooth[..., TWIST]
-        speed = self.rigid.square(smooth, added[:, 1] - twist)
-        error = place / self.graph.frame_s**2 + speed
-        return torch.sqrt(error / self.viewer.change**2 + _LEAST).mean()

@@ -16,7 +16,7 @@ import msgspec
 import torch
 from torch import Tensor, nn
 
-from mbds_xsim.learn.body_model import ADDED, BodyModel
+from mbds_xsim.learn.body_model import ADDED, CorrectedModel
 from mbds_xsim.learn.body_view import BodyView, BodyViewer, Seen
 from mbds_xsim.learn.gns import InteractionLayer
 from mbds_xsim.learn.graph import DIMENSION, Graph
@@ -44,7 +44,7 @@ class BodySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     recipe: Recipe = Recipe(rate=3e-3, batch=128, schedule=Cosine(), clip=1.0, skip=True)
 
 
-class JointedModel(BodyModel):
+class JointedModel(CorrectedModel):
     """Known smooth motion, and a network that passes messages over the joints."""
 
     tracks: ClassVar[Mapping[str, BodySettings]] = {"native+": BodySettings()}

@@ -112,8 +112,8 @@ class BodyViewer(nn.Module):
     def forward(self, states: Sequence[Tensor]) -> BodyView:
         """Look at states at the steps of a smooth frame, each (batch, body, 13)."""
         before, middle, after = states[0], states[len(states) // 2], states[-1]
-        first, start, _ = self._touch(before)
-        gap, end, arm = self._touch(after)
+        first, start, _ = self.touch(before)
+        gap, end, arm = self.touch(after)
         spin = after[:, self.sphere_body, W] * self.radius[self.sphere_body]
         contact = [start / self.speed, end / self.speed, arm / self.radius[self.sphere_body]]
         return BodyView(
@@ -153,7 +153,7 @@ class BodyViewer(nn.Module):
         ]
         return Seen.of(vectors, self.kind.expand(len(state), -1, -1))
 
-    def _touch(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def touch(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Gaps (batch, contact, 1) [m], velocities of the lowest points [m/s], arms to them [m]."""
         body = state[:, self.sphere_body]
         arm = turning.rotate(body[..., Q], self.sphere) - self.depth

@@ -203,7 +203,7 @@ class EnergyModel(FlowModel):
     def begin(self, start: Start) -> Tensor:
         """Give nodes and velocities or momenta, on the constraints."""
         assert start.body is not None
-        body = start.body.double()
+        body = start.body[:, -1].double()
         position, orientation = body[..., :3], body[..., 3:7]
         velocity, spin = body[..., 7:10], body[..., 10:]
         arm = rotate(orientation[:, self.carrier], self.carried)

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor, nn
 
 from mbds_xsim.learn import turning
-from mbds_xsim.learn.body_model import ADDED, BodyModel
+from mbds_xsim.learn.body_model import ADDED, BodyModel, CorrectedModel
 from mbds_xsim.learn.body_view import BodyView, BodyViewer
 from mbds_xsim.learn.energy import Drag, EnergyNetwork, EnergyShape
 from mbds_xsim.learn.energy_models import Hamiltonian, Lagrangian, NodeDynamics
@@ -46,7 +46,7 @@ class ImpulseSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     recipe: Recipe = Recipe(rate=3e-3, batch=128, schedule=Cosine(), clip=1.0, skip=True)
 
 
-class ImpulseModel(BodyModel):
+class ImpulseModel(CorrectedModel):
     """Motion that follows from a learned energy, but for learned impulses at contacts."""
 
     kind: ClassVar[type[NodeDynamics]]

@@ -22,12 +22,11 @@ from torch import Tensor, nn
 
 from mbds_xsim.learn import turning
 from mbds_xsim.learn.body_model import ADDED, BodyModel
-from mbds_xsim.learn.body_view import BodyView
 from mbds_xsim.learn.graph import DIMENSION, Graph
 from mbds_xsim.learn.layers import mlp, silence
 from mbds_xsim.learn.model import runge_kutta
 from mbds_xsim.learn.recipe import Cosine, Recipe
-from mbds_xsim.learn.rigid import TWIST, JointHold, Q, V, W, X
+from mbds_xsim.learn.rigid import TWIST, Q, V, W, X
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import KnownInputs
 
@@ -63,18 +62,18 @@ class MbdNode(BodyModel):
         )
         silence(self.network)
 
-    def smooth(self, state: Tensor, inputs: KnownInputs) -> tuple[list[Tensor], JointHold | None]:
-        states = [state]
+    def predict(self, state: Tensor, inputs: KnownInputs) -> tuple[Tensor, Tensor]:
+        inputs = KnownInputs(inputs.force.to(state), inputs.torque.to(state))
         for _ in range(self.substeps):
-            after = runge_kutta(
-                lambda at: self.rate(at, inputs), states[-1], self.graph.frame_s / self.substeps
+            state = runge_kutta(
+                lambda at: self.rate(at, inputs), state, self.graph.frame_s / self.substeps
             )
-            turned = after[..., Q] / after[..., Q].norm(dim=-1, keepdim=True)
-            states.append(torch.cat([after[..., X], turned, after[..., TWIST]], dim=-1))
-        hold = self.rigid.hold(states[-1].detach())
+            turned = state[..., Q] / state[..., Q].norm(dim=-1, keepdim=True)
+            state = torch.cat([state[..., X], turned, state[..., TWIST]], dim=-1)
+        hold = self.rigid.hold(state.detach())
         if hold is not None:
-            states[-1] = torch.cat([states[-1][..., :7], hold.kept(states[-1][..., TWIST])], dim=-1)
-        return states, hold
+            state = torch.cat([state[..., :7], hold.kept(state[..., TWIST])], dim=-1)
+        return state, torch.zeros_like(state[:, None, :, TWIST]).expand(-1, ADDED, -1, -1)
 
     def rate(self, state: Tensor, inputs: KnownInputs) -> Tensor:
         """Time derivative of states (batch, body, 13), under inputs over the frame."""
@@ -101,10 +100,3 @@ class MbdNode(BodyModel):
         ]
         torque = inputs.torque / (unit * self.rigid.mass.mean() * view.radius.mean())
         return torch.cat([torch.cat(bodies, dim=-1).flatten(1), torque], dim=-1)
-
-    def corrections(self, view: BodyView) -> tuple[Tensor, Tensor]:
-        bodies, contacts = view.bodies.vectors, view.contacts.vectors
-        return (
-            bodies.new_zeros(*bodies.shape[:2], ADDED, 2, DIMENSION),
-            contacts.new_zeros(*contacts.shape[:2], ADDED, DIMENSION),
-        )

@@ -312,7 +312,7 @@ def known_start(model: LearnedModel, truth: Trajectory, inputs: Batch) -> Known:
         msg = f"the reference, which gives a model its first {HISTORY} frames, ends before them"
         raise InputError(msg)
     position, velocity = (torch.from_numpy(part) for part in Points.of(graph.scene).motion(truth))
-    body = np.concatenate([getattr(truth, name)[:, last] for name in _STATES], axis=-1)
+    body = np.concatenate([getattr(truth, name)[:, :HISTORY] for name in _STATES], axis=-1)
     return Known(
         Start(
             history=graph.embed(position[:, :HISTORY].to(model.dtype)),

@@ -51,8 +51,9 @@ class Start(RowBundle):
     velocity: Tensor
     """Of the particles at the last of them [m/s], shape (batch, particle, 3)."""
     body: Tensor | None = None
-    """Published states of the bodies then: position, orientation wxyz, velocity and angular
-    velocity, shape (batch, body, 13), float64; only where `Motions` were read with them."""
+    """Published states of the bodies at the same frames: position, orientation wxyz, velocity and
+    angular velocity, shape (batch, 6, body, 13), float64; only where `Motions` were read with them.
+    """
 
     def __len__(self) -> int:
         return len(self.history)
@@ -70,7 +71,7 @@ class Sample(RowBundle):
     velocity: Tensor
     """The same [m/s]."""
     body: Tensor | None = None
-    """Published states of the bodies then, shape (batch, frame, body, 13), as of `Start`."""
+    """Published states of the bodies in these frames, shape (batch, frame, body, 13)."""
 
     def __len__(self) -> int:
         return len(self.position)
@@ -212,7 +213,7 @@ class Motions(RowBundle):
             start=Start(
                 history=self.position[row, past],
                 velocity=self.velocity[row, last][:, 0],
-                body=None if self.body is None else self.body[row, last][:, 0],
+                body=None if self.body is None else self.body[row, past],
             ),
             inputs=self.inputs[row, steps],
             position=self.position[row, steps + 1],

@@ -20,7 +20,7 @@ from mbds_xsim.testing.models import motions_of
 from .models import squared_error
 
 _KNOWN = ["gns+", "sgnn+"]  # whose smooth motion is known
-_MODELS = [*_KNOWN, "hgnn+", "lgnn+"]
+_MODELS = [*_KNOWN, "hgnn+", "lgnn+", "nerd"]
 
 
 @pytest.fixture(params=_MODELS)

@@ -75,7 +75,7 @@ def test_a_start_is_where_the_bodies_are(scene: str) -> None:
     rows = ("position", "orientation", "velocity", "angular_velocity")
     body = torch.cat([torch.as_tensor(getattr(batch, name)) for name in rows], dim=-1)
     history = torch.zeros(3, HISTORY, graph.particle_count, 3).double()
-    state = model.begin(Start(history, history[:, 0], body))
+    state = model.begin(Start(history, history[:, 0], body[:, None]))
     q, v = drawn_states(model.mechanics, 3)
     assert torch.allclose(state[:, 0], q, atol=1e-9)
     assert torch.allclose(state[:, 1], v, atol=1e-9)
@@ -219,7 +219,7 @@ def test_a_graph_without_edges_falls_freely(data: Data, name: str) -> None:
     body[..., 3], body[..., 7:10] = 1.0, torch.tensor([1.0, -2.0, 3.0])
     body[..., 10:] = torch.tensor([4.0, 5.0, 6.0])
     still = torch.zeros(2, 1, 3, dtype=torch.float64)
-    state = model.begin(Start(still[:, None].expand(-1, HISTORY, -1, -1), still, body))
+    state = model.begin(Start(still[:, None].expand(-1, HISTORY, -1, -1), still, body[:, None]))
     inputs = KnownInputs(still, torch.zeros(2, 0, dtype=torch.float64))
     with torch.no_grad():
         assert model.positions(model.advance(state, inputs)).isfinite().all()

@@ -306,7 +306,7 @@ def test_tensorboard_is_told_of_a_run_that_was_finished_before(ask: Ask, tmp_pat
         (
             ["DATA", "--models", "gsn"],
             "is called 'gsn'; did you mean 'gns'? There are: gns, gns+, hgnn, hgnn+, lgnn, lgnn+, "
-            "mbd_node, sgnn, sgnn+",
+            "mbd_node, nerd, sgnn, sgnn+",
         ),
         (["DATA", "--models", "hold"], "no model to train is called 'hold'"),
         (["DATA", "--on", "bullet"], "--on: got 'bullet', allowed for 2pendulum/native is each,"),

@@ -34,8 +34,8 @@ def test_windows_are_the_published_frames(data: Data) -> None:
         velocity = file.velocity[int(rows[number // each])][first + HISTORY - 1]
         np.testing.assert_array_equal(sample.start.velocity[k].numpy(), velocity)
         assert sample.start.body is not None
-        body = file["body/position"][int(rows[number // each])][first + HISTORY - 1]
-        np.testing.assert_array_equal(sample.start.body[k, :, :3].numpy(), body)
+        body = file["body/position"][int(rows[number // each])][first : first + HISTORY]
+        np.testing.assert_array_equal(sample.start.body[k, ..., :3].numpy(), body)
 
 
 def test_inputs_are_those_of_the_frame_to_come(data: Data) -> None:

@@ -1,0 +1,158 @@
+"""NeRD: a transformer over the last states gives the change to the next, in the robot's own frame.
+
+Xu, Heiden, Akinola, Fox, Macklin and Narang, "Neural Robot Dynamics", CoRL 2025 (arXiv 2508.15755):
+the solver of a simulator is replaced by a causal transformer. It is shown, of some states, the
+bodies as seen from the robot's base, where its contact points are and how far from the ground, the
+way of gravity, and what drives the joints; it gives the change of the state. Seen from the base,
+motion elsewhere or turned about the vertical is the same; of a mechanism that is fixed to the world
+the base is the world.
+
+As of all models of bodies here the change is one of each body on the joint that carries it, and
+what closed loops forbid is taken away. Otherwise than in the paper six states are shown, not ten,
+the forces of the frame to come alone are told, and only what follows the last state is learned, by
+the loss of the models of bodies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import msgspec
+import torch
+from torch import Tensor, nn
+
+from mbds_xsim.learn import turning
+from mbds_xsim.learn.body_model import ADDED, BodyModel
+from mbds_xsim.learn.graph import DIMENSION, Graph
+from mbds_xsim.learn.layers import keep, mlp, silence
+from mbds_xsim.learn.model import Symmetry
+from mbds_xsim.learn.recipe import Cosine, Recipe
+from mbds_xsim.learn.rigid import Q, V, W, X
+from mbds_xsim.learn.statistics import Statistics
+from mbds_xsim.learn.window import HISTORY, KnownInputs, Start
+
+_BODY, _CONTACT = 18, 5
+"""Numbers of a body (place, frame, velocity, spin) and of a contact (point, gap in two units)."""
+
+
+class NerdSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Hyper-parameters of NeRD."""
+
+    width: int = 384
+    heads: int = 12
+    layers: int = 6
+    """Blocks of attention."""
+    read: int = 64
+    """Width of the perceptron behind them."""
+    recipe: Recipe = Recipe(rate=1e-3, batch=512, schedule=Cosine(), clip=1.0)
+
+
+class NeRD(BodyModel):
+    """Changes of bodies on their joints from their last states, by one transformer."""
+
+    tracks: ClassVar[Mapping[str, NerdSettings]] = {
+        "paper": NerdSettings(),
+        "lite": NerdSettings(
+            width=64,
+            heads=4,
+            layers=2,
+            recipe=Recipe(rate=1e-3, batch=128, schedule=Cosine(), clip=1.0, skip=True),
+        ),
+    }
+    symmetries: ClassVar[frozenset[Symmetry]] = frozenset({"shift", "turn"})
+
+    down: Tensor
+
+    def __init__(self, graph: Graph, statistics: Statistics, settings: NerdSettings) -> None:
+        super().__init__(graph, statistics, settings)
+        bodies, spheres = graph.body_count, len(self.viewer.sphere_body)
+        forces = DIMENSION * bodies + len(graph.mechanism.hinges)
+        seen = _BODY * bodies + _CONTACT * spheres + DIMENSION + forces
+        self.embed = nn.Linear(seen, settings.width)
+        self.place = nn.Embedding(HISTORY, settings.width)
+        block = nn.TransformerEncoderLayer(
+            settings.width,
+            settings.heads,
+            4 * settings.width,
+            dropout=0.0,
+            activation="gelu",
+            batch_first=True,
+            norm_first=True,
+            bias=False,
+        )
+        last = nn.LayerNorm(settings.width, bias=False)
+        self.blocks = nn.TransformerEncoder(
+            block, settings.layers, norm=last, enable_nested_tensor=False
+        )
+        given = 2 * ADDED * DIMENSION * bodies
+        self.read = mlp(settings.width, given, hidden=settings.read, layers=2, activation=nn.ReLU)
+        silence(self.read)
+        base = next((link.body for link in graph.mechanism.links if link.joint is None), None)
+        self.base = base
+        keep(self, down=nn.functional.normalize(graph.gravity.double(), dim=0))
+
+    def begin(self, start: Start) -> Tensor:
+        """Give the bodies' last states in native frames, shape (batch, 6, body, 13)."""
+        assert start.body is not None
+        return self.native(start.body)
+
+    def advance(self, state: Tensor, inputs: KnownInputs) -> Tensor:
+        return torch.cat([state[:, 1:], super().advance(state, inputs)[:, None]], dim=1)
+
+    def positions(self, state: Tensor) -> Tensor:
+        return super().positions(state[:, -1])
+
+    def predict(self, state: Tensor, inputs: KnownInputs) -> tuple[Tensor, Tensor]:
+        inputs = KnownInputs(inputs.force.to(state), inputs.torque.to(state))
+        origin, frame = self._base(state)
+        place = self.place.weight
+        tokens = self.embed(self._seen(state, inputs, origin, frame).to(place)) + place
+        given = self.read(self.blocks(tokens)[:, -1]).to(state)
+        given = given.unflatten(-1, (-1, ADDED, 2, DIMENSION)) @ frame[:, -1, None, None].mT
+        last, view = state[:, -1], self.viewer
+        hold = self.rigid.hold(last)
+        added = []
+        for k, unit in enumerate((view.speed * self.graph.frame_s, view.change)):
+            shift, turn = given[:, :, k].unbind(-2)
+            change = unit * view.links(last, shift, turn / view.radius) * self.rigid.moves
+            added.append(change if hold is None else hold.kept(change))
+        return last, torch.stack(added, dim=1)
+
+    def _base(self, state: Tensor) -> tuple[Tensor, Tensor]:
+        """Place (batch, 6, 3) and frame (batch, 6, 3, 3) from which states are seen."""
+        if self.base is None:
+            still = state.new_zeros(*state.shape[:2], DIMENSION)
+            return still, torch.eye(DIMENSION).to(state).expand(*state.shape[:2], -1, -1)
+        base = state[:, :, self.base]
+        return base[..., X], turning.matrix(base[..., Q])
+
+    def _seen(self, state: Tensor, inputs: KnownInputs, origin: Tensor, frame: Tensor) -> Tensor:
+        """What is shown of each state, shape (batch, 6, number)."""
+        view, length = self.viewer, self.graph.length
+        change = view.change / self.graph.frame_s
+
+        def inside(vectors: Tensor) -> Tensor:
+            return (vectors @ frame).flatten(2)
+
+        touch = view.touch(state.flatten(0, 1))
+        gap, _, arm = (part.view(*state.shape[:2], *part.shape[1:]) for part in touch)
+        points = state[:, :, view.sphere_body, X] + arm - origin[:, :, None]
+        force = inputs.force / (change * self.rigid.mass) @ frame[:, -1]
+        torque = inputs.torque / (change * self.rigid.mass.mean() * view.radius.mean())
+        now = torch.cat([force.flatten(1), torque], dim=-1)
+        turned = frame.mT[:, :, None] @ turning.matrix(state[..., Q])
+        return torch.cat(
+            [
+                inside((state[..., X] - origin[:, :, None]) / length),
+                turned.flatten(2),
+                inside(state[..., V] / view.speed),
+                inside(state[..., W] * view.radius / view.speed),
+                inside(points / length),
+                (gap / length).flatten(2),
+                torch.asinh(gap / (view.change * self.graph.frame_s)).flatten(2),
+                inside(self.down.expand(*state.shape[:2], 1, -1)),
+                nn.functional.pad(now[:, None], (0, 0, HISTORY - 1, 0)),
+            ],
+            dim=-1,
+        )
