@@ -155,7 +155,7 @@ WAYS = each,leave-one-out,all
 # A change of speed, to hold one of engine against.
 SPEEDS = mujoco-low,mujoco-medium,mujoco-high
 SEEDS ?= 1
-SHIFTED ?= 6pendulum 6pendulum-matched balldrop 3ladder simplecubli $(SCENES:%=%-factors)
+SHIFTED ?= 6pendulum 6pendulum-matched balldrop 3ladder simplecubli $(SCENES:%=%-factors) 5pendulum-worth
 drawn = $(BIN)/mbds-xsim generate $(1) --settings $(2) --trajectories $(DRAWN) --out $(STUDY) \
 	|| [ $$? -eq 1 ]
 trained = $(BIN)/mbds-xsim train $(STUDY)/$(1) --on $(2) --steps $(STEPS) --out $(MODELS) \
@@ -164,7 +164,8 @@ told = --json $(REPORTS)/$(1).json.gz --markdown $(REPORTS)/$(1).md --png $(REPO
 shifted = $(BIN)/mbds-xsim shift $(MODELS) $(STUDY) --scene $(2) $(call told,shift/$(1))
 shift-targets = $(addprefix shift-,$(SHIFTED))
 factor-targets = $(SCENES:%=shift-%-factors)
-.PHONY: $(shift-targets) $(factor-targets)
+worth-targets = $(SCENES:%=shift-%-worth)
+.PHONY: $(shift-targets) $(factor-targets) $(worth-targets)
 
 reports-shift: $(shift-targets)
 	$(BIN)/python -m benchmarks.shift_summary $(REPORTS)/shift > $(REPORTS)/shift/README.md
@@ -207,6 +208,15 @@ $(factor-targets): shift-%-factors: $(VENV)/ready
 	$(BIN)/mbds-xsim train $(FACTORS)/$* --track native+ --models $(NETWORKS) --steps $(STEPS) \
 		--out $(FACTORS)/models --png $(REPORTS)/shift/$*-factors-curves.png
 	$(BIN)/mbds-xsim shift $(FACTORS)/models $(FACTORS) --scene $* $(call told,shift/$*-factors)
+
+# How good data must be: models that learned from a ladder of steps of engines, and of tolerances of the
+# reference, by the error on the truth that what they learned from costs them. Half a core-hour a scene.
+WORTH ?= out/worth
+$(worth-targets): shift-%-worth: $(VENV)/ready
+	$(BIN)/mbds-xsim generate $* --trajectories 300 --out $(WORTH) \
+		--settings $(subst $() ,$(comma),$(wildcard benchmarks/worth/*.toml)) || [ $$? -eq 1 ]
+	$(BIN)/mbds-xsim train $(WORTH)/$* --track native+ --models $(NETWORKS) --steps 100 --out $(WORTH)/models
+	$(BIN)/mbds-xsim shift $(WORTH)/models $(WORTH) --scene $* $(call told,shift/$*-worth)
 
 # All four models until more steps bring no more, on each engine's data: two and a half core-hours.
 reports-lite: $(VENV)/ready

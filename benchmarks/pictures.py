@@ -20,7 +20,7 @@ from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.simulate.adapter import Profile
 from mbds_xsim.studies.releases import present as releases
 from mbds_xsim.studies.releases.steps import History
-from mbds_xsim.studies.shift import figures as shift_figures
+from mbds_xsim.studies.shift import present as shift
 from mbds_xsim.studies.stability import SCHEMA, MapCell, Panel, Survey
 from mbds_xsim.studies.stability import present as stability
 from mbds_xsim.studies.stability.studies import study_named
@@ -70,7 +70,7 @@ def _charts(stored: bytes) -> bytes:
 
 
 def _shift(stored: bytes) -> bytes:
-    return shift_figures.to_png([msgspec.json.decode(stored, type=Shift)], stored)
+    return shift.to_png([msgspec.json.decode(stored, type=Shift)], stored)
 
 
 def _releases(stored: bytes) -> bytes:

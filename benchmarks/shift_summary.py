@@ -9,6 +9,7 @@ import itertools
 import math
 import statistics
 import sys
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
@@ -130,7 +131,9 @@ def _over_scenes(studies: Iterable[Shift]) -> Iterator[tuple[str, ...]]:
 
 
 def _variants(shift: Shift) -> list[str]:
-    return list(dict.fromkeys(domain.variant for domain in shift.domains if domain.variant))
+    """Give the settings that are those of several engines."""
+    engines = Counter(domain.variant for domain in shift.domains if domain.variant)
+    return [variant for variant, count in engines.items() if count > 1]
 
 
 def _within(gap: Gap, model: str, variant: str) -> bool:

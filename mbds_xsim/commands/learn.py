@@ -331,8 +331,7 @@ def shift(
     from mbds_xsim.learn.trained import Selection
     from mbds_xsim.report.files import link, results_json, write_if
     from mbds_xsim.report.terminal import print_report
-    from mbds_xsim.studies.shift.figures import to_png
-    from mbds_xsim.studies.shift.present import present, samples_png
+    from mbds_xsim.studies.shift.present import present, samples_png, to_png
 
     to.check(rollouts=rollouts)
     check_device(device)

@@ -55,6 +55,9 @@ LOG = "log.jsonl"
 STAGES = ("draw_s", "simulate_s", "check_s", "write_s")
 """Of a shard, as its log names them."""
 
+ROLLOUT = "rollout_s"
+"""Of `simulate_s`, what the engine took for the motions, without loading engine and model."""
+
 Crashes = Mapping[int, str]
 """Trajectories that end the engine's process, each with how."""
 
@@ -87,7 +90,7 @@ def make_shard(item: Item, out: Path, *, crashes: Crashes | None = None) -> None
     watch, variant = _Watch(), item.variant
     batch = draw_batch(variant.scene, item.indices, seed=variant.seed, noise=variant.noise)
     watch.lap("draw_s")
-    trajectory, misbuilt = _simulated(variant, batch, crashes or {})
+    trajectory, misbuilt, rollout_s = _simulated(variant, batch, crashes or {})
     watch.lap("simulate_s")
     verdict = _judged(variant, batch, trajectory)
     verdict.misbuilt += misbuilt
@@ -106,7 +109,8 @@ def make_shard(item: Item, out: Path, *, crashes: Crashes | None = None) -> None
         )
     put(path, *encode(_rows(datasets, passed), {**attributes, "kind": "shard"}))
     watch.lap("write_s")
-    _log(path.parent, {"first": item.first, "count": item.count, **counts, **watch.laps})
+    times = {**watch.laps, ROLLOUT: round(rollout_s, 6)}
+    _log(path.parent, {"first": item.first, "count": item.count, **counts, **times})
 
 
 def try_out(variant: Variant, indices: Sequence[int]) -> None:
@@ -128,21 +132,23 @@ class _Watch:
         self._last = now
 
 
-def _simulated(variant: Variant, batch: Batch, crashes: Crashes) -> tuple[Trajectory, list[str]]:
-    """Run the engine on what does not crash it, and tell what its model has otherwise."""
+def _simulated(
+    variant: Variant, batch: Batch, crashes: Crashes
+) -> tuple[Trajectory, list[str], float]:
+    """Run the engine on what does not crash it; tell what its model has otherwise, and its time."""
     contender, scene = variant.contender, variant.scene
     runs = [row for row, index in enumerate(batch.index.tolist()) if index not in crashes]
     if not runs:
-        return _crashed(variant, batch, crashes), []
+        return _crashed(variant, batch, crashes), [], 0.0
     some = batch if len(runs) == len(batch) else batch[runs]
     done = simulate(scene, some, contender.engine, contender.settings)
     about = Mechanism.of(scene), some, contender.settings
     lines = compare(*about, done.readback, variant.method)
     misbuilt = [f"read-back: {line}" for line in lines]
     if some is batch:
-        return done.trajectory, misbuilt
+        return done.trajectory, misbuilt, done.cpu_s
     whole = _crashed(variant, batch, crashes).replaced(np.array(runs), done.trajectory)
-    return whole, misbuilt
+    return whole, misbuilt, done.cpu_s
 
 
 def _crashed(variant: Variant, batch: Batch, crashes: Crashes) -> Trajectory:
@@ -225,7 +231,7 @@ def _log(folder: Path, facts: Mapping[str, Any]) -> None:
 
 
 def spent(joined: Path) -> dict[str, float]:
-    """Processor time of each stage over all shards of a joined file [s], as their log tells it.
+    """Processor time over all shards of a joined file [s], of each stage that their log tells.
 
     Of a shard that was made twice the last time counts; nothing where there is no log, as of data
     that were fetched from elsewhere.
@@ -234,7 +240,8 @@ def spent(joined: Path) -> dict[str, float]:
     lines = path.read_text("utf-8").splitlines() if path.is_file() else []
     shards = {facts["first"]: facts for facts in map(json.loads, lines)}
     each = shards.values()
-    return {stage: sum(facts[stage] for facts in each) for stage in STAGES} if shards else {}
+    told = [stage for stage in (*STAGES, ROLLOUT) if all(stage in facts for facts in each)]
+    return {stage: sum(facts[stage] for facts in each) for stage in told} if shards else {}
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from mbds_xsim.dataset.layout import SPLITS, split_of
 from mbds_xsim.dataset.paired import STARTS, check_alike, check_paired, numbers_in
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.dataset.read import Dataset, load_dataset
-from mbds_xsim.dataset.shard import spent
+from mbds_xsim.dataset.shard import ROLLOUT, spent
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.trained import TrainedModel
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Motions, names_read
@@ -123,8 +123,12 @@ class Paired:
 
 
 def cost_of(domain: Domain) -> float | None:
-    """Processor time of the engine for one of its trajectories [s]; None where nothing tells."""
-    seconds = spent(domain.path).get("simulate_s") if isinstance(domain, Recorded) else None
+    """Processor time of the engine for one of its trajectories [s]; None where nothing tells.
+
+    Older logs tell it with the loading of engine and model.
+    """
+    times = spent(domain.path) if isinstance(domain, Recorded) else {}
+    seconds = times.get(ROLLOUT, times.get("simulate_s"))
     if seconds is None:
         return None
     return seconds / int(attributes_of(domain.path)["count"])

@@ -18,19 +18,23 @@ these one in twenty may be chance.
 
 from __future__ import annotations
 
-import functools
 import itertools
 import statistics
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from typing import TypeVar
 
-import msgspec
 import numpy as np
 from scipy.stats import false_discovery_control, norm
 
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.learn.shift.gaps import Draws, Look, trainings_of
-from mbds_xsim.learn.shift.result import Answer, Interaction, values
+from mbds_xsim.learn.shift.gaps import Bounded, Draws, Look, trainings_of
+from mbds_xsim.learn.shift.result import Answer, Interaction, PairRatio, values
 from mbds_xsim.learn.trained import TrainedModel
+
+Ratio = Callable[[Look, TrainedModel, TrainedModel], Array]
+"""Of errors of two trainings."""
+Made = TypeVar("Made", bound=PairRatio)
 
 INTERACTION = "interaction"
 """Kind of answer."""
@@ -49,29 +53,44 @@ def interactions_of(draws: Draws) -> tuple[Interaction, ...]:
 
     Each pair of a model that was trained on both, on each alone.
     """
-    found, chances = [], []
-    for first, second in _pairs(draws):
-        ratio = draws.bounded(functools.partial(interaction, first=first, second=second))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            spread = np.log(interaction(draws.drawn, first, second)).std(axis=0) + _ROUNDING
-            chances.append(2.0 * norm.sf(np.abs(np.log(ratio.value)) / spread))
-        found.append(
-            Interaction(
-                model=first.model,
-                first=first.domains[0],
-                second=second.domains[0],
-                seeds=min(len(draws.evaluation.runs(each)) for each in (first, second)),
-                value=values(ratio.value),
-                low=values(ratio.low),
-                high=values(ratio.high),
-                resolved=(),
-            )
-        )
-    kept = _kept(np.array(chances)).tolist() if found else []
+    return compared(draws, list(_pairs(draws)), interaction, Interaction)
+
+
+def compared(
+    draws: Draws,
+    pairs: Sequence[tuple[TrainedModel, TrainedModel]],
+    ratio: Ratio,
+    kind: type[Made],
+) -> tuple[Made, ...]:
+    """Bound a ratio of errors for pairs of trainings; tell which are no chance, of all together."""
+    ratios = [partial(_of_pair, ratio, pair) for pair in pairs]
+    bounded = [draws.bounded(each) for each in ratios]
+    chances = [_chance(draws, *each) for each in zip(ratios, bounded, strict=True)]
+    kept = _kept(np.array(chances)).tolist() if chances else []
     return tuple(
-        msgspec.structs.replace(each, resolved=tuple(row))
-        for each, row in zip(found, kept, strict=True)
+        kind(
+            model=first.model,
+            first=first.domains[0],
+            second=second.domains[0],
+            seeds=min(len(draws.evaluation.runs(each)) for each in (first, second)),
+            value=values(bounds.value),
+            low=values(bounds.low),
+            high=values(bounds.high),
+            resolved=tuple(row),
+        )
+        for (first, second), bounds, row in zip(pairs, bounded, kept, strict=True)
     )
+
+
+def _of_pair(ratio: Ratio, pair: tuple[TrainedModel, TrainedModel], look: Look) -> Array:
+    return ratio(look, *pair)
+
+
+def _chance(draws: Draws, ratio: Callable[[Look], Array], bounded: Bounded) -> Array:
+    """Compute how probable so large a logarithm would be where there is none, by its spread."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        spread = np.log(ratio(draws.drawn)).std(axis=0) + _ROUNDING
+        return np.asarray(2.0 * norm.sf(np.abs(np.log(bounded.value)) / spread))
 
 
 def interaction(look: Look, first: TrainedModel, second: TrainedModel) -> Array:

@@ -131,24 +131,35 @@ class Gap(msgspec.Struct, frozen=True):
     """Why a shift is not resolvable; empty where it is."""
 
 
-class Interaction(msgspec.Struct, frozen=True):
-    """What a change between two engines costs a model, both ways together, at each frame.
-
-    The luck of trainings and how hard the domains are cancel in it; 1 is no loss.
-    """
+class PairRatio(msgspec.Struct, frozen=True):
+    """A ratio of errors of one model that learned from two domains, at each frame."""
 
     model: str
     first: str
     second: str
-    """Domains, each trained and tested on."""
+    """Domains that taught it."""
     seeds: int
     """Of the training that has fewer."""
     value: Values
-    """√(R_ij R_ji / (R_ii R_jj)) of mean squared errors."""
     low: Values
     high: Values
     resolved: tuple[bool, ...]
-    """Whether it is told from 1, of all pairs of the study together."""
+    """Whether it is told from 1, of all such ratios of the study together."""
+
+
+class Interaction(PairRatio, frozen=True):
+    """What a change between two engines costs a model, both ways together.
+
+    √(R_ij R_ji / (R_ii R_jj)) of mean squared errors, each domain trained and tested on: the luck
+    of trainings and how hard the domains are cancel in it; 1 is no loss.
+    """
+
+
+class Harm(PairRatio, frozen=True):
+    """What the error of its data costs a model: its error on the truth over the least to be had.
+
+    That is where the second taught it, the reference's data that are nearest the truth.
+    """
 
 
 class Agreement(msgspec.Struct, frozen=True):
@@ -174,7 +185,8 @@ class Answer(msgspec.Struct, frozen=True, omit_defaults=True):
     """A question, and its answer from the figures."""
 
     kind: str
-    """"interaction", "resolvable", "robust", "leave-one-out", "all", "matched" or "speed"."""
+    """"worth", "interaction", "resolvable", "robust", "leave-one-out", "all", "matched" or
+    "speed"."""
     question: str
     answer: str
     variant: str = ""
@@ -220,6 +232,8 @@ class Shift(msgspec.Struct, frozen=True, kw_only=True):
     contact_trajectories: int = 0
     after_contact: tuple[Interaction, ...] = ()
     """As `interactions`, at these frames."""
+    harms: tuple[Harm, ...] = ()
+    """Of studies that have data of the reference, too."""
     wall_s: float
     kept: int = 0
     """How many of the models had been tested before, in no time of this."""

@@ -57,6 +57,7 @@ from mbds_xsim.learn.shift.result import (
     TrainedFacts,
 )
 from mbds_xsim.learn.shift.rollouts import RolloutPlan, evaluate, restarted
+from mbds_xsim.learn.shift.worth import answer_of_harms, harms_of
 from mbds_xsim.learn.trained import (
     WHOLE,
     Selection,
@@ -157,9 +158,8 @@ def study(
         models=tuple(_facts(evaluation, model) for model in models),
         kept=len(models) - figures.tested,
     )
-    return ShiftStudy(
-        msgspec.structs.replace(shift, wall_s=time.perf_counter() - began), evaluation
-    )
+    answers, wall_s = (*answer_of_harms(shift), *shift.answers), time.perf_counter() - began
+    return ShiftStudy(msgspec.structs.replace(shift, answers=answers, wall_s=wall_s), evaluation)
 
 
 def _shift(evaluation: Evaluation, plan: RolloutPlan, at: int, **facts: Any) -> Shift:
@@ -193,6 +193,7 @@ def _shift(evaluation: Evaluation, plan: RolloutPlan, at: int, **facts: Any) -> 
         contact_frames=later.frames if later else (),
         contact_trajectories=len(later.test.index) if later else 0,
         after_contact=touched,
+        harms=harms_of(draws),
         answers=(
             *_changes(interactions, evaluation.frames, at),
             *(_changes(touched, later.frames, at, _SINCE) if later else ()),

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import statistics
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
-from mbds_xsim.base.text import in_figure
 from mbds_xsim.learn.curves import looks
-from mbds_xsim.learn.shift.domains import REFERENCE
 from mbds_xsim.learn.shift.evaluation import RESTART
 from mbds_xsim.learn.shift.interaction import by_change
 from mbds_xsim.learn.shift.result import INTERVALS, ErrorCell, Shift
@@ -102,40 +98,9 @@ def mean(figures: Sequence[float | None]) -> float | None:
 _CELL = (0.95, 0.34)  # width and height [in]
 _MARGIN = (2.4, 1.5)
 _LEAST_SPREAD = 0.5  # decades to either side: differences by little must not look large
-_ABREAST = 2  # more would be too small to read on a page
 _FORMULAS = dict(zip(TRIVIAL, (":", "--", "-."), strict=True))  # their lines
 _PALEST = 0.6  # of the colours' range that is used: text is read on all of it
 _MIDDLE = 0.55  # of the colours' range: darker cells have white text
-
-
-def to_png(studies: Sequence[Shift], stored: bytes = b"") -> bytes:
-    """Give a picture: a block for each study of what changes of engine cost, else of all errors.
-
-    Args:
-        studies: What is drawn.
-        stored: Of the JSON that keeps it.
-    """
-    if all(shift.interactions for shift in studies):
-        costs = [(partial(_draw_costs, shift=shift), _size_of_costs(shift)) for shift in studies]
-        return themed.stacked(costs, stored)
-    columns, parts = min(_ABREAST, max(len(trained_models(shift)) for shift in studies)), []
-    for shift in studies:
-        rows = math.ceil(len(trained_models(shift)) / columns)
-        width, height = map_size(matrix_of(shift, trained_models(shift)[0], at(shift, shift.at)))
-        draw = partial(_draw_block, shift=shift, shape=(rows, columns))
-        parts.append((draw, (columns * width, rows * height)))
-    return themed.stacked(parts, stored)
-
-
-def _draw_costs(figure: Any, shift: Shift) -> None:
-    draw_interactions(figure.subplots(), shift, shift.at)
-    what = f"what a change of engine or settings costs at t = {shift.at}"
-    figure.suptitle(f"{in_figure(shift.scene)}: {what}", fontsize=11, x=0.01, ha="left")
-
-
-def _size_of_costs(shift: Shift) -> tuple[float, float]:
-    width, height = interactions_size(shift)
-    return max(width, 6.0), height
 
 
 def map_size(matrix: Matrix) -> tuple[float, float]:
@@ -211,40 +176,6 @@ def draw_interactions(axes: Any, shift: Shift, frame: int) -> None:
     axes.tick_params(length=0, labelsize=8)
 
 
-def costs_of(shift: Shift, model: str) -> list[tuple[str, float, float]]:
-    """Give single-engine trainings by what their data cost: name, cost [s], error on the truth."""
-    matrix = matrix_of(shift, model, at(shift, shift.at))
-    costs = {domain.name: domain.cost_s for domain in shift.domains}
-    found = [(name, costs.get(name), matrix.entry(name, REFERENCE)) for name in matrix.homes]
-    known = [(name, cost, error) for name, cost, error in found if cost and error]
-    return sorted(known, key=lambda each: each[1])
-
-
-def draw_costs(axes: Any, shift: Shift) -> None:
-    """Draw the error of each model on the truth over what its training data cost.
-
-    A line is the least error that so dear data, or cheaper ones, have brought.
-    """
-    named: dict[str, float] = {}
-    for model in trained_models(shift):
-        points = costs_of(shift, model)
-        costs, errors = [cost for _, cost, _ in points], [error for _, _, error in points]
-        look = {"color": themed.model_colour(model)}
-        axes.plot(costs, errors, "o", ms=4.5, label=model, **look)
-        axes.step(costs, list(itertools.accumulate(errors, min)), where="post", lw=1, **look)
-        named |= {name: cost for name, cost, _ in points}
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    for name, cost in named.items():
-        axes.axvline(cost, color=themed.GREY, lw=0.4, zorder=0)
-        axes.text(
-            cost, 1.01, name, rotation=40, ha="left", va="bottom", fontsize=7, color=themed.GREY,
-            transform=axes.get_xaxis_transform(),
-        )  # fmt: skip
-    axes.set_xlabel("processor time of the engine for a trajectory of training data [s]")
-    axes.set_ylabel(f"squared error at t = {shift.at} [m²]")
-
-
 def spread_of(matrices: Sequence[Matrix]) -> tuple[float, float]:
     """Ends of a scale of colours that maps share."""
     logs = [_log(value) for m in matrices for row in m.values for value in row]
@@ -312,20 +243,6 @@ def _draw_floors(axes: Any, shift: Shift, test: str, time: Sequence[float]) -> N
             axes.plot(
                 time, _line(floor.curve), style, color=themed.INK, lw=1, label=f"{kind} floor"
             )
-
-
-def _draw_block(figure: Any, shift: Shift, shape: tuple[int, int]) -> None:
-    maps = maps_at(shift, shift.at)
-    charts = figure.subplots(*shape, squeeze=False).ravel()
-    for axes, matrix in zip(charts, maps, strict=False):
-        draw_matrix(axes, matrix, spread_of(maps))
-        axes.set_title(matrix.model, fontsize=10, loc="left")
-    for axes in charts[len(maps) :]:
-        axes.set_axis_off()
-    title = f"{in_figure(shift.scene)}: mean squared position error at t = {shift.at} [m²]"
-    figure.suptitle(
-        f"{title}; rows: trained on, columns: tested on", fontsize=11, x=0.01, ha="left"
-    )
 
 
 def _line(curve: Sequence[float | None]) -> list[float]:

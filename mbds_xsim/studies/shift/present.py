@@ -5,6 +5,7 @@ Rollouts over the truth are packed for the viewer in the page, or drawn as a pic
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
@@ -34,23 +35,24 @@ from mbds_xsim.report.motion import encoded, packed_base, packed_entry
 from mbds_xsim.report.themed import LIGHT, Style, model_style
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.studies.shift.figures import (
-    costs_of,
+    at,
     curves_of,
-    draw_costs,
     draw_curves,
     draw_interactions,
     draw_matrix,
     interactions_size,
     map_size,
     maps_at,
+    matrix_of,
     spread_of,
     trained_models,
 )
 from mbds_xsim.studies.shift.tables import tables
+from mbds_xsim.studies.shift.worth import SIZE, costs_of, draw_worth, worth_section
 
 _ENOUGH = 3  # seeds
+_ABREAST = 2  # heat maps: more would be too small to read on a page
 _CURVES = (6.6, 3.4)
-_WORTH = (7.6, 4.2)
 _PAGE: frozenset[Place] = frozenset({"page"})
 _BESIDE = EVERYWHERE - {"terminal"}
 
@@ -82,11 +84,11 @@ def present(
 
 def _blocks(shift: Shift, samples: Samples | None, *, played: bool) -> Iterator[Block]:
     yield Text(protocol(shift))
-    if shift.interactions:
-        yield _change(shift)
+    change = [_change(shift)] if shift.interactions else []
+    several = any(len(costs_of(shift, model)) > 1 for model in trained_models(shift))
+    worth = [worth_section(shift)] if several else []
+    yield from worth + change if shift.harms else change + worth
     yield Remarks.of(answers(shift))
-    if any(len(costs_of(shift, model)) > 1 for model in trained_models(shift)):
-        yield _worth(shift)
     if samples is not None:
         yield from _figures(shift, samples, played=played)
     few = len(trained_models(shift)) + 2 * (bool(shift.interactions) + bool(shift.after_contact))
@@ -136,23 +138,6 @@ def _change(shift: Shift) -> Section:
     return Section(
         title, (Text(told), FigureGroup((Figure(title, draw, interactions_size(shift)),))), on=_PAGE
     )
-
-
-def _worth(shift: Shift) -> Section:
-    """How good data must be."""
-
-    def draw(figure: Any) -> None:
-        draw_costs(figure.subplots(), shift)
-        figure.legend(loc="outside right upper", fontsize=8, frameon=False)
-
-    title = f"What data cost, and what is learned from them, t = {shift.at}"
-    told = (
-        "A point is a training on one engine's data, held against the reference; the line is the "
-        "least error that so dear data, or cheaper ones, have brought. Where it is level, cheaper "
-        "data do as well."
-    )
-    group = FigureGroup((Figure(title, draw, _WORTH, wide=True),))
-    return Section(title, (Text(told), group), folded=True, on=_PAGE)
 
 
 def _figures(shift: Shift, samples: Samples, *, played: bool) -> Iterator[Section]:
@@ -225,6 +210,59 @@ def _curves(shift: Shift, model: str) -> FigureGroup:
 
         drawn.append(Figure(f"{model} on {test}: error over time", draw, _CURVES))
     return FigureGroup(tuple(drawn), least=560)
+
+
+def to_png(studies: Sequence[Shift], stored: bytes = b"") -> bytes:
+    """Give a picture: a block for each study of its first answer, else of all errors.
+
+    Args:
+        studies: What is drawn.
+        stored: Of the JSON that keeps it.
+    """
+    if all(shift.harms for shift in studies):
+        worths = [(partial(_draw_worth, shift=shift), SIZE) for shift in studies]
+        return themed.stacked(worths, stored)
+    if all(shift.interactions for shift in studies):
+        costs = [(partial(_draw_costs, shift=shift), _size_of_costs(shift)) for shift in studies]
+        return themed.stacked(costs, stored)
+    columns, parts = min(_ABREAST, max(len(trained_models(shift)) for shift in studies)), []
+    for shift in studies:
+        rows = math.ceil(len(trained_models(shift)) / columns)
+        width, height = map_size(matrix_of(shift, trained_models(shift)[0], at(shift, shift.at)))
+        draw = partial(_draw_block, shift=shift, shape=(rows, columns))
+        parts.append((draw, (columns * width, rows * height)))
+    return themed.stacked(parts, stored)
+
+
+def _draw_worth(figure: Any, shift: Shift) -> None:
+    draw_worth(figure, shift)
+    what = "what data cost, how good they are, and what is learned from them (full: they harm)"
+    figure.suptitle(f"{in_figure(shift.scene)}: {what}", fontsize=11, x=0.01, ha="left")
+
+
+def _draw_costs(figure: Any, shift: Shift) -> None:
+    draw_interactions(figure.subplots(), shift, shift.at)
+    what = f"what a change of engine or settings costs at t = {shift.at}"
+    figure.suptitle(f"{in_figure(shift.scene)}: {what}", fontsize=11, x=0.01, ha="left")
+
+
+def _size_of_costs(shift: Shift) -> tuple[float, float]:
+    width, height = interactions_size(shift)
+    return max(width, 6.0), height
+
+
+def _draw_block(figure: Any, shift: Shift, shape: tuple[int, int]) -> None:
+    maps = maps_at(shift, shift.at)
+    charts = figure.subplots(*shape, squeeze=False).ravel()
+    for axes, matrix in zip(charts, maps, strict=False):
+        draw_matrix(axes, matrix, spread_of(maps))
+        axes.set_title(matrix.model, fontsize=10, loc="left")
+    for axes in charts[len(maps) :]:
+        axes.set_axis_off()
+    title = f"{in_figure(shift.scene)}: mean squared position error at t = {shift.at} [m²]"
+    figure.suptitle(
+        f"{title}; rows: trained on, columns: tested on", fontsize=11, x=0.01, ha="left"
+    )
 
 
 _REACH = 4.0

@@ -14,10 +14,11 @@ from mbds_xsim.learn.shift.interaction import changed
 from mbds_xsim.learn.shift.result import INTERVALS, Gap, Shift
 from mbds_xsim.learn.trained import TRIVIAL
 from mbds_xsim.report.blocks import Table
-from mbds_xsim.report.quantity import NONE, number, with_unit
+from mbds_xsim.report.quantity import NONE, number
 from mbds_xsim.studies.shift.changes import change_tables, titled
 from mbds_xsim.studies.shift.figures import Pick, at, best_formula, matrix_of, mean, trained_models
 from mbds_xsim.studies.shift.nearness import nearness
+from mbds_xsim.studies.shift.worth import worth_table
 
 
 def tables(shift: Shift) -> Iterator[Table]:
@@ -33,7 +34,7 @@ def _tables(shift: Shift) -> Iterator[Table]:
     yield from (_one_step(shift, model) for model in models)
     yield _transfer(shift, frame)
     yield _gaps(shift, place)
-    yield _costs(shift, place)
+    yield worth_table(shift, place)
     yield nearness(shift)
     yield _effort(shift)
     yield _floors(shift)
@@ -171,30 +172,6 @@ def _gap_row(gap: Gap, place: int) -> tuple[str, ...]:
         f"{number(gap.ratio_low[place])} … {number(gap.ratio_high[place])}",
         *(number(floor[place]) for floor in floors),
         "resolved" if gap.resolved[place] else f"not resolvable: {gap.why[place]}",
-    )
-
-
-def _costs(shift: Shift, place: int) -> Table:
-    """What data cost, beside what models that learned from them err on the truth."""
-    models, pick = trained_models(shift), at(shift, shift.frames[place])
-    matrices = [matrix_of(shift, model, pick) for model in models]
-    told = [d for d in shift.domains if d.cost_s is not None]
-    rows = (
-        (
-            domain.name,
-            with_unit(domain.cost_s, "s"),
-            *(number(matrix.entry(domain.name, REFERENCE)) for matrix in matrices),
-        )
-        for domain in sorted(told, key=lambda d: d.cost_s or 0.0)
-        if any(domain.name in matrix.rows for matrix in matrices)
-    )
-    return titled(
-        f"What training data cost, and what is learned from them, t = {shift.frames[place]}",
-        "Processor time of the engine for a trajectory of its data, and the mean squared error "
-        "[m²], against the independent reference, of each model that was trained on it alone: the "
-        "first row from which on dearer data bring no less error tells how good data must be",
-        ("trained on", "a trajectory", *models),
-        rows,
     )
 
 

@@ -1,0 +1,164 @@
+"""How good must data be? Errors on the truth beside what the data cost and how good they are."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from mbds_xsim.learn.shift.domains import REFERENCE
+from mbds_xsim.learn.shift.interaction import BEARABLE
+from mbds_xsim.learn.shift.result import Harm, Shift
+from mbds_xsim.learn.shift.worth import HARMFUL, NOTABLE, distances, noise_of, verdict
+from mbds_xsim.report import themed
+from mbds_xsim.report.blocks import Figure, FigureGroup, Section, Table, Text
+from mbds_xsim.report.quantity import number, with_unit
+from mbds_xsim.studies.shift.changes import titled
+from mbds_xsim.studies.shift.figures import at, matrix_of, trained_models
+
+SIZE = (10.4, 4.6)
+_SINGLE = 2.0**-24
+"""Of the scene's length: data nearer the truth than this are so by the rounding of positions."""
+
+_NAME = 0.045
+"""Of a chart's width: distance of the names above it."""
+
+Point = tuple[str, float, float]
+"""A training's name, what its data cost [s] or their distance from the truth [m²], its error."""
+
+
+def costs_of(shift: Shift, model: str) -> list[Point]:
+    """Give single-engine trainings by what their data cost: name, cost [s], error on the truth."""
+    costs = {domain.name: domain.cost_s for domain in shift.domains}
+    return _points(shift, model, costs)
+
+
+def _points(shift: Shift, model: str, places: dict[str, float | None]) -> list[Point]:
+    matrix = matrix_of(shift, model, at(shift, shift.at))
+    found = [(name, places.get(name), matrix.entry(name, REFERENCE)) for name in matrix.homes]
+    known = [(name, place, error) for name, place, error in found if place and error]
+    return sorted(known, key=lambda each: each[1])
+
+
+def worth_table(shift: Shift, place: int) -> Table:
+    """What data cost and how good they are, beside what models that learned from them err."""
+    models, pick = trained_models(shift), at(shift, shift.frames[place])
+    matrices = [matrix_of(shift, model, pick) for model in models]
+    told = [d for d in shift.domains if d.cost_s is not None]
+    harms = {(harm.model, harm.first): harm for harm in shift.harms}
+    apart = distances(shift, place)
+    rows = (
+        (
+            domain.name,
+            with_unit(domain.cost_s, "s"),
+            number(apart.get(domain.name)),
+            *(
+                number(matrix.entry(domain.name, REFERENCE))
+                + _harm(harms.get((matrix.model, domain.name)), place)
+                for matrix in matrices
+            ),
+        )
+        for domain in sorted(told, key=lambda d: d.cost_s or 0.0)
+        if any(domain.name in matrix.rows for matrix in matrices)
+    )
+    return titled(
+        f"What training data cost, and what is learned from them, t = {shift.frames[place]}",
+        "Processor time of the engine for a trajectory of its data, their mean squared distance "
+        "[m²] from the independent reference, and the error against it of each model that was "
+        "trained on them alone: the first row from which on dearer data bring no less error tells "
+        "how good data must be. Beside it stands how many times the error it is of the model that "
+        "learned from the reference's best data, and the 95 % interval: data are harmful where "
+        f"that is told from chance, of all together, and {NOTABLE:g} or more, and harmless where "
+        f"it is not and the interval is below {BEARABLE:g}",
+        ("trained on", "a trajectory", "data", *models),
+        rows,
+    )
+
+
+def _harm(harm: Harm | None, place: int) -> str:
+    if harm is None or harm.value[place] is None:
+        return ""
+    value, low, high = (number(each[place]) for each in (harm.value, harm.low, harm.high))
+    return f", × {value} [{low}, {high}] {verdict(harm, place)}"
+
+
+def worth_section(shift: Shift) -> Section:
+    """Give the chart with its words."""
+
+    def draw(figure: Any) -> None:
+        draw_worth(figure, shift)
+
+    title = f"What data cost, and what is learned from them, t = {shift.at}"
+    told = (
+        "A point is a model that learned from one engine's data, held against the reference: over "
+        "what a trajectory of the data cost, and over their own distance from the truth. Full "
+        "where such data harm the model, with 95 % intervals. A line is the least error that so "
+        "dear data, or cheaper ones, have brought: where it is level, cheaper data do as well."
+    )
+    group = FigureGroup((Figure(title, draw, SIZE, wide=True),))
+    return Section(title, (Text(told), group), folded=not shift.harms, on=frozenset({"page"}))
+
+
+def draw_worth(figure: Any, shift: Shift) -> None:
+    """Draw errors on the truth over the cost of data, and over their distance from the truth."""
+    place, (dear, far) = shift.frames.index(shift.at), figure.subplots(1, 2, sharey=True)
+    nearest = (_SINGLE * shift.length_m) ** 2
+    apart = {name: max(x, nearest) for name, x in distances(shift, place).items()}
+    for model in trained_models(shift):
+        points, look = costs_of(shift, model), {"color": themed.model_colour(model)}
+        least = list(itertools.accumulate((error for _, _, error in points), min))
+        dear.step([cost for _, cost, _ in points], least, where="post", lw=1, **look)
+        _draw_points(dear, shift, model, points)
+        _draw_points(far, shift, model, _points(shift, model, {**apart}), label=model)
+    noise = noise_of(shift, place)
+    for axes in (dear, far):
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        if noise:
+            axes.axhline(noise, label="noise floor" if axes is far else None, **themed.DOTTED)
+    far.plot(*2 * [[noise or nearest, max(apart.values(), default=nearest)]], **themed.DOTTED)
+    named = {name: x for model in trained_models(shift) for name, x, _ in costs_of(shift, model)}
+    _name_lines(dear, named)
+    _name_lines(far, {name: apart[name] for name in named if name in apart})
+    dear.set_xlabel("processor time of the engine for a trajectory of training data [s]")
+    dear.set_ylabel(f"squared error at t = {shift.at} [m²]")
+    far.set_xlabel("squared distance of the training data from the truth [m²]")
+    figure.legend(loc="outside right upper", fontsize=8, frameon=False)
+
+
+def _draw_points(
+    axes: Any, shift: Shift, model: str, points: Sequence[Point], label: str | None = None
+) -> None:
+    """Draw a model's errors with their intervals; full where the data harm it."""
+    place, colour = shift.frames.index(shift.at), themed.model_colour(model)
+    harms = {harm.first: harm for harm in shift.harms if harm.model == model}
+    for name, x, error in points:
+        harm = harms.get(name)
+        ends = _ends(harm, place, error) if harm else []
+        axes.plot([x] * len(ends), ends, color=colour, lw=0.8)
+        full = not harms or (harm is not None and verdict(harm, place) == HARMFUL)
+        face = colour if full else themed.PAPER
+        axes.plot([x], [error], "o", ms=5, color=colour, mfc=face, label=label)
+        label = None
+
+
+def _ends(harm: Harm, place: int, error: float) -> list[float]:
+    """Give the interval of an error, that of the model it is held against being given [m²]."""
+    value, low, high = (each[place] for each in (harm.value, harm.low, harm.high))
+    return [error * end / value for end in (low, high) if end is not None] if value else []
+
+
+def _name_lines(axes: Any, named: dict[str, float]) -> None:
+    """Say above the chart which data stand where; names keep their distance."""
+    (low, high), last = map(math.log10, axes.get_xlim()), -1.0
+    line = {"color": themed.GREY, "lw": 0.4}
+    for name, x in sorted(named.items(), key=lambda each: each[1]):
+        axes.axvline(x, zorder=0, **line)
+        place = (math.log10(x) - low) / (high - low)
+        last = max(place, last + _NAME)
+        axes.annotate(
+            name, (place, 1.0), (last, 1.05), "axes fraction", "axes fraction",
+            {"arrowstyle": "-", "shrinkA": 0, "shrinkB": 0, **line},
+            rotation=60, ha="left", va="bottom", fontsize=6.5, color=themed.GREY,
+        )  # fmt: skip
