@@ -26,6 +26,7 @@ SHOWN: dict[str, dict[str, str]] = {
     "limits.urdf": {"dart": "enforcement of limits"},
     "package.urdf": {"mujoco": "", "pybullet": "", "dart": ""},
     "inertia-turned.sdf": {"dart": "inertia"},
+    "continuous.sdf": {"dart": "existence"},
     "damping.xml": {"pybullet": "damping"},
     "armature.xml": {"pybullet": "armature", "dart": "armature"},
     "spring.xml": {"pybullet": "stiffness", "dart": "stiffness"},
