@@ -17,10 +17,11 @@ from mbds_xsim.scene.imported import Fate, Imported, Outcome, gathered
 from mbds_xsim.scene.scene import WORLD, Body, DistanceLink, Inertia, Joint, Scene, SpringDamper
 from mbds_xsim.scene.servo import Servo
 
+from .contacts import contacts_of
 from .facts import facts_of
 from .masses import SHARE, physical, small
 from .parts import Closing, Drive, Freedom, Line, Mass, ModelCoupling, Part, Parts, Property
-from .starts import kept_limits, starts
+from .starts import check_above_ground, kept_limits, starts
 
 PROPERTIES = {
     "stiffness": "",
@@ -69,9 +70,14 @@ def assemble(model: Parts, *, file: str, kind: str, reader: str, fates: Iterable
         length=builder.length,
         gravity=model.gravity.tolist(),
     )
+    touching: list[Fate] = []
+    if model.shapes is not None:
+        contacts, ground, touching = contacts_of(model.shapes, builder.body_of)
+        scene = msgspec.structs.replace(scene, contacts=contacts, ground=ground)
     scene = msgspec.structs.replace(scene, sampling=starts(scene, builder.limits))
     scene, more = kept_limits(scene, model.labels.get("limits", ("joint", "limits")))
-    told = gathered([*fates, *builder.fates, *more])
+    check_above_ground(scene)
+    told = gathered([*fates, *builder.fates, *touching, *more])
     return Imported(scene, file, kind, reader, told, facts_of(model, reader))
 
 
@@ -115,6 +121,10 @@ class _Builder:
         self.couplings: list[Coupling] = []
         for coupling in model.couplings:
             self._couple(coupling)
+
+    def body_of(self, part: int) -> str | None:
+        """Name the body that a part is; none where it is not there."""
+        return self._body_names.get(self._owner[part] if part >= 0 else -1)
 
     def _above(self, k: int) -> int:
         parent = self._parts[k].parent
@@ -303,8 +313,7 @@ class _Builder:
 
     def _ends(self, parts: tuple[int, int]) -> tuple[str, str] | None:
         """Name the bodies that parts are; none where they are one, or not there."""
-        owners = [self._owner[k] if k >= 0 else -1 for k in parts]
-        first, second = (self._body_names.get(owner) for owner in owners)
+        first, second = map(self.body_of, parts)
         return None if first is None or second is None or first == second else (first, second)
 
 

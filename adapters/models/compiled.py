@@ -24,9 +24,11 @@ from mbds_xsim.base.frame import optional
 from mbds_xsim.scene.imported import Fate, Imported, ModelFacts
 
 from .assembling import assemble
+from .contacts import NO_SPHERES
 from .drives import drives
 from .facts import facts_of
-from .fates import fates_of
+from .fates import COLLISION, fates_of
+from .geoms import PAIRING, Geoms
 from .mending import mended_mjcf, mended_urdf, without_unknown
 from .parts import Drive, Freedom, Mass, Part, Parts, Property
 from .source import read_source
@@ -65,6 +67,13 @@ _MECHANICAL = {
     "mimic",
 }
 """Elements of a URDF that say how it moves."""
+_SOLID = {"collision", "geometry", "sphere", "capsule", "cylinder", "box"}
+"""Elements of a URDF that say what of it meets the ground."""
+_TOUCHING = {
+    "geom": [(tag, key) for tag, keys in PAIRING.items() for key in keys],
+    "collision": [("collision", ""), ("collision", "name")],
+}
+"""What is told of shapes on the ground, by what the format calls a shape."""
 _ALIASES = {
     ("joint", "limited"): "limits",
     ("joint", "springdamper"): "damping",
@@ -72,7 +81,7 @@ _ALIASES = {
 }
 
 
-def read(path: Path, folder: Path, floating: bool) -> Imported:
+def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     """Read an MJCF or URDF file; see `mbds_xsim.simulate.registry`."""
     mujoco = optional("mujoco", "reading MJCF and URDF", "mujoco")
     root = read_source(path, folder)
@@ -86,8 +95,8 @@ def read(path: Path, folder: Path, floating: bool) -> Imported:
             if root.tag == "mujoco":
                 spec, model, mends = _compiled(mujoco, root, path)
             else:
-                mends = [*mended_urdf(root)]
-                spec = _mechanics(mujoco, root, path)
+                mends = [*mended_urdf(root), *(_without_meshes(root) if ground else ())]
+                spec = _mechanics(mujoco, root, path, _MECHANICAL | (_SOLID if ground else set()))
                 stated = _stated(spec, floating)
                 model = spec.compile()
         except (ValueError, mujoco.FatalError) as error:
@@ -95,11 +104,13 @@ def read(path: Path, folder: Path, floating: bool) -> Imported:
     if root.tag == "mujoco" and floating:
         msg = "--floating is for URDF; an MJCF file says itself which of its bodies are free"
         raise InputError(msg)
-    reading = Reading(mujoco, model, stated)
+    shape = "" if not ground else "geom" if root.tag == "mujoco" else "collision"
+    reading = Reading(mujoco, model, stated, shape)
     parts = reading.model(str(spec.modelname).strip() or path.stem, _LABELS[root.tag])
     had = {key for part in parts.parts for freedom in part.freedoms for key in freedom.properties}
     told = {label: key in had for key, label in _LABELS[root.tag].items()}
     told |= {label: key in had for label, key in _ALIASES.items()}
+    told |= dict.fromkeys(_TOUCHING.get(shape, ()), True)
     fates = [*mends, *fates_of(root, told), *reading.fates()]
     kind = "MJCF" if root.tag == "mujoco" else "URDF"
     reader = f"MuJoCo {mujoco.__version__}"
@@ -145,8 +156,18 @@ def _compiled(mujoco: Any, root: Element, path: Path) -> tuple[Any, Any, list[Fa
         raise error
 
 
-def _mechanics(mujoco: Any, root: Element, path: Path) -> Any:
-    """Give the specification of a URDF without what has neither mass nor freedom."""
+def _without_meshes(root: Element) -> Iterator[Fate]:
+    """Take collision shapes out of a URDF that have no contact spheres, and say so."""
+    for link in root.iter("link"):
+        for shape in link.findall("collision"):
+            if shape.find("geometry/mesh") is not None:
+                link.remove(shape)
+                place = f"of {link.get('name', '')}"
+                yield Fate("collision", (), "dropped", f"{NO_SPHERES} mesh", True, (place,))
+
+
+def _mechanics(mujoco: Any, root: Element, path: Path, tags: set[str]) -> Any:
+    """Give the specification of what some elements of a URDF say."""
     for joint in root.iter("joint"):
         axis = joint.find("axis")
         normal = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
@@ -158,7 +179,7 @@ def _mechanics(mujoco: Any, root: Element, path: Path) -> Any:
             raise InputError(msg)
     kept = copy.deepcopy(root)
     for parent in list(kept.iter()):
-        for child in [child for child in parent if child.tag not in _MECHANICAL]:
+        for child in [child for child in parent if child.tag not in tags]:
             parent.remove(child)
     try:
         return mujoco.MjSpec.from_string(tostring(kept, encoding="unicode"))
@@ -207,9 +228,10 @@ class Reading:
         mujoco: The module.
         model: The compiled model.
         stated: Masses that count in place of the compiled ones, by body.
+        shape: What the format calls a shape on the ground; "" where there is none.
     """
 
-    def __init__(self, mujoco: Any, model: Any, stated: dict[str, Any]) -> None:
+    def __init__(self, mujoco: Any, model: Any, stated: dict[str, Any], shape: str = "") -> None:
         self._mujoco, self._model, self._stated = mujoco, model, stated
         self._data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, self._data)
@@ -220,6 +242,8 @@ class Reading:
         }
         if model.opt.disableflags & flags.mjDSBL_CONSTRAINT:
             self._off |= dict.fromkeys(("LIMIT", "FRICTIONLOSS", "EQUALITY", "CONTACT"), True)
+        contact = not self._off["CONTACT"]
+        self._geoms = Geoms(model, self._data, shape, active=contact) if shape else None
         self._ties = Ties(mujoco, model, self._data, active=not self._off["EQUALITY"])
         self._drives = tuple(drives(mujoco, model))
 
@@ -233,6 +257,7 @@ class Reading:
             couplings=tuple(self._ties.couplings()),
             lines=tuple(self._ties.lines()),
             drives=tuple(drive for drive in self._drives if isinstance(drive, Drive)),
+            shapes=tuple(self._geoms.shapes()) if self._geoms is not None else None,
             labels=labels,
         )
 
@@ -301,10 +326,11 @@ class Reading:
         """Say what becomes of contact, equalities, tendons and actuators that lead no hinge."""
         model = self._model
         solid = [g for g in range(model.ngeom) if model.geom_contype[g] | model.geom_conaffinity[g]]
-        if (len(solid) > 1 or model.npair) and not self._off["CONTACT"]:
+        if self._geoms is not None:
+            yield from self._geoms.fates()
+        elif (len(solid) > 1 or model.npair) and not self._off["CONTACT"]:
             names = tuple(named(self._mujoco, model, "GEOM", g) for g in solid)
-            reason = "bodies do not collide in the scene description"
-            yield Fate("geom", ("contact",), "dropped", reason, True, names, len(solid))
+            yield Fate("geom", ("contact",), "dropped", COLLISION, True, names, len(solid))
         yield from self._ties.fates()
         yield from (fate for fate in self._drives if isinstance(fate, Fate))
 

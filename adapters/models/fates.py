@@ -16,7 +16,8 @@ from mbds_xsim.scene.imported import Fate, Outcome
 _Row = tuple[Outcome, bool, str, str]
 """Outcome, whether it bears on the motion, the reason, keys."""
 
-_COLLISION = "bodies do not collide in the scene description"
+_APART = "bodies do not collide in the scene description"
+COLLISION = f"{_APART}; with --ground they meet a plane"
 _SOLVER = "a setting of an engine, not of the mechanism"
 _DRAWN = "drawn only"
 _Looked = tuple[Outcome, bool, str]
@@ -42,15 +43,15 @@ _MJCF: tuple[_Row, ...] = (
     (
         "dropped",
         False,
-        _COLLISION,
-        "geom@contype geom@conaffinity geom@condim geom@priority geom@friction geom@solmix "
-        "geom@solref geom@solimp geom@margin geom@gap exclude",
+        COLLISION,
+        "geom@contype geom@conaffinity geom@condim geom@priority geom@friction exclude",
     ),
-    ("dropped", True, _COLLISION, "pair"),
+    ("dropped", True, "bodies collide by no pairs in the scene description", "pair"),
     (
         "dropped",
         False,
         _SOLVER,
+        "geom@solmix geom@solref geom@solimp geom@margin geom@gap "
         "option flag size statistic joint@solreflimit joint@solimplimit joint@solreffriction "
         "joint@solimpfriction joint@margin body@sleep",
     ),
@@ -86,7 +87,7 @@ _URDF: tuple[_Row, ...] = (
     ),
     ("dropped", False, "names of other formats", "robot@xmlns:xacro robot@version"),
     ("dropped", False, _DRAWN, "visual material"),
-    ("dropped", True, _COLLISION, "collision"),
+    ("dropped", True, COLLISION, "collision"),
     ("dropped", False, "a limit of the drive", "limit@effort limit@velocity"),
     (
         "dropped",
@@ -107,8 +108,8 @@ _SDF: tuple[_Row, ...] = (
     ),
     ("kept", True, "it names no frame", "pose@frame"),
     ("dropped", False, _DRAWN, "visual light scene gui material"),
-    ("dropped", True, _COLLISION, "collision contact"),
-    ("dropped", False, _COLLISION, "self_collide"),
+    ("dropped", True, _APART, "collision contact"),
+    ("dropped", False, _APART, "self_collide"),
     ("dropped", False, "a limit of the drive", "effort velocity"),
     ("dropped", False, _SOLVER, "physics"),
     ("dropped", True, "an extension of one simulator", "plugin"),

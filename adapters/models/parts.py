@@ -128,6 +128,29 @@ class Drive:
 
 
 @dataclass(frozen=True, eq=False)
+class Solid:
+    """A collision shape."""
+
+    element: str
+    """As the format calls it."""
+    name: str
+    part: int
+    """That it is fixed in; −1 is the world."""
+    kind: str
+    """A key of `balls.BALLS`, or another word."""
+    size: Array
+    """As `balls.BALLS` has it [m], shape (3,)."""
+    place: Array
+    """Of its middle in W at the reference pose [m], shape (3,)."""
+    axes: Array
+    """Its own in W, as columns, shape (3, 3)."""
+    friction: float | None
+    """Coefficient with the ground; None: the format states none."""
+    apart: str = ""
+    """Why it passes through the ground."""
+
+
+@dataclass(frozen=True, eq=False)
 class Parts:
     """A model without its format."""
 
@@ -141,3 +164,5 @@ class Parts:
     labels: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     """Element and attribute that the format has for each property of a freedom."""
     drives: tuple[Drive, ...] = ()
+    shapes: tuple[Solid, ...] | None = None
+    """None: there is no ground."""

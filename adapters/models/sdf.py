@@ -41,11 +41,14 @@ _OFF = ("0", "false")
 _NOT_READ = ("include", "frame", "experimental:params")
 
 
-def read(path: Path, folder: Path, floating: bool) -> Imported:
+def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     """Read an SDF file; see `mbds_xsim.simulate.registry`."""
     dartpy = optional("dartpy", "reading SDF", "dart")
     if floating:
         msg = "--floating is for URDF; SDF says itself which of its models are fixed"
+        raise InputError(msg)
+    if ground:
+        msg = "--ground is for MJCF and URDF; collision shapes of SDF are not read"
         raise InputError(msg)
     root = read_source(path, folder)
     _refuse(root)

@@ -5,20 +5,29 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 
 import msgspec
+import numpy as np
 
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.scene.assembly import assemble
+from mbds_xsim.scene.draft import UPRIGHT, outboard
 from mbds_xsim.scene.imported import Fate
-from mbds_xsim.scene.joint_space import joint_coordinate
+from mbds_xsim.scene.joint_space import BodyStates, joint_coordinate
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
-from mbds_xsim.scene.sampling_terms import Draw, HingeRate, Levels, Pose, Throw
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.sampling_terms import Draw, HingeRate, Levels, Lift, Pose, Throw
 from mbds_xsim.scene.scene import Scene
 
 _SHARES = (0.25, 0.5, 0.9)
 """Of a joint's range about its middle, in the intervals low, medium and high."""
 _RATES = (0.1, 0.5, 1.0)
 """Largest rates of hinges and free bodies in these intervals [rad/s]."""
+_HEIGHTS = (0.01, 0.05, 0.1, 0.2)
+"""What is left to fall in these intervals, from one to the next, over the scene's length."""
+_TRIED = 30
+"""Starts of which none may be in the ground."""
 
 
 def starts(scene: Scene, limits: Mapping[str, tuple[float, float]]) -> tuple[Draw, ...]:
@@ -47,7 +56,9 @@ def starts(scene: Scene, limits: Mapping[str, tuple[float, float]]) -> tuple[Dra
     turning = [HingeRate(hinges, _levels(-1.0, 1.0, _RATES))] if hinges else []
     spin = _levels(-1.0, 1.0, _RATES)
     thrown = [Throw(body, angular_velocity=(spin, spin, spin)) for body in _free(mechanism)]
-    return (*poses, *turning, *thrown)
+    falls = Levels(*((low * length, high * length) for low, high in pairwise(_HEIGHTS)))
+    lifted = [Lift(body, falls) for body in _lifted(mechanism)]
+    return (*poses, *turning, *thrown, *lifted)
 
 
 def _levels(low: float, high: float, shares: Sequence[float] = _SHARES) -> Levels:
@@ -79,6 +90,36 @@ def _free(mechanism: Mechanism) -> Iterator[str]:
     for link in mechanism.links:
         if link.joint is None and WORLD_INDEX not in tied and not mechanism.distances:
             yield mechanism.scene.bodies[link.body].name
+
+
+def _lifted(mechanism: Mechanism) -> Iterator[str]:
+    """Give what can be lifted off the ground: free bodies, and those on upright sliders."""
+    level = {WORLD_INDEX}
+    for link in mechanism.links:
+        joint, carried = link.joint, outboard(mechanism, link.body)
+        if joint is not None and (joint.kind != "slider" or link.parent not in level):
+            continue
+        level |= {link.body} if joint is not None else set()
+        upright = joint is None or abs(joint.axis[2]) > UPRIGHT
+        if upright and np.isin(mechanism.sphere_body, carried).any():
+            yield mechanism.scene.bodies[link.body].name
+
+
+def check_above_ground(scene: Scene) -> None:
+    """Raise InputError where draws lead what nothing lifts into the ground."""
+    if scene.ground is None:
+        return
+    mechanism, batch = Mechanism.of(scene), draw_batch(scene, range(_TRIED))
+    states = BodyStates.of(mechanism, batch)
+    low = mechanism.sphere_heights(states.position, states.native) - mechanism.sphere_radius
+    if low.min() < 0.0:
+        body = scene.contacts[int(low.min(axis=0).argmin())].body
+        msg = (
+            f"--ground: of {_TRIED} drawn starts {np.count_nonzero(low.min(axis=1) < 0)} are in "
+            f"the ground, {body!r} by {-low.min():.3g} m: it is neither free nor on an upright "
+            "slider, which would be lifted; leave --ground out"
+        )
+        raise InputError(msg)
 
 
 _PAST = "its start, which a loop or a coupling decides, is past them"

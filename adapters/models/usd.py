@@ -30,11 +30,14 @@ _KINDS = {"RevoluteJoint": "hinge", "PrismaticJoint": "slider", "SphericalJoint"
           "FixedJoint": "fixed", "D6Joint": "several"}  # fmt: skip
 
 
-def read(path: Path, folder: Path, floating: bool) -> Imported:
+def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     """Read a USD file; see `mbds_xsim.simulate.registry`."""
     sdf, tf, usd = (optional(f"pxr.{name}", "reading USD", "usd") for name in ("Sdf", "Tf", "Usd"))
     if floating:
         msg = "--floating is for URDF; USD says itself which of its bodies are free"
+        raise InputError(msg)
+    if ground:
+        msg = "--ground is for MJCF and URDF; collision shapes of USD are not read"
         raise InputError(msg)
     try:
         _check_layers(sdf, path, folder.resolve())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from typing import ClassVar, Literal
 
@@ -31,6 +32,8 @@ _GEARED_SWEEPS = 200
 _LIMIT_ERP = 1e-5
 # Bullet's SIMD_EPSILON: what a joint moves does not move if it is less (kg, kg·m² about a hinge).
 _LEAST = float(np.finfo(float).eps)
+# MAX_COMPOUND_COLLISION_SHAPES of Bullet's SharedMemoryPublic.h.
+_MOST_SPHERES = 16
 # PhysicsServerCommandProcessor::createEmptyDynamicsWorld and btCollisionObject.
 _USUAL_CONTACT = {
     "bounce_threshold": 0.2,
@@ -93,11 +96,16 @@ class PyBullet(Adapter):
     contact_law = CONTACT_LAW
     smallest = (
         f"masses of {_LEAST:.3g} kg where a body is free or on a slider, moments about a hinge of "
-        f"{_LEAST:.3g} kg·m²: what is less stands still without a warning"
+        f"{_LEAST:.3g} kg·m²: what is less stands still without a warning; a body has at most "
+        f"{_MOST_SPHERES} contact spheres"
     )
 
     def cannot_hold(self, scene: Scene) -> str:
         mechanism = Mechanism.of(scene)
+        for body, count in Counter(sphere.body for sphere in scene.contacts).items():
+            if count > _MOST_SPHERES:
+                most = f"PyBullet takes {_MOST_SPHERES} of one, and leaves out others unsaid"
+                return f"{body!r} has {count} contact spheres, {most}"
         for link in mechanism.links:
             moved = _moved(mechanism, link)
             if moved < _LEAST:

@@ -25,6 +25,13 @@ Model = Annotated[
 Floating = Annotated[
     bool, Option("--floating", help="Leave a URDF's root link free, not fixed in the world.")
 ]
+OnGround = Annotated[
+    bool,
+    Option(
+        "--ground",
+        help="Let collision shapes touch the model's horizontal plane, or z = 0 without one.",
+    ),
+]
 Folder = Annotated[
     Path | None,
     Option(help="Folder that files named in the model must lie in; its own when left out."),
@@ -121,6 +128,7 @@ def import_model(
     model: Model,
     out: Annotated[Path | None, Option(metavar="FILE", help="Write the scene file.")] = None,
     floating: Floating = False,
+    ground: OnGround = False,
     folder: Folder = None,
 ) -> None:
     """Make a scene file of another program's model, and tell what of it is lost.
@@ -128,6 +136,7 @@ def import_model(
     Examples:
         mbds-xsim import ant.xml --out ant.toml
         mbds-xsim import anymal.urdf --floating --json losses.json
+        mbds-xsim import ant.xml --ground --out ant.toml
     """
     from mbds_xsim.report.losses import import_row, present
     from mbds_xsim.report.terminal import print_report
@@ -137,7 +146,7 @@ def import_model(
     to.check(out=out)
     with shared.progress_on(to.console) as progress:
         progress.begin(1, f"reading {model}")
-        imported = read_model(model, folder=folder, floating=floating)
+        imported = read_model(model, folder=folder, floating=floating, ground=ground)
     if out is not None:
         save_scene(imported.scene, out)
     report = present(imported, shared.command_line())

@@ -16,6 +16,9 @@ from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 from mbds_xsim.scene.spanning import connected
 
+UPRIGHT = 1.0 - 1e-9
+"""Vertical part of the axis of a slider that lifts what it carries."""
+
 
 @dataclass
 class Draft:
@@ -82,7 +85,7 @@ def pose(term: terms.Pose, drawing: Draft) -> None:
     """Lead hinges and sliders to a coordinate, with all that hangs on them."""
     for name in term.joints:
         joint, point, axis = _placed(drawing, name)
-        moved = _outboard(drawing.mechanism, joint.child)
+        moved = outboard(drawing.mechanism, joint.child)
         amount = drawing.uniform(term.coordinate)
         spin, drift = np.zeros(3), np.zeros(3)
         if joint.parent != WORLD_INDEX:
@@ -107,11 +110,34 @@ def hinge_rate(term: terms.HingeRate, drawing: Draft) -> None:
     for name in term.joints:
         joint, point, axis = _placed(drawing, name)
         rates.append(drawing.uniform(term.rate))
-        drawing.add_twist(_outboard(mechanism, joint.child), point, rates[-1] * axis)
+        drawing.add_twist(outboard(mechanism, joint.child), point, rates[-1] * axis)
         driven.add(joint.child)
     if rates and any(term.travel):
         moved = {other for body in driven for other in carried_by(mechanism, body)}
         drawing.velocity[sorted(moved)] += np.mean(rates) * np.array(term.travel)
+
+
+def lift(term: terms.Lift, drawing: Draft) -> None:
+    """Move what a body carries up or down until the lowest contact sphere is at a height."""
+    mechanism = drawing.mechanism
+    moved = _lifted(drawing, drawing.body(term.body))
+    own = np.isin(mechanism.sphere_body, moved)
+    if not own.any():
+        msg = f"sampling: {term.body!r} carries no contact sphere, by which to lift it"
+        raise SceneError(msg)
+    low = mechanism.sphere_heights(drawing.position, drawing.native) - mechanism.sphere_radius
+    drawing.position[moved, 2] += drawing.uniform(term.height) - low[own].min()
+
+
+def _lifted(drawing: Draft, body: int) -> list[int]:
+    """Give what a free body's joints carry, or what an upright slider does."""
+    mechanism = drawing.mechanism
+    joint = next(link.joint for link in mechanism.links if link.body == body)
+    if joint is not None and joint.kind == "slider":
+        _, _, axis = _placed(drawing, joint.name)
+        if abs(axis[2]) > UPRIGHT:
+            return outboard(mechanism, body)
+    return carried_by(mechanism, body)
 
 
 def carried_by(mechanism: Mechanism, body: int) -> list[int]:
@@ -142,7 +168,7 @@ def _placed(drawing: Draft, name: str) -> tuple[PlacedJoint, Array, Array]:
     return joint, point, rotation.rotate(native, joint.axis)
 
 
-def _outboard(mechanism: Mechanism, body: int) -> list[int]:
+def outboard(mechanism: Mechanism, body: int) -> list[int]:
     """Return a body and all that the spanning tree hangs on it."""
     found = [body]
     for link in mechanism.links:

@@ -20,7 +20,7 @@ from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import SceneError
 from mbds_xsim.scene import sampling_terms as terms
 from mbds_xsim.scene.assembly import assemble, check_joints, check_limits
-from mbds_xsim.scene.draft import Draft, Drafts, carried_by, hinge_rate, pose
+from mbds_xsim.scene.draft import Draft, Drafts, carried_by, hinge_rate, lift, pose
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
 from mbds_xsim.scene.scene import Scene
@@ -341,6 +341,7 @@ _DRAWS: dict[type, Callable[[Any, Drafts], None]] = {
     terms.Turn: _one_by_one(_turn),
     terms.Throw: _one_by_one(_throw),
     terms.Roll: _one_by_one(_roll),
+    terms.Lift: _one_by_one(lift),
     terms.Pose: _one_by_one(pose),
     terms.HingeRate: _one_by_one(hinge_rate),
     terms.HingeTorque: _one_by_one(_hinge_torque),

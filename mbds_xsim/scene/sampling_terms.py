@@ -112,6 +112,17 @@ class Roll(_Draw, tag_field="kind", tag="roll"):
     share: Span
 
 
+class Lift(_Draw, tag_field="kind", tag="lift"):
+    """Lift or lower a body and what it carries until its lowest contact sphere is at a height.
+
+    The body is free, with all that its joints carry, or an upright slider carries it.
+    """
+
+    body: str
+    height: Span
+    """Of the sphere's lowest point above the ground [m]."""
+
+
 class Pose(_Draw, tag_field="kind", tag="pose"):
     """Lead hinges and sliders to a coordinate each, drawn by itself, added to that of the file."""
 
@@ -161,4 +172,4 @@ class Wind(_Draw, tag_field="kind", tag="wind"):
     """[s]"""
 
 
-Draw = Swing | Turn | Throw | Roll | Pose | HingeRate | HingeTorque | Wind
+Draw = Swing | Turn | Throw | Roll | Lift | Pose | HingeRate | HingeTorque | Wind

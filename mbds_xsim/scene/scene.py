@@ -20,7 +20,7 @@ from mbds_xsim.base.bounds import Neutral
 from mbds_xsim.base.errors import SceneError, UnknownName
 from mbds_xsim.scene.budget import Budget
 from mbds_xsim.scene.coupling import Coupling, check_couplings
-from mbds_xsim.scene.sampling_terms import Draw, Pose, Roll, Throw
+from mbds_xsim.scene.sampling_terms import Draw, Lift, Pose, Roll, Throw
 from mbds_xsim.scene.servo import Servo
 
 Vector = tuple[float, float, float]
@@ -345,7 +345,7 @@ class Scene(Neutral):
             for joint_name in getattr(draw, "joints", ()):
                 named, what = (coordinates, "hinge or slider") if posed else (hinges, "hinge")
                 _known(f"sampling[{k}].joints", joint_name, named, what=what)
-            if isinstance(draw, Throw | Roll):
+            if isinstance(draw, Throw | Roll | Lift):
                 _known(f"sampling[{k}].body", draw.body, bodies)
 
     def _check_edges(self) -> None:

@@ -51,10 +51,10 @@ REFERENCE = "reference"
 _OURS = "mbds-xsim"
 _TRUTH = EntryPoint(REFERENCE, "mbds_xsim.reference.adapter:Reference", "mbds_xsim.adapters")
 
-Reader = Callable[[Path, Path, bool], "Imported"]
-"""Takes the file, the folder that its paths must not leave, and whether its base floats; its name
-among entry points is the suffix of the files. Raises `InputError` with a line that does not name
-the file."""
+Reader = Callable[[Path, Path, bool, bool], "Imported"]
+"""Takes the file, the folder that its paths must not leave, whether its base floats, and whether
+its shapes touch the ground; its name among entry points is the suffix of the files. Raises
+`InputError` with a line that does not name the file."""
 
 Writer = Callable[[Scene], "Written"]
 """Raises `InputError` with the reason where the format has no place for a scene."""
@@ -170,13 +170,16 @@ def is_model(name: str) -> bool:
     return Path(name).suffix[1:].lower() in registered("mbds_xsim.model_readers")
 
 
-def read_model(path: Path, *, folder: Path | None = None, floating: bool = False) -> Imported:
+def read_model(
+    path: Path, *, folder: Path | None = None, floating: bool = False, ground: bool = False
+) -> Imported:
     """Read a model and check that its mechanism assembles and its starts can be drawn.
 
     Args:
         path: Of the file.
         folder: That files named in the model must lie in; left out, the model's own.
         floating: Whether a base that the file ties to nothing is free, not fixed in the world.
+        ground: Whether its collision shapes touch the ground.
 
     Raises:
         InputError: One line: the file, what is wrong with it and where.
@@ -187,7 +190,7 @@ def read_model(path: Path, *, folder: Path | None = None, floating: bool = False
     if not path.is_file():
         raise InputError(f"{path}: cannot be read (no such file); give the path of a model")
     inside = (folder or path.parent).absolute()
-    question = (readers[suffix], path.absolute(), inside, floating)
+    question = (readers[suffix], path.absolute(), inside, floating, ground)
     (answer,) = run_tasks([Task(_read, question, _READING)], workers=1)
     if isinstance(answer, Crash):
         raise SceneError(f"{path}: {answer.reason}")
@@ -195,11 +198,11 @@ def read_model(path: Path, *, folder: Path | None = None, floating: bool = False
     return imported
 
 
-def _read(point: EntryPoint, path: Path, folder: Path, floating: bool) -> Imported:
+def _read(point: EntryPoint, path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     from mbds_xsim.scene.file import check_starts
 
     reader: Reader = point.load()
-    imported = reader(path, folder, floating)
+    imported = reader(path, folder, floating, ground)
     check_starts(imported.scene)
     return imported
 

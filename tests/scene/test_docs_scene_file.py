@@ -50,6 +50,7 @@ _HEADINGS: dict[type[msgspec.Struct], str] = {
     sampling_terms.Turn: '`kind = "turn"`',
     sampling_terms.Throw: '`kind = "throw"`',
     sampling_terms.Roll: '`kind = "roll"`',
+    sampling_terms.Lift: '`kind = "lift"`',
     sampling_terms.Pose: '`kind = "pose"`',
     sampling_terms.HingeRate: '`kind = "hinge_rate"`',
     sampling_terms.HingeTorque: '`kind = "hinge_torque"`',
