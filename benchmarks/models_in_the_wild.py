@@ -134,7 +134,9 @@ def _fill(
         nonlocal done
         done += 1
         row = waiting[place]
-        told = filled.reason if isinstance(filled, Crash) else filled.verdicts or "done"
+        told = filled.reason if isinstance(filled, Crash) else "done"
+        if fill is validated and not isinstance(filled, Crash):
+            told = ", ".join(f"{engine} {verdict}" for engine, verdict in filled.verdicts.items())
         print(f"{fill.__name__} {done}/{len(waiting)} {row.path}: {told}", file=sys.stderr)
         if not isinstance(filled, Crash):  # such a row is tried again by the next run
             rows[rows.index(row)] = filled

@@ -29,6 +29,7 @@ Loader = Callable[[Path, bool], ModelFacts]
 
 T = TypeVar("T", LinkFacts, JointFacts)
 _TIMEOUT = 300.0  # longest that a reader may take [s]
+_PATIENCE = 30.0  # the same of a motion
 _SAME = 1e-6
 """Deviation that rounding to single precision explains, over what is compared."""
 _CLOCK = Clock(frame=0.02, steps=50)
@@ -63,7 +64,7 @@ class EngineReading(msgspec.Struct, frozen=True):
     differences: tuple[Difference, ...]
     moved_m: float | None = None
     """RMS distance of the bodies after 1 s from where the file has them go [m]; None where what was
-    read has no motion."""
+    read has no motion, or none that is found in half a minute."""
 
     @property
     def alike(self) -> bool:
@@ -105,7 +106,19 @@ def compared(
 ) -> Readings:
     """Let engines read the file of a model that was imported, as in `compare`."""
     answers = _engine_facts(path, engines, floating=floating)
-    readings = tuple(_reading(engine, facts, imported) for engine, facts in answers.items())
+    read = {engine: facts for engine, facts in answers.items() if isinstance(facts, ModelFacts)}
+    found = {engine: tuple(_differences(facts, imported)) for engine, facts in read.items()}
+    others = [engine for engine, differences in found.items() if differences]
+    motions = run_tasks([Task(moved, (imported, read[name]), _PATIENCE) for name in others])
+    moves: dict[str, float | None] = dict.fromkeys(read, 0.0)
+    for engine, motion in zip(others, motions, strict=True):
+        moves[engine] = None if isinstance(motion, Crash) else motion
+    readings = tuple(
+        EngineReading(engine, "", found[engine], moves[engine])
+        if engine in read
+        else EngineReading(engine, str(answers[engine]), ())
+        for engine in answers
+    )
     said = imported.facts
     return Readings(
         imported.file, imported.format, floating, len(said.links), len(said.joints), readings
@@ -139,13 +152,6 @@ def _engine_facts(
 def _load(point: EntryPoint, path: Path, floating: bool) -> ModelFacts:
     loader: Loader = point.load()
     return loader(path, floating)
-
-
-def _reading(engine: str, facts: ModelFacts | str, imported: Imported) -> EngineReading:
-    if isinstance(facts, str):
-        return EngineReading(engine, facts, ())
-    found = tuple(_differences(facts, imported))
-    return EngineReading(engine, "", found, moved(imported, facts) if found else 0.0)
 
 
 def _differences(read: ModelFacts, imported: Imported) -> Iterator[Difference]:
