@@ -107,6 +107,7 @@ def test_the_pictures_of_pages_show_what_is_stored() -> None:
     assert len(shown & {picture.resolve() for picture in kept}) > 4
     assert rest == {
         "6pendulum-curves.png",
+        "ant-on-the-ground.png",
         "contact-friction.png",
         "contact-restitution.png",
         "growth-of-cost.png",
