@@ -114,10 +114,14 @@ def main(words: list[str]) -> None:
     rows = [known.get(row.key, row) for row in rows]
     _fill(looked_at, [row for row in rows if not (row.refused or row.bodies)], rows, words)
     if "--validate" in words:
-        waiting = [row for row in rows if row.bodies and not row.verdicts]
-        waiting.sort(key=lambda row: row.degrees_of_freedom)
-        _fill(validated, waiting[: int(words[words.index("--validate") + 1])], rows, words)
-    _fill(read_by_engines, [r for r in rows if not (r.refused or r.readers)], rows, words)
+        most = int(words[words.index("--validate") + 1])
+        smallest = sorted(filter(_imported, rows), key=lambda row: row.degrees_of_freedom)[:most]
+        _fill(validated, [row for row in smallest if not row.verdicts], rows, words)
+    _fill(read_by_engines, [r for r in rows if _imported(r) and not r.readers], rows, words)
+
+
+def _imported(row: SurveyRow) -> bool:
+    return bool(row.bodies)
 
 
 def _fill(
@@ -249,7 +253,8 @@ Pinocchio's reading of URDF. What an engine has otherwise than the file says is 
 
 *Verdicts* are on half a second of motion from three starts, at the engines' presets (`matched`,
 without a search for better settings), with a minute of processor time for each engine and for the
-reference.
+reference. Imports, deviations and verdicts are of one run; most readings by engines' own readers
+are of an earlier run of the same command, of the same files and releases.
 """
 
 

@@ -299,7 +299,8 @@ def moved(imported: Imported, read: ModelFacts) -> float | None:
         ends = [_ends(scene, points) for scene in (said, other)]
     except InputError:
         return None
-    return float(np.sqrt(np.mean(np.sum((ends[1] - ends[0]) ** 2, axis=-1))))
+    off = float(np.sqrt(np.mean(np.sum((ends[1] - ends[0]) ** 2, axis=-1))))
+    return off if np.isfinite(off) else None  # a solution that ends early
 
 
 def _scene_of(scene: Scene, imported: Imported, read: ModelFacts) -> Scene:

@@ -117,7 +117,7 @@ def _exudyn() -> AbstractContextManager[object]:
 
 def _damped_mujoco(damping: float) -> AbstractContextManager[object]:
     adapter = _adapter("mujoco.run")
-    text = adapter.text
+    text = adapter.indented
 
     def text_with_damping(root: Any) -> Any:
         for flag in root.iter("flag"):
@@ -126,7 +126,7 @@ def _damped_mujoco(damping: float) -> AbstractContextManager[object]:
             joint.set("damping", str(damping))
         return text(root)
 
-    return mock.patch.object(adapter, "text", text_with_damping)
+    return mock.patch.object(adapter, "indented", text_with_damping)
 
 
 def _damped_dart(damping: float) -> AbstractContextManager[object]:
@@ -251,13 +251,13 @@ def rolling_resistance(_engine: str) -> AbstractContextManager[object]:
 
 def _mujoco_wheel() -> AbstractContextManager[object]:
     adapter = _adapter("mujoco.run")
-    text = adapter.text
+    text = adapter.indented
 
     def changed(root: Any) -> Any:
         next(root.iter("pair")).set("friction", f"{_SLIPPERY} {_SLIPPERY} 0 0 0")
         return text(root)
 
-    return mock.patch.object(adapter, "text", changed)
+    return mock.patch.object(adapter, "indented", changed)
 
 
 def _pybullet_wheel() -> AbstractContextManager[object]:

@@ -101,7 +101,7 @@ _MISTAKES: dict[str, tuple[Edit, str]] = {
     ),
     "wrong kind of draw": (
         _set("sampling", 0, "kind", to="hinge"),
-        "sampling[0].kind: got 'hinge', allowed is 'swing' or 'turn' or 'throw' or 'roll' or 'p",
+        "sampling[0].kind: got 'hinge', allowed is 'swing' or 'turn' or 'throw' or 'roll' or 'l",
     ),
     "neither range nor levels": (
         _set("sampling", 0, "rate", to=3.0),
