@@ -88,8 +88,8 @@ class NeRD(BodyModel):
         given = 2 * ADDED * DIMENSION * bodies
         self.read = mlp(settings.width, given, hidden=settings.read, layers=2, activation=nn.ReLU)
         silence(self.read)
-        base = next((link.body for link in graph.mechanism.links if link.joint is None), None)
-        self.base = base
+        free = (link.body for link in graph.mechanism.links if link.joint is None)
+        self.base = next(free, None)
         keep(self, down=nn.functional.normalize(graph.gravity.double(), dim=0))
 
     def begin(self, start: Start) -> Tensor:
