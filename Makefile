@@ -17,7 +17,7 @@ comma = ,
 .NOTPARALLEL:
 .PHONY: validate test fuzz lint package docs clean reports reports-validate \
 	reports-tradeoff reports-stability reports-ablation reports-overhead \
-	reports-learn-speed reports-shift reports-lite reports-models reports-models-in-the-wild \
+	reports-learn-speed reports-learn-speed-gpu reports-shift reports-lite reports-models reports-models-in-the-wild \
 	reports-data \
 	reports-data-full reports-paper-tables reports-releases reports-pages pictures readme
 
@@ -121,6 +121,11 @@ reports-models-in-the-wild: $(VENV)/ready $(WILD)/ready
 reports-learn-speed: $(VENV)/ready
 	$(BIN)/python -m benchmarks.learn_speed > $(REPORTS)/learn-speed.md
 
+# Needs one; no part of `make reports`.
+reports-learn-speed-gpu: $(VENV)/ready
+	$(BIN)/python -m benchmarks.learn_speed 3ladder --device cuda --tracks paper \
+		> $(REPORTS)/learn-speed-gpu.md
+
 # Trained models beside the engines, as far as there are any: those that were trained until level,
 # or else the studies'. Their engines are those of the two reports above. A map is of models whose
 # scene its study is made of.
@@ -200,15 +205,19 @@ shift-6pendulum-matched: shift-%-matched: $(VENV)/ready
 FACTORS ?= out/factors
 FACTORED = equal coarse undamped
 NETWORKS ?= gns+,hgnn+,lgnn+,sgnn+
+# Where: --device cuda --workers 15 on a GPU, whose 15 processes share it.
+ON ?=
 $(factor-targets): STEPS = 200
+$(factor-targets): DRAWN = 300
 shift-balldrop-factors: STEPS = 500
+shift-2ladder-factors shift-3ladder-factors: DRAWN = 150
 $(factor-targets): shift-%-factors: $(VENV)/ready
-	$(BIN)/mbds-xsim generate $* --trajectories 300 --out $(FACTORS) \
+	$(BIN)/mbds-xsim generate $* --trajectories $(DRAWN) --out $(FACTORS) \
 		--settings $(subst $() ,$(comma),$(FACTORED:%=benchmarks/factors/%.toml))$(comma)native$(comma)matched \
 		--engines mujoco,pybullet,dart,exudyn || [ $$? -eq 1 ]
 	$(BIN)/mbds-xsim train $(FACTORS)/$* --track native+ --models $(NETWORKS) --steps $(STEPS) \
-		--out $(FACTORS)/models --png $(REPORTS)/shift/$*-factors-curves.png
-	$(BIN)/mbds-xsim shift $(FACTORS)/models $(FACTORS) --scene $* $(call told,shift/$*-factors)
+		--out $(FACTORS)/models --png $(REPORTS)/shift/$*-factors-curves.png $(ON)
+	$(BIN)/mbds-xsim shift $(FACTORS)/models $(FACTORS) --scene $* $(ON) $(call told,shift/$*-factors)
 
 # How good data must be: models that learned from a ladder of steps of engines, and of tolerances of the
 # reference, by the error on the truth that what they learned from costs them. Half a core-hour a scene.

@@ -1,15 +1,17 @@
 """How fast learned models train, and predict trajectories one by one and many at once.
 
-python -m benchmarks.learn_speed [SCENE…] [--device cuda] > reports/learn-speed.md
+python -m benchmarks.learn_speed [SCENE…] > reports/learn-speed.md
+python -m benchmarks.learn_speed 3ladder --device cuda --tracks paper > reports/learn-speed-gpu.md
 
-The models are untrained, as time does not depend on weights. On a GPU those that train are compiled
-to CUDA graphs, as `train --compile` has it.
+The models are untrained, as time does not depend on weights. On a GPU training is measured as it
+is, in mixed precision, compiled to CUDA graphs, and both: `train --bf16` and `--compile`.
 """
 
 from __future__ import annotations
 
 import argparse
 import functools
+import sys
 import time
 from collections.abc import Callable, Iterator
 from statistics import quantiles
@@ -21,7 +23,7 @@ from benchmarks.harness import Work, print_head, print_made, print_table, proces
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import LearnedModel, build, load_model
-from mbds_xsim.learn.recipe import Recipe, check_device, compile_networks, put
+from mbds_xsim.learn.recipe import Recipe, check_device, compile_networks, precision, put
 from mbds_xsim.learn.statistics import CHANNELS, Moments, Statistics
 from mbds_xsim.learn.train import optimiser
 from mbds_xsim.learn.trained import Known, carry_on, known_start
@@ -36,10 +38,15 @@ SCENES = ("6pendulum", "3ladder")
 TRAINED, TRACKS, BATCH = ("gns", "sgnn"), ("lite", "native", "paper"), 64
 MODELS, BATCHES, AIM = ("gns", "sgnn", "hgnn", "lgnn"), (1, 64, 512), 20
 FRAMES, STARTS = 5, 30
-ROUNDS, PATIENCE = {"train": (7, 25), "roll": (3, 31)}, {"train": 10.0, "roll": 180.0}
+ROUNDS = {"train": (7, 25), "roll": (3, 31)}
+PATIENCE = {"cpu": {"train": 10.0, "roll": 180.0}, "cuda": {"train": 2.0, "roll": 20.0}}
 """Rounds, the least and the most, and the seconds they may take if they are enough."""
 UNIT = {"cpu": "one thread, by the processor's time", "cuda": "on a GPU, until it is done"}
-_COMMAND = "python -m benchmarks.learn_speed > reports/learn-speed.md"
+WAYS = {"cpu": {"": (False, False)}, "cuda": {
+    "float32": (False, False), "bf16": (True, False),
+    "compiled": (False, True), "bf16, compiled": (True, True),
+}}  # fmt: skip
+"""Of training: whether in mixed precision, and whether compiled."""
 
 
 def spent_on(device: str) -> Callable[[Work], float]:
@@ -63,21 +70,29 @@ def still() -> Statistics:
     return Statistics(one, small, small, torch.ones(len(CHANNELS)).double())
 
 
-def training(name: str, track: str, device: str) -> list[str]:
-    """Graphs a second in training; the models take turns at a step on one batch."""
+def training(name: str, track: str, device: str) -> Iterator[list[str]]:
+    """Graphs a second in training; models and ways take turns at a step on one batch."""
     graph = Graph.of(load_scene(name))
-    models, works = [], []
+    works: dict[tuple[str, bool, bool], Work] = {}
+    weights, ways = [], WAYS[device]
     for kind in TRAINED:
-        model = build(kind, graph, still(), track=track)
-        put(model, device)
-        if device != "cpu":
-            compile_networks(model)
-        models.append(model)
-        works.append(step(model, graph, load_model(kind).tracks[track].recipe, device))
-    seconds = take_turns(works, ROUNDS["train"], PATIENCE["train"], spent_on(device))
-    weights = ", ".join(f"{sum(w.numel() for w in model.parameters()):,}" for model in models)
-    rates = (f"{rate:.0f}" for rate in BATCH / np.median(seconds, axis=0))
-    return [name, f"{graph.node_count}, {graph.edge_count}", track, weights, *rates]
+        for mixed, compiled in ways.values():
+            model = build(kind, graph, still(), track=track)
+            if mixed and not model.mixes:
+                continue
+            put(model, device)
+            if compiled:
+                compile_networks(model)
+            recipe = load_model(kind).tracks[track].recipe
+            works[kind, mixed, compiled] = step(model, graph, recipe, device, mixed=mixed)
+        weights.append(f"{sum(w.numel() for w in model.parameters()):,}")
+    patience = PATIENCE[device]["train"]
+    seconds = take_turns([*works.values()], ROUNDS["train"], patience, spent_on(device))
+    rates = dict(zip(works, BATCH / np.median(seconds, axis=0), strict=True))
+    size = f"{graph.node_count}, {graph.edge_count}"
+    for way, how in ways.items():
+        cells = [f"{rates[key]:.0f}" if (key := (kind, *how)) in rates else "-" for kind in TRAINED]
+        yield [name, size, track, ", ".join(weights), *([way] if way else []), *cells]
 
 
 def drawn(graph: Graph, horizon: int, device: str) -> Sample:
@@ -93,13 +108,15 @@ def drawn(graph: Graph, horizon: int, device: str) -> Sample:
     return Sample(start, KnownInputs(force, torque), after, torch.zeros_like(after)).to(device)
 
 
-def step(model: LearnedModel, graph: Graph, recipe: Recipe, device: str) -> Work:
+def step(model: LearnedModel, graph: Graph, recipe: Recipe, device: str, *, mixed: bool) -> Work:
     """A step of training: loss, gradient, new parameters."""
     adam, sample = optimiser(model, recipe), drawn(graph, recipe.horizon, device)
 
     def descend() -> None:
         adam.zero_grad()
-        torch.autograd.backward(model.loss(sample, torch.Generator().manual_seed(0)))
+        with precision(model, mixed=mixed):
+            loss = model.loss(sample, torch.Generator().manual_seed(0))
+        torch.autograd.backward(loss)
         adam.step()
 
     return descend
@@ -117,7 +134,7 @@ def rolling(name: str, device: str) -> Iterator[list[str]]:
         for model, given in zip(models, known, strict=True)
         for count in BATCHES
     ]
-    turns = take_turns(works, ROUNDS["roll"], PATIENCE["roll"], spent_on(device))
+    turns = take_turns(works, ROUNDS["roll"], PATIENCE[device]["roll"], spent_on(device))
     each = turns.reshape(len(turns), len(MODELS), len(BATCHES)) / (np.array(BATCHES) * FRAMES)
     for kind, rounds in zip(MODELS, np.moveaxis(each, 1, 0), strict=True):
         times = [f"{1e3 * seconds:.3g}" for seconds in np.median(rounds, axis=0)]
@@ -139,6 +156,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", nargs="*", default=SCENES, metavar="SCENE")
     parser.add_argument("--device", default="cpu", help="cpu or cuda")
+    parser.add_argument("--tracks", nargs="*", default=TRACKS, choices=TRACKS, help="in training")
     arguments = parser.parse_args()
     scenes, device = arguments.scenes, arguments.device
     try:
@@ -149,9 +167,17 @@ def main() -> None:
     text = f"""\
 Graphs a second in training (loss, gradient, Adam), batch {BATCH}, {UNIT[device]}. All times are
 medians of rounds in which models and batches take turns."""
-    print_head("Speed of learned models", _COMMAND, text)
-    lines = (training(scene, track, device) for scene in scenes for track in TRACKS)
-    print_table("scene|nodes, edges|track|weights GNS, SGNN|>GNS|>SGNN", lines)
+    file = "learn-speed.md" if device == "cpu" else "learn-speed-gpu.md"
+    command = " ".join(["python -m benchmarks.learn_speed", *sys.argv[1:], f"> reports/{file}"])
+    print_head("Speed of learned models", command, text)
+    lines = (
+        row
+        for scene in scenes
+        for track in arguments.tracks
+        for row in training(scene, track, device)
+    )
+    way = "|way" if device == "cuda" else ""
+    print_table(f"scene|nodes, edges|track|weights GNS, SGNN{way}|>GNS|>SGNN", lines)
     print(f"""
 Milliseconds a trajectory and frame in rollouts of models in their `lite` size, {UNIT[device]}.
 Ratio: batch {BATCHES[0]} over batch {BATCHES[-1]}, with its quartiles; the aim is {AIM}. The

@@ -27,6 +27,7 @@ CHAPTERS = (
     ("The paper's tables", "make reports-paper-tables", "paper-tables.md"),
     ("What energies are given", "make reports-models", "energy-rollouts.md"),
     ("Speed of learned models", "make reports-learn-speed", "learn-speed.md"),
+    ("On a GPU", "make reports-learn-speed-gpu", "learn-speed-gpu.md"),
 )
 _COMMAND = re.compile(r"(?:Made by `|Written by: )(.+?)(?:`| -->)")
 # The files stand beside it.

@@ -132,7 +132,7 @@ def estimate(
     workers: int,
 ) -> Estimate:
     """Extrapolate what was measured: shards and trajectories cost what they cost, each alike."""
-    shards = math.ceil(trajectories / variant.shard_size)
+    shards = variant.shard_count(trajectories)
     about = variant.name, variant.method.name, variant.contender.settings.step
     if isinstance(answer, Crash):
         return Estimate(*about, None, answer.reason, shards, None, None, None)

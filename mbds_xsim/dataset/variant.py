@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -22,6 +23,7 @@ from mbds_xsim.simulate.registry import load_adapter, package_version
 
 _SHARD_BYTES = 2**25  # of motion; a worker holds some ten times as much
 _MOST = 300
+_FEWEST, _PART = 16, 8
 _BODY_BYTES = 13 * 8  # of a body in a frame
 _POINT_BYTES = 2 * 3 * 4
 
@@ -83,19 +85,34 @@ class Variant:
             "mbds_xsim_version": package_version("mbds-xsim"),
         }
 
-    @property
-    def shard_size(self) -> int:
-        """Trajectories of a shard; it follows from the scene alone."""
+    def items(self, trajectories: int) -> Iterator[Item]:
+        """Shards of the trajectories 0 … trajectories − 1; they follow from the scene alone.
+
+        Each is at most an eighth of all before it, so that of few trajectories there is work for
+        many processes, too, and that more trajectories go on where these end.
+        """
+        first = 0
+        while first < trajectories:
+            size = self._size(first)
+            yield Item(self, first, min(size, trajectories - first))
+            first += size
+
+    def shard_count(self, trajectories: int) -> int:
+        """How many shards so many trajectories have, without going through them all."""
+        count = first = 0
+        while first < trajectories and self._size(first) < self._most:
+            count, first = count + 1, first + self._size(first)
+        return count + math.ceil(max(0, trajectories - first) / self._most)
+
+    def _size(self, first: int) -> int:
+        return min(self._most, max(_FEWEST, first // _PART))
+
+    @cached_property
+    def _most(self) -> int:
+        """Trajectories that a shard may have."""
         scene = self.scene
         frame = len(scene.bodies) * _BODY_BYTES + scene.particle_count * _POINT_BYTES
-        size = _SHARD_BYTES // ((scene.clock.steps + 1) * frame)
-        return max(1, min(size, _MOST))
-
-    def items(self, trajectories: int) -> Iterator[Item]:
-        """Shards of the trajectories 0 … trajectories − 1."""
-        size = self.shard_size
-        for first in range(0, trajectories, size):
-            yield Item(self, first, min(size, trajectories - first))
+        return max(1, min(_SHARD_BYTES // ((scene.clock.steps + 1) * frame), _MOST))
 
     def folder(self, out: Path) -> Path:
         """Where its shards are."""
@@ -179,7 +196,10 @@ def _is_complete(item: Item, path: Path) -> bool:
             )
             raise InputError(msg)
     if found.get("count", 0) > item.count:
-        msg = f"{path} holds more trajectories than asked for; ask for as many as before"
+        msg = (
+            f"{path} holds {found['count']} trajectories, due are {item.count}: it is of a larger "
+            "set, or of another version; ask for as many as before, or name another --out"
+        )
         raise InputError(msg)
     return bool(found["count"] == item.count)
 

@@ -245,8 +245,17 @@ def read_settings(path: Path) -> tuple[str, dict[str, Matched]]:
     they are a variant, of which no budget is expected.
 
     Raises:
-        InputError: The file cannot be read or is none of settings; the text says where.
+        InputError: The file cannot be read or is none of settings, or an engine is not there; the
+            text says where.
     """
+    name, found = _read(path)
+    for engine in found:
+        registry.load_adapter(engine)
+    return name, found
+
+
+def _read(path: Path) -> tuple[str, dict[str, Matched]]:
+    """Read a file of settings, of engines that need not be installed."""
     try:
         name, found = _tables(read_file(path).decode("utf-8-sig"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
@@ -265,7 +274,6 @@ def read_settings(path: Path) -> tuple[str, dict[str, Matched]]:
         )
         raise InputError(msg)
     for engine, entry in found.items():
-        registry.load_adapter(engine)
         if entry.steps_per_frame < 1:
             msg = (
                 f"--settings {path}: {engine}.steps_per_frame: got {entry.steps_per_frame}, "
@@ -288,8 +296,7 @@ def _stored(scene_name: str) -> Mapping[str, Matched]:
         for folder in (package and package.submodule_search_locations) or ():
             theirs = Path(folder) / f"{scene_name}.toml"
             if engine not in found and theirs.is_file():
-                of_all = read_settings(theirs)[1]
-                found |= {name: e for name, e in of_all.items() if name == engine}
+                found |= {name: e for name, e in _read(theirs)[1].items() if name == engine}
     return found
 
 

@@ -1,4 +1,4 @@
-"""Data sets small enough to make many of: a swinging rod, ten frames, shards of 300."""
+"""Data sets small enough to make many of: a swinging rod, ten frames, the smallest of shards."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TEXTS = ("1pendulum/README.md", "1pendulum/croissant.json")
 SHARD = "1pendulum/mujoco-matched/0000000000.h5"
 FILE = "1pendulum/mujoco-matched.h5"
 JOINT = "1pendulum/joint.h5"
-TRAJECTORIES = 700  # three shards
+TRAJECTORIES = 40  # three shards, of 16, 16 and 8
 STEPS = 10
 
 Make = Callable[..., Generated]

@@ -119,10 +119,10 @@ def large(make: Make, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "at_least"),
-    [(SHARD, 180), (FILE, 30), (JOINT, 30), (TEXTS[0], 200), (TEXTS[1], 140)],
+    [(SHARD, 170), (FILE, 30), (JOINT, 30), (TEXTS[0], 200), (TEXTS[1], 140)],
 )
 def test_200_flipped_bits(name: str, at_least: int, large: Path, tmp_path: Path) -> None:
-    """Of each kind of file; in shards of a common size nearly all bytes are numbers."""
+    """Of each kind of file; in shards most bytes are numbers."""
     shutil.copytree(large, tmp_path, dirs_exist_ok=True)
     found = _flipped(tmp_path / name, _CHECKS[name], 200, 2)
     assert found[_MISSED] == []

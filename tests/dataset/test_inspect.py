@@ -28,7 +28,7 @@ SET = "1pendulum/mujoco-matched"
 def test_counts_and_figures_are_those_of_the_files(whole: Path) -> None:
     (found,) = summaries(whole)
     data = load_dataset(whole / f"{SET}.h5")
-    assert (found.drawn, found.published, found.rejected, found.shards) == (700, 700, 0, 3)
+    assert (found.drawn, found.published, found.rejected, found.shards) == (40, 40, 0, 3)
     for part, counts in found.counts.items():
         rows = data.rows_of(part)
         assert sum(counts.values()) == len(rows)
@@ -37,7 +37,7 @@ def test_counts_and_figures_are_those_of_the_files(whole: Path) -> None:
     column = list(data["check/name"]).index("energy")
     figures = np.asarray(data["check/figure"])[:, column]
     assert (energy.smallest, energy.largest) == (figures.min(), figures.max())
-    assert energy.trajectories == 700
+    assert energy.trajectories == 40
     assert energy.largest <= (energy.allowed or 0)
     sampled = next(figure for figure in found.figures if figure.check == "error growth-weighted")
     assert sampled.trajectories == 3
@@ -46,9 +46,9 @@ def test_counts_and_figures_are_those_of_the_files(whole: Path) -> None:
 
 
 def test_a_shard_has_no_split(whole: Path) -> None:
-    (found,) = summaries(whole / SET / "0000000300.h5")
-    assert (found.kind, found.drawn, found.shards) == ("shard", 300, 1)
-    assert found.counts == {"all": {"low": 100, "medium": 100, "high": 100}}
+    (found,) = summaries(whole / SET / "0000000016.h5")
+    assert (found.kind, found.drawn, found.shards) == ("shard", 16, 1)
+    assert found.counts == {"all": {"low": 5, "medium": 6, "high": 5}}
 
 
 def test_rejected_ones_are_counted_by_reason(make: Make, tmp_path: Path) -> None:
@@ -73,7 +73,7 @@ def test_the_summary_can_be_read(whole: Path) -> None:
     stream = io.StringIO()
     print_blocks(summary_blocks(summaries(whole)[0]), Console(file=stream, width=120))
     text = stream.getvalue()
-    for words in ("1pendulum", "joined, certified", "700 published and 0 rejected of 700", "✓"):
+    for words in ("1pendulum", "joined, certified", "40 published and 0 rejected of 40", "✓"):
         assert words in text
 
 
@@ -103,7 +103,7 @@ def test_a_scene_text_that_cannot_be_read_is_one_line(
     whole: Path, tmp_path: Path, text: str
 ) -> None:
     damaged = tmp_path / "damaged.h5"
-    shutil.copy(whole / f"{SET}/0000000600.h5", damaged)
+    shutil.copy(whole / f"{SET}/0000000032.h5", damaged)
     with h5py.File(damaged, "a") as file:
         file.attrs["scene"] = text
 

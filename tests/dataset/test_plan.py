@@ -15,8 +15,9 @@ from mbds_xsim.dataset.estimate import STAGES, CostPlan, ShardCost, estimate, me
 from mbds_xsim.dataset.variant import Variant
 from mbds_xsim.report.terminal import print_blocks
 from mbds_xsim.scene.scene import Scene
+from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice
-from tests.dataset.conftest import TRAJECTORIES
+from tests.dataset.conftest import Make
 
 KNOWN = ShardCost(
     sample=6,
@@ -53,12 +54,13 @@ def measured(variant: Variant) -> ShardCost:
 
 
 def test_bytes_are_those_that_generate_writes(
-    variant: Variant, measured: ShardCost, whole: Path
+    variant: Variant, measured: ShardCost, make: Make, tmp_path: Path
 ) -> None:
-    """700 trajectories in three shards, foretold from shards of 1 and 6."""
-    told = estimate(variant, measured, TRAJECTORIES, audit_s=0.0, workers=1)
-    real = sum(path.stat().st_size for path in whole.rglob("*.h5") if path.name != "joint.h5")
-    assert told.shards == 3
+    """700 trajectories in their shards, foretold from shards of 1 and 6."""
+    make(tmp_path, trajectories=700)
+    told = estimate(variant, measured, 700, audit_s=0.0, workers=1)
+    real = sum(path.stat().st_size for path in tmp_path.rglob("*.h5") if path.name != "joint.h5")
+    assert told.shards == len(list(variant.items(700)))
     assert told.bytes == pytest.approx(real, rel=0.03)
 
 
@@ -74,12 +76,27 @@ def test_what_is_measured_can_be(measured: ShardCost) -> None:
 def test_costs_add_up_at_any_size(variant: Variant) -> None:
     for count in (1, 300, 301, 15_001, 4_000_000_000):
         told = estimate(variant, KNOWN, count, audit_s=7.0, workers=8)
-        shards = -(-count // 300)
+        shards = variant.shard_count(count)
         seconds = 3.0 * shards + 0.5 * count + 7.0 * -(-count // 15_000)
         assert told.shards == shards
         assert told.core_hours == pytest.approx(seconds / 3600)
         assert told.wall_hours == pytest.approx(seconds / 3600 / min(8, shards))
         assert told.bytes == pytest.approx(1000 * shards + 109 * count)
+
+
+@pytest.mark.parametrize("name", ["5pendulum", "3ladder", "8000pendulum"])
+def test_few_trajectories_are_work_for_many_processes(name: str) -> None:
+    scene = registry.load_scene(name)
+    (contender,), _ = Choice.parse(engines="mujoco").contenders(scene)
+    variant = Variant(scene, contender, 0, True)
+    longer = list(variant.items(2500))
+    for count in (1, 16, 17, 300, 2499):
+        items = list(variant.items(count))
+        assert variant.shard_count(count) == len(items)
+        assert [index for item in items for index in item.indices] == list(range(count))
+        assert [item.first for item in items] == [item.first for item in longer[: len(items)]]
+        assert max(item.count for item in items) <= max(16, count / 9)
+    assert len(list(variant.items(300))) >= 15
 
 
 def test_plan_measures_every_engine_apart(rod: Scene) -> None:

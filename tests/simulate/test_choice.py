@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mbds_xsim.base.errors import Unsupported
+from mbds_xsim.base.errors import EngineMissing, Unsupported
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Body, Clock, DistanceLink, Inertia, Joint, Particle, Scene
-from mbds_xsim.simulate import registry
+from mbds_xsim.simulate import choice, registry
+from mbds_xsim.simulate.adapter import Adapter
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.timed import simulate
 
@@ -43,6 +44,24 @@ def test_an_engine_asked_for_by_name_must_be_able_to() -> None:
 def test_some_engine_must_be_able_to() -> None:
     with pytest.raises(Unsupported, match="no engine given here can"):
         Choice(("pybullet", "dart"), named=False).contenders(LINKED)
+
+
+def test_settings_of_an_engine_that_is_not_installed_keep_no_other_from_running(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Those that a package ships for a scene are there without the engine."""
+    load = registry.load_adapter
+
+    def without(name: str) -> Adapter:
+        if name == "drake":
+            raise EngineMissing(name)
+        return load(name)
+
+    monkeypatch.setattr(registry, "load_adapter", without)
+    monkeypatch.setattr(choice, "_stored", choice._stored.__wrapped__)
+    (contender,), _ = Choice.parse(engines="mujoco").contenders(registry.load_scene("3ladder"))
+    assert contender.settings.step == pytest.approx(0.02 / 3)
+    assert choice.is_stored(registry.load_scene("3ladder"), "drake")
 
 
 def _hinged(moment: float, mass: float) -> Scene:
