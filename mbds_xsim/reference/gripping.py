@@ -3,7 +3,8 @@
 Friction of constant size has one motion only, as it never decreases with the rate. Joints that move
 have all of it against them. Those that stand still have what keeps them there, as far as it goes,
 and so have those that rest against a stop (`brakes`). Events are that a joint stops or gives way,
-and that it reaches a stop. Between them a motion is smooth, and steps are those of `marching`.
+and that it reaches a stop. Between them a motion is smooth, and steps are those of `marching`. A
+motion ends where a contact sphere first reaches the ground (`first_impact`).
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ import numpy as np
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.reference.brakes import Brakes, least_shares
 from mbds_xsim.reference.compiled import Kernel, chosen, with_signs_of
-from mbds_xsim.reference.first_impact import dips
+from mbds_xsim.reference.dynamics import Dynamics
+from mbds_xsim.reference.first_impact import FirstImpact, dips, first_touch, resting
 from mbds_xsim.reference.lanes import LANES
 from mbds_xsim.reference.march_kernel import ACCELERATE, PROJECT
 from mbds_xsim.reference.marching import (
@@ -27,7 +29,6 @@ from mbds_xsim.reference.marching import (
     try_step,
 )
 from mbds_xsim.reference.tree import to_tree
-from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.state import Failure
 
 _NARROW = 2.0**-50  # share of a step within which an event in it is found
@@ -46,11 +47,15 @@ def march_gripping(problem: Problem) -> Marched:
     _, spanned, _ = chosen(problem.mechanism)
     places = to_tree(spanned, problem.dynamics.unpack(problem.start), problem.start)
     for row, place in enumerate(places):
-        motion = _Motion(problem.mechanism, place, problem.rtol)
+        motion = _Motion(problem.dynamics, place, problem.rtol)
         for k in range(frames):
-            if not motion.through_frame(problem.force[row, k], problem.torque[row, k]):
-                why = "its steps become too short or too many: see friction, limits, springs"
-                marched.failures[row] = Failure(k + 1, f"the solution cannot be continued: {why}")
+            try:
+                impact = motion.through_frame(problem.force[row, k], problem.torque[row, k])
+            except ArithmeticError as error:
+                marched.failures[row] = Failure(k + 1, f"the solution cannot be continued: {error}")
+                break
+            if impact is not None:
+                marched.failures[row] = FirstImpact.at(k + 1, k * problem.frame + impact)
                 break
             marched.states[row, k + 1] = with_signs_of(motion.state(), marched.states[row, k])
             if problem.progress is not None:
@@ -61,7 +66,9 @@ def march_gripping(problem: Problem) -> Marched:
 class _Motion:
     """One trajectory under way, in coordinates of the tree."""
 
-    def __init__(self, mechanism: Mechanism, y: Array, rtol: float) -> None:
+    def __init__(self, dynamics: Dynamics, y: Array, rtol: float) -> None:
+        mechanism, self._dynamics = dynamics.mechanism, dynamics
+        self._lands = bool(mechanism.scene.contacts)
         self._tree, spanned, _ = chosen(mechanism)
         self._kernel = Kernel(self._tree)
         self._frame, self._rtol = mechanism.scene.clock.frame, rtol
@@ -81,13 +88,19 @@ class _Motion:
         self._kernel.y[:] = self._y[:, None]
         return self._kernel.body_states()[0]
 
-    def through_frame(self, force: Array, torque: Array) -> bool:
-        """Go on to the end of a frame, if that can be reached."""
+    def through_frame(self, force: Array, torque: Array) -> float | None:
+        """Go on to the end of a frame, or give when in it a sphere first touches the ground [s].
+
+        Raises:
+            ArithmeticError: Neither can be reached.
+        """
         loads = self._kernel.work.load.reshape(-1, 6, LANES)
         loads[:-1, :3] = force[self._tree.body][..., None]
         self._kernel.work.torque[: len(torque)] = torque[:, None]
         left, events = self._frame, 0
         self._turn_at(self._y)
+        if self._lands and resting(*self._heights(self._y)):
+            return 0.0
         rate = self._derivative(self._y[None])
         for _ in range(MOST_STEPS):
             h = left / np.ceil(left / self._step)
@@ -95,21 +108,40 @@ class _Motion:
             self._step = float(next_step(np.array([h]), np.array([ratio]))[0])
             if not ratio <= 1.0:
                 if self._step < SMALLEST_STEP * self._frame:
-                    return False
+                    break
                 continue
             if events > _MOST_EVENTS:
-                return False
-            if (share := self._event_within(rate, h, new)) is not None:
+                break
+            share = self._event_within(rate, h, new)
+            if share is not None:
                 h, events = h * share, events + 1
                 new = self._tried(rate, h)[0]
+            if (touch := self._touch_within(rate, h, new)) is not None:
+                return float(self._frame - left + touch * h)
+            if share is not None:
                 self._step = FIRST_STEP * self._frame
                 self._turn_at(new)
             self._y, left = new, left - h
             if left <= 1e-14 * self._frame:
                 self._y = self._closed(self._y)
-                return True
+                return None
             rate = self._derivative(self._y[None])
-        return False
+        why = "its steps become too short or too many: see friction, limits, springs"
+        raise ArithmeticError(why)
+
+    def _heights(self, y: Array) -> tuple[Array, Array]:
+        """Give heights of contact spheres above the ground and their rates, shape (1, sphere)."""
+        self._kernel.y[:] = y[:, None]
+        return self._dynamics.heights(self._kernel.body_states()[:1])
+
+    def _touch_within(self, rate: Array, h: float, new: Array) -> float | None:
+        """Find the shortest part of a step in which a sphere reaches the ground."""
+        if not self._lands:
+            return None
+        places = dips(self._heights(self._y), self._heights(new), np.array([h]))[0]
+        return first_touch(
+            lambda share: float(self._heights(self._tried(rate, share * h)[0])[0].min()), places
+        )
 
     def _tried(self, rate: Array, h: float) -> tuple[Array, float]:
         """Make a step; also give its error over what is allowed."""

@@ -161,10 +161,6 @@ def integrate(problem: Problem) -> Marched:
 
 
 def _gripping(problem: Problem) -> Marched:
-    if problem.mechanism.scene.contacts:
-        marched = Marched.from_start(problem)
-        why = "contact and dry friction or limits of joints together are beyond the reference"
-        return dataclasses.replace(marched, failures=[Failure(1, why)] * len(problem.start))
     from mbds_xsim.reference.gripping import march_gripping  # imports a compiler
 
     # Companions stop and start at times of their own, so that their errors do not cancel.

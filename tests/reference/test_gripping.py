@@ -6,16 +6,18 @@ import dataclasses
 
 import msgspec
 import numpy as np
+import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mbds_xsim.checks import Record
 from mbds_xsim.checks.conservation import energy_balance
+from mbds_xsim.reference.first_impact import FirstImpact
 from mbds_xsim.reference.solution import solve
 from mbds_xsim.scene.joint_space import BodyStates, to_bodies, to_links
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene
+from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Ground, Inertia, Joint, Scene
 from mbds_xsim.simulate.registry import load_scene
 from tests.random_scenes import MOVED, SEEDS, Kind, ruled_tree
 
@@ -76,17 +78,52 @@ def test_heavy_friction_stops_a_chain_and_light_friction_does_not() -> None:
     assert (np.abs(rates[1][50:]) < _STILL).all()
 
 
-def test_with_contact_it_is_beyond_the_reference() -> None:
-    scene = load_scene("particlecar")
-    joints = (msgspec.structs.replace(joint, friction=0.1) for joint in scene.joints)
-    scene = msgspec.structs.replace(
-        scene, joints=tuple(joints), clock=msgspec.structs.replace(scene.clock, steps=2)
+@pytest.mark.parametrize("friction", [0.0, 3.0])
+def test_a_rubbing_block_lands_when_its_slope_says(friction: float) -> None:
+    """Down a slider at 60° to the level, far from its stops: s = ½ (g sin α − F/m) t²."""
+    slope, mass, radius, gap = np.pi / 3, 0.5, 0.05, 0.3
+    down = (np.cos(slope), 0.0, -np.sin(slope))
+    body = Body("block", inertia=Inertia(mass, (1e-3,) * 3), position=(0, 0, radius + gap))
+    rail = Joint("rail", "slider", "world", "block", (0, 0, radius + gap), down, friction=friction)
+    rail = msgspec.structs.replace(rail, limits=(-1.0, 1.0))
+    scene = Scene(
+        "rail",
+        (body,),
+        1.0,
+        joints=(rail,),
+        contacts=(ContactSphere("block", (0.0, 0.0, radius + gap), radius),),
+        ground=Ground(0.5, 0.0),
+        clock=Clock(0.02, 40),
     )
-    (failure,) = solve(scene, draw_batch(scene, [0]), cache=False).failures
+    motion = solve(scene, draw_batch(scene, [0], noise=False), cache=False)
+    pull = 9.81 * np.sin(slope) - friction / mass
+    time = np.sqrt(2.0 * gap / np.sin(slope) / pull)
 
-    assert failure is not None
-    assert "beyond the reference" in failure.reason
-    assert failure.frame == 1
+    (end,) = motion.failures
+    assert isinstance(end, FirstImpact)
+    assert end.time == pytest.approx(time, rel=1e-12)
+    assert end.frame == int(time / 0.02) + 1
+    assert np.isfinite(motion.position[0, : end.frame]).all()
+    assert np.isnan(motion.position[0, end.frame :]).all()
+
+
+def test_a_stop_that_is_not_reached_changes_no_first_impact() -> None:
+    """As maximal coordinates have it, which know no stops."""
+    scene = msgspec.structs.replace(load_scene("simplecubli"), clock=Clock(0.02, 60))
+    hinges = (
+        msgspec.structs.replace(one, limits=(-1e3, 1e3)) if one.kind == "hinge" else one
+        for one in scene.joints
+    )
+    limited = msgspec.structs.replace(scene, joints=tuple(hinges))
+    batch = draw_batch(scene, range(3), noise=False)
+    free, stopped = (solve(one, batch, cache=False) for one in (scene, limited))
+
+    for one, other in zip(free.failures, stopped.failures, strict=True):
+        assert isinstance(one, FirstImpact)
+        assert isinstance(other, FirstImpact)
+        assert other.time == pytest.approx(one.time, rel=1e-9)
+        assert other.frame == one.frame
+    np.testing.assert_allclose(stopped.position, free.position, atol=1e-8)
 
 
 def test_a_trial_step_that_overflows_ends_no_more_than_the_trajectory() -> None:
