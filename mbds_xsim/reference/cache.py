@@ -37,8 +37,9 @@ _PHYSICS = (
 )  # fmt: skip
 _GEARS = 2
 """Version of scenes with gears alone: before, a gear beside a fixed joint could be left out."""
-_BRAKES = 3
-"""Of those with dry friction or stops: before, a rest at a stop with friction could be given up."""
+_BRAKES, _LANDING = 3, 4
+"""Of those with dry friction or stops: before, a rest at a stop with friction could be given up, and
+with contact there was no solution."""
 _SOURCES = ("compiling", "lanes", "traced", "lane_algebra", "noted", "elimination", "tree")
 _SEAL = hashlib.sha256().digest_size
 
@@ -129,7 +130,7 @@ def key_of(what: str, scene: Scene, batch: Batch, row: int, rtol: float) -> str:
     physics += [scene.servos] if scene.servos else []
     physics += [_GEARS, scene.couplings] if scene.couplings else []
     braked = any(joint.friction or joint.limits for joint in scene.joints)
-    physics += [_BRAKES] if braked else []
+    physics += [_LANDING if scene.contacts else _BRAKES] if braked else []
     # Scenes made in Python may hold numpy's numbers.
     digest.update(
         msgspec.json.encode([what, PHYSICS, rtol, scene.clock.frame, physics], enc_hook=float)
