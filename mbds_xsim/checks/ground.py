@@ -16,6 +16,7 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.checks.balances import balances_of
+from mbds_xsim.checks.coordinates import clear_of_own
 from mbds_xsim.checks.finding import Figures, Record, check
 from mbds_xsim.checks.spheres import Spheres, spheres_of
 from mbds_xsim.scene.joint_space import BodyStates
@@ -273,9 +274,12 @@ def fast_impacts_of(record: Record, push: Push) -> Impacts:
 
 @functools.lru_cache(maxsize=4)
 def impacts_of(record: Record, push: Push) -> Impacts:
-    """Find the steps in which one sphere, and no other of its group, hits the ground once."""
+    """Find the steps in which one sphere, and no other of its group, hits the ground once.
+
+    And nothing but the ground pushes the group's bodies that motions without it would not have.
+    """
     free = push.untouched
-    alone = push.reach.sum(axis=2) == 1
+    alone = (push.reach.sum(axis=2) == 1) & _unbraked(record, push)
     row, step = np.nonzero(free[:, 1:] & free[:, :-1] & alone & (push.impulse[..., 2] > 0.0))
     sphere = push.spheres[push.reach[row, step].argmax(axis=1)]
     arrival, before, falling = _at_touch(record, row, step, step, sphere)
@@ -299,6 +303,17 @@ def impacts_of(record: Record, push: Push) -> Impacts:
         impulse=push.impulse[row, step][single],
         gap=(-left / (1.0 / arriving + 1.0 / leaving))[single],
     )
+
+
+def _unbraked(record: Record, push: Push) -> Mask:
+    """Steps in which no joint of a group rubs or may meet a stop, shape (trajectory, step)."""
+    mechanism, group = record.mechanism, {*push.bodies}
+    rubs = any(group & {joint.parent, joint.child} for joint in mechanism.frictional)
+    found = np.full(push.steady.shape, not rubs)
+    for joint in mechanism.limited:
+        if group & {joint.parent, joint.child}:
+            found &= clear_of_own(joint, record.world, record.frame)
+    return found
 
 
 def _at_touch(

@@ -38,8 +38,8 @@ _PHYSICS = (
 _GEARS = 2
 """Version of scenes with gears alone: before, a gear beside a fixed joint could be left out."""
 _BRAKES, _LANDING = 3, 4
-"""Of those with dry friction or stops: before, a rest at a stop with friction could be given up, and
-with contact there was no solution."""
+"""Of those with dry friction or stops: before, a rest at a stop with friction could be given up,
+and with contact there was no solution."""
 _SOURCES = ("compiling", "lanes", "traced", "lane_algebra", "noted", "elimination", "tree")
 _SEAL = hashlib.sha256().digest_size
 

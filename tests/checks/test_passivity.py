@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Callable
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -26,7 +27,9 @@ from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import Throw
 from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Ground, Inertia, Scene
 from mbds_xsim.scene.state import Batch, Trajectory
-from mbds_xsim.simulate.registry import load_adapter
+from mbds_xsim.simulate.choice import settings_for
+from mbds_xsim.simulate.registry import load_adapter, load_scene
+from mbds_xsim.simulate.timed import simulate
 
 RK4 = load_adapter("mujoco").methods["RK4"]
 OFFSET, RADIUS, MOMENT, GRAVITY = np.array([0.2, -0.1]), 0.02, 0.02, 9.81
@@ -304,6 +307,28 @@ def test_impacts_are_taken_apart_exactly(lawful: Record) -> None:
     assert len(hits.row) > 50
     assert hits.leaving / hits.arriving == pytest.approx(0.9332, abs=1e-6)
     assert np.abs(hits.gap).max() < 1e-7
+
+
+def test_beside_dry_friction_and_stops_that_may_act_no_impact_is_taken_apart() -> None:
+    """Motions without contact, that are followed to it, know neither."""
+    pytest.importorskip("mujoco")
+    scene = msgspec.structs.replace(load_scene("simplecubli"), clock=Clock(0.02, 60))
+    batch = draw_batch(scene, range(3), noise=False)
+    settings = settings_for(scene, load_adapter("mujoco"), "matched")
+    trajectory = simulate(scene, batch, "mujoco", settings).trajectory
+
+    def impacts(**law: Any) -> set[tuple[int, int]]:
+        joints = tuple(msgspec.structs.replace(joint, **law) for joint in scene.joints)
+        record = Record(msgspec.structs.replace(scene, joints=joints), batch, trajectory, RK4)
+        (push,) = pushes_of(record)
+        hits = impacts_of(record, push)
+        return set(zip(hits.row.tolist(), hits.step.tolist(), strict=True))
+
+    free = impacts()
+    assert len(free) >= 3
+    assert impacts(limits=(-1e3, 1e3)) == free
+    assert impacts(friction=0.1) == set()
+    assert impacts(limits=(-1.0, 1.0)) < free
 
 
 def test_an_impact_of_two_spheres_is_no_single_one(lawful: Record) -> None:
