@@ -76,7 +76,9 @@ def test_unpaired_domains_are_refused(
     with h5py.File(shard, "r+") as file:
         place = file["index"][()].tolist().index(paired.index[0])
         file[name][place, ..., 0] += 1e-9
-    with pytest.raises(InputError, match=rf"{shard.name}: dataset {name} is not what was written; get"):
+    with pytest.raises(
+        InputError, match=rf"{shard.name}: dataset {name} is not what was written; get"
+    ):
         load_paired(data, SCENE)
     # Checksums that fit say nothing of pairing.
     monkeypatch.setattr(Dataset, "check", lambda *_: None)

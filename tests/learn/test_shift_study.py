@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import csv
+import dataclasses
 import json
 import math
 import shutil
@@ -191,6 +192,18 @@ def test_restarts_that_were_interrupted_go_on(
     again = shift_of(folder)
     assert set(done) == {(one.name, two.name)}
     assert again.gaps == shift.gaps
+
+
+def test_nothing_goes_on_where_no_motion_is_known(folder: Path) -> None:
+    """As behind the truth's last first impact."""
+    paired = load_paired(folder / "data", SCENE)
+    one, two = paired.domains
+    motions = rollouts.Restart(one, two, 3).domain.motions(torch.float64)
+    assert motions.body is not None
+    unknown = dataclasses.replace(motions, body=torch.full_like(motions.body, torch.nan))
+    found = rollouts._predicted(rollouts.Restart(one, two, 3), unknown, paired.batch, 3)
+    assert found.shape[:2] == (len(motions), 3)
+    assert torch.isnan(found).all()
 
 
 class Count(Silent):

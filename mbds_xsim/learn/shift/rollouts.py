@@ -252,7 +252,8 @@ def _one_step(restart: Restart, motions: Motions, inputs: Batch) -> Array:
         errors.append(apart.numpy())
     whole = np.stack(errors)
     known = np.isfinite(whole)
-    return np.where(known, whole, 0.0).sum(axis=0) / known.sum(axis=0)
+    count = np.where(known.any(axis=0), known.sum(axis=0), np.nan)
+    return np.where(known, whole, 0.0).sum(axis=0) / count
 
 
 def _predicted(
@@ -262,6 +263,10 @@ def _predicted(
     assert motions.body is not None
     state = motions.body[:, last].numpy()
     known = np.flatnonzero(np.isfinite(state).all(axis=(1, 2)))
+    shape = (len(state), frames, motions.graph.particle_count, 3)
+    whole = motions.position.new_full(shape, torch.nan)
+    if not len(known):  # as of the truth, where no motion is unique any more
+        return whole
     steps = slice(last, last + frames)
     placed, turned, moving, spinning = np.split(state[known], (3, 7, 10), axis=-1)
     acting = inputs.force[known, steps], inputs.torque[known, steps]
@@ -270,8 +275,5 @@ def _predicted(
     settings = Settings(about["method"], about["step_s"], msgspec.json.decode(about["options"]))
     trajectory = simulate(scene, start, restart.engine.engine, settings).trajectory
     position, _ = Points.of(scene).motion(trajectory)
-    whole = motions.position.new_full(
-        (len(state), frames, motions.graph.particle_count, 3), torch.nan
-    )
     whole[known] = motions.graph.embed(torch.from_numpy(position[:, 1:]))
     return whole
