@@ -14,5 +14,5 @@ PHYSICS = 2
 CHECKS = 15
 """Figures and verdicts of checks on a trajectory, and what studies derive from them."""
 
-MODELS = 2
+MODELS = 3
 """Predictions of learned models, and figures of them."""

@@ -10,6 +10,7 @@ learned energy, as in `energy_models`, from poses and twists of bodies rather th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import ClassVar
 
@@ -32,6 +33,10 @@ from mbds_xsim.learn.rigid import TWIST, JointHold, Q, V, W, X
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import KnownInputs
 
+_TURN, _MOST_STEPS, _CENTRED = 0.4, 16, 1e-9
+"""Turn of a wheel in a Runge-Kutta step [rad], which follows it within 1e-4 of that; the most steps
+of a frame; and how far off a body's centre a wheel's may be [m]."""
+
 
 class ImpulseSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Hyper-parameters of energies with impulses."""
@@ -42,7 +47,7 @@ class ImpulseSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     layers: int = 3
     """Linear layers of each of them."""
     substeps: int = 1
-    """Runge-Kutta steps in a frame."""
+    """Runge-Kutta steps in a frame, at least: what rolls may need more (`_rolling_steps`)."""
     recipe: Recipe = Recipe(rate=3e-3, batch=128, schedule=Cosine(), clip=1.0, skip=True)
 
 
@@ -55,7 +60,7 @@ class ImpulseModel(CorrectedModel):
 
     def __init__(self, graph: Graph, statistics: Statistics, settings: ImpulseSettings) -> None:
         super().__init__(graph, statistics, settings)
-        self.substeps = settings.substeps
+        self.substeps = max(settings.substeps, _rolling_steps(graph, statistics))
         mechanics = Mechanics(graph.scene)
         energy = EnergyNetwork(mechanics, settings.shape)
         self.dynamics = self.kind(energy, Drag(energy, settings.shape))
@@ -94,6 +99,19 @@ class ImpulseModel(CorrectedModel):
         pushes = self.to_contact(torch.cat([contacts, own, whole], dim=-1))
         nothing = bodies.new_zeros(*bodies.shape[:2], ADDED, 2, DIMENSION)
         return nothing, pushes.unflatten(-1, (ADDED, DIMENSION))
+
+
+def _rolling_steps(graph: Graph, statistics: Statistics) -> int:
+    """Steps of a frame in which what rolls on the ground turns little, at twice its usual speed."""
+    mechanism = graph.mechanism
+    centred = np.abs(mechanism.sphere_offset).max(axis=1, initial=0.0) <= _CENTRED
+    if not centred.any():
+        return 1
+    moments = statistics.displacement
+    varying = torch.where(moments.std == 1.0, 0.0, moments.std)
+    way = float(torch.sqrt((moments.mean**2 + varying**2).sum()))
+    turn = 2.0 * way / float(mechanism.sphere_radius[centred].min())
+    return min(_MOST_STEPS, max(1, math.ceil(turn / _TURN)))
 
 
 class BodyNodes(nn.Module):

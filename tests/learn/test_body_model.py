@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 import torch
 
@@ -11,7 +13,7 @@ from mbds_xsim.learn.model import build, load_model, rollout, track_of
 from mbds_xsim.learn.particles import RigidPairs
 from mbds_xsim.learn.recipe import Profile
 from mbds_xsim.learn.rigid import Q
-from mbds_xsim.learn.statistics import Statistics
+from mbds_xsim.learn.statistics import Moments, Statistics
 from mbds_xsim.learn.train import train
 from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.simulate.registry import load_scene
@@ -104,3 +106,23 @@ def test_a_track_is_the_one_asked_for_or_the_profiles_or_the_models_own() -> Non
     assert track_of("gns", "paper", "lite") == "paper"
     with pytest.raises(Exception, match="allowed for gns\\+ is native\\+"):
         track_of("gns+", "paper")
+
+
+def test_what_rolls_fast_is_followed_in_steps_that_it_turns_little_in() -> None:
+    """A ball of ballscroll that turns by 2 rad a frame; one step a frame would lose its spin."""
+    motions = motions_of(load_model("hgnn+"), load_scene("ballscroll"))
+    (radius,) = motions.graph.mechanism.sphere_radius
+    ways = Moments(torch.tensor([radius, 0.0, 0.0]).double(), torch.ones(3).double())
+    statistics = dataclasses.replace(Statistics.of(motions), displacement=ways)
+    model = build("hgnn+", motions.graph, statistics)
+    assert isinstance(model, ImpulseModel)
+    assert model.substeps == 5  # 2 rad at twice the usual way, 0.4 rad a step
+    sample = motions.sample(torch.arange(len(motions)), HISTORY - 1, 1)
+    state = model.begin(sample.start)
+    state[..., 10:] = torch.tensor([0.0, 2.0 / motions.graph.frame_s, 0.0])
+    kept = {}
+    for model.substeps in (1, 5):
+        smooth, _ = model.predict(state, sample.inputs.at(0))
+        kept[model.substeps] = float((smooth[..., 11] / state[..., 11]).mean())
+    assert kept[5] == pytest.approx(1.0, abs=0.01)
+    assert kept[1] < 0.6
