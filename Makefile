@@ -205,14 +205,12 @@ shift-6pendulum-matched: shift-%-matched: $(VENV)/ready
 FACTORS ?= out/factors
 FACTORED = equal coarse undamped
 NETWORKS ?= gns+,hgnn+,lgnn+,sgnn+
-# Where: --device cuda --workers 15 on a GPU, whose 15 processes share it.
+# Where to train and test, as --device cuda --workers 15: so many processes share a GPU.
 ON ?=
 $(factor-targets): STEPS = 200
-$(factor-targets): DRAWN = 300
 shift-balldrop-factors: STEPS = 500
-shift-2ladder-factors shift-3ladder-factors: DRAWN = 150
 $(factor-targets): shift-%-factors: $(VENV)/ready
-	$(BIN)/mbds-xsim generate $* --trajectories $(DRAWN) --out $(FACTORS) \
+	$(BIN)/mbds-xsim generate $* --trajectories 300 --out $(FACTORS) \
 		--settings $(subst $() ,$(comma),$(FACTORED:%=benchmarks/factors/%.toml))$(comma)native$(comma)matched \
 		--engines mujoco,pybullet,dart,exudyn || [ $$? -eq 1 ]
 	$(BIN)/mbds-xsim train $(FACTORS)/$* --track native+ --models $(NETWORKS) --steps $(STEPS) \
