@@ -34,7 +34,7 @@ from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import KnownInputs
 
 _TURN, _MOST_STEPS, _CENTRED = 0.4, 16, 1e-9
-"""Turn of a wheel in a Runge-Kutta step [rad], which follows it within 1e-4 of that; the most steps
+"""Turn of a wheel in a Runge-Kutta step, which follows it within 1e-4 [rad]; the most steps
 of a frame; and how far off a body's centre a wheel's may be [m]."""
 
 
