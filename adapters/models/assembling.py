@@ -19,6 +19,7 @@ from mbds_xsim.scene.servo import Servo
 
 from .contacts import contacts_of
 from .facts import facts_of
+from .floor import floor_of, on_the_floor
 from .masses import SHARE, physical, small
 from .parts import Closing, Drive, Freedom, Line, Mass, ModelCoupling, Part, Parts, Property
 from .starts import check_above_ground, kept_limits, starts
@@ -53,6 +54,8 @@ def assemble(model: Parts, *, file: str, kind: str, reader: str, fates: Iterable
         reader: Name and version.
         fates: What has become of the rest of the file.
     """
+    floor = floor_of(model)
+    model = on_the_floor(model, floor)
     builder = _Builder(model)
     if not builder.bodies:
         msg = "nothing in it moves: all is fixed in the world; --floating frees a URDF's root link"
@@ -71,8 +74,8 @@ def assemble(model: Parts, *, file: str, kind: str, reader: str, fates: Iterable
         gravity=model.gravity.tolist(),
     )
     touching: list[Fate] = []
-    if model.shapes is not None:
-        contacts, ground, touching = contacts_of(model.shapes, builder.body_of)
+    if model.solids is not None:
+        contacts, ground, touching = contacts_of(model.solids, floor, builder.body_of)
         scene = msgspec.structs.replace(scene, contacts=contacts, ground=ground)
     scene = msgspec.structs.replace(scene, sampling=starts(scene, builder.limits))
     scene, more = kept_limits(scene, model.labels.get("limits", ("joint", "limits")))

@@ -257,7 +257,7 @@ class Reading:
             couplings=tuple(self._ties.couplings()),
             lines=tuple(self._ties.lines()),
             drives=tuple(drive for drive in self._drives if isinstance(drive, Drive)),
-            shapes=tuple(self._geoms.shapes()) if self._geoms is not None else None,
+            solids=self._geoms.solids() if self._geoms is not None else None,
             labels=labels,
         )
 

@@ -1,4 +1,4 @@
-"""Collision shapes of bodies become contact spheres on the ground, one coefficient for all."""
+"""Collision shapes of bodies become contact spheres on the ground, with one friction for all."""
 
 from __future__ import annotations
 
@@ -11,47 +11,54 @@ from mbds_xsim.scene.imported import Fate
 from mbds_xsim.scene.scene import WORLD, ContactSphere, Ground
 
 from .balls import BALLS
-from .parts import Solid
+from .floor import floor_fates
+from .parts import Pair, Solid, Solids
 
-FRICTION = 1.0
-"""Of shapes whose format states none."""
 NO_SPHERES = "no contact spheres stand for shapes of the kind"
+_UNSTATED = {"friction": 1.0, "restitution": 0.0}
+"""Of pairs for which the format states none."""
 _ROUNDED = 1e-12  # [m]
 
 
 def contacts_of(
-    shapes: tuple[Solid, ...], body_of: Callable[[int], str | None]
+    solids: Solids, floor: Solid | None, body_of: Callable[[int], str | None]
 ) -> tuple[tuple[ContactSphere, ...], Ground, list[Fate]]:
     """Give the spheres, what they touch, and what becomes of each shape.
 
     Args:
-        shapes: Of the whole model.
+        solids: Of the whole model, with the ground at z = 0.
+        floor: The plane that is the ground, where the file has it; None: it has none.
         body_of: Names the body of the scene that a part is; none where it is not there.
 
     Raises:
         InputError: No shape can touch the ground.
     """
-    fates, spheres, touching = [], [], []
-    for shape in shapes:
-        body = body_of(shape.part)
-        if reason := _lost(shape, body):
-            fates.append(Fate(shape.element, (), "dropped", reason, True, (shape.name,)))
+    element = solids.element
+    fates, spheres, touching = [*floor_fates(solids, floor)], [], []
+    for shape in solids.shapes:
+        if shape is floor:
+            continue
+        body, pair = body_of(shape.part), solids.pair(shape, floor)
+        if reason := _lost(shape, body, pair):
+            fates.append(Fate(element, (), "dropped", reason, True, (shape.name,)))
             continue
         balls = BALLS[shape.kind](shape.size)
         places = shape.place + balls.centers @ shape.axes.T
         spheres += [ContactSphere(str(body), p.tolist(), balls.radius) for p in places]
-        touching.append(shape)
+        touching.append((shape.name, pair))
         fates.append(
-            Fate(shape.element, (), "approximated", balls.how, True,
+            Fate(element, (), "approximated", balls.how, True,
                  (f"{shape.name}: {balls.short:.2g} m",))
             if balls.short
-            else Fate(shape.element, (), "kept", balls.how, True, (shape.name,))
+            else Fate(element, (), "kept", balls.how, True, (shape.name,))
         )  # fmt: skip
     if not spheres:
-        why = "; ".join(dict.fromkeys(fate.reason for fate in fates)) or "it has none"
+        lost = (fate.reason for fate in fates if not fate.properties)
+        why = "; ".join(dict.fromkeys(lost)) or "it has none"
         msg = f"--ground: no collision shape of it can touch the ground ({why}); leave it out"
         raise InputError(msg)
-    return tuple(_outer(spheres)), *_ground(touching, fates)
+    ground, more = _ground(element, touching)
+    return tuple(_outer(spheres)), ground, [*fates, *more]
 
 
 def _outer(spheres: list[ContactSphere]) -> Iterator[ContactSphere]:
@@ -65,27 +72,37 @@ def _outer(spheres: list[ContactSphere]) -> Iterator[ContactSphere]:
             yield sphere
 
 
-def _lost(shape: Solid, body: str | None) -> str:
+def _lost(shape: Solid, body: str | None, pair: Pair) -> str:
     if body in (None, WORLD):
         return "it is fixed in the world, where bodies meet the ground alone"
     if shape.kind not in BALLS:
         return f"{NO_SPHERES} {shape.kind}"
-    return shape.apart
+    return pair.apart
 
 
-def _ground(touching: list[Solid], fates: list[Fate]) -> tuple[Ground, list[Fate]]:
-    (label,) = {shape.element for shape in touching}
-    counts = Counter(FRICTION if s.friction is None else s.friction for s in touching)
+def _ground(element: str, touching: list[tuple[str, Pair]]) -> tuple[Ground, list[Fate]]:
+    fates = []
+    found = {}
+    for key in _UNSTATED:
+        stated = [(name, getattr(pair, key)) for name, pair in touching]
+        found[key], fate = _common(element, key, stated)
+        fates.append(fate)
+    if rolling := tuple(name for name, pair in touching if pair.rolls):
+        reason = "the ground has no torsional or rolling friction"
+        fates.append(Fate(element, ("rolling",), "dropped", reason, True, rolling, len(rolling)))
+    return Ground(**found), fates
+
+
+def _common(element: str, key: str, stated: list[tuple[str, float | None]]) -> tuple[float, Fate]:
+    """Give the value that most shapes have, and what becomes of the others'."""
+    values = [(name, _UNSTATED[key] if value is None else value) for name, value in stated]
+    counts = Counter(value for _, value in values)
     most = max(counts, key=lambda value: (counts[value], value))
-    others = tuple(f"{s.name}: {s.friction:g}" for s in touching if s.friction not in (None, most))
-    said = "restitution, which the format does not state, is 0"
+    others = tuple(f"{name}: {value:g}" for name, value in values if value != most)
     if others:
-        how = f"the ground has one coefficient, {most:g}, that of most shapes; {said}"
-        fates.append(Fate(label, ("friction",), "approximated", how, True, others, len(others)))
-    elif touching[0].friction is None:
-        how = f"the format states none: a coefficient of {most:g}; {said}"
-        fates.append(Fate(label, ("friction",), "approximated", how, True))
-    else:
-        how = f"a coefficient of {most:g} with the ground; {said}"
-        fates.append(Fate(label, ("friction",), "kept", how, True))
-    return Ground(most, 0.0), fates
+        how = f"the ground has one value, {most:g}, that of most shapes"
+        return most, Fate(element, (key,), "approximated", how, True, others, len(others))
+    if stated[0][1] is None:
+        how = f"the format states none with the ground: {most:g}"
+        return most, Fate(element, (key,), "approximated", how, True)
+    return most, Fate(element, (key,), "kept", f"{most:g} with the ground", True)

@@ -108,12 +108,17 @@ _SDF: tuple[_Row, ...] = (
     ),
     ("kept", True, "it names no frame", "pose@frame"),
     ("dropped", False, _DRAWN, "visual light scene gui material"),
-    ("dropped", True, _APART, "collision contact"),
+    ("dropped", True, COLLISION, "collision"),
+    ("kept", True, "who meets whom", "surface collide_bitmask collide_without_contact"),
+    ("dropped", True, "a restitution counts at all speeds", "threshold"),
+    ("dropped", True, "the ground has the same friction along all directions",
+     "mu2 fdir1 slip1 slip2"),
+    ("dropped", False, _SOLVER, "max_contacts kp kd max_vel min_depth soft_cfm soft_erp"),
     ("dropped", False, _APART, "self_collide"),
     ("dropped", False, "a limit of the drive", "effort velocity"),
     ("dropped", False, _SOLVER, "physics"),
     ("dropped", True, "an extension of one simulator", "plugin"),
-    ("dropped", False, "data for other programs", "sensor audio"),
+    ("dropped", False, "data for other programs", "sensor audio laser_retro"),
     ("dropped", True, "there is no such damping of bodies", "velocity_decay"),
     ("dropped", True, "gravity acts on all bodies alike", "link/gravity"),
     ("kept", True, "as DART's parser reads it", "gravity"),
@@ -125,22 +130,28 @@ _TOLD_ELSEWHERE = {"mujoco": {"equality", "tendon", "actuator"}, "robot": {"mimi
 """Elements of which the compiled model says more."""
 _WHOLE = {"visual", "custom", "sensor", "keyframe", "collision", "gazebo", "transmission",
           "material", "extension", "plugin", "skin", "ros2_control", "contact", "physics",
-          "velocity_decay", "light", "gui", "scene"}  # fmt: skip
+          "velocity_decay", "light", "gui", "scene", "geometry", "torsional"}  # fmt: skip
 """Elements whose children have their fate."""
+_OPEN = {"mujoco": {"contact"}, "robot": set(), "sdf": {"contact"}}
+"""Those of a format whose children have one each."""
 _NONE_AT_ZERO = {"density", "viscosity", "wind", "magnetic", "gravcomp"}
 
 
-def fates_of(root: Element, told: Mapping[tuple[str, str], bool]) -> Iterator[Fate]:
+def fates_of(
+    root: Element, told: Mapping[tuple[str, str], bool], *, touching: bool = False
+) -> Iterator[Fate]:
     """Walk a document, and say of each element and attribute what becomes of it.
 
     Args:
         root: Of the document.
         told: Elements and attributes that say a property of joints; true where one has it, and
             its fate is told for each joint.
+        touching: Whether what is in collision shapes has a fate of its own.
     """
     table = {key: row[:3] for row in _TABLES[root.tag] for key in row[3].split()}
     found: dict[tuple[str, _Looked], list[tuple[str, Element]]] = defaultdict(list)
-    for element in _walk(root):
+    whole = _WHOLE - _OPEN[root.tag] - ({"collision"} if touching else set())
+    for element in _walk(root, whole):
         for attribute in element.attrib or ("",):
             if (said := told.get((element.tag, attribute))) is None:
                 fate = _look_up(table, element, attribute, exact=root.tag != "mujoco")
@@ -163,16 +174,16 @@ def fates_of(root: Element, told: Mapping[tuple[str, str], bool]) -> Iterator[Fa
         )
 
 
-def _walk(root: Element) -> Iterator[Element]:
+def _walk(root: Element, whole: set[str]) -> Iterator[Element]:
     """Give each element that says something; of some, what is in them goes unsaid."""
     waiting = [root]
     while waiting:
         element = waiting.pop()
         if element.tag in _TOLD_ELSEWHERE[root.tag]:
             continue
-        if element.attrib or element.tag in _WHOLE or not len(element):
+        if element.attrib or element.tag in whole or not len(element):
             yield element
-        if element.tag not in _WHOLE:
+        if element.tag not in whole:
             waiting += reversed(element)
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -131,23 +131,44 @@ class Drive:
 class Solid:
     """A collision shape."""
 
-    element: str
-    """As the format calls it."""
     name: str
     part: int
     """That it is fixed in; −1 is the world."""
     kind: str
-    """A key of `balls.BALLS`, or another word."""
+    """A key of `balls.BALLS`, "plane", or another word."""
     size: Array
     """As `balls.BALLS` has it [m], shape (3,)."""
     place: Array
     """Of its middle in W at the reference pose [m], shape (3,)."""
     axes: Array
-    """Its own in W, as columns, shape (3, 3)."""
+    """Its own in W, as columns, shape (3, 3); the third is the normal of a plane."""
+    own: Any = None
+    """What its reader knows of how it touches others."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """How a shape meets the ground."""
+
     friction: float | None
-    """Coefficient with the ground; None: the format states none."""
+    """Coefficient; None: the format states none."""
+    restitution: float | None
+    """None: the format states none."""
     apart: str = ""
-    """Why it passes through the ground."""
+    """Why the shape passes through the ground."""
+    rolls: bool = False
+    """Whether it has torsional or rolling friction there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solids:
+    """The collision shapes of a model."""
+
+    element: str
+    """What the format calls one."""
+    shapes: tuple[Solid, ...]
+    pair: Callable[[Solid, Solid | None], Pair]
+    """Takes a shape and the plane that is the ground; None: the file has none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,5 +185,5 @@ class Parts:
     labels: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     """Element and attribute that the format has for each property of a freedom."""
     drives: tuple[Drive, ...] = ()
-    shapes: tuple[Solid, ...] | None = None
+    solids: Solids | None = None
     """None: there is no ground."""

@@ -20,7 +20,10 @@ from mbds_xsim.scene.imported import Fate, Imported
 
 from .assembling import assemble
 from .fates import fates_of
-from .parts import Freedom, Mass, Part, Parts, Property
+from .floor import floor_of
+from .parts import Freedom, Mass, Part, Parts, Property, Solid, Solids
+from .sdf_shapes import TOLD, pair, shape_fates, shapes_of
+from .sdf_values import numbers, pose
 from .source import read_source
 
 _LABELS = {
@@ -47,37 +50,52 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     if floating:
         msg = "--floating is for URDF; SDF says itself which of its models are fixed"
         raise InputError(msg)
-    if ground:
-        msg = "--ground is for MJCF and URDF; collision shapes of SDF are not read"
-        raise InputError(msg)
     root = read_source(path, folder)
     _refuse(root)
     try:
         skeletons, gravity = _skeletons(dartpy.utils.SdfParser, root)
-    except RuntimeError as error:
+    except (RuntimeError, ValueError) as error:  # the latter of numbers that are none
         raise InputError(f"DART's parser refuses it: {error}") from error
+    models = list(root.iter("model"))
+    if len(models) != len(skeletons):
+        msg = f"DART's parser gives {len(skeletons)} of its {len(models)} models"
+        raise InputError(msg)
     parts: list[Part] = []
+    shapes: list[Solid] = []
     untaken: list[str] = []
-    for skeleton, element in zip(skeletons, root.iter("model"), strict=True):
+    for skeleton, element in zip(skeletons, models, strict=True):
         untaken += _untaken(skeleton, element)
         skeleton.setPositions(np.zeros(skeleton.getNumDofs()))
-        turns = {link.get("name", ""): _inertial_turn(link) for link in element.findall("link")}
-        parts += _parts(skeleton, len(parts), turns)
-    named = next(iter(root.iter("model"))).get("name") or path.stem
-    model = Parts(named, tuple(parts), _stated(root, gravity), labels=_LABELS)
+        links = element.findall("link")
+        turns = {link.get("name", ""): pose(link, "inertial/pose")[1] for link in links}
+        first = len(parts)
+        parts += _parts(skeleton, first, turns)
+        shapes += shapes_of(element, parts[first:], first) if ground else ()
+    named = models[0].get("name") or path.stem
+    solids = Solids("collision", tuple(shapes), pair) if ground else None
+    model = Parts(named, tuple(parts), _stated(root, gravity), labels=_LABELS, solids=solids)
     had = {key for part in parts for freedom in part.freedoms for key in freedom.properties}
     told = {label: key in had for key, label in _LABELS.items()}
     told["upper", ""] = told["lower", ""]
-    for link in root.iter("link"):
-        if (own := link.find("gravity")) is not None and (own.text or "").strip() in _OFF:
-            own.tag = "link/gravity"  # as the table of fates has it
+    told |= dict.fromkeys(TOLD if ground else (), True)
+    _mark(root)
     from importlib.metadata import version
 
     reader = f"DART {version('dartpy')}"
-    fates = [*fates_of(root, told)]
+    fates = [*fates_of(root, told, touching=ground), *shape_fates(shapes, floor_of(model))]
     if untaken:
         fates.append(Fate("joint", (), "dropped", _ONE, True, tuple(untaken), len(untaken)))
     return assemble(model, file=path.name, kind="SDF", reader=reader, fates=fates)
+
+
+def _mark(root: Element) -> None:
+    """Name elements as the table of fates has them where it takes more than a name to know."""
+    for link in root.iter("link"):
+        if (own := link.find("gravity")) is not None and (own.text or "").strip() in _OFF:
+            own.tag = "link/gravity"
+    for ode in root.iter("ode"):
+        if (across := ode.find("mu2")) is not None and across.text == ode.findtext("mu"):
+            ode.remove(across)  # nothing is lost of it
 
 
 def _skeletons(parser: Any, root: Element) -> tuple[list[Any], Array]:
@@ -111,14 +129,8 @@ def _skeletons(parser: Any, root: Element) -> tuple[list[Any], Array]:
 
 def _stated(root: Element, parsed: Array) -> Array:
     """Give the world's own gravity, which SDF has from 1.6 on and DART's parser passes over."""
-    words = root.findtext("world/gravity")
-    if words is None:
-        return parsed
-    try:
-        x, y, z = map(float, words.split())
-    except ValueError as error:
-        raise InputError(f"<gravity> is {words!r}, allowed are three numbers") from error
-    return np.array([x, y, z])
+    world = root.find("world")
+    return parsed if world is None else numbers(world, "gravity", (*parsed,))
 
 
 def _refuse(root: Element) -> None:
@@ -151,15 +163,6 @@ def _untaken(skeleton: Any, model: Element) -> list[str]:
             )
             raise InputError(msg)
     return [n for joint in model.findall("joint") if (n := joint.get("name", "")) not in joints]
-
-
-def _inertial_turn(link: Element) -> Array:
-    """Give the axes in which a link's inertia is stated, in the link's frame: DART drops them."""
-    words = (link.findtext("inertial/pose") or "").split()
-    roll, pitch, yaw = map(float, words[3:6]) if len(words) == 6 else (0.0, 0.0, 0.0)
-    turns = (rotation.from_vector(v) for v in np.diag([roll, pitch, yaw]))
-    about_x, about_y, about_z = map(rotation.matrix, turns)
-    return np.asarray(about_z @ about_y @ about_x)
 
 
 def _parts(skeleton: Any, first: int, turns: Mapping[str, Array]) -> Iterator[Part]:

@@ -18,10 +18,11 @@ from mbds_xsim.scene.imported import Fate, Imported
 
 from .assembling import assemble
 from .graph import Node, Tie, tree_of
-from .parts import Drive, Freedom, Line, Mass, Parts
+from .parts import Drive, Freedom, Line, Mass, Parts, Solids
 from .usd_drives import drive_of
 from .usd_fates import fates_of
 from .usd_masses import mass_of
+from .usd_shapes import Shapes
 
 _LARGEST_FILE = 64 * 10**6  # bytes
 _MET = 1e-5  # gap of a joint's two frames over the model's extent: places are of single precision
@@ -36,19 +37,16 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     if floating:
         msg = "--floating is for URDF; USD says itself which of its bodies are free"
         raise InputError(msg)
-    if ground:
-        msg = "--ground is for MJCF and URDF; collision shapes of USD are not read"
-        raise InputError(msg)
     try:
         _check_layers(sdf, path, folder.resolve())
         stage = usd.Stage.Open(str(path))
         reading = _Reading(stage)
-        parts = reading.model(path.stem)
+        parts = reading.model(path.stem, ground=ground)
     except tf.ErrorException as error:
         reason = str(error).strip().splitlines()[-1].rpartition(": ")[2].strip("' ")
         raise InputError(f"OpenUSD does not read it: {reason}") from error
     had = {key for part in parts.parts for freedom in part.freedoms for key in freedom.properties}
-    fates = [*fates_of(stage, limited="limits" in had), *reading.fates]
+    fates = [*fates_of(stage, limited="limits" in had, touching=ground), *reading.fates]
     version = ".".join(map(str, usd.GetVersion()))
     return assemble(parts, file=path.name, kind="USD", reader=f"OpenUSD {version}", fates=fates)
 
@@ -97,7 +95,7 @@ class _Reading:
         self.fates: list[Fate] = []
         self._drives: list[Drive] = []
 
-    def model(self, name: str) -> Parts:
+    def model(self, name: str, *, ground: bool) -> Parts:
         bodies = [desc for desc in self._all("RigidBody") if desc.rigidBodyEnabled]
         moving = [desc for desc in bodies if not desc.kinematicBody]
         index = {desc.primPath: k for k, desc in enumerate(moving)}
@@ -112,7 +110,12 @@ class _Reading:
         place = {part.name: k for k, part in enumerate(parts)}
         lines = tuple(self._lines(index, [place[node.name] for node in nodes]))
         drives = tuple(self._tree_drives({f.name for part in parts for f in part.freedoms}))
-        return Parts(name, parts, self._gravity(), closings, (), lines, _LABELS, drives)
+        solids = None
+        if ground:
+            shapes = Shapes(self._stage, self._all, self._frame, self._name, self._metre)
+            part = {path: place[nodes[k].name] for path, k in index.items()}
+            solids = Solids("Collision", tuple(shapes.solids(part)), shapes.pair)
+        return Parts(name, parts, self._gravity(), closings, (), lines, _LABELS, drives, solids)
 
     def _tree_drives(self, freedoms: set[str]) -> Iterator[Drive]:
         """Give the drives of joints that carry bodies; those that close loops have no servos."""

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from mbds_xsim.scene.imported import Fate, Outcome
+
+from .fates import COLLISION
 
 _Row = tuple[Outcome, bool, str]
 _TABLE: dict[str, _Row] = {}
@@ -25,12 +27,13 @@ for _outcome, _moves, _reason, _names in (
     (
         "dropped",
         True,
-        "bodies do not collide in the scene description",
+        COLLISION,
         "physics:collisionEnabled physics:staticFriction physics:dynamicFriction "
         "physics:restitution",
     ),
-    ("dropped", False, "bodies do not collide in the scene description",
-     "physics:approximation physics:filteredPairs physics:simulationOwner"),
+    ("dropped", False, COLLISION, "physics:filteredPairs physics:filteredGroups "
+     "physics:invertFilteredGroups physics:mergeGroup collection"),
+    ("dropped", False, COLLISION, "physics:approximation physics:simulationOwner"),
     ("dropped", True, "the model starts in the reference pose, at rest",
      "physics:velocity physics:angularVelocity"),
     ("dropped", True, "it is not of a hinge or slider, or PhysicsDriveAPI is not applied", "drive"),
@@ -40,27 +43,52 @@ for _outcome, _moves, _reason, _names in (
      "physics:coneAngle0Limit physics:coneAngle1Limit"),
 ):  # fmt: skip
     _TABLE |= dict.fromkeys(_names.split(), (_outcome, _moves, _reason))  # type: ignore[arg-type]
+_MEETS: _Row = ("kept", True, "of how shapes meet the ground")
+_TOUCHING: dict[str, _Row] = {
+    "physics:staticFriction": ("dropped", True, "the ground has one friction, the dynamic one"),
+    **dict.fromkeys(
+        (
+            "physics:collisionEnabled",
+            "physics:dynamicFriction",
+            "physics:restitution",
+            "physics:filteredPairs",
+            "physics:filteredGroups",
+            "physics:invertFilteredGroups",
+            "physics:mergeGroup",
+            "collection",
+        ),
+        _MEETS,
+    ),
+}
+"""In place of those above where shapes touch."""
+_SHAPE = dict.fromkeys(("material", "radius", "height", "size", "axis"), _MEETS)
+"""Of collision shapes where they touch."""
 _LIMITS = ("physics:lowerLimit", "physics:upperLimit")
 _DRIVEN = ("PhysicsRevoluteJoint", "PhysicsPrismaticJoint", "PhysicsJoint")
 """What becomes of the drives of these is told drive by drive."""
 _SIMULATORS = ("physx", "mjc", "newton", "isaac")
 
 
-def fates_of(stage: Any, *, limited: bool) -> Iterator[Fate]:
+def fates_of(stage: Any, *, limited: bool, touching: bool) -> Iterator[Fate]:
     """Walk a stage, and say of each authored property what becomes of it.
 
     Args:
         stage: The stage.
         limited: Whether limits are told joint by joint.
+        touching: Whether shapes touch the ground, and are told one by one.
     """
+    table = _TABLE | _TOUCHING if touching else _TABLE
     found: dict[tuple[str, _Row], list[tuple[str, str]]] = defaultdict(list)
     for prim in stage.Traverse():
         kind = str(prim.GetTypeName()) or "Prim"
+        solid = touching and "PhysicsCollisionAPI" in prim.GetAppliedSchemas()
         for attribute in prim.GetAuthoredProperties():
             name = attribute.GetName()
             if (name in _LIMITS and limited) or _is_of_drive(prim, name):
                 continue
-            found[kind, _fate(name)].append((name, prim.GetName()))
+            found[kind, _fate(table | _SHAPE if solid else table, name)].append(
+                (name, prim.GetName())
+            )
     for (kind, (outcome, moves, reason)), pairs in found.items():
         names = tuple(dict.fromkeys(name for name, _ in pairs))
         places = tuple(dict.fromkeys(place for _, place in pairs))
@@ -74,12 +102,12 @@ def _is_of_drive(prim: Any, name: str) -> bool:
     return first == "drive" and applied and prim.GetTypeName() in _DRIVEN
 
 
-def _fate(name: str) -> _Row:
+def _fate(table: Mapping[str, _Row], name: str) -> _Row:
     first, _, rest = name.partition(":")
     general = f"{first}:{rest.partition(':')[2]}"  # limit:rotX:physics:low
     for key in (name, general, first):
-        if key in _TABLE:
-            return _TABLE[key]
+        if key in table:
+            return table[key]
     if name in _LIMITS:
         return ("kept", True, "none, or without bounds")
     if first in ("physics", "limit") or first.startswith(_SIMULATORS):

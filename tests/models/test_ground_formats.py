@@ -1,0 +1,444 @@
+"""SDF and USD have the contact spheres that MJCF has, and pair shapes as each format says."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.scene.imported import Imported
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Clock, Ground, Scene
+from mbds_xsim.simulate.adapter import Settings
+from mbds_xsim.simulate.registry import load_adapter, read_model
+from tests.command_line import CommandLine
+
+for _name in ("mujoco", "dartpy", "pxr"):
+    pytest.importorskip(_name)
+pytestmark = pytest.mark.usefixtures("in_process")
+
+_SHAPES = {
+    "sphere": (0.1,),
+    "capsule": (0.05, 0.2),
+    "box": (0.2, 0.15, 0.1),
+    "cylinder": (0.2, 0.1),
+}
+"""Half-sizes."""
+_PLACE, _ANGLES = (0.3, -0.2, 2.0), (0.4, -0.3, 0.7)
+_INERTIA = " ".join(f'{key}="{float(key[1] == key[2])}"' for key in
+                    ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"))  # fmt: skip
+
+
+def _words(values: object) -> str:
+    return " ".join(map(repr, np.array(values).tolist()))
+
+
+def _turn() -> Array:
+    """Give the turn of `_ANGLES` about the axes of W in turn, wxyz."""
+    about_x, about_y, about_z = (rotation.from_vector(v) for v in np.diag(_ANGLES))
+    return rotation.multiply(about_z, rotation.multiply(about_y, about_x))
+
+
+def _mjcf(kind: str, size: tuple[float, ...]) -> str:
+    return (
+        '<mujoco><worldbody><body name="b"><freejoint/><inertial pos="0 0 0" mass="1" '
+        f'diaginertia="1 1 1"/><geom name="s" type="{kind}" size="{_words(size)}" '
+        f'pos="{_words(_PLACE)}" quat="{_words(_turn())}"/></body></worldbody></mujoco>'
+    )
+
+
+def _urdf(kind: str, size: tuple[float, ...]) -> str:
+    solid = f'<box size="{_words(2 * np.array(size))}"/>'
+    if kind != "box":
+        length = f' length="{2 * size[1]}"' if len(size) > 1 else ""
+        solid = f'<{kind} radius="{size[0]}"{length}/>'
+    return (
+        f'<robot name="r"><link name="b"><inertial><mass value="1"/><inertia {_INERTIA}/>'
+        f'</inertial><collision><origin xyz="{_words(_PLACE)}" rpy="{_words(_ANGLES)}"/>'
+        f"<geometry>{solid}</geometry></collision></link></robot>"
+    )
+
+
+_BODY = (
+    "<inertial><mass>1</mass><inertia><ixx>1</ixx><iyy>1</iyy><izz>1</izz><ixy>0</ixy><ixz>0</ixz>"
+    "<iyz>0</iyz></inertia></inertial>"
+)
+
+
+def _solid(
+    kind: str, size: tuple[float, ...], pose: object = (0,) * 6, surface: str = "", name: str = "s"
+) -> str:
+    inside = f"<size>{_words(2 * np.array(size))}</size>"
+    if kind != "box":
+        length = f"<length>{2 * size[1]}</length>" if len(size) > 1 else ""
+        inside = f"<radius>{size[0]}</radius>{length}"
+    return (
+        f'<collision name="{name}"><pose>{_words(pose)}</pose><geometry><{kind}>{inside}</{kind}>'
+        f"</geometry><surface>{surface}</surface></collision>"
+    )
+
+
+def _link(inside: str, name: str = "b", height: float = 0.0) -> str:
+    return (
+        f'<model name="{name}"><pose>0 0 {height!r} 0 0 0</pose><link name="{name}">{_BODY}{inside}'
+        "</link></model>"
+    )
+
+
+def _plane(surface: str = "", height: float = 0.0) -> str:
+    return (
+        f'<model name="floor"><static>1</static><pose>0 0 {height!r} 0 0 0</pose><link name="f">'
+        '<collision name="ground"><geometry><plane><normal>0 0 2</normal></plane></geometry>'
+        f"<surface>{surface}</surface></collision></link></model>"
+    )
+
+
+def _sdf(kind: str, size: tuple[float, ...]) -> str:
+    return _world(_link(_solid(kind, size, (*_PLACE, *_ANGLES))))
+
+
+def _world(*models: str) -> str:
+    return f'<sdf version="1.9"><world name="w">{"".join(models)}</world></sdf>'
+
+
+_HEAD = (
+    '#usda 1.0\n(\n    metersPerUnit = 1\n    kilogramsPerUnit = 1\n    upAxis = "Z"\n)\n'
+    'def PhysicsScene "scene"\n{\n}\n'
+)
+_ORDER = 'uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:orient"]\n'
+_APIS = '"PhysicsCollisionAPI", "MaterialBindingAPI"'
+_USD_NAMES = {"sphere": "Sphere", "capsule": "Capsule", "box": "Cube", "cylinder": "Cylinder"}
+
+
+def _prim(
+    kind: str,
+    size: tuple[float, ...],
+    place: object = (0.0, 0.0, 0.0),
+    turn: object = (1.0, 0.0, 0.0, 0.0),
+    more: str = "",
+    name: str = "s",
+) -> str:
+    """Give a shape in its body; a box is a cube of edge 2, scaled."""
+    dims = f"double radius = {size[0]}\n"
+    dims += f'double height = {2 * size[1]}\nuniform token axis = "Z"\n' if len(size) > 1 else ""
+    order = _ORDER
+    if kind == "box":
+        dims = f"float3 xformOp:scale = {size}\n"
+        order = _ORDER.replace('orient"]', 'orient", "xformOp:scale"]')
+    stand = f"double3 xformOp:translate = {tuple(place)}\nquatd xformOp:orient = {tuple(turn)}\n"  # type: ignore[arg-type]
+    return (
+        f'def {_USD_NAMES[kind]} "{name}" (prepend apiSchemas = [{_APIS}])\n'
+        f"{{\n{dims}{stand}{order}{more}}}\n"
+    )
+
+
+def _xform(inside: str, name: str = "b", height: float = 0.0, apis: str = "") -> str:
+    return (
+        f'def Xform "{name}" (prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI"{apis}])'
+        f"\n{{\nfloat physics:mass = 1\nfloat3 physics:diagonalInertia = (1, 1, 1)\n"
+        f"double3 xformOp:translate = (0, 0, {height!r})\n"
+        f'uniform token[] xformOpOrder = ["xformOp:translate"]\n{inside}}}\n'
+    )
+
+
+def _floor(more: str = "", height: float = 0.0) -> str:
+    return (
+        f'def Plane "floor" (prepend apiSchemas = [{_APIS}])\n{{\n'
+        f'uniform token axis = "Z"\ndouble3 xformOp:translate = (0, 0, {height!r})\n'
+        f'uniform token[] xformOpOrder = ["xformOp:translate"]\n{more}}}\n'
+    )
+
+
+def _usda(kind: str, size: tuple[float, ...]) -> str:
+    return _HEAD + _xform(_prim(kind, size, _PLACE, _turn().tolist()))
+
+
+_FORMATS = {"xml": _mjcf, "urdf": _urdf, "sdf": _sdf, "usda": _usda}
+
+
+def _read(here: Path, suffix: str, text: str) -> Imported:
+    (here / f"model.{suffix}").write_text(text)
+    return read_model(here / f"model.{suffix}", floating=suffix == "urdf", ground=True)
+
+
+def _centers(scene: Scene) -> Array:
+    """Give middles and radii, in an order of their own."""
+    found = np.array([[*sphere.center, sphere.radius] for sphere in scene.contacts])
+    return np.asarray(found[np.lexsort(found.round(6).T)])
+
+
+@pytest.mark.parametrize("kind", _SHAPES)
+def test_a_shape_has_the_same_spheres_in_every_format(kind: str, here: Path) -> None:
+    found = {
+        suffix: _read(here, suffix, write(kind, _SHAPES[kind]))
+        for suffix, write in _FORMATS.items()
+    }
+
+    first = _centers(found["xml"].scene)
+    for imported in found.values():
+        np.testing.assert_allclose(_centers(imported.scene), first, atol=1e-7)
+        assert imported.scene.ground == Ground(1.0, 0.0)
+        (told,) = (fate for fate in imported.fates if "sphere" in fate.reason)
+        assert told.outcome == ("kept" if kind in ("sphere", "capsule") else "approximated")
+
+
+_FALL, _HEIGHT = 0.05, -0.3  # m
+
+
+def _drops() -> dict[str, str]:
+    """Give a file in each format of shapes that stand upright above a floor."""
+    models, prims = [_plane(height=_HEIGHT)], [_HEAD, _floor(height=_HEIGHT)]
+    for kind, size in _SHAPES.items():
+        lowest = sum(size) if kind == "capsule" else size[-1]
+        height = _HEIGHT + _FALL + lowest
+        models.append(_link(_solid(kind, size), kind, height))
+        prims.append(_xform(_prim(kind, size, name=f"{kind}_shape"), kind, height))
+    return {"sdf": _world(*models), "usda": "".join(prims)}
+
+
+@pytest.mark.parametrize("suffix", ["sdf", "usda"])
+def test_dropped_shapes_touch_the_floor_of_the_file_when_they_should(
+    suffix: str, here: Path
+) -> None:
+    scene = msgspec.structs.replace(
+        _read(here, suffix, _drops()[suffix]).scene,
+        sampling=(),
+        gravity=(0.0, 0.0, -9.81),
+        clock=Clock(frame=0.001, steps=120),
+    )
+    engine = load_adapter("mujoco")
+    settings = Settings(engine.settings(scene, "matched").method, 1e-3)
+    with engine.open(scene, settings) as run:
+        motion = run.rollout(draw_batch(scene, [0]))
+
+    height = motion.position[0, :, :, 2]
+    fall = height[0] - 9.81 / 2 * motion.time[:, None] ** 2
+    touched = motion.time[np.argmax(np.abs(height - fall) > 5e-4, axis=0)]
+    first = np.sqrt(2 * _FALL / 9.81)
+    assert ((first - 1e-3 < touched) & (touched < first + 4e-3)).all()
+
+
+def _friction(mu: float) -> str:
+    return f"<friction><ode><mu>{mu}</mu><mu2>{mu}</mu2></ode></friction>"
+
+
+def _mask(bits: str, more: str = "") -> str:
+    return f"<contact><collide_bitmask>{bits}</collide_bitmask>{more}</contact>"
+
+
+def _bounce(restitution: float, threshold: str = "<threshold>0.1</threshold>") -> str:
+    return (
+        f"<bounce><restitution_coefficient>{restitution}</restitution_coefficient>{threshold}"
+        "</bounce>"
+    )
+
+
+_SDF_PAIRS = {
+    # Of the shape, of the plane (None: there is none), and what comes of it.
+    "nothing stated": ("", "", Ground(1.0, 0.0)),
+    "the smaller friction": (_friction(0.7), _friction(0.3), Ground(0.3, 0.0)),
+    "its own without a plane": (_friction(1.7) + _bounce(0.4), None, Ground(1.7, 0.4)),
+    "the smaller restitution": (_bounce(0.6), _bounce(0.4, ""), Ground(1.0, 0.4)),
+    "no speed to rebound from": (_bounce(0.6, ""), _bounce(0.4, ""), Ground(1.0, 0.0)),
+    "masks that meet": (_mask("0x06"), _mask("3"), Ground(1.0, 0.0)),
+    "masks that do not": (_mask("6"), _mask("1"), "by collide_bitmask"),
+    "a sensor": (
+        _mask("1", "<collide_without_contact>1</collide_without_contact>"),
+        "",
+        "only senses",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", _SDF_PAIRS)
+def test_a_shape_of_sdf_meets_the_plane_as_surfaces_say(case: str, here: Path) -> None:
+    shape, plane, expected = _SDF_PAIRS[case]
+    models = [
+        "" if plane is None else _plane(plane),
+        _link(_solid("sphere", (0.1,), (0,) * 6, shape), height=1.0),
+    ]
+    if isinstance(expected, str):
+        with pytest.raises(InputError, match=expected):
+            _read(here, "sdf", _world(*models))
+        return
+    imported = _read(here, "sdf", _world(*models))
+    assert imported.scene.ground == expected
+    idle = [fate for fate in imported.fates if "of no effect" in fate.reason]
+    assert len(idle) == (case == "no speed to rebound from")
+    assert not any("unknown" in fate.reason for fate in imported.fates)
+
+
+def test_what_of_a_surface_the_ground_lacks_is_named(here: Path) -> None:
+    torsional = "<torsional><coefficient>1</coefficient></torsional>"
+    surface = f"<friction><ode><mu>0.5</mu><mu2>0.2</mu2></ode>{torsional}</friction>"
+    shapes = _solid("sphere", (0.1,), (0,) * 6, surface) + _solid("cone", (0.1, 0.1), name="tip")
+    imported = _read(here, "sdf", _world(_link(shapes, height=1.0)))
+
+    lost = {
+        (fate.element, *fate.properties): fate.places
+        for fate in imported.fates
+        if fate.outcome == "dropped" and fate.moves
+    }
+    assert lost["mu2",] == ()
+    assert lost["collision", "rolling"] == ("s of b",)
+    assert lost["collision",] == ("tip of b",)
+
+
+def _material(name: str, friction: float, restitution: float = 0.0) -> str:
+    return (
+        f'def Material "{name}" (prepend apiSchemas = ["PhysicsMaterialAPI"])\n{{\n'
+        f"float physics:dynamicFriction = {friction}\nfloat physics:staticFriction = 2\n"
+        f"float physics:restitution = {restitution}\n}}\n"
+    )
+
+
+def _group(name: str, member: str, others: str, more: str = "") -> str:
+    return (
+        f'def PhysicsCollisionGroup "{name}" (prepend apiSchemas = ["CollectionAPI:colliders"])\n'
+        f"{{\nrel collection:colliders:includes = <{member}>\n"
+        f"rel physics:filteredGroups = {others}\n{more}}}\n"
+    )
+
+
+_RUBBER = _material("rubber", 0.7, 0.4)
+_BOUND = "rel material:binding:physics = <{}>\n"
+_INVERTED = "bool physics:invertFilteredGroups = 1\n"
+_MERGED = 'string physics:mergeGroup = "m"\n'
+_FILTERED = ', "PhysicsFilteredPairsAPI"'
+_AS_USUAL = Ground(1.0, 0.0)
+_NOT_MET = "collision group does not meet"
+_USD_PAIRS = {
+    # Beside both; of the shape, of the floor; of the body; and what comes of it.
+    "nothing stated": ("", "", "", "", _AS_USUAL),
+    "their mean": (
+        _RUBBER + _material("ice", 0.1),
+        _BOUND.format("/rubber"),
+        _BOUND.format("/ice"),
+        "",
+        Ground((0.7 + 0.1) / 2, 0.2),
+    ),
+    "the only material": (_RUBBER, "", _BOUND.format("/rubber"), "", Ground(0.7, 0.4)),
+    "groups that meet": (
+        _group("a", "/b/s", "</a>") + _group("f", "/floor", "[]"), "", "", "", _AS_USUAL,
+    ),
+    "groups that do not": (
+        _group("a", "/b/s", "[]") + _group("f", "/floor", "</a>"), "", "", "", _NOT_MET,
+    ),
+    "all others but one": (
+        _group("a", "/b/s", "</f>", _INVERTED) + _group("f", "/floor", "[]"), "", "", "", _AS_USUAL,
+    ),
+    "all others": (
+        _group("a", "/b/s", "</a>", _INVERTED) + _group("f", "/floor", "[]"), "", "", "", _NOT_MET,
+    ),
+    "groups that are merged": (
+        _group("a", "/b/s", "[]", _MERGED) + _group("c", "/b", "</f>", _MERGED)
+        + _group("f", "/floor", "[]"), "", "", "", _NOT_MET,
+    ),
+    "pairs": ("", "", "", "rel physics:filteredPairs = </floor>\n", "filteredPairs"),
+    "switched off": ("", "bool physics:collisionEnabled = 0\n", "", "", "it has none"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", _USD_PAIRS)
+def test_a_shape_of_usd_meets_the_plane_as_its_schema_says(case: str, here: Path) -> None:
+    beside, shape, floor, body, expected = _USD_PAIRS[case]
+    solid = _prim("sphere", (0.1,), more=shape)
+    text = _HEAD + beside + _floor(floor) + _xform(body + solid, height=1.0, apis=_FILTERED)
+    if isinstance(expected, str):
+        with pytest.raises(InputError, match=expected):
+            _read(here, "usda", text)
+        return
+    imported = _read(here, "usda", text)
+    assert imported.scene.ground == expected
+    lost = {
+        name for fate in imported.fates if fate.outcome == "dropped" for name in fate.properties
+    }
+    assert ("physics:staticFriction" in lost) == bool("rubber" in beside)
+
+
+def test_centimetres_y_up_and_axes_of_usd(here: Path) -> None:
+    """A capsule along x, of a body 2 m above a floor at 0.5 m, on a stage that is y up."""
+    head = _HEAD.replace("metersPerUnit = 1", "metersPerUnit = 0.01").replace('"Z"', '"Y"')
+    capsule = _prim("capsule", (10, 30)).replace('"Z"', '"X"')
+    body = _xform(capsule).replace("(0, 0, 0.0)", "(0, 250, 0)", 1)
+    floor = _floor().replace("(0, 0, 0.0)", "(0, 50, 0)").replace('"Z"', '"Y"')
+
+    scene = _read(here, "usda", head + floor + body).scene
+
+    expected = [[-0.3, 0, 2, 0.1], [0.3, 0, 2, 0.1]]
+    np.testing.assert_allclose(_centers(scene), expected, atol=1e-9)
+    assert scene.bodies[0].position[2] == pytest.approx(2)
+
+
+def test_all_places_count_from_the_floor(here: Path) -> None:
+    """A model with loops and springs half a metre higher, and the same one with its floor lower."""
+    text = (
+        '<mujoco><worldbody><geom type="plane" size="1 1 1" pos="0 0 {0}"/>'
+        '<body pos="0 0 {1}"><joint axis="0 1 0"/><geom size=".1"/><site name="p" pos=".2 0 0"/>'
+        '<body name="c" pos="1 0 0"><joint axis="0 1 0"/><geom size=".1"/></body></body>'
+        '<body name="d" pos="1 1 {1}"><joint axis="0 1 0"/><geom size=".1"/></body>'
+        '<site name="q" pos=".2 0 {2}"/></worldbody>'
+        '<equality><connect body1="c" body2="d" anchor="0 .5 0"/></equality>'
+        '<tendon><spatial stiffness="9"><site site="p"/><site site="q"/></spatial></tendon>'
+        "</mujoco>"
+    )
+    lower, higher = (
+        _read(here, "xml", text.format(floor, floor + 1.5, floor + 2.0)).scene
+        for floor in (-0.5, 0.0)
+    )
+
+    assert len(higher.springs) == 1
+    assert any(joint.anchor == (1.0, 0.5, 1.5) for joint in higher.joints)
+    assert lower == higher
+
+
+_BOX = "<collision><geometry><box/></geometry></collision>"
+_BAD = {
+    "size": (
+        "sdf",
+        _world(_link(_solid("box", (0.1, -0.1, 0.1)))),
+        "is 0.2 -0.2 0.2, allowed is above 0",
+    ),
+    "no size": ("sdf", _world(_link(_BOX)), "<size> of <collision> '' is not there"),
+    "word": ("sdf", _world(_link(_solid("sphere", (np.nan,)))), "allowed is a number"),
+    "pose": ("sdf", _world(_link(_solid("sphere", (0.1,), (1, 2)))), "allowed is six numbers"),
+    "mask": (
+        "sdf",
+        _world(_link(_solid("sphere", (0.1,), (0,) * 6, _mask("all")))),
+        "'all', allowed is an integer",
+    ),
+    "friction": (
+        "sdf",
+        _world(_link(_solid("sphere", (0.1,), (0,) * 6, _friction(-1)), height=1.0)),
+        "friction",
+    ),
+    "scales": (
+        "usda",
+        _HEAD + _xform(_prim("sphere", (0.1,), more="")).replace(
+            _ORDER, "float3 xformOp:scale = (1, 2, 1)\n" + _ORDER.replace("orient", "scale")),
+        "of the kind sphere, scaled unevenly",
+    ),
+    "restitution": (
+        "usda",
+        _HEAD + _material("r", 0.5, 1.5)
+        + _xform(_prim("sphere", (0.1,), more=_BOUND.format("/r")), height=1.0),
+        "restitution",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", _BAD)
+def test_a_bad_shape_is_one_line(name: str, run: CommandLine, here: Path) -> None:
+    suffix, text, part = _BAD[name]
+    (here / f"model.{suffix}").write_text(text)
+
+    refusal = run("import", f"model.{suffix}", "--ground", "--out", "model.toml").refusal
+
+    assert re.match(rf"mbds-xsim: [^\n]*{part}[^\n]*$", refusal.strip()), refusal
+    assert not (here / "model.toml").exists()
