@@ -17,7 +17,7 @@ CHAPTERS = (
     ("Speed against accuracy", "make reports-tradeoff", "tradeoff/*.md"),
     ("Where methods fail", "make reports-stability", "stability/*.md"),
     ("Where models fail, and at what price", "make reports-models", "models/*.md"),
-    ("What published models lose", "make reports-models-in-the-wild", "wild/*.md"),
+    ("What published models lose", "make reports-models-in-the-wild", "wild/models.md"),
     ("No more than a scene needs", "make reports-ablation", "ablation.md"),
     ("Data sets", "make reports-data reports-data-full", "data.md"),
     ("Release by release", "make reports-releases", "releases.md"),

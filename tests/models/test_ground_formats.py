@@ -290,6 +290,18 @@ def test_what_of_a_surface_the_ground_lacks_is_named(here: Path) -> None:
     assert lost["collision",] == ("tip of b",)
 
 
+def test_a_plane_that_moves_or_is_tilted_is_no_ground(here: Path) -> None:
+    plane = '<collision name="p"><geometry><plane/></geometry></collision>'
+    tilted = _plane(height=-3.0).replace("0 0 2", "1 0 2")
+    body = _link(_solid("sphere", (0.1,)) + plane, height=1.0)
+    imported = _read(here, "sdf", _world(tilted, body))
+
+    told = {fate.reason: fate.places for fate in imported.fates if fate.outcome != "kept"}
+    assert any("no horizontal plane is fixed in the world" in reason for reason in told)
+    assert told["no contact spheres stand for shapes of the kind plane"] == ("p of b",)
+    assert imported.scene.bodies[0].position[2] == 1.0
+
+
 def _material(name: str, friction: float, restitution: float = 0.0) -> str:
     return (
         f'def Material "{name}" (prepend apiSchemas = ["PhysicsMaterialAPI"])\n{{\n'

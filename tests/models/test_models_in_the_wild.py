@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -9,7 +10,10 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from benchmarks.models_in_the_wild import Cause, SurveyRow
+from benchmarks.survey_rows import Cause, SurveyRow
+from benchmarks.survey_wheels import linked, write_wheels
+from mbds_xsim.scene.imported import Fate
+from mbds_xsim.studies.readers import Difference
 
 ROOT = Path(__file__).parents[2]
 PENDULUM = """\
@@ -46,6 +50,49 @@ def test_every_failed_verdict_has_a_cause_and_every_cause_a_verdict() -> None:
     ]
 
 
+def test_every_model_has_a_section_of_its_own_that_the_table_links_to(tmp_path: Path) -> None:
+    difference = Difference("inertia", "links", 2, 3, "shank", "0.1", "0.2")
+    rows = [
+        SurveyRow("1", "arms", "arms/a_1/r.urdf", "URDF", bodies=2, degrees_of_freedom=2, kept=5,
+                  lost=(Fate("mesh", (), "dropped", "a reason", True, count=4),),
+                  readers={"mujoco": "alike", "pybullet": "inertia"}, moved_m={"pybullet": 0.02},
+                  differences={"pybullet": (difference,)},
+                  verdicts={"mujoco": "pass", "dart": "fail"}, reasons={"dart": "energy: 2"}),
+        SurveyRow("2", "arms", "arms/b/r.urdf", refused="no such mesh"),
+        SurveyRow("3", "legs", "legs/b/r.urdf", "URDF", bodies=1),
+    ]  # fmt: skip
+    causes = [Cause("arms/*", "dart", "energy", "too long a step")]
+
+    write_wheels(rows, causes, tmp_path)
+
+    links = [re.search(r"\]\((\w+\.md)#(\S+)\)$", linked(row)) for row in rows]
+    found = [(link[1], link[2]) for link in links if link]
+    assert found == [("arms.md", "a_1rurdf"), ("arms.md", "brurdf"), ("legs.md", "brurdf")]
+    arms, legs = ((tmp_path / name).read_text() for name in ("arms.md", "legs.md"))
+    assert arms.count("\n## ") == 2
+    for line in (
+        "- dropped, 4 × mesh: a reason",
+        "- mujoco's own reader: as the file says",
+        "- pybullet's own reader: inertia of 2 of 3 links (shank has 0.1, the file says 0.2); "
+        "after 1 s bodies are 20 mm off",
+        "- dart's own reader: not run",
+        "- passes in: mujoco",
+        "- in dart: fail; energy: 2; too long a step",
+        "- not imported: no such mesh",
+    ):
+        assert f"{line}\n" in arms
+    assert "- kept and lost: not run\n" in legs
+    assert "- verdicts: not run\n" in legs
+
+
+def test_no_two_models_of_a_wheel_share_a_link() -> None:
+    stored = (ROOT / "reports" / "wild" / "models.json").read_bytes()
+    rows = msgspec.json.decode(stored, type=list[SurveyRow])
+
+    targets = [linked(row).rpartition("(")[2] for row in rows]
+    assert len({*targets}) == len(rows)
+
+
 @pytest.mark.slow
 def test_survey_of_a_folder_goes_on_where_it_was(tmp_path: Path) -> None:
     packages, found = tmp_path / "packages", tmp_path / "found.json"
@@ -63,3 +110,4 @@ def test_survey_of_a_folder_goes_on_where_it_was(tmp_path: Path) -> None:
     assert not again.stderr
     (tmp_path / "causes.toml").write_text("causes = []\n")
     assert "1 of 2 files are imported" in survey(found).stdout
+    assert "- passes in: mujoco, pybullet, dart, exudyn\n" in (tmp_path / "arms.md").read_text()

@@ -134,6 +134,16 @@ def test_what_the_scene_has_no_place_for_is_dropped_by_name_with_its_value(here:
     assert "option timestep" in idle
 
 
+def test_what_says_who_collides_with_whom_is_told_by_name(here: Path) -> None:
+    body = '<body name="{0}"><freejoint/><geom name="{0}" size=".1"/></body>'
+    pairs = '<contact><exclude body1="a" body2="b"/><pair geom1="a" geom2="b"/></contact>'
+    inside = body.format("a") + body.format("b")
+    fates = _read(here, f"<mujoco><worldbody>{inside}</worldbody>{pairs}</mujoco>").fates
+
+    told = {fate.element: fate.moves for fate in fates if fate.outcome == "dropped"}
+    assert told == {"exclude": False, "pair": True, "geom": True}
+
+
 def test_what_a_format_does_not_know_is_dropped_by_name(here: Path) -> None:
     text = _urdf(
         '<mass value="1" density="3"/>' + _INERTIA.format(1, 1, 1, 0, 0, 0),
