@@ -49,7 +49,9 @@ def print_page(rows: list[SurveyRow], causes: list[Cause]) -> None:
     print("\n## Why models do not pass\n")
     print_table("model|engine|verdict|by|why", _failed(read, causes))
     print("\n## Not imported\n")
-    print_table("file|why", ((row.place, in_markdown(row.refused)) for row in rows if row.refused))
+    print_table(
+        "file|why", ((linked(row), in_markdown(row.refused)) for row in rows if row.refused)
+    )
     print_made(f"mujoco {version('mujoco')}", f"dart {version('dartpy')}")
 
 

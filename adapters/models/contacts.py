@@ -42,6 +42,8 @@ def contacts_of(
         if reason := _lost(shape, body, pair):
             fates.append(Fate(element, (), "dropped", reason, True, (shape.name,)))
             continue
+        if pair.note:
+            fates.append(Fate(element, (), "kept", pair.note, True, (shape.name,)))
         balls = BALLS[shape.kind](shape.size)
         places = shape.place + balls.centers @ shape.axes.T
         spheres += [ContactSphere(str(body), p.tolist(), balls.radius) for p in places]

@@ -158,6 +158,8 @@ class Pair:
     """Why the shape passes through the ground."""
     rolls: bool = False
     """Whether it has torsional or rolling friction there."""
+    note: str = ""
+    """What of both has no effect."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,9 +20,8 @@ from mbds_xsim.scene.imported import Fate, Imported
 
 from .assembling import assemble
 from .fates import fates_of
-from .floor import floor_of
 from .parts import Freedom, Mass, Part, Parts, Property, Solid, Solids
-from .sdf_shapes import TOLD, pair, shape_fates, shapes_of
+from .sdf_shapes import TOLD, pair, shapes_of
 from .sdf_values import numbers, pose
 from .source import read_source
 
@@ -82,7 +81,7 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     from importlib.metadata import version
 
     reader = f"DART {version('dartpy')}"
-    fates = [*fates_of(root, told, touching=ground), *shape_fates(shapes, floor_of(model))]
+    fates = [*fates_of(root, told, touching=ground)]
     if untaken:
         fates.append(Fate("joint", (), "dropped", _ONE, True, tuple(untaken), len(untaken)))
     return assemble(model, file=path.name, kind="SDF", reader=reader, fates=fates)

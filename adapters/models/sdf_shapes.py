@@ -6,8 +6,9 @@ friction and restitution do, as in Gazebo, for which it was made.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from functools import reduce
+from operator import and_
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -15,19 +16,12 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.scene.imported import Fate
 
 from .parts import Pair, Part, Solid
 from .sdf_values import number, numbers, pose
 
-TOLD = (
-    ("collision", ""),
-    ("collision", "name"),
-    ("geometry", ""),
-    ("mu", ""),
-    ("restitution_coefficient", ""),
-    ("torsional", ""),
-)
+_TAGS = ("collision", "geometry", "mu", "restitution_coefficient", "torsional")
+TOLD = (("collision", "name"), *((tag, "") for tag in _TAGS))
 """Elements and attributes of which `contacts` says more."""
 _DIMENSIONS = {
     "sphere": ("radius",),
@@ -38,22 +32,12 @@ _DIMENSIONS = {
 _ALL = 0xFFFF
 """The mask of what states none."""
 _NEVER = 1e5  # [m/s], from which on a surface rebounds that states no speed
-_NO_REBOUND = f"of no effect below its threshold, which is {_NEVER:g} m/s"
-
-
-@dataclass(frozen=True, eq=False)
-class Surface:
-    """How a shape touches others."""
-
-    mask: int
-    friction: float
-    restitution: float
-    threshold: float
-    """Least speed that it gives some of back [m/s]."""
-    rolls: bool
-    """Whether it has torsional friction."""
-    senses: bool
-    """Whether it is met without being stopped."""
+_SURFACE = (
+    ("friction/ode/mu", 1.0),
+    ("bounce/restitution_coefficient", 0.0),
+    ("bounce/threshold", _NEVER),
+)
+"""Numbers of a surface, and what counts where one is not stated."""
 
 
 def shapes_of(model: Element, parts: Sequence[Part], first: int) -> Iterator[Solid]:
@@ -65,7 +49,7 @@ def shapes_of(model: Element, parts: Sequence[Part], first: int) -> Iterator[Sol
         first: Place of its first one among all.
 
     Raises:
-        InputError: A pose, size or coefficient is no number that it can be.
+        InputError: A pose or size is no number that it can be.
     """
     place = {part.name: k for k, part in enumerate(parts)}
     for link in model.findall("link"):
@@ -81,7 +65,7 @@ def shapes_of(model: Element, parts: Sequence[Part], first: int) -> Iterator[Sol
                 size=_size(shape, kind),
                 place=parts[k].position + turn @ middle,
                 axes=turn @ axes @ (_normal(shape) if kind == "plane" else np.eye(3)),
-                own=_surface(shape),
+                own=shape,
             )
 
 
@@ -106,49 +90,35 @@ def _normal(shape: Element) -> Array:
     return np.column_stack([*rotation.normal_to(normal), normal])
 
 
-def _surface(shape: Element) -> Surface:
-    mask = shape.findtext("surface/contact/collide_bitmask", str(_ALL))
-    try:
-        bits = int(mask, 0)
-    except ValueError as error:
-        msg = f"<collide_bitmask> of {shape.get('name', '')!r} is {mask!r}, allowed is an integer"
-        raise InputError(msg) from error
-    senses = shape.findtext("surface/contact/collide_without_contact", "").strip()
-    return Surface(
-        mask=bits,
-        friction=number(shape, "surface/friction/ode/mu", 1.0),
-        restitution=number(shape, "surface/bounce/restitution_coefficient", 0.0),
-        threshold=number(shape, "surface/bounce/threshold", _NEVER),
-        rolls=shape.find("surface/friction/torsional") is not None,
-        senses=senses in ("1", "true"),
-    )
-
-
 def pair(shape: Solid, floor: Solid | None) -> Pair:
     """Say how a shape meets the ground; see `parts.Solids`."""
-    sides = _sides(shape, floor)
-    apart = "by collide_bitmask it passes through the ground"
-    meets = sides[0].mask & (sides[-1].mask if floor is not None else _ALL)
-    if meets and any(side.senses for side in sides):
-        apart, meets = "it collides without contact: it only senses what it meets", 0
+    sides: list[Element] = [each.own for each in (shape, floor) if each is not None]
+    friction, restitution, threshold = (
+        min(number(side, f"surface/{path}", unstated) for side in sides)
+        for path, unstated in _SURFACE
+    )
+    idle = restitution > 0.0 and threshold >= _NEVER
     return Pair(
-        friction=min(side.friction for side in sides),
-        restitution=min(side.restitution for side in sides) if _rebounds(sides) else 0.0,
-        apart="" if meets else apart,
-        rolls=any(side.rolls for side in sides),
+        friction=friction,
+        restitution=0.0 if idle else restitution,
+        apart=_apart(sides),
+        rolls=any(side.find("surface/friction/torsional") is not None for side in sides),
+        note=f"no restitution below the threshold, which is {threshold:g} m/s" if idle else "",
     )
 
 
-def _sides(shape: Solid, floor: Solid | None) -> list[Surface]:
-    return [each.own for each in (shape, floor) if each is not None]
+def _apart(sides: list[Element]) -> str:
+    if not reduce(and_, map(_mask, sides), _ALL):
+        return "by collide_bitmask it passes through the ground"
+    tag = "surface/contact/collide_without_contact"
+    senses = any(side.findtext(tag, "").strip() in ("1", "true") for side in sides)
+    return "it collides without contact: it only senses what it meets" if senses else ""
 
 
-def _rebounds(sides: list[Surface]) -> bool:
-    return min(side.threshold for side in sides) < _NEVER
-
-
-def shape_fates(shapes: Iterable[Solid], floor: Solid | None) -> Iterator[Fate]:
-    """Name the shapes that state a restitution, and no speed from which on it counts."""
-    stated = [shape for shape in shapes if shape is not floor and shape.own.restitution]
-    if idle := tuple(s.name for s in stated if not _rebounds(_sides(s, floor))):
-        yield Fate("restitution_coefficient", (), "kept", _NO_REBOUND, True, idle, len(idle))
+def _mask(shape: Element) -> int:
+    words = shape.findtext("surface/contact/collide_bitmask", str(_ALL))
+    try:
+        return int(words, 0)
+    except ValueError as error:
+        msg = f"<collide_bitmask> of {shape.get('name', '')!r} is {words!r}, allowed is an integer"
+        raise InputError(msg) from error

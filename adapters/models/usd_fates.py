@@ -44,22 +44,13 @@ for _outcome, _moves, _reason, _names in (
 ):  # fmt: skip
     _TABLE |= dict.fromkeys(_names.split(), (_outcome, _moves, _reason))  # type: ignore[arg-type]
 _MEETS: _Row = ("kept", True, "of how shapes meet the ground")
-_TOUCHING: dict[str, _Row] = {
-    "physics:staticFriction": ("dropped", True, "the ground has one friction, the dynamic one"),
-    **dict.fromkeys(
-        (
-            "physics:collisionEnabled",
-            "physics:dynamicFriction",
-            "physics:restitution",
-            "physics:filteredPairs",
-            "physics:filteredGroups",
-            "physics:invertFilteredGroups",
-            "physics:mergeGroup",
-            "collection",
-        ),
-        _MEETS,
-    ),
-}
+_TOUCHING: dict[str, _Row] = dict.fromkeys(
+    ("physics:collisionEnabled", "physics:dynamicFriction", "physics:restitution", "collection",
+     "physics:filteredPairs", "physics:filteredGroups", "physics:invertFilteredGroups",
+     "physics:mergeGroup"),
+    _MEETS,
+)  # fmt: skip
+_TOUCHING["physics:staticFriction"] = ("dropped", True, "the ground has the dynamic one alone")
 """In place of those above where shapes touch."""
 _SHAPE = dict.fromkeys(("material", "radius", "height", "size", "axis"), _MEETS)
 """Of collision shapes where they touch."""

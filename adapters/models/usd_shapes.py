@@ -7,6 +7,7 @@ https://openusd.org/release/api/usd_physics_page_front.html
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -17,19 +18,6 @@ from mbds_xsim.base.arrays import Array
 
 from .parts import Pair, Solid
 
-_KINDS = {
-    "PlaneShape": "plane",
-    "SphereShape": "sphere",
-    "CubeShape": "box",
-    "CapsuleShape": "capsule",
-    "CylinderShape": "cylinder",
-    "ConeShape": "cone",
-    "MeshShape": "mesh",
-    "Capsule1Shape": "capsule with two radii",
-    "Cylinder1Shape": "cylinder with two radii",
-    "SpherePointsShape": "points",
-    "CustomShape": "custom",
-}
 _TURNS = {"X": [1, 2, 0], "Y": [2, 0, 1], "Z": [0, 1, 2]}
 """Axes of the prim in the order in which those of a shape along its z are."""
 _EVEN = 1e-6  # difference of scales that rounding to single precision explains
@@ -80,7 +68,10 @@ class Shapes:
         Args:
             part: Of bodies that move, by path.
         """
-        for listing, kind in _KINDS.items():
+        from pxr import UsdPhysics
+
+        for listing in filter(re.compile("Shape$").search, dir(UsdPhysics.ObjectType)):
+            kind = listing.removesuffix("Shape").lower().replace("cube", "box")
             for shape in self._listed(listing):
                 if shape.collisionEnabled:
                     yield self._solid(shape, kind, part.get(shape.rigidBody, -1))

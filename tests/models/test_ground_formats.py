@@ -269,7 +269,7 @@ def test_a_shape_of_sdf_meets_the_plane_as_surfaces_say(case: str, here: Path) -
         return
     imported = _read(here, "sdf", _world(*models))
     assert imported.scene.ground == expected
-    idle = [fate for fate in imported.fates if "of no effect" in fate.reason]
+    idle = [fate for fate in imported.fates if "no restitution below" in fate.reason]
     assert len(idle) == (case == "no speed to rebound from")
     assert not any("unknown" in fate.reason for fate in imported.fates)
 
