@@ -230,7 +230,6 @@ def releases(
     from mbds_xsim.report.terminal import StudyBar, print_report
     from mbds_xsim.studies.releases import ReleaseStudy
     from mbds_xsim.studies.releases.present import present, to_png
-    from mbds_xsim.studies.releases.steps import history_of
 
     if since and len(engines) > 1:
         msg = f"--since: got {since} for {len(engines)} engines; name one ENGINE"
@@ -239,8 +238,7 @@ def releases(
     for engine in engines:
         with StudyBar(to.console, workers or core_count(), engine) as meter:
             study = ReleaseStudy(engine, Conduct(workers, cache, fresh, meter))
-            measured = study.measured(since, last)
-        histories.append(history_of(measured, shared.command_line()))
+            histories.append(study.history(since, last, command=shared.command_line()))
         print_report(present(histories[-1]), to.console)
     stored = results_json(histories)
     write_if(to.csv, lambda: rows_csv(row for history in histories for row in history.rows))

@@ -15,11 +15,17 @@ import pytest
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.report.files import to_html, to_markdown
 from mbds_xsim.simulate.registry import PAPER_SCENES, load_adapter
-from mbds_xsim.studies.releases import Measured, Release, ReleaseRow, ReleaseStudy
+from mbds_xsim.studies.releases import ReleaseStudy
 from mbds_xsim.studies.releases.environments import installed, releases_of
-from mbds_xsim.studies.releases.known import known_of
 from mbds_xsim.studies.releases.present import present, to_png
-from mbds_xsim.studies.releases.steps import History, Step, history_of, steps_of
+from mbds_xsim.studies.releases.steps import (
+    History,
+    Release,
+    ReleaseRow,
+    Step,
+    known_of,
+    steps_of,
+)
 from mbds_xsim.testing import CASES
 from tests import plugins
 from tests.command_line import CommandLine
@@ -88,7 +94,7 @@ def toys(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 @pytest.fixture(scope="module")
 def toy_history(toys: Path) -> History:
     del toys
-    return history_of(ReleaseStudy("toyengine", scenes=()).measured(), "the command")
+    return ReleaseStudy("toyengine", scenes=()).history(command="the command")
 
 
 def test_each_release_runs_in_its_own_packages(toy_history: History) -> None:
@@ -120,7 +126,7 @@ def test_what_was_measured_is_not_measured_again(toys: Path, toy_history: Histor
     kept = toys / "cache" / "releases" / "toyengine.jsonl"
     before = kept.read_bytes()
 
-    again = ReleaseStudy("toyengine", scenes=()).measured("1.1")
+    again = ReleaseStudy("toyengine", scenes=()).history("1.1")
 
     assert kept.read_bytes() == before
     assert again.rows == tuple(row for row in toy_history.rows if row.release == "2.0")
@@ -172,16 +178,17 @@ def _row(release: str, name: str = "tumbling, RK4", **figures: Any) -> ReleaseRo
     return ReleaseRow(key=f"{release} {name}", release=release, case=case, way=way, **figures)
 
 
-def _measured(*rows: ReleaseRow, engine: str = "mujoco") -> Measured:
+def _history(*rows: ReleaseRow) -> History:
     versions = tuple(Release(version) for version in dict.fromkeys(row.release for row in rows))
-    return Measured(
-        engine=engine, package=engine, releases=versions, rows=rows, machine="", measured=0, kept=0,
-        wall_s=0.0,
+    return History(
+        schema="", engine="mujoco", package="mujoco", command="", machine="", versions={},
+        measured=0, kept=0, wall_s=0.0, change_log="", releases=versions, rows=rows,
+        steps=tuple(steps_of(rows, known_of("mujoco"))),
     )  # fmt: skip
 
 
 def _step(old: dict[str, Any], new: dict[str, Any]) -> Step | None:
-    steps = list(steps_of(_measured(_row("1", **old), _row("2", **new))))
+    steps = _history(_row("1", **old), _row("2", **new)).steps
     assert len(steps) <= 1
     return steps[0] if steps else None
 
@@ -217,13 +224,13 @@ def test_releases_without_a_row_are_stepped_over() -> None:
     other = _row("2", "rod, RK4", error_m=1.0)
     rows = (_row("1", error_m=1.0), other, _row("3", error_m=9.0))
 
-    (step,) = steps_of(_measured(*rows))
+    (step,) = _history(*rows).steps
 
     assert (step.before, step.release, step.factor) == ("1", "3", 9.0)
 
 
 def test_times_of_the_newest_release_are_no_verdict() -> None:
-    slow = history_of(_measured(_row("1", cpu_s=1.0), _row("2", cpu_s=5.0)), "")
+    slow = _history(_row("1", cpu_s=1.0), _row("2", cpu_s=5.0))
 
     assert [step.what for step in slow.steps] == ["time"]
     assert slow.verdict == "pass"
@@ -232,7 +239,7 @@ def test_times_of_the_newest_release_are_no_verdict() -> None:
 def test_what_the_change_log_says_stands_beside_the_step() -> None:
     name = "tumbling, implicitfast"
     rows = (_row("3.6.0", name, error_m=9e-3), _row("3.7.0", name, error_m=2e-5))
-    history = history_of(_measured(*rows), "")
+    history = _history(*rows)
 
     (step,) = history.steps
     assert "midpoint" in step.explanation
@@ -269,13 +276,10 @@ def stored() -> dict[str, History]:
 
 
 def test_the_stored_page_has_the_steps_of_its_rows(stored: dict[str, History]) -> None:
-    again = []
-    for engine, told in stored.items():
-        measured = Measured(
-            engine=engine, package=told.package, releases=told.releases, rows=told.rows,
-            machine="", measured=0, kept=0, wall_s=0.0,
-        )  # fmt: skip
-        again.append(msgspec.structs.replace(told, steps=history_of(measured, "").steps))
+    again = [
+        msgspec.structs.replace(told, steps=tuple(steps_of(told.rows, known_of(engine))))
+        for engine, told in stored.items()
+    ]
 
     assert again == list(stored.values()), "make reports-releases"
     pictures = ["releases.png", "", "", ""]

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -22,7 +22,14 @@ import numpy as np
 from mbds_xsim.base.errors import InputError, check_name
 from mbds_xsim.base.isolate import USUAL, Conduct, Crash, Task, run_tasks
 from mbds_xsim.base.text import on_a_line
-from mbds_xsim.measure.runner import Keyed, Runner, Store, StudyCase, machine, row_key
+from mbds_xsim.measure.runner import (
+    Runner,
+    Store,
+    StudyCase,
+    machine,
+    row_key,
+    versions_of,
+)
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch
@@ -33,13 +40,19 @@ from mbds_xsim.simulate.simulator import EngineMethod, Simulator
 from mbds_xsim.studies.contact import RESTITUTION, ContactBench, reason
 from mbds_xsim.studies.contact.impacts import rebounds
 from mbds_xsim.studies.releases.environments import add, installed, releases_of
-from mbds_xsim.studies.releases.known import known_of
+from mbds_xsim.studies.releases.steps import (
+    SCHEMA,
+    History,
+    Release,
+    ReleaseRow,
+    known_of,
+    steps_of,
+)
 from mbds_xsim.studies.tradeoff.bench import Truth, measure, references
 from mbds_xsim.testing.case import Case
 from mbds_xsim.testing.cases import CASES
 from mbds_xsim.testing.ladder import EXACT, STEPS_PER_FRAME, case_settings, measured_order
 
-SCHEMA = "mbds-xsim/releases/1"
 PROFILES: tuple[Profile, ...] = ("native", "matched")
 
 _VERSION = 1
@@ -56,98 +69,50 @@ _LIMIT = 120.0
 _MIDDLE = STEPS_PER_FRAME.index(8)
 
 
-class ReleaseRow(Keyed, frozen=True, kw_only=True):
-    """One release of an engine on one case."""
-
-    release: str
-    case: str
-    way: str
-    """Method on a small case, or profile of settings on a scene."""
-    kind: Literal["done", "failed", "crashed", "timed out", "refused"] = "done"
-    reason: str = ""
-    error_m: float | None = None
-    """Largest on a small case at 8 steps a frame; of the particles at 1 s on a scene [m]."""
-    order: float | None = None
-    """Power of the step with which the error falls, where it is not met to rounding."""
-    gap_m: float | None = None
-    energy: float | None = None
-    restitution: float | None = None
-    """Of a ball's impact for which 0.9332 was asked."""
-    cpu_s: float | None = None
-    """Processor time per simulated second, the least of the repeats."""
-
-    @property
-    def name(self) -> str:
-        """Case and way."""
-        return f"{self.case}, {self.way}"
-
-
-class Release(msgspec.Struct, frozen=True):
-    """One release."""
-
-    version: str
-    reason: str = ""
-    """Why there is nothing of it: it cannot be installed, or driven."""
-
-
-class Measured(msgspec.Struct, frozen=True, kw_only=True):
-    """All that was measured of an engine."""
-
-    engine: str
-    package: str
-    releases: tuple[Release, ...]
-    """The oldest first."""
-    rows: tuple[ReleaseRow, ...]
-    machine: str
-    measured: int
-    """Rows that were measured now."""
-    kept: int
-    """Rows that were measured earlier."""
-    wall_s: float
-
-
 @dataclass
 class ReleaseStudy:
-    """An engine, and what its releases are put to.
-
-    Args:
-        engine: Its name.
-        scenes: Names of scenes.
-        conduct: How.
-    """
+    """An engine, and the scenes that its releases are put to."""
 
     engine: str
     conduct: Conduct = USUAL
     scenes: Sequence[str] = PAPER_SCENES
     _truths: dict[str, tuple[Batch, Truth]] = field(default_factory=dict)
 
-    def measured(self, since: str = "", last: int | None = None) -> Measured:
+    def history(self, since: str = "", last: int | None = None, *, command: str = "") -> History:
         """Measure the releases since one of them, or the last ones.
 
         Args:
             since: The first; if left out, where is known to begin.
             last: How many at most, the newest ones.
+            command: For the record.
 
         Raises:
             InputError: There is no such engine or release, or the index cannot be asked.
         """
         begin = time.perf_counter()
         check_name("engine", self.engine, engine_names())
-        since = since or known_of(self.engine).since
+        known = known_of(self.engine)
+        since = since or known.since
         versions = releases_of(self.adapter.package, since, last or (None if since else _LAST))
         parts = {version: self._release(version) for version in versions}
-        return Measured(
+        rows = tuple(row for part in parts.values() if not isinstance(part, str) for row in part)
+        return History(
+            schema=SCHEMA,
             engine=self.engine,
             package=self.adapter.package,
+            command=command,
+            machine=machine(),
+            versions=versions_of({}),
+            measured=self._runner.measured,
+            kept=self._runner.kept,
+            wall_s=time.perf_counter() - begin,
+            change_log=known.source,
             releases=tuple(
                 Release(version, part if isinstance(part, str) else "")
                 for version, part in parts.items()
             ),
-            rows=tuple(row for part in parts.values() if not isinstance(part, str) for row in part),
-            machine=machine(),
-            measured=self._runner.measured,
-            kept=self._runner.kept,
-            wall_s=time.perf_counter() - begin,
+            steps=tuple(steps_of(rows, known)),
+            rows=rows,
         )
 
     @cached_property

@@ -5,14 +5,21 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator
+from functools import partial
 from itertools import groupby
 from typing import Any
 
 from mbds_xsim.base.text import counted
 from mbds_xsim.report import blocks, quantity, themed
 from mbds_xsim.report.themed import GREY, INK
-from mbds_xsim.studies.releases import ReleaseRow
-from mbds_xsim.studies.releases.steps import FACTOR, History, Step, comparable, figures_of
+from mbds_xsim.studies.releases.steps import (
+    FACTOR,
+    History,
+    ReleaseRow,
+    Step,
+    comparable,
+    figures_of,
+)
 
 _MOST = 40
 """Steps that a terminal shows."""
@@ -156,22 +163,9 @@ def _cell(row: ReleaseRow | None, what: str) -> str:
 
 
 def to_png(histories: list[History], stored: bytes = b"") -> bytes:
-    """Give a picture of all engines, one below the other.
-
-    Args:
-        histories: What is drawn.
-        stored: Of the file that keeps it.
-    """
-    sizes = [size_of(history) for history in histories]
-
-    def paint(figure: Any) -> None:
-        heights = [height for _, height in sizes]
-        parts = figure.subfigures(len(histories), 1, squeeze=False, height_ratios=heights)
-        for part, history in zip(parts[:, 0], histories, strict=True):
-            draw(part, history)
-
-    size = max(width for width, _ in sizes), sum(height for _, height in sizes)
-    return themed.png(paint, size, stored)
+    """Give a picture of all engines, one below the other; `stored` is the JSON that keeps it."""
+    parts = [(partial(draw, history=each), size_of(each)) for each in histories]
+    return themed.stacked(parts, stored)
 
 
 def size_of(history: History) -> tuple[float, float]:

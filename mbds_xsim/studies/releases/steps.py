@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+import tomllib
+from collections.abc import Iterator, Sequence
+from functools import cache
+from importlib.resources import files
 from typing import Literal
 
 import msgspec
 
-from mbds_xsim.measure.runner import versions_of
+from mbds_xsim.measure.runner import Keyed
 from mbds_xsim.studies.contact import RESTITUTION
 from mbds_xsim.studies.diff import FAILING, Entry, PhysicalFigure
 from mbds_xsim.studies.diff.compare import entry_diff
-from mbds_xsim.studies.releases import SCHEMA, Measured, Release, ReleaseRow
-from mbds_xsim.studies.releases.known import known_of
 
+SCHEMA = "mbds-xsim/releases/1"
 FACTOR = 2.0
 """Two figures that differ by more are a step."""
 
@@ -22,6 +25,40 @@ _QUARTER = 4.0
 """Orders are compared by what a quarter of the step makes of the error: half an order is a step."""
 _LEAST = {"error": 1e-9, "gap": 1e-9, "energy": 1e-9, "restitution": 0.01}
 """Smaller differences are none, in the figures' units."""
+
+
+class ReleaseRow(Keyed, frozen=True, kw_only=True):
+    """One release of an engine on one case."""
+
+    release: str
+    case: str
+    way: str
+    """Method on a small case, or profile of settings on a scene."""
+    kind: Literal["done", "failed", "crashed", "timed out", "refused"] = "done"
+    reason: str = ""
+    error_m: float | None = None
+    """Largest on a small case at 8 steps a frame; of the particles at 1 s on a scene [m]."""
+    order: float | None = None
+    """Power of the step with which the error falls, where it is not met to rounding."""
+    gap_m: float | None = None
+    energy: float | None = None
+    restitution: float | None = None
+    """Of a ball's impact for which 0.9332 was asked."""
+    cpu_s: float | None = None
+    """Processor time per simulated second, the least of the repeats."""
+
+    @property
+    def name(self) -> str:
+        """Case and way."""
+        return f"{self.case}, {self.way}"
+
+
+class Release(msgspec.Struct, frozen=True):
+    """One release."""
+
+    version: str
+    reason: str = ""
+    """Why there is nothing of it: it cannot be installed, or driven."""
 
 
 class Step(msgspec.Struct, frozen=True, kw_only=True):
@@ -99,37 +136,48 @@ class History(msgspec.Struct, frozen=True, kw_only=True):
         return {row.release: row for row in self.rows if row.name == name}
 
 
-def history_of(measured: Measured, command: str) -> History:
-    """Find the steps in what was measured."""
-    known = known_of(measured.engine)
-    return History(
-        schema=SCHEMA,
-        engine=measured.engine,
-        package=measured.package,
-        command=command,
-        machine=measured.machine,
-        versions=versions_of({}),
-        measured=measured.measured,
-        kept=measured.kept,
-        wall_s=measured.wall_s,
-        releases=measured.releases,
-        change_log=known.source,
-        steps=tuple(
-            msgspec.structs.replace(
-                step, explanation=known.explanation(step.release, f"{step.name}: {step.what}")
-            )
-            for step in steps_of(measured)
-        ),
-        rows=measured.rows,
-    )
+class LogLine(msgspec.Struct, frozen=True):
+    """What a change log says of some rows."""
+
+    release: str
+    rows: str
+    """Regular expression that is looked for in a row's name and figure."""
+    line: str
 
 
-def steps_of(measured: Measured) -> Iterator[Step]:
+class KnownReleases(msgspec.Struct, frozen=True):
+    """What is known of an engine's releases."""
+
+    since: str = ""
+    """The first that is measured where no other is asked for."""
+    source: str = ""
+    """Address of the change log."""
+    lines: tuple[LogLine, ...] = ()
+
+    def explanation(self, release: str, row: str) -> str:
+        """Give what the change log says of a row in a release; empty: nothing is known."""
+        found = (e.line for e in self.lines if e.release == release and re.search(e.rows, row))
+        return next(found, "")
+
+
+def known_of(engine: str) -> KnownReleases:
+    """Give what is known of an engine."""
+    return _known().get(engine, KnownReleases())
+
+
+@cache
+def _known() -> dict[str, KnownReleases]:
+    text = (files(__package__ or "") / "changes.toml").read_text("utf-8")
+    return msgspec.convert(tomllib.loads(text), dict[str, KnownReleases])
+
+
+def steps_of(rows: Sequence[ReleaseRow], known: KnownReleases) -> Iterator[Step]:
     """Compare every row with that of the release before that has it, the oldest first."""
     last: dict[str, ReleaseRow] = {}
-    for row in measured.rows:
-        if row.name in last:
-            yield from _compared(last[row.name], row)
+    for row in rows:
+        for step in _compared(last[row.name], row) if row.name in last else ():
+            why = known.explanation(step.release, f"{step.name}: {step.what}")
+            yield msgspec.structs.replace(step, explanation=why)
         last[row.name] = row
 
 
