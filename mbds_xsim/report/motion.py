@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -189,24 +190,43 @@ def outline(mechanism: Mechanism, pose: BodyStates, view: Projection, body: int)
     return np.asarray((turn @ squares @ turn.T)[:2, :2])
 
 
-def packed_base(base: Array, low: Array, high: Array) -> str:
-    """Pack the common motion (trajectory, frame, point, 3) [m] over the box that holds it."""
-    return encoded(65535 * (base - low) / np.where(high > low, high - low, 1.0), "<u2")
+_REACH = 4.0
+"""A point further from the common motion than this many times its extent has left the view."""
 
 
-def packed_entry(
-    name: str, style: Style | None, motion: Array, base: Array, reach: float
+def packed(
+    motions: Iterable[tuple[str, Style | None, Array, Array | None]],
+    base: Array,
+    length: float,
+    step: float,
 ) -> dict[str, Any]:
-    """Pack a motion as its deviation from the common one; without a style it is that one.
+    """Pack motions as what they deviate from a common one by, which is packed over its box.
 
     Args:
-        name: By which it is shown.
-        style: How it is drawn.
-        motion: [m], shape (trajectory, frame, point, 3); NaN from where it ends.
+        motions: Name, look (None: it is the common one), points [m], shape (trajectory, frame,
+            point, 3), NaN from where it ends, and RMS error [m], shape (trajectory, frame), if any.
         base: The common motion, of the same shape.
-        reach: Largest deviation that is shown [m].
+        length: Of the scene [m], where nothing moves as far.
+        step: Between frames [s].
     """
-    deviation = motion - base
+    low, high = base.min(axis=(0, 1, 2)), base.max(axis=(0, 1, 2))
+    reach = _REACH * max(float(np.linalg.norm(high - low)), length)
+    return {
+        "frames": base.shape[1],
+        "step": step,
+        "low": low.tolist(),
+        "high": high.tolist(),
+        "base": encoded(65535 * (base - low) / np.where(high > low, high - low, 1.0), "<u2"),
+        "reach": reach,
+        "entries": [
+            _entry(name, style, motion - base, reach)
+            | {"error": None if error is None else encoded(error, "<f4")}
+            for name, style, motion, error in motions
+        ],
+    }
+
+
+def _entry(name: str, style: Style | None, deviation: Array, reach: float) -> dict[str, Any]:
     with np.errstate(invalid="ignore"):
         seen = (np.abs(deviation) <= reach).all(axis=(-1, -2))
     shown = np.logical_and.accumulate(seen, axis=1)

@@ -31,7 +31,7 @@ from mbds_xsim.report.blocks import (
     Section,
     Text,
 )
-from mbds_xsim.report.motion import encoded, packed_base, packed_entry
+from mbds_xsim.report.motion import packed
 from mbds_xsim.report.themed import LIGHT, Style, model_style
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.studies.shift.figures import (
@@ -265,8 +265,6 @@ def _draw_block(figure: Any, shift: Shift, shape: tuple[int, int]) -> None:
     )
 
 
-_REACH = 4.0
-"""A point further from the truth than this many times the motion's extent has left the view."""
 _ROOM = 0.6  # half a side of a picture, of the truth's extent
 _SHOTS = 5  # frames of a picture
 _PICTURE = (11.0, 2.1, 0.6)  # width, height a trajectory, height of the legend [in]
@@ -285,23 +283,13 @@ def styles_of(samples: Samples) -> tuple[Style, ...]:
 def pack(samples: Samples) -> dict[str, Any]:
     """Give what the viewer reads, ready for JSON."""
     graph, truth = samples.evaluation.test.graph, samples.truth
-    low, high = truth.min(axis=(0, 1, 2)), truth.max(axis=(0, 1, 2))
-    reach = _REACH * max(float(np.linalg.norm(high - low)), graph.length)
-    styles = (None, *styles_of(samples))
     motions = [("truth", truth), *((name_of(s), s.position) for s in samples.models)]
-    return {
-        "frames": truth.shape[1],
-        "step": graph.frame_s,
-        "low": low.tolist(),
-        "high": high.tolist(),
-        "base": packed_base(truth, low, high),
-        "reach": reach,
-        "entries": [
-            packed_entry(name, style, motion, truth, reach)
-            # Root mean square distance of the particles, frame by frame.
-            | {"error": encoded(np.sqrt(((motion - truth) ** 2).sum(-1).mean(-1)), "<f4")}
-            for (name, motion), style in zip(motions, styles, strict=True)
-        ],
+    entries = (
+        # Root mean square distance of the particles, frame by frame.
+        (name, style, motion, np.sqrt(((motion - truth) ** 2).sum(-1).mean(-1)))
+        for (name, motion), style in zip(motions, (None, *styles_of(samples)), strict=True)
+    )
+    return packed(entries, truth, graph.length, graph.frame_s) | {
         "trajectories": [
             {"index": int(k), "label": f"{k} ({INTERVALS[int(k) % len(INTERVALS)]})"}
             for k in samples.index

@@ -18,14 +18,7 @@ from mbds_xsim.checks.ground import Impacts, Push, impacts_of, pushes_of
 from mbds_xsim.measure.result import Evidence, Validation
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Cell, Column, Row, Table
-from mbds_xsim.report.motion import (
-    Skeleton,
-    encoded,
-    in_base64,
-    packed_base,
-    packed_entry,
-    skeleton,
-)
+from mbds_xsim.report.motion import Skeleton, encoded, in_base64, packed, skeleton
 from mbds_xsim.report.themed import Style
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
@@ -33,8 +26,6 @@ from mbds_xsim.scene.state import Batch, Trajectory
 _BYTES = 3_000_000
 """What the positions may take before base64."""
 _LARGEST_STRIDE = 4
-_REACH = 4.0
-"""A point further from the base than this many times the motion's extent has left the view."""
 _LEAST = 0.05
 """Of the impulse of gravity: a smaller one of the ground is the rounding of a flight."""
 
@@ -57,27 +48,16 @@ def pack(
         for motion in (evidence.reference, *evidence.trajectories)
     ]
     base = _base([motion for motion in motions if motion is not None])
-    low, high = base.min(axis=(0, 1, 2)), base.max(axis=(0, 1, 2))
-    size = max(float(np.linalg.norm(high - low)), evidence.scene.length)
-    reach = _REACH * size
-    errors = (None, *evidence.errors)
-    entries = [
-        packed_entry(name, style, motion, base, reach)
-        | {"error": None if error is None else encoded(error[:count, ::stride], "<f4")}
-        for name, style, motion, error in zip(
-            ("reference", *names), (None, *styles), motions, errors, strict=True
-        )
+    every = zip(
+        ("reference", *names), (None, *styles), motions, (None, *evidence.errors), strict=True
+    )
+    entries = (
+        (name, style, motion, None if error is None else error[:count, ::stride])
+        for name, style, motion, error in every
         if motion is not None
-    ]
-    return _scenery(evidence, bones, count) | {
-        "frames": base.shape[1],
-        "step": float(evidence.reference.time[1] - evidence.reference.time[0]) * stride,
-        "low": low.tolist(),
-        "high": high.tolist(),
-        "base": packed_base(base, low, high),
-        "reach": reach,
-        "entries": entries,
-    }
+    )
+    step = float(evidence.reference.time[1] - evidence.reference.time[0]) * stride
+    return _scenery(evidence, bones, count) | packed(entries, base, evidence.scene.length, step)
 
 
 def _thinning(evidence: Evidence, points: int, limit: int) -> tuple[int, int]:
