@@ -81,7 +81,7 @@ def verdict_of(name: str, scene: Scene, batch: Batch) -> tuple[str, str]:
     given = {name: Matched(settings.method, count, dict(settings.options))}
     contenders, _ = Choice((name,), given={"matched": given}).contenders(scene)
     (outcome,), reference = run_campaign(scene, batch, contenders, Conduct(0), Account(float))
-    row = judge(scene, batch, outcome, reference).result
+    row = judge(outcome, reference).result
     return row.verdict, "".join(row.reasons[:1])
 
 

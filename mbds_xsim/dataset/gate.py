@@ -249,13 +249,13 @@ def limit_faults(
         solved = _briefly(scene, batch)
     if solved is None or not steps or not any(smooth(scene, solved)):
         return []
-    outcome = Outcome(contender, rows=[rows], sample=rows)
+    outcome = Outcome(contender, scene, batch, rows=[rows], sample=rows)
     brief = compared(batch, solved)
 
     def run(step: float) -> None:
         other = Settings(settings.method, step, settings.options)
         made = _made(scene, brief, contender.engine, other)
-        outcome.keep_step(step, batch, made)
+        outcome.keep_step(step, made)
         if isinstance(made, Crash):
             return
         own = made.rollout_s * step / settings.step * batch.steps / brief.steps
@@ -263,9 +263,9 @@ def limit_faults(
 
     for step in steps:
         run(step)
-    while (finer := further_step(scene, batch, outcome, solved)) is not None:
+    while (finer := further_step(outcome, solved)) is not None:
         run(finer)
-    return failed_lines(batch, convergence(scene, batch, outcome, solved))
+    return failed_lines(batch, convergence(outcome, solved))
 
 
 def _made(scene: Scene, batch: Batch, engine: str, settings: Settings) -> Simulation | Crash:

@@ -15,7 +15,7 @@ from mbds_xsim import reference
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Conduct, Crash, Task, run_tasks
 from mbds_xsim.measure.outcome import Outcome, ReferenceOutcome
-from mbds_xsim.measure.refinement import may_end, method_of, other_steps, pieces_of, step_name
+from mbds_xsim.measure.refinement import may_end, other_steps, pieces_of, step_name
 from mbds_xsim.measure.runner import Account, Piece, carry_out
 from mbds_xsim.reference.cache import key_of, load
 from mbds_xsim.reference.kernels import compilation, compile_once
@@ -49,7 +49,7 @@ def run_campaign(
     Raises:
         InputError: The reference could not be had; without it nothing can be judged.
     """
-    outcomes, meter = [Outcome(contender) for contender in contenders], conduct.meter
+    outcomes, meter = [Outcome(each, scene, batch) for each in contenders], conduct.meter
     references: list[Any] = []
     compiling = None if scene.contacts else compilation(meter.notice)
     compiled = None if compiling is None else 0
@@ -58,11 +58,10 @@ def run_campaign(
         task = Task(reference_of, (scene, batch[rows], conduct.cache), _TIMEOUT, after=compiled)
         work.append(Piece(REFERENCE, REFERENCE, task, references.append))
     for outcome in outcomes:
-        own = compiled if method_of(outcome.contender).is_truth else None
-        work += _engine_work(scene, batch, outcome, after=own)
+        work += _engine_work(outcome, after=compiled if outcome.method.is_truth else None)
     meter.begin(len(work))
     meter.doing("costs of the runs")
-    costs = [_work_of(scene, batch, outcome) for outcome in outcomes]
+    costs = [_work_of(outcome) for outcome in outcomes]
     for line in forewarnings(scene, batch[[0]], costs, workers=conduct.workers):
         meter.notice(line)
     reference: ReferenceOutcome | None = None
@@ -79,7 +78,7 @@ def run_campaign(
     if may_end(scene):
         carry_out(work, conduct, spent)
         reference = _joined(references)
-        work = [piece for each in outcomes for piece in pieces_of(scene, batch, each, reference)]
+        work = [piece for each in outcomes for piece in pieces_of(each, reference)]
         meter.begin(len(work))
     carry_out(work, conduct, spent, done)
     return outcomes, reference or _joined(references)
@@ -100,22 +99,22 @@ def run_references(scene: Scene, batch: Batch, conduct: Conduct) -> ReferenceOut
     return _joined(run_tasks(parts, workers=conduct.workers))
 
 
-def _engine_work(scene: Scene, batch: Batch, outcome: Outcome, after: int | None) -> list[Piece]:
-    contender, work = outcome.contender, []
+def _engine_work(outcome: Outcome, after: int | None) -> list[Piece]:
+    contender, batch, work = outcome.contender, outcome.batch, []
     name = step_name(contender, contender.settings.step)
     for rows in _chunks(len(batch), least=_SAMPLE):
-        arguments = (scene, batch[rows], contender.engine, contender.settings)
+        arguments = (outcome.scene, batch[rows], contender.engine, contender.settings)
         outcome.rows.append(rows)
         task = Task(simulate, arguments, contender.limit, after)
         work.append(Piece(name, contender.engine, task, outcome.parts.append))
     outcome.sample = list(range(min(_SAMPLE, len(batch))))
-    return work if may_end(scene) else pieces_of(scene, batch, outcome) + work
+    return work if may_end(outcome.scene) else pieces_of(outcome) + work
 
 
-def _work_of(scene: Scene, batch: Batch, outcome: Outcome) -> Work:
+def _work_of(outcome: Outcome) -> Work:
     """Sum up the steps of all runs."""
-    contender = outcome.contender
-    steps = [len(batch) * scene.clock.duration / contender.settings.step]
+    contender, scene = outcome.contender, outcome.scene
+    steps = [len(outcome.batch) * scene.clock.duration / contender.settings.step]
     others = other_steps(scene, contender.engine, contender.settings)
     steps += [len(outcome.sample) * scene.clock.duration / step for step in others]
     return Work(contender.name, contender.engine, contender.settings, sum(steps))

@@ -19,8 +19,9 @@ from mbds_xsim.reference import FirstImpact
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
-from mbds_xsim.simulate import readback, registry
+from mbds_xsim.simulate import readback
 from mbds_xsim.simulate.claims import RTOL
+from mbds_xsim.simulate.registry import load_adapter
 
 _ONE_SECOND = 1.0
 
@@ -36,40 +37,27 @@ class Judged:
     series: dict[str, Array]
 
 
-def judge(
-    scene: Scene,
-    batch: Batch,
-    outcome: Outcome,
-    reference: ReferenceOutcome,
-    *,
-    native: bool = True,
-) -> Judged:
+def judge(outcome: Outcome, reference: ReferenceOutcome, *, native: bool = True) -> Judged:
     """Check everything an engine delivered and give the verdict.
 
-    Args:
-        scene: What was simulated.
-        batch: Its starts and inputs.
-        outcome: What the engine delivered.
-        reference: The solution to hold it against.
-        native: Whether a native model that differs from the scene counts too, or the motion alone.
+    Without `native` it is on the motion alone, whatever a native model has otherwise.
     """
-    truth = reference.trajectory
-    trajectory = outcome.trajectory(truth.time, len(batch), len(scene.bodies))
+    scene, batch, truth = outcome.scene, outcome.batch, reference.trajectory
+    trajectory = outcome.trajectory(truth.time)
     if trajectory is None:
-        return Judged(_result(scene, batch, outcome, [], None, reference, native), None, None, {})
-    settings = outcome.contender.settings
-    method = registry.load_adapter(outcome.contender.engine).methods[settings.method]
+        return Judged(_result(outcome, [], None, reference, native), None, None, {})
+    step, method = outcome.contender.settings.step, outcome.method
     spread = outcome.simulations[0].contact_time
-    record = Record(scene, batch, trajectory, method, settings.step, spread)
+    record = Record(scene, batch, trajectory, method, step, spread)
     findings, error = [*audited(record), *_together(record)], None
     if not method.is_truth:
         error = agreement.particle_error(Mechanism.of(scene), trajectory, truth)
         findings += [
             *error_findings(scene, batch, error, truth, reference.growth),
             turn_finding(scene, trajectory, truth, reference.growth),
-            *convergence(scene, batch, outcome, reference),
+            *convergence(outcome, reference),
         ]
-    result = _result(scene, batch, outcome, findings, error, reference, native)
+    result = _result(outcome, findings, error, reference, native)
     return Judged(
         result, trajectory, error, {finding.check: finding.series for finding in findings}
     )
@@ -145,20 +133,17 @@ def turn_finding(scene: Scene, trajectory: Trajectory, truth: Trajectory, growth
 
 
 def _result(
-    scene: Scene,
-    batch: Batch,
     outcome: Outcome,
     findings: list[Finding],
     error: Array | None,
     reference: ReferenceOutcome,
     native: bool,
 ) -> EngineResult:
-    contender, simulations = outcome.contender, outcome.simulations
-    adapter = registry.load_adapter(contender.engine)
-    method = adapter.methods[contender.settings.method]
+    contender, simulations, method = outcome.contender, outcome.simulations, outcome.method
+    scene, batch, adapter = outcome.scene, outcome.batch, load_adapter(contender.engine)
     by_name = {finding.check: finding for finding in findings}
-    failures = tuple(outcome.failures(batch))
-    differences = _readback_differences(scene, batch, outcome) if native else []
+    failures = tuple(outcome.failures)
+    differences = _readback_differences(outcome) if native else []
     reasons = (*failures, *differences, *failed_lines(batch, findings))
     simulated = sum(len(s.trajectory) for s in simulations) * scene.clock.duration
     size = simulations[0].size if simulations else None
@@ -198,11 +183,11 @@ def _agreed(scene: Scene, error: Array, truth: Trajectory) -> float | None:
     return _finite(agreement.agreement_time(known, truth.time, scene.length).min())
 
 
-def _readback_differences(scene: Scene, batch: Batch, outcome: Outcome) -> list[str]:
+def _readback_differences(outcome: Outcome) -> list[str]:
+    mechanism, settings = Mechanism.of(outcome.scene), outcome.contender.settings
     for rows, part in zip(outcome.rows, outcome.simulations, strict=False):
-        settings = outcome.contender.settings
-        method = registry.load_adapter(outcome.contender.engine).methods[settings.method]
-        lines = readback.compare(Mechanism.of(scene), batch[rows], settings, part.readback, method)
+        batch = outcome.batch[rows]
+        lines = readback.compare(mechanism, batch, settings, part.readback, outcome.method)
         if lines and outcome.contender.profile == "matched":
             return [f"read-back: {line}" for line in lines]
     return []

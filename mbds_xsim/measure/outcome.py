@@ -9,16 +9,21 @@ import numpy as np
 
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.isolate import Crash
+from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
 from mbds_xsim.simulate.choice import Contender
+from mbds_xsim.simulate.claims import Method
+from mbds_xsim.simulate.registry import load_adapter
 from mbds_xsim.simulate.timed import Simulation
 
 
 @dataclass
 class Outcome:
-    """What one contender delivered."""
+    """What one contender delivered of a scene's starts."""
 
     contender: Contender
+    scene: Scene
+    batch: Batch
     parts: list[Simulation | Crash] = field(default_factory=list)
     rows: list[list[int]] = field(default_factory=list)
     """Rows of the batch of each part."""
@@ -27,14 +32,19 @@ class Outcome:
     other_steps: dict[float, Trajectory] = field(default_factory=dict)
     """The sample at each other step [s]."""
 
-    def keep_step(self, step: float, batch: Batch, answer: Simulation | Crash) -> None:
+    @property
+    def method(self) -> Method:
+        """What the engine claims of the method that it steps by."""
+        return load_adapter(self.contender.engine).methods[self.contender.settings.method]
+
+    def keep_step(self, step: float, answer: Simulation | Crash) -> None:
         """Keep the sample's run at another step [s]; NaN, with the reason, where it crashed."""
-        frames = np.arange(batch.steps + 1.0)
+        frames = np.arange(self.batch.steps + 1.0)
         if isinstance(answer, Simulation):
             self.other_steps[step] = answer.trajectory.padded(frames)
             return
         count = len(self.sample)
-        empty = Trajectory.empty(frames, count, batch.position.shape[1])
+        empty = Trajectory.empty(frames, count, len(self.scene.bodies))
         crashed = (Failure(0, answer.reason),) * count
         self.other_steps[step] = dataclasses.replace(empty, failures=crashed)
 
@@ -48,26 +58,26 @@ class Outcome:
         """The parts that came back."""
         return [part for part in self.parts if isinstance(part, Simulation)]
 
-    def trajectory(self, time: Array, count: int, body_count: int) -> Trajectory | None:
+    def trajectory(self, time: Array) -> Trajectory | None:
         """Put the parts together; rows of a crashed part are NaN. None where all crashed."""
         if not self.simulations:
             return None
-        whole = Trajectory.empty(time, count, body_count)
+        whole = Trajectory.empty(time, len(self.batch), len(self.scene.bodies))
         for rows, part in zip(self.rows, self.parts, strict=True):
             if isinstance(part, Simulation):
                 whole = whole.replaced(np.array(rows), part.trajectory)
         return whole
 
-    def failures(self, batch: Batch) -> list[str]:
+    @property
+    def failures(self) -> list[str]:
         """One line for each crash, and for each trajectory that ended early."""
         lines = [f"crash: {reason}" for reason in self.crashes]
         for rows, part in zip(self.rows, self.parts, strict=True):
             if isinstance(part, Simulation):
                 for row, failure in zip(rows, part.trajectory.failures, strict=True):
                     if failure is not None:
-                        lines.append(
-                            f"{batch.label(row)} ended at frame {failure.frame}: {failure.reason}"
-                        )
+                        where = f"{self.batch.label(row)} ended at frame {failure.frame}"
+                        lines.append(f"{where}: {failure.reason}")
         return lines
 
 

@@ -17,11 +17,10 @@ from mbds_xsim.measure.runner import Account, Piece, carry_out
 from mbds_xsim.reference import FirstImpact
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
-from mbds_xsim.scene.state import Batch, Failure
+from mbds_xsim.scene.state import Batch
 from mbds_xsim.simulate import rounding
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.choice import Contender
-from mbds_xsim.simulate.claims import Method
 from mbds_xsim.simulate.registry import load_adapter
 from mbds_xsim.simulate.timed import simulate
 
@@ -31,39 +30,29 @@ def may_end(scene: Scene) -> bool:
     return bool(scene.contacts) and not Mechanism.of(scene).has_only_balls
 
 
-def pieces_of(
-    scene: Scene, batch: Batch, outcome: Outcome, known: ReferenceOutcome | None = None
-) -> list[Piece]:
+def pieces_of(outcome: Outcome, known: ReferenceOutcome | None = None) -> list[Piece]:
     """Run the sample of an engine at the other steps, as far as a reference goes that is known.
 
     The shortest step, which takes longest, comes first.
     """
-    steps = other_steps(scene, outcome.contender.engine, outcome.contender.settings)
-    return [_step_piece(scene, batch, outcome, step, known) for step in sorted(steps)]
+    contender = outcome.contender
+    steps = other_steps(outcome.scene, contender.engine, contender.settings)
+    return [_step_piece(outcome, step, known) for step in sorted(steps)]
 
 
-def _step_piece(
-    scene: Scene, batch: Batch, outcome: Outcome, step: float, known: ReferenceOutcome | None = None
-) -> Piece:
-    """Run the sample of an engine at another step [s], as far as a reference goes that is known."""
-    contender, sample = outcome.contender, batch[outcome.sample]
+def _step_piece(outcome: Outcome, step: float, known: ReferenceOutcome | None) -> Piece:
+    contender, sample = outcome.contender, outcome.batch[outcome.sample]
     settings = Settings(contender.settings.method, step, contender.settings.options)
     if known is not None:
         sample = compared(sample, known[outcome.sample])
-    arguments = (scene, sample, contender.engine, settings)
-    task = Task(simulate, arguments, contender.limit)
-    keep = partial(outcome.keep_step, step, batch)
+    task = Task(simulate, (outcome.scene, sample, contender.engine, settings), contender.limit)
+    keep = partial(outcome.keep_step, step)
     return Piece(step_name(contender, step), contender.engine, task, keep)
 
 
 def step_name(contender: Contender, step: float) -> str:
     """Name the runs of an engine at a step [s]."""
     return f"{contender.name}, step {step:.3g} s"
-
-
-def method_of(contender: Contender) -> Method:
-    """Give what an engine claims of the method that it steps by."""
-    return load_adapter(contender.engine).methods[contender.settings.method]
 
 
 def other_steps(scene: Scene, engine: str, settings: Settings) -> list[float]:
@@ -87,27 +76,23 @@ _PATIENCE = 300.0
 """No further run is made that would take longer [s]."""
 
 
-def convergence(
-    scene: Scene, batch: Batch, outcome: Outcome, reference: ReferenceOutcome
-) -> list[Finding]:
+def convergence(outcome: Outcome, reference: ReferenceOutcome) -> list[Finding]:
     """Extrapolate the sample that ran at several steps to a vanishing step.
 
     Only smooth motion has an order of convergence: with contact, what comes before it.
     """
-    given = _given(scene, batch, outcome, reference)
+    given = _given(outcome, reference)
     return [] if given is None else given.findings
 
 
-def further_step(
-    scene: Scene, batch: Batch, outcome: Outcome, reference: ReferenceOutcome
-) -> float | None:
+def further_step(outcome: Outcome, reference: ReferenceOutcome) -> float | None:
     """Give the step at which the sample must run too before anything can be said [s].
 
     None where that is not so, where the engine fails anyway, or where it would take too long.
     """
-    if len(outcome.other_steps) + 1 >= _RUNS or outcome.failures(batch):
+    if len(outcome.other_steps) + 1 >= _RUNS or outcome.failures:
         return None
-    given = _given(scene, batch, outcome, reference)
+    given = _given(outcome, reference)
     if given is None or not given.unsettled:
         return None
     step = outcome.contender.settings.step
@@ -124,43 +109,35 @@ def compared(batch: Batch, reference: ReferenceOutcome) -> Batch:
 
 
 def refine(
-    scene: Scene,
-    batch: Batch,
-    outcomes: list[Outcome],
-    reference: ReferenceOutcome,
-    conduct: Conduct,
-    spent: Account,
+    outcomes: list[Outcome], reference: ReferenceOutcome, conduct: Conduct, spent: Account
 ) -> None:
     """Run samples at further steps until they show how each engine converges."""
     while True:
-        steps = [further_step(scene, batch, outcome, reference) for outcome in outcomes]
+        steps = [further_step(outcome, reference) for outcome in outcomes]
         asked = [(o, step) for o, step in zip(outcomes, steps, strict=True) if step is not None]
         if not asked:
             return
         conduct.meter.begin(len(asked))
-        pieces = [_step_piece(scene, batch, outcome, step, reference) for outcome, step in asked]
-        carry_out(pieces, conduct, spent)
+        carry_out([_step_piece(*each, reference) for each in asked], conduct, spent)
 
 
-def _given(
-    scene: Scene, batch: Batch, outcome: Outcome, reference: ReferenceOutcome
-) -> Consistency | None:
+def _given(outcome: Outcome, reference: ReferenceOutcome) -> Consistency | None:
     """Give what the check is about; None where nothing is to be compared."""
-    flies = smooth(scene, reference)
+    scene, method, flies = outcome.scene, outcome.method, smooth(outcome.scene, reference)
     smooth_ones = [k for k, row in enumerate(outcome.sample) if flies[row]]
     rows = [outcome.sample[k] for k in smooth_ones]
-    truth, contender = reference.trajectory, outcome.contender
-    trajectory = outcome.trajectory(truth.time, len(batch), len(scene.bodies))
+    truth = reference.trajectory
+    trajectory = outcome.trajectory(truth.time)
     if trajectory is None or not rows or not outcome.other_steps:
         return None
     runs = {step: run[smooth_ones] for step, run in outcome.other_steps.items()}
-    runs[contender.settings.step] = trajectory[rows]
-    method = method_of(contender)
+    runs[outcome.contender.settings.step] = trajectory[rows]
     ordered = [runs[step] for step in sorted(runs, reverse=True)]
     growth = reference.growth[rows]
     most = rounding.stepped(method, round(float(truth.time[-1]) / min(runs)))
     known = max(Consistency.resolution, most)
-    return Consistency(scene, batch[rows], ordered, truth[rows], method, growth, known, min(runs))
+    batch = outcome.batch[rows]
+    return Consistency(scene, batch, ordered, truth[rows], method, growth, known, min(runs))
 
 
 def smooth(scene: Scene, reference: ReferenceOutcome) -> list[bool]:
@@ -172,8 +149,7 @@ def smooth(scene: Scene, reference: ReferenceOutcome) -> list[bool]:
     if not scene.contacts:
         return [True] * len(ends)
     balls = Mechanism.of(scene).has_only_balls
-    return [not balls if end is None else _flies(end) for end in ends]
-
-
-def _flies(end: Failure) -> bool:
-    return isinstance(end, FirstImpact) and end.frame > LEAST_SPAN
+    return [
+        not balls if end is None else isinstance(end, FirstImpact) and end.frame > LEAST_SPAN
+        for end in ends
+    ]

@@ -23,7 +23,6 @@ from mbds_xsim.measure.result import FIGURES, EngineResult
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
-from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.choice import Contender
 from mbds_xsim.simulate.claims import Method
@@ -78,10 +77,11 @@ def run_trial(
         sample: Trajectories that run at other steps too, for the check of consistency.
     """
     simulate(scene, batch[:1].truncated(_WARM_UP), engine, settings)
-    outcome = Outcome(Contender(engine, "matched", settings), rows=[list(range(len(batch)))])
+    rows, contender = [list(range(len(batch)))], Contender(engine, "matched", settings)
+    outcome = Outcome(contender, scene, batch, rows=rows)
     simulation = simulate(scene, batch, engine, settings)
     outcome.parts.append(simulation)
-    row, limits = _judged(scene, batch, outcome, reference)
+    row, limits = _judged(outcome, reference)
     # Where it fails already, nothing that other steps tell can mend it.
     if sample and _passed(row, limits):
         outcome.sample = list(range(min(sample, len(batch))))
@@ -90,10 +90,10 @@ def run_trial(
             for step in steps:
                 other = Settings(settings.method, step, settings.options)
                 run = simulate(scene, batch[outcome.sample], engine, other)
-                outcome.keep_step(step, batch, run)
-            further = further_step(scene, batch, outcome, reference)
+                outcome.keep_step(step, run)
+            further = further_step(outcome, reference)
             steps = [] if further is None else [further]
-        row, limits = _judged(scene, batch, outcome, reference)
+        row, limits = _judged(outcome, reference)
         if row.trajectory is not None and is_unknown(reference):
             runs = outcome.other_steps
             limits += [own_limit(scene, row.trajectory, settings.step, outcome.sample, runs)]
@@ -135,15 +135,12 @@ def joined(parts: Sequence[Trial]) -> Trial:
     )
 
 
-def _judged(
-    scene: Scene, batch: Batch, outcome: Outcome, reference: ReferenceOutcome
-) -> tuple[Judged, list[Finding]]:
+def _judged(outcome: Outcome, reference: ReferenceOutcome) -> tuple[Judged, list[Finding]]:
     """Judge as `validate` does, and by the limits of contact."""
-    row, contender = judge(scene, batch, outcome, reference), outcome.contender
+    row = judge(outcome, reference)
     if row.trajectory is None:
         return row, []
-    method = registry.load_adapter(contender.engine).methods[contender.settings.method]
-    momentum = row.series.get("momentum")
+    scene, method, momentum = outcome.scene, outcome.method, row.series.get("momentum")
     return row, contact_findings(scene, row.trajectory, reference, method, momentum)
 
 

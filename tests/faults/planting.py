@@ -155,13 +155,11 @@ def _audited(scene: Scene, batch: Batch, reference: ReferenceOutcome) -> Referen
     return _AUDITED[key]
 
 
-def _judged(
-    scene: Scene, batch: Batch, outcome: Outcome, reference: ReferenceOutcome, *, native: bool
-) -> Judged:
+def _judged(outcome: Outcome, reference: ReferenceOutcome, *, native: bool) -> Judged:
     """Judge what stays as it is once; simulations are never made twice, so they tell."""
-    key = (scene, outcome.contender.engine, native, *map(id, outcome.parts))
+    key = (outcome.scene, outcome.contender.engine, native, *map(id, outcome.parts))
     if key not in _ROWS:
-        _ROWS[key] = judge(scene, batch, outcome, reference, native=native)
+        _ROWS[key] = judge(outcome, reference, native=native)
     return _ROWS[key]
 
 

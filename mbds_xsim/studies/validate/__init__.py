@@ -28,13 +28,12 @@ from mbds_xsim.measure.result import (
     Validation,
     Verdict,
 )
-from mbds_xsim.measure.runner import Account
+from mbds_xsim.measure.runner import Account, versions_of
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import Starts
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, fingerprint
-from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice, Contender
 from mbds_xsim.simulate.claims import TRUTH
 
@@ -87,7 +86,7 @@ def validate_with_evidence(
         names=names,
         matrix_m=matrix,
         odd_one_out=odd,
-        versions=_versions(results),
+        versions=versions_of({result.engine: result.version for result in results}),
         machine=f"{platform.machine()}, {counted(os.cpu_count(), 'core')}, {platform.system()}",
         ensembles=ensembles,
         spent_s=_account(spent),
@@ -113,13 +112,13 @@ def _judged(
         checking, name = time.perf_counter(), outcome.contender.name
         conduct.meter.doing(f"{name}: checks")
         checked_reference(reference)
-        if further_step(scene, batch, outcome, reference) is None:
-            judged[name] = judge(scene, batch, outcome, reference, native=native)
+        if further_step(outcome, reference) is None:
+            judged[name] = judge(outcome, reference, native=native)
         spent["checks"] += time.perf_counter() - checking
 
     outcomes, reference = run_campaign(scene, batch, contenders, conduct, spent, then=check)
     left = [outcome for outcome in outcomes if outcome.contender.name not in judged]
-    refine(scene, batch, left, reference, conduct, spent)
+    refine(left, reference, conduct, spent)
     for outcome in left:
         check(outcome, reference)
     rows = [judged[outcome.contender.name] for outcome in outcomes]
@@ -196,10 +195,3 @@ def _ensembles(
         )
         for (one, other), found in agreement.compare_runs(scene, batch, runs).items()
     )
-
-
-def _versions(results: list[EngineResult]) -> dict[str, str]:
-    packages = ("mbds-xsim", "numpy", "scipy")
-    versions = {name: registry.package_version(name) for name in packages}
-    versions["python"] = platform.python_version()
-    return versions | {result.engine: result.version for result in results}
