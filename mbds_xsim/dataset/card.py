@@ -225,13 +225,9 @@ def _parts(data: Dataset) -> str:
 
 
 def _croissant(sets: Sequence[Dataset], joint: Path) -> bytes:
-    """Describe the data sets of one folder; the same data give the same bytes.
+    """Describe the data sets of one scene; the same data give the same bytes.
 
     What only a publisher knows is left out: license, url, creator and datePublished.
-
-    Args:
-        sets: Data sets of one scene.
-        joint: The file that says what is valid in all of them.
     """
     scene = sets[0].scene
     engines = ", ".join(dict.fromkeys(data.attributes["engine"] for data in sets))

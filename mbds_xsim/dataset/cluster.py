@@ -32,13 +32,9 @@ _PACKAGES = ("mbds-xsim", "mujoco", "pybullet", "dartpy", "exudyn", "numpy", "h5
 def carrier_of(
     stack: ExitStack, address: str | None, workers: int | None, out: Path
 ) -> tuple[Carrier, int | None]:
-    """Give what carries tasks out, processes here or a cluster, and how many at a time.
+    """Give what carries tasks out, and how many at a time: processes here, or a cluster.
 
-    Args:
-        stack: Lets go of the cluster at its end.
-        address: Of a cluster's scheduler.
-        workers: Processes here.
-        out: Folder that the cluster's workers must see.
+    The stack lets go of the cluster, whose workers must see the folder.
 
     Raises:
         InputError: Both are given, or the cluster is not one that could.

@@ -147,12 +147,7 @@ def judge_rows(
 ) -> CheckTable:
     """Check every trajectory; what a figure is depends on the trajectory and its number alone.
 
-    Args:
-        scene: What was simulated.
-        batch: Its starts and inputs.
-        trajectory: What was recorded.
-        making: How.
-        truth: The reference of the audit sample's rows; solved here where it is left out.
+    The truth is the reference of the audit sample's rows; left out, it is solved here.
     """
     verdict = CheckTable.empty(len(batch))
     for row, failure in enumerate(trajectory.failures):
@@ -234,13 +229,8 @@ def limit_faults(
 ) -> list[str]:
     """Say in a line each where runs at other steps converge to anything but the reference.
 
-    Args:
-        scene: What was simulated.
-        contender: By which engine, at which settings.
-        batch: Starts and inputs of trajectories that came to their end.
-        trajectory: What was recorded of them.
-        solved: Their reference; left out, that of their first steps is solved here, and no more
-            of them is looked at.
+    Of trajectories that came to their end. Where their reference is left out, that of their first
+    steps is solved here, and no more of them is looked at.
     """
     rows, settings = list(range(len(batch))), contender.settings
     steps = other_steps(scene, contender.engine, settings)

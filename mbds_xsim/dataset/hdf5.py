@@ -200,10 +200,7 @@ def check_fit(file: Any, path: Path, kind: str, scene: Scene | None) -> None:
 def misfits(file: Any, kind: str, scene: Scene | None) -> Iterator[str]:
     """Say of each dataset that is not as the layout has it what is wrong with it.
 
-    Args:
-        file: An open data file.
-        kind: Of the file.
-        scene: Decides the lengths of axes; None where the file has no trajectories.
+    The scene decides the lengths of axes; a file without trajectories has none.
     """
     sizes = {"two": 2} if scene is None else axis_sizes(scene)
     for field in FIELDS.values():
@@ -256,9 +253,7 @@ def values_of(dataset: Any) -> NDArray[Any]:
 def check_content(path: Path, names: Collection[str] | None = None) -> str | None:
     """Hold a file against its checksums; tell what differs, None where nothing does.
 
-    Args:
-        path: A data file.
-        names: Only these datasets' values; all when left out.
+    Of datasets the values of those named are read, or of all.
     """
     with open_hdf5(path) as file:
         for name, dataset in datasets_in(file).items():

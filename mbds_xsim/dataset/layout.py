@@ -245,11 +245,6 @@ _ENDS = (12_000, 13_500)  # the paper's 13 500 and 1 500; the last 1 500 of the 
 
 
 def split_of(index: NDArray[np.int64], trajectories: int) -> NDArray[np.uint8]:
-    """Give 0 train, 1 validation, 2 test; the first 80 %, the next 10 %, the rest.
-
-    Args:
-        index: Numbers of trajectories.
-        trajectories: How many were drawn.
-    """
+    """Give 0 train, 1 validation, 2 test: the first 80 % drawn, the next 10 %, the rest."""
     ends = [end * trajectories // _OF for end in _ENDS]
     return np.searchsorted(ends, index, side="right").astype(np.uint8)

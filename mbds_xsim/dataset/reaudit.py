@@ -50,13 +50,9 @@ class FileReport:
 
 
 def reaudit(path: Path, report: FileReport, resimulated: int, seed: int) -> None:
-    """Check layout, numbers, draws, points and every check; make some again.
+    """Check layout, numbers, draws, points and every check of a shard, or of rejected trajectories.
 
-    Args:
-        path: A shard, or a file of rejected trajectories.
-        report: What is added to.
-        resimulated: How many trajectories are simulated again, if the engine is here.
-        seed: Chooses which.
+    Some, chosen by the seed, are simulated again, if the engine is here. The report is added to.
     """
     attributes = attributes_of(path)
     scene, report.kind = scene_of(attributes["scene"], path), attributes["kind"]

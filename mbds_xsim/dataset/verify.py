@@ -167,13 +167,9 @@ def _loose(shards: list[Path], joined: list[Path]) -> set[str]:
 
 
 def recheck(path: Path, kind: str, resimulated: int = 0, seed: int = 0) -> FileReport:
-    """Check one file.
+    """Check one file, of the kind that it says it is.
 
-    Args:
-        path: The file.
-        kind: What it says it is: "joined", "joint", "card", "metadata"; others hold trajectories.
-        resimulated: How many trajectories are simulated again, if the engine is here.
-        seed: Chooses which.
+    Of its trajectories some, chosen by the seed, are simulated again, if the engine is here.
     """
     report = FileReport(str(path), kind if kind in _CHECKS else "unknown")
     is_text = kind in _TEXTS.values()

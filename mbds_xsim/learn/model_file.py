@@ -64,9 +64,7 @@ def save_model(
 def read_model(path: Path, scene: Scene | None = None) -> tuple[LearnedModel, dict[str, str]]:
     """Read a model, on the CPU, and the facts that were written with it.
 
-    Args:
-        path: File to read.
-        scene: To be predicted, in place of the one that it was trained on.
+    It predicts the scene that it was trained on, or another one.
 
     Raises:
         InputError: It is no file of a model, was made by other code, or does not fit the scene.

@@ -231,14 +231,10 @@ def read_figures(path: Path) -> RolloutFigures | None:
 def figures_on(
     model: LearnedModel, motions: Motions, *, horizon: int, stride: int, device: str = "cpu"
 ) -> RolloutFigures:
-    """Test a model, on its device; trajectories whose first window is not known are left unknown.
+    """Test a model on its device; trajectories whose first window is not known are left unknown.
 
-    Args:
-        model: Of the motions' type of numbers.
-        motions: The truth, on the CPU, where predictions are measured too.
-        horizon: Frames of a rollout.
-        stride: Frames from a window of the teacher-forced predictions to the next.
-        device: Of the model.
+    The truth is on the CPU, where predictions are measured too. Rollouts have `horizon` frames;
+    teacher-forced predictions start every `stride` frames.
     """
     start = motions.position[:, :HISTORY].isfinite().flatten(1).all(1)
     rows = torch.nonzero(start)[:, 0]

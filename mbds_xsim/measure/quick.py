@@ -54,11 +54,7 @@ def searched(scene: Scene, choice: Choice, conduct: Conduct) -> Choice:
     """Give a choice with matched settings for every engine that has none stored for the scene.
 
     Engines for which none are found in time, or that cannot do the scene, keep their presets.
-
-    Args:
-        scene: What to simulate.
-        choice: Which engines at which settings.
-        conduct: How; settings that were found before are stored solutions, too.
+    Settings that were found before are stored solutions, too.
     """
     if MATCHED not in choice.profiles or choice.step is not None or choice.method is not None:
         return choice

@@ -348,12 +348,7 @@ def carry_out(
 
 @dataclass
 class Running:
-    """Names the tasks that are under way, the one that was begun first before all others.
-
-    Args:
-        meter: Where it is told.
-        names: Of all tasks.
-    """
+    """Names the tasks that are under way, the one that was begun first before all others."""
 
     meter: Meter
     names: list[str]

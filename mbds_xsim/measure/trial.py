@@ -68,13 +68,7 @@ def run_trial(
 ) -> Trial:
     """Simulate a batch in this process and judge it.
 
-    Args:
-        scene: What to simulate.
-        batch: Starts and inputs.
-        engine: Name of the adapter.
-        settings: How to step.
-        reference: Solution of the batch.
-        sample: Trajectories that run at other steps too, for the check of consistency.
+    Its first trajectories, so many, run at other steps too, for the check of consistency.
     """
     simulate(scene, batch[:1].truncated(_WARM_UP), engine, settings)
     rows, contender = [list(range(len(batch)))], Contender(engine, "matched", settings)
@@ -234,15 +228,8 @@ def contact_findings(
     """Hold a motion on the ground against the pieces of it that are known exactly.
 
     A ball's motion is known throughout, that of joined bodies up to the first impact. Errors are
-    distances of centres of mass; what starts in contact and is no ball has none. Momentum is
-    looked at in all flights.
-
-    Args:
-        scene: What was simulated.
-        motion: What an engine delivered.
-        exact: What it should be.
-        method: How the motion was made.
-        momentum: Series of the check of momentum, shape (trajectory, frame); None: it has none.
+    distances of centres of mass; what starts in contact and is no ball has none. Momentum, the
+    series of its check (trajectory, frame) if it has any, is looked at in all flights.
 
     Returns:
         A finding for each limit that applies; none where the scene has no contact, or no gravity

@@ -219,15 +219,7 @@ def table_of(
     note: str = "",
     most: int | None = None,
 ) -> Table:
-    """Make a table of plain texts and cells.
-
-    Args:
-        columns: Columns or their headings, as in `columns_of`.
-        rows: As many cells each.
-        title: Stands above.
-        note: Stands below.
-        most: Rows that a terminal shows.
-    """
+    """Make a table of plain texts and cells, under columns or headings as in `columns_of`."""
     return Table(
         columns_of(*columns),
         tuple(Row(tuple(c if isinstance(c, Cell) else Cell(c) for c in row)) for row in rows),

@@ -162,11 +162,7 @@ def scene_row(scene: Scene) -> SceneRow:
 def native_text(scene: Scene, engine: str, settings: Settings, start: int | None = None) -> str:
     """Give exactly what an engine is given: a file of its own, or a script that simulates it.
 
-    Args:
-        scene: The scene.
-        engine: Name of the engine.
-        settings: How it steps.
-        start: Number of the trajectory that it starts as; None: the scene's own start.
+    It starts as a trajectory of that number does, else as the scene itself says.
 
     Raises:
         InputError: The engine cannot represent the scene, or crashed on it.

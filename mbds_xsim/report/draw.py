@@ -35,12 +35,7 @@ _LABEL = {"fontsize": 8, "color": DRAWN, "zorder": 9}
 
 
 def draw_scene(scene: Scene, path: Path, *, start: int | None = None) -> None:
-    """Draw a scene into a PNG file.
-
-    Args:
-        scene: What to draw.
-        path: File to write.
-        start: Number of a trajectory, to draw where it starts; the reference pose when left out.
+    """Draw a scene into a PNG file: where a trajectory starts, else in the reference pose.
 
     Raises:
         InputError: The file cannot be written.

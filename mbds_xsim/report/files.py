@@ -64,11 +64,9 @@ def results_json(results: Sequence[msgspec.Struct]) -> bytes:
 
 
 def rows_csv(rows: Iterable[msgspec.Struct], *more: str) -> bytes:
-    """Give a header and a line a row; numbers of a tuple are separated by blanks.
+    """Give a header and a line a row, of one kind of rows; numbers of a tuple have blanks between.
 
-    Args:
-        rows: Of one kind, at least one.
-        more: Names of properties that are columns too.
+    `more` names properties that are columns too.
     """
     listed = list(rows)
     fields = (
@@ -89,12 +87,7 @@ def _csv_cell(value: object) -> object:
 
 
 def to_html(reports: Sequence[Report], title: str) -> str:
-    """Give the page; the motion of the first report that has one can be played.
-
-    Args:
-        reports: A chapter each.
-        title: Of the page.
-    """
+    """Give a page with a chapter a report; the first motion in them can be played."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(

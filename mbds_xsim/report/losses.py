@@ -48,12 +48,7 @@ def import_row(imported: Imported) -> dict[str, Any]:
 
 
 def present(imported: Imported, command: str) -> Report:
-    """Say what became of a model.
-
-    Args:
-        imported: The model.
-        command: That made it.
-    """
+    """Say what became of a model."""
     row = import_row(imported)
     size = (
         f"{counted(row['bodies'], 'body')}, {row['mass_kg']:g} kg, "

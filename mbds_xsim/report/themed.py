@@ -141,14 +141,7 @@ Layout = Literal["constrained"] | None
 
 
 def picture(draw: Draw, size: tuple[float, float], layout: Layout, **how: Any) -> bytes:
-    """Draw into a PNG of all colours on white, without the style of pages.
-
-    Args:
-        draw: Draws on the figure it is given.
-        size: Width and height [in].
-        layout: Of the figure, as matplotlib names it.
-        how: More of what `savefig` takes.
-    """
+    """Draw into a PNG of all colours on white, without the style of pages; sizes are in inches."""
     import matplotlib
     from matplotlib.figure import Figure
 
@@ -176,12 +169,9 @@ def svg(title: str, draw: Draw, size: tuple[float, float], tips: dict[str, str])
 
 
 def png(draw: Draw, size: tuple[float, float], stored: bytes = b"") -> bytes:
-    """Draw into a PNG of 256 colours on white.
+    """Draw into a PNG of 256 colours on white, of a size [in].
 
-    Args:
-        draw: Draws on the figure it is given.
-        size: Width and height [in].
-        stored: Of the file that keeps what is drawn; its checksum goes into the PNG.
+    `stored` is the file that keeps what is drawn; its checksum goes into the PNG.
     """
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo
@@ -218,13 +208,7 @@ def few_colours(picture: Image) -> Image:
     """Give a picture 256 colours: those of most pixels, then time and again the farthest one left.
 
     Median cut, the usual way, goes by numbers of pixels alone: two small markers of different
-    colours can get one between them.
-
-    Args:
-        picture: Of mode RGB.
-
-    Returns:
-        The picture with a palette, mode P.
+    colours can get one between them. From mode RGB to mode P.
     """
     from PIL.Image import fromarray
 
@@ -254,14 +238,9 @@ def level(axes: Any, value: float, text: str) -> None:
 def note(
     axes: Any, text: str, spot: tuple[float, float], where: tuple[str, str], ha: str = "left"
 ) -> None:
-    """Write a few words just above a spot of a chart.
+    """Write a few words just above a spot of a chart; `ha` is the side on which they begin.
 
-    Args:
-        axes: The chart.
-        text: The words.
-        spot: Place across and upwards.
-        where: What each of them is counted in, as matplotlib names it.
-        ha: Side on which the words begin.
+    `where` is what the spot's places across and upwards are counted in, as matplotlib names it.
     """
     axes.annotate(
         text, spot, xycoords=where, xytext=(-3 if ha == "right" else 3, 3),

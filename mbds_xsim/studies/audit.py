@@ -28,12 +28,7 @@ _COLUMNS = ("check", ">worst", ">budget", ">trajectory", ">frame", "where", "")
 
 
 def present(audited: Audited, command: str) -> Report:
-    """Say whether the trajectories hold.
-
-    Args:
-        audited: What was found.
-        command: That made it.
-    """
+    """Say whether the trajectories hold."""
     return Report(
         title=audited.file,
         what=audited.verdict,

@@ -128,16 +128,7 @@ def compared(
 def _engine_facts(
     path: Path, engines: Sequence[str], *, floating: bool = False
 ) -> dict[str, ModelFacts | str]:
-    """Let engines read a file with readers of their own.
-
-    Args:
-        path: Of the file.
-        engines: Names.
-        floating: Whether a base that the file ties to nothing is free.
-
-    Returns:
-        For each engine what it has read, or why it did not.
-    """
+    """Let engines read a file with readers of their own; give what each has read, or why not."""
     loaders = registered("mbds_xsim.model_loaders")
     for engine in engines:
         check_name("engine with a reader of its own", engine, sorted(loaders))
@@ -229,12 +220,7 @@ def _shown(values: Array) -> str:
 
 
 def present(readings: Readings, command: str) -> Report:
-    """Say what each engine makes of a file.
-
-    Args:
-        readings: Of the engines.
-        command: That made them.
-    """
+    """Say what each engine makes of a file."""
     wrong = [reading.engine for reading in readings.readings if not reading.alike]
     right = [reading.engine for reading in readings.readings if reading.alike]
     return Report(

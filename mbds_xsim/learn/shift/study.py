@@ -119,12 +119,8 @@ def study(
 ) -> ShiftStudy:
     """Test all models of a scene on all domains, and say what a change of engine does.
 
-    Args:
-        question: Which models, on which data.
-        at: Frame of the answers and tables; left out, 10, or the last where there are fewer.
-        conduct: How; what was predicted and simulated before is a stored solution, too.
-        device: Of the models.
-        command: What was typed.
+    Answers and tables are at a frame: 10, or the last where there are fewer. What was predicted and
+    simulated before is a stored solution, too.
     """
     began = time.perf_counter()
     test, models = question.test, [*trivial_models(), *question.trained]

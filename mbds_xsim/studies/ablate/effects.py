@@ -315,14 +315,7 @@ class AblatedScene:
 def variants_of(
     scene: Scene, effects: Sequence[Effect], batch: Batch, seed: int
 ) -> list[AblatedScene]:
-    """Weaken each effect that a scene has, by each of its factors.
-
-    Args:
-        scene: The full scene.
-        effects: What may be weakened.
-        batch: Starts and inputs of the full scene.
-        seed: Seed of these.
-    """
+    """Weaken each effect that a scene has by each of its factors, for starts drawn with a seed."""
     found = []
     for effect in effects:
         for factor in effect.factors:

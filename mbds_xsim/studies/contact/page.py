@@ -186,13 +186,7 @@ _UPPER = [
 
 
 def contact_page(study: ContactStudy, figures: dict[str, Path], folder: Path) -> str:
-    """Write the page.
-
-    Args:
-        study: What was measured.
-        figures: Files of `restitution` and `friction`; none: the page goes without.
-        folder: Where the page will lie, which decides its links to the figures.
-    """
+    """Write the page, whose links to the figures, if there are any, start from its folder."""
     versions = ", ".join(f"{engine} {version}" for engine, version in study.versions.items())
     judged = JUDGED.replace("Marked", "Bold")
     made = _MADE.format(machine=study.machine, versions=versions, judged=judged)

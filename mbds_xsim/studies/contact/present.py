@@ -102,10 +102,7 @@ class ContactStudy(msgspec.Struct, frozen=True):
 def study_contact(choice: Choice, conduct: Conduct, command: str = "") -> ContactStudy:
     """Measure every engine at every profile, each part in a process of its own.
 
-    Args:
-        choice: Engines and profiles; methods and steps are those of the profiles.
-        conduct: How.
-        command: What is told to make the study again.
+    Methods and steps are those of the profiles.
 
     Raises:
         InputError: None of the engines has contact.
@@ -312,12 +309,7 @@ _ASKED = DOTTED | {"label": "asked"}
 
 
 def draw_study(study: ContactStudy, files: dict[str, Path]) -> None:
-    """Draw the figures into PNG files, each with panels for the profiles.
-
-    Args:
-        study: What was measured.
-        files: Where `restitution` and `friction` go.
-    """
+    """Draw `restitution` and `friction` into PNG files, each with panels for the profiles."""
     count = len(study.profiles)
     rebound, friction = (8.8, 0.9 + 2.1 * count), (1.0 + 3.9 * count, 3.7)
     title = "rebound over impact speed"

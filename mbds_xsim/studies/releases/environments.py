@@ -30,10 +30,7 @@ _REFUSED = "not-installed"
 def releases_of(package: str, since: str = "", last: int | None = None) -> list[str]:
     """List the releases of a package that suit this Python, the oldest first.
 
-    Args:
-        package: Name of the distribution.
-        since: The first of them.
-        last: How many of them at most, the newest ones.
+    Of those since one of them, `last` gives so many of the newest.
 
     Raises:
         InputError: The index cannot be asked, or has none since then.

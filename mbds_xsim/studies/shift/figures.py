@@ -110,12 +110,9 @@ def map_size(matrix: Matrix) -> tuple[float, float]:
 
 
 def draw_matrix(axes: Any, matrix: Matrix, spread: tuple[float, float]) -> None:
-    """Draw the errors of a model, a training a row, a test domain a column.
+    """Draw the errors [m²] of a model, a training a row, a test domain a column.
 
-    Args:
-        axes: To draw on.
-        matrix: Errors [m²].
-        spread: Ends of the colours' scale, as logarithms to base 10.
+    The colours' scale has its ends where `spread` says, as logarithms to base 10.
     """
     logs = [[_log(value) for value in row] for row in matrix.values]
     axes.imshow(logs, cmap="cividis", vmin=spread[0], vmax=spread[1], aspect="auto")
@@ -198,13 +195,9 @@ def curves_of(shift: Shift, model: str, test: str) -> list[ErrorCell]:
 
 
 def draw_curves(axes: Any, shift: Shift, model: str, test: str) -> None:
-    """Draw the errors of a model on one domain over time, with trivial models and floors.
+    """Draw the errors of a model's trainings, those of a domain's variant, over time on it.
 
-    Args:
-        axes: To draw on.
-        shift: The study.
-        model: Of its trainings, those of the domain's variant are drawn.
-        test: Name of the domain.
+    Beside them are trivial models and floors.
     """
     time = [shift.frame_s * (k + 1) for k in range(shift.horizon)]
     here = [c for c in shift.cells if (c.test, c.interval) == (test, INTERVALS[0])]

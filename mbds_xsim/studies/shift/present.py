@@ -215,9 +215,7 @@ def _curves(shift: Shift, model: str) -> FigureGroup:
 def to_png(studies: Sequence[Shift], stored: bytes = b"") -> bytes:
     """Give a picture: a block for each study of its first answer, else of all errors.
 
-    Args:
-        studies: What is drawn.
-        stored: Of the JSON that keeps it.
+    `stored` is the JSON that keeps it.
     """
     if all(shift.harms for shift in studies):
         worths = [(partial(_draw_worth, shift=shift), SIZE) for shift in studies]

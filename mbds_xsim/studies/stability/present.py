@@ -171,12 +171,7 @@ def cells_of(sweep: Survey) -> Iterator[blocks.Block]:
 
 
 def to_png(sweeps: list[Survey], stored: bytes = b"") -> bytes:
-    """Give a picture: the maps of each study, with their legend.
-
-    Args:
-        sweeps: What is drawn.
-        stored: Of the CSV that keeps it.
-    """
+    """Give a picture: the maps of each study with their legend; `stored` is the CSV behind it."""
     parts = [(partial(_draw_study, sweep=sweep), _picture(sweep)) for sweep in sweeps]
     return themed.stacked(parts, stored)
 

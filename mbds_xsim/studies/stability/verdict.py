@@ -49,11 +49,9 @@ CRITERIA = (
 
 
 def judge(signs: Signs, failure: Failure | None = None) -> dict[str, Any]:
-    """Give what became of a run, with the figures behind it, as fields of a cell.
+    """Give what became of a run, and the figures behind it, as fields of a cell.
 
-    Args:
-        signs: What shows in it.
-        failure: By which it ended, if it did not come to its end.
+    A failure is what it ended by, if it did not come to its end.
     """
     begin, frames, end = signs.begin, len(signs.time), int(signs.finite.sum())
     broken = {what: flags[begin:] for what, flags in _broken(signs).items()}
@@ -89,9 +87,7 @@ def _broken(signs: Signs) -> dict[Outcome, Mask]:
 def signs_of(record: Record, truth: Trajectory | None) -> Signs:
     """Give what shows in the motion of one start's bodies.
 
-    Args:
-        record: The run.
-        truth: The reference, if there is one; where it ends, so does the comparison.
+    Where the reference ends, if there is one, so does the comparison.
     """
     reference = None if truth is None else Record(record.scene, record.batch, truth)
     with np.errstate(all="ignore"):

@@ -271,14 +271,7 @@ def _crashed(row: Measurement, crash: Crash) -> Measurement:
 def measure(
     simulator: Simulator, scene: Scene, start: Batch, count: int, truth: Truth
 ) -> dict[str, Any]:
-    """Simulate one start in this process, and give the figures of its row.
-
-    Args:
-        simulator: What simulates.
-        scene: What is simulated.
-        start: A batch of one.
-        count: Steps a frame.
-        truth: What the motion is held against.
+    """Simulate a batch of one at so many steps a frame in this process; give its row's figures.
 
     Raises:
         InputError: The simulator cannot do the scene or the settings are not allowed.

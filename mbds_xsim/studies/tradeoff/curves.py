@@ -27,14 +27,10 @@ OWN_LIMIT = "distance to its own limit"
 def curve_results(
     scene: Scene, curves: Sequence[EngineMethod], found: Found, *, own_limit: bool = False
 ) -> tuple[CurveResult, ...]:
-    """Put the rows of all curves together.
+    """Put the rows of all curves together, found in their order.
 
-    Args:
-        scene: What was simulated.
-        curves: How.
-        found: Its rows, of the same order.
-        own_limit: Whether errors are distances to a method's own limit. To be near it says nothing
-            of the truth; to be far from it is to be wrong, so that it has the error's budget.
+    With `own_limit` errors are distances to a method's own limit. To be near it says nothing of the
+    truth; to be far from it is to be wrong, so that it has the error's budget.
     """
     listed = [
         _curve_result(

@@ -41,12 +41,7 @@ def with_models(
 ) -> tuple[Tradeoff, list[Measurement]]:
     """Measure models on the starts of a study, and put them into it; their rows come beside it.
 
-    Args:
-        study: Of engines, measured or stored.
-        scene: That it is of.
-        models: Those of other scenes are left out, and the result says so.
-        conduct: How.
-        command: Of the whole, in place of the study's.
+    Models of other scenes are left out, and the result says so. The command is that of the whole.
 
     Raises:
         InputError: The study is of another scene, or none of the models is of this one, or no

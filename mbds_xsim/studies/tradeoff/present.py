@@ -149,9 +149,7 @@ def _figures(point: Point) -> Iterator[str]:
 def to_png(studies: list[Tradeoff], stored: bytes = b"") -> bytes:
     """Give a picture: a row of two charts for each study, failures under them.
 
-    Args:
-        studies: What is drawn.
-        stored: Of the JSON that keeps it.
+    `stored` is the JSON that keeps it.
     """
     return themed.stacked(
         [(partial(_draw_row, study=study), _PICTURE) for study in studies], stored

@@ -62,9 +62,7 @@ def places(study: Tradeoff) -> list[tuple[CurveResult, Point]]:
 def cheapest_within(study: Tradeoff, *, own: bool = False) -> tuple[CurveResult, Point] | None:
     """The cheapest of all points that keep all budgets; native settings are not asked.
 
-    Args:
-        study: Whose points.
-        own: Whether engines' own stepping alone is asked.
+    With `own` engines' own stepping alone is.
     """
     asked = [(c, p) for c, p in places(study) if c.own or not own]
     kept = [(c, p) for c, p in asked if not p.broken and c.variation != NATIVE]

@@ -129,10 +129,7 @@ def restitution(
 ) -> Figure | None:
     """Plot what single impacts deliver over their speed; None where there are none.
 
-    Args:
-        validation: With the budget of balls.
-        evidence: With the scene's coefficient.
-        contacts: Of the reference, then of the engine results.
+    Contacts are of the reference, then of the engine results.
     """
     ground = evidence.scene.ground
     met = [None if contact is None else _impacts(contact) for contact in contacts]

@@ -33,13 +33,10 @@ _LEAST = 0.05
 def pack(
     evidence: Evidence, names: tuple[str, ...], styles: tuple[Style, ...], *, limit: int = _BYTES
 ) -> dict[str, Any]:
-    """Give what the viewer reads, ready for JSON.
+    """Give what the viewer reads, ready for JSON; names and styles are of the engine results.
 
-    Args:
-        evidence: Motions of the engines and the reference.
-        names: Of the engine results.
-        styles: Of the engine results.
-        limit: Bytes that positions may take; frames are thinned out, then trajectories left out.
+    Where positions would take more bytes than `limit`, frames are thinned out, then trajectories
+    left out.
     """
     bones = skeleton(evidence.scene)
     stride, count = _thinning(evidence, len(bones.body), limit)
@@ -106,13 +103,9 @@ def _scenery(evidence: Evidence, bones: Skeleton, count: int) -> dict[str, Any]:
 def pack_strips(
     validation: Validation, evidence: Evidence, contacts: tuple[Contact | None, ...], count: int
 ) -> dict[str, Any]:
-    """Give what the script of the strips reads, ready for JSON.
+    """Give what the script of the strips reads, ready for JSON, of the viewer's trajectories.
 
-    Args:
-        validation: With the ends of what is known.
-        evidence: Motions of the engines and the reference.
-        contacts: Of the reference, then of the engine results; those that crashed are left out.
-        count: How many of the trajectories the viewer has.
+    Contacts are of the reference, then of the engine results; those that crashed are left out.
     """
     reference = validation.reference
     known = () if reference is None else reference.known_s
@@ -175,10 +168,8 @@ def tables(
 ) -> tuple[Table, ...]:
     """Make a table of each of the first trajectories, without columns that say nothing of any.
 
-    Args:
-        contacts: Of the reference, then of the engine results; empty without contact.
-        entries: Names and looks of the reference and of the engine results.
-        index: Numbers of the trajectories.
+    Contacts and entries are of the reference, then of the engine results; without contact there are
+    none.
     """
     if not contacts:
         return ()

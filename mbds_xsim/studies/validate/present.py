@@ -40,12 +40,7 @@ _REFERENCE = Style(-1, dashed=False)
 
 
 def present(validation: Validation, evidence: Evidence | None = None) -> Report:
-    """Say which engines can be trusted.
-
-    Args:
-        validation: The figures.
-        evidence: The arrays behind them; without them there are no motions and plots.
-    """
+    """Say which engines can be trusted; without evidence there are no motions and plots."""
     versions = ", ".join(f"{name} {what}" for name, what in validation.versions.items())
     shown = () if evidence is None else tuple(_behind(validation, evidence))
     return Report(
