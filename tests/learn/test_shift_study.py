@@ -34,9 +34,8 @@ from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene
 from mbds_xsim.scene.state import Batch
 from mbds_xsim.simulate.registry import load_scene
-from mbds_xsim.studies.shift.nearness import nearness
 from mbds_xsim.studies.shift.present import present, protocol
-from mbds_xsim.studies.shift.tables import tables
+from mbds_xsim.studies.shift.tables import nearness, tables
 from mbds_xsim.studies.shift.worth import costs_of
 from tests.learn.shifts import ENGINES, SCENE, SEEDS, STEPS, TRAININGS, make, train
 
