@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import msgspec
@@ -63,63 +64,6 @@ class Truth:
         times = self.trajectory.time[self.known]
         before = times[times <= INSTANT * (1 + 1e-9)]
         return float(before[-1]) if len(before) else 0.0
-
-
-@dataclass
-class Truths:
-    """Truth of each start, or of each start in each method."""
-
-    scene: Scene
-    batch: Batch
-    references: list[Truth]
-    usual: Mapping[tuple[str, str], Simulator]
-    """By engine and method, at the engine's usual options."""
-    own: Mapping[tuple[str, str], list[Truth]]
-    """Truths of each start for methods that are the reference, by engine and method."""
-    limit: float
-    """Longest rollout of one start that was asked for [s]."""
-    conduct: Conduct
-    _limits: dict[Place, Truth] = field(default_factory=dict)
-
-    @property
-    def are_limits(self) -> bool:
-        """Whether the reference ends at once, so that a method only has itself to be held to."""
-        return min(truth.horizon for truth in self.references) == 0.0
-
-    @property
-    def horizon(self) -> float:
-        """Time of the charted error, the earliest of all starts [s]."""
-        if self.are_limits:
-            return min(INSTANT, self.scene.clock.duration)
-        return min(truth.horizon for truth in self.references)
-
-    def prepare(self, places: Sequence[Place]) -> None:
-        """Simulate the limits that will be asked for and are not there."""
-        if not self.are_limits:
-            return
-        missing = [place for place in dict.fromkeys(places) if place not in self._limits]
-        tasks = [
-            Task(
-                _limit,
-                (self.usual[engine, method], self.scene, self.batch[[start]]),
-                _GRACE + _LIMIT_PATIENCE * self.limit,
-            )
-            for engine, method, start in missing
-        ]
-        answers = run_tasks(tasks, workers=self.conduct.workers)
-        for place, answer in zip(missing, answers, strict=True):
-            self._limits[place] = self._unknown() if isinstance(answer, Crash) else answer
-
-    def of(self, place: Place) -> Truth:
-        """Give what one start in one method is held against."""
-        if self.are_limits:
-            return self._limits[place]
-        return self.own.get(place[:2], self.references)[place[2]]
-
-    def _unknown(self) -> Truth:
-        """Give what nothing can be held against."""
-        time = self.references[0].trajectory.time
-        return _own_limit(Trajectory.empty(time, 1, len(self.scene.bodies)))
 
 
 def references(scene: Scene, batch: Batch, conduct: Conduct) -> list[Truth]:
@@ -190,37 +134,83 @@ class Job:
 
 @dataclass
 class StartBench:
-    """The starts of a study with what is true of them, and the runner of their jobs."""
+    """The starts of a study with what is true of them, and what measures on them.
+
+    The truth is that of each start, or of each start in each method.
+    """
 
     scene: Scene
     batch: Batch
-    truths: Truths
+    references: list[Truth]
     seed: int
     limit: float
-    """Longest rollout of one start [s]."""
-    runner: Runner[Measurement]
+    """Longest rollout of one start that was asked for [s]."""
+    conduct: Conduct
+    usual: Mapping[tuple[str, str], Simulator] = field(default_factory=dict)
+    """By engine and method, at the engine's usual options."""
+    own: Mapping[tuple[str, str], list[Truth]] = field(default_factory=dict)
+    """Truths of each start for methods that are the reference, by engine and method."""
+    _limits: dict[Place, Truth] = field(default_factory=dict)
 
-    @staticmethod
-    def of(truths: Truths, seed: int) -> StartBench:
-        """Make a bench with the scene's store."""
-        scene = truths.scene
-        runner = Runner(
-            store=Store.of("tradeoff", scene.name, Measurement),
+    @cached_property
+    def runner(self) -> Runner[Measurement]:
+        """Runner with the scene's store."""
+        return Runner(
+            store=Store.of("tradeoff", self.scene.name, Measurement),
             crashed=_crashed,
             labels=("scene", "variation", "trajectory", "seed"),
             lasts=in_time,
-            conduct=truths.conduct,
+            conduct=self.conduct,
             forecasts=False,
         )
-        return StartBench(scene, truths.batch, truths, seed, truths.limit, runner)
+
+    @property
+    def are_limits(self) -> bool:
+        """Whether the reference ends at once, so that a method only has itself to be held to."""
+        return min(truth.horizon for truth in self.references) == 0.0
+
+    @property
+    def horizon(self) -> float:
+        """Time of the charted error, the earliest of all starts [s]."""
+        if self.are_limits:
+            return min(INSTANT, self.scene.clock.duration)
+        return min(truth.horizon for truth in self.references)
 
     def rows(self, jobs: Sequence[Job]) -> list[Measurement]:
         """Give the row of each job, measuring those that are not kept."""
         cases = [self._case(job) for job in jobs]
         missing = {case.row.key for case in self.runner.missing(cases)}
         pairs = zip(jobs, cases, strict=True)
-        self.truths.prepare([job.place for job, case in pairs if case.row.key in missing])
+        self._prepare([job.place for job, case in pairs if case.row.key in missing])
         return self.runner.rows(cases)
+
+    def _prepare(self, places: Sequence[Place]) -> None:
+        """Simulate the limits that will be asked for and are not there."""
+        if not self.are_limits:
+            return
+        missing = [place for place in dict.fromkeys(places) if place not in self._limits]
+        tasks = [
+            Task(
+                _limit,
+                (self.usual[engine, method], self.scene, self.batch[[start]]),
+                _GRACE + _LIMIT_PATIENCE * self.limit,
+            )
+            for engine, method, start in missing
+        ]
+        answers = run_tasks(tasks, workers=self.conduct.workers)
+        for place, answer in zip(missing, answers, strict=True):
+            self._limits[place] = self._unknown() if isinstance(answer, Crash) else answer
+
+    def truth_of(self, place: Place) -> Truth:
+        """Give what one start in one method is held against."""
+        if self.are_limits:
+            return self._limits[place]
+        return self.own.get(place[:2], self.references)[place[2]]
+
+    def _unknown(self) -> Truth:
+        """Give what nothing can be held against."""
+        time = self.references[0].trajectory.time
+        return _own_limit(Trajectory.empty(time, 1, len(self.scene.bodies)))
 
     def too_slow(self, simulator: Simulator, count: int, predicted: float) -> Measurement:
         """Give the row of a point that is not worth waiting for."""
@@ -235,7 +225,7 @@ class StartBench:
             name=simulator.name,
             function=measure,
             arguments=lambda: (
-                simulator, self.scene, start, job.count, self.truths.of(job.place),
+                simulator, self.scene, start, job.count, self.truth_of(job.place),
             ),
             limit=_PATIENCE * self.limit + _GRACE,
             group=simulator.source or None,
@@ -260,7 +250,7 @@ class StartBench:
             machine=machine(),
             limit_s=self.limit,
             kind="done",
-            horizon_s=self.truths.horizon,
+            horizon_s=self.horizon,
         )
 
 

@@ -24,7 +24,7 @@ from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import fingerprint
 from mbds_xsim.simulate import registry
 from mbds_xsim.studies.tradeoff import AT_ONCE, BATCH, Learned, Measurement, Tradeoff
-from mbds_xsim.studies.tradeoff.bench import StartBench, Truths, references
+from mbds_xsim.studies.tradeoff.bench import StartBench, references
 from mbds_xsim.studies.tradeoff.curves import point_of
 from mbds_xsim.studies.tradeoff.study import explore
 
@@ -48,7 +48,7 @@ def with_models(
             reference is known that could give them their first frames.
     """
     able, left_out = models_of(scene, models)
-    bench = StartBench.of(_truths(study, scene, conduct), study.seed)
+    bench = _bench(study, scene, conduct)
     quiet = draw_batch(scene, study.trajectories, seed=study.seed, noise=False)
     found = explore(
         bench,
@@ -92,7 +92,7 @@ def models_of(
     return able, left_out
 
 
-def _truths(study: Tradeoff, scene: Scene, conduct: Conduct) -> Truths:
+def _bench(study: Tradeoff, scene: Scene, conduct: Conduct) -> StartBench:
     """Solve the starts of a study.
 
     InputError where the study is of another scene, or the reference ends too early.
@@ -102,11 +102,10 @@ def _truths(study: Tradeoff, scene: Scene, conduct: Conduct) -> Truths:
         raise InputError(f"{msg}; measure the engines anew, without --onto")
     starts = draw_batch(scene, study.trajectories, seed=study.seed)
     solved = references(scene, starts, conduct)
-    truths = Truths(scene, starts, solved, usual={}, own={}, limit=_LIMIT, conduct=conduct)
     if min(truth.horizon for truth in solved) < HISTORY * scene.clock.frame * (1 - 1e-9):
         msg = f"{scene.name}: the reference ends within the {HISTORY} frames of a model's start"
         raise InputError(msg)
-    return truths
+    return StartBench(scene, starts, solved, study.seed, _LIMIT, conduct)
 
 
 def _learned(model: TrainedModel, alone: list[Measurement], batched: list[Measurement]) -> Learned:

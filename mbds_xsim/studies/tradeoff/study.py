@@ -25,7 +25,6 @@ from mbds_xsim.studies.tradeoff.bench import (
     LIMIT_COUNT,
     Job,
     StartBench,
-    Truths,
     confirmations,
     first_impact,
     references,
@@ -99,16 +98,16 @@ def tradeoff_with_rows(
     solved = references(scene, batch, conduct)
     usual = {(curve.engine, curve.method): curve for curve in curves if not curve.variation}
     own = [key for key, curve in usual.items() if curve.family == TRUTH]
-    truths = Truths(
+    bench = StartBench(
         scene=scene,
         batch=batch,
         references=solved,
-        usual=usual,
-        own=dict.fromkeys(own, confirmations(scene, batch, solved, conduct) if own else []),
+        seed=seed,
         limit=limit,
         conduct=conduct,
+        usual=usual,
+        own=dict.fromkeys(own, confirmations(scene, batch, solved, conduct) if own else []),
     )
-    bench = StartBench.of(truths, seed)
     found = explore(bench, curves)
     rows = [row for points in found for rows in points for row in rows]
     study = _study(bench, curves, found, left_out, command, time.perf_counter() - begin)
@@ -124,7 +123,7 @@ def _study(
     wall_s: float,
 ) -> Tradeoff:
     scene = bench.scene
-    results = curve_results(scene, curves, found, own_limit=bench.truths.are_limits)
+    results = curve_results(scene, curves, found, own_limit=bench.are_limits)
     return Tradeoff(
         schema=SCHEMA,
         scene=scene.name,
@@ -132,9 +131,9 @@ def _study(
         command=command,
         seed=bench.seed,
         trajectories=tuple(int(index) for index in bench.batch.index),
-        horizon_s=bench.truths.horizon,
-        reference_ends_s=first_impact(bench.truths.references),
-        own_limit=LIMIT_COUNT if bench.truths.are_limits else None,
+        horizon_s=bench.horizon,
+        reference_ends_s=first_impact(bench.references),
+        own_limit=LIMIT_COUNT if bench.are_limits else None,
         duration_s=scene.clock.duration,
         length_m=scene.length,
         budget={key: getattr(scene.budget, key) for key in scene.budget.__struct_fields__},
@@ -145,7 +144,7 @@ def _study(
         left_out=left_out,
         versions=versions_of({result.engine: result.version for result in results}),
         machine=machine(),
-        workers=bench.truths.conduct.processes,
+        workers=bench.conduct.processes,
         busy=1.0,
         measured=bench.runner.measured,
         kept=bench.runner.kept,
@@ -184,7 +183,7 @@ def explore(bench: StartBench, curves: Sequence[Simulator]) -> Found:
 
 def _wave(bench: StartBench, curves: Sequence[Simulator], found: Found) -> bool:
     """Measure the next point of every curve; tell whether there was any."""
-    bench.truths.conduct.meter.forecast(_left(bench, curves, found))
+    bench.conduct.meter.forecast(_left(bench, curves, found))
     jobs: list[tuple[int, Job]] = []
     asked = False
     for place, curve in enumerate(curves):
@@ -209,7 +208,7 @@ def _next_count(bench: StartBench, curve: Simulator, rows: Sequence[Measurement]
     if len(rows) == len(curve.counts):
         return None
     count = curve.counts[len(rows)]
-    if count > SPAN and bench.truths.are_limits:
+    if count > SPAN and bench.are_limits:
         return None
     if count > SPAN and rows and not _wants_more(bench, rows[-1]):
         return None
@@ -233,9 +232,9 @@ def _round(bench: StartBench, curves: Sequence[Simulator], found: Found, start: 
     points.sort(key=lambda pair: _cost(bench, pair[0][0]))
     costs = [cost_of(_cost(bench, point[0])) for point, _ in points]
     later = math.fsum(costs) * (len(bench.batch) - 1 - start)
-    chunk = _CHUNK * (bench.truths.conduct.workers or core_count())
+    chunk = _CHUNK * (bench.conduct.workers or core_count())
     for begin in range(0, len(points), chunk):
-        bench.truths.conduct.meter.forecast(math.fsum(costs[begin:]) + later)
+        bench.conduct.meter.forecast(math.fsum(costs[begin:]) + later)
         part = points[begin : begin + chunk]
         for (point, _), row in zip(part, bench.rows([job for _, job in part]), strict=True):
             point.append(row)
