@@ -71,9 +71,9 @@ class NodeDynamics(nn.Module, ABC):
         self.energy, self.drag = energy, drag
         self.mechanics = energy.mechanics
 
-    def load(self, q: Tensor, v: Tensor, force: Tensor, torque: Tensor) -> Tensor:
+    def load(self, q: Tensor, v: Tensor, inputs: KnownInputs) -> Tensor:
         """Forces on the free nodes but for the constraints' [N], shape (batch, node, 3)."""
-        load = potential_force(self.energy, q) + self.mechanics.applied(q, v, force, torque)
+        load = potential_force(self.energy, q) + self.mechanics.applied(q, v, inputs)
         return load if self.drag is None else load + self.drag(v)
 
     @abstractmethod
@@ -85,13 +85,8 @@ class NodeDynamics(nn.Module, ABC):
         """Undo `conjugate`."""
 
     @abstractmethod
-    def derivative(
-        self, q: Tensor, x: Tensor, force: Tensor, torque: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Rates of nodes q [m] and of their velocities or momenta x, each (batch, node, 3).
-
-        Under forces on centres of mass [N], (batch, body, 3), and torques about the hinges [N·m].
-        """
+    def derivative(self, q: Tensor, x: Tensor, inputs: KnownInputs) -> tuple[Tensor, Tensor]:
+        """Rates of nodes q [m] and of their velocities or momenta x, each (batch, node, 3)."""
 
 
 class Lagrangian(NodeDynamics):
@@ -103,14 +98,12 @@ class Lagrangian(NodeDynamics):
     def velocity(self, x: Tensor) -> Tensor:
         return x
 
-    def derivative(
-        self, q: Tensor, x: Tensor, force: Tensor, torque: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        return x, self.acceleration(q, x, force, torque)
+    def derivative(self, q: Tensor, x: Tensor, inputs: KnownInputs) -> tuple[Tensor, Tensor]:
+        return x, self.acceleration(q, x, inputs)
 
-    def acceleration(self, q: Tensor, v: Tensor, force: Tensor, torque: Tensor) -> Tensor:
+    def acceleration(self, q: Tensor, v: Tensor, inputs: KnownInputs) -> Tensor:
         """Accelerations of the free nodes [m/s²], shape (batch, node, 3)."""
-        load = self.load(q, v, force, torque)
+        load = self.load(q, v, inputs)
         mass = mass_matrix(self.mechanics, self.energy.kinetic(v), v)
         jacobian = self.mechanics.jacobian(q).dense()
         bias, redundant = self.mechanics.bias(v), self.mechanics.redundant
@@ -127,9 +120,7 @@ class Hamiltonian(NodeDynamics):
         """Give u = M⁻¹ p; the learned ∂H/∂p tends to it as training goes on."""
         return self.mechanics.mass_inverse @ x
 
-    def derivative(
-        self, q: Tensor, x: Tensor, force: Tensor, torque: Tensor
-    ) -> tuple[Tensor, Tensor]:
+    def derivative(self, q: Tensor, x: Tensor, inputs: KnownInputs) -> tuple[Tensor, Tensor]:
         mechanics = self.mechanics
         u = self.velocity(x)
         jacobian, rate = mechanics.jacobian(q), mechanics.jacobian_rate(u)
@@ -138,7 +129,7 @@ class Hamiltonian(NodeDynamics):
         q_rate = mechanics.mass_inverse @ slope
         second = -solver(jacobian.along(q_rate))
         q_rate = q_rate + mechanics.mass_inverse @ jacobian.back(second)
-        p_rate = self.load(q, q_rate, force, torque) - rate.back(second)
+        p_rate = self.load(q, q_rate, inputs) - rate.back(second)
         first = solver(rate.along(q_rate) + jacobian.along(mechanics.mass_inverse @ p_rate))
         return q_rate, p_rate - jacobian.back(first)
 
@@ -221,8 +212,8 @@ class EnergyModel(FlowModel):
 
     def derivative(self, state: Tensor, inputs: KnownInputs) -> Tensor:
         q, x = state.unbind(1)
-        force, torque = inputs.force.to(q), inputs.torque.to(q)
-        return torch.stack(self.dynamics.derivative(q, x, force, torque), dim=1)
+        inputs = KnownInputs(inputs.force.to(q), inputs.torque.to(q))
+        return torch.stack(self.dynamics.derivative(q, x, inputs), dim=1)
 
     def loss(self, sample: Sample, generator: torch.Generator) -> Tensor:
         """Mean square error of positions and of velocities times the frame, in units of second

@@ -78,8 +78,7 @@ class ImpulseModel(CorrectedModel):
 
         def rate(at: Tensor) -> Tensor:
             q, x = at.unbind(1)
-            rates = self.dynamics.derivative(q, x, inputs.force, inputs.torque)
-            return torch.stack(rates, dim=1)
+            return torch.stack(self.dynamics.derivative(q, x, inputs), dim=1)
 
         for _ in range(self.substeps):
             moving = runge_kutta(rate, moving, step)

@@ -25,6 +25,7 @@ from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.learn.layers import keep
 from mbds_xsim.learn.mechanics_points import PointRows, points_of, rows_of
+from mbds_xsim.learn.window import KnownInputs
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 
@@ -215,15 +216,11 @@ class Mechanics(nn.Module):
         first, second = self.first[:, : self.free] @ v, self.second[:, : self.free] @ v
         return 2.0 * (first * second).sum(-1)
 
-    def applied(self, q: Tensor, v: Tensor, force: Tensor, torque: Tensor) -> Tensor:
-        """Known forces on the nodes, without gravity and springs [N], shape (batch, node, 3).
-
-        Of forces on centres of mass [N], (batch, body, 3), and torques about `Mechanism.hinges`
-        [N·m].
-        """
-        load = torch.zeros_like(self.all_nodes(q)).index_add(1, self.com, force)
+    def applied(self, q: Tensor, v: Tensor, inputs: KnownInputs) -> Tensor:
+        """Known forces on the nodes, without gravity and springs [N], shape (batch, node, 3)."""
+        load = torch.zeros_like(self.all_nodes(q)).index_add(1, self.com, inputs.force)
         if len(self.hinge_axis):
-            load = self._add_torques(load, self.all_nodes(q), torque)
+            load = self._add_torques(load, self.all_nodes(q), inputs.torque)
         if len(self.spring):
             load = load + self._damping(q, v)
         return load[:, : self.free]

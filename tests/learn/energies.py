@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from mbds_xsim.learn.energy import EnergyNetwork, EnergyShape, Kinetic, momentum
 from mbds_xsim.learn.energy_models import Hamiltonian, NodeDynamics
 from mbds_xsim.learn.mechanics import Mechanics
+from mbds_xsim.learn.window import KnownInputs
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.registry import load_scene
@@ -71,7 +72,7 @@ def total_energy(dynamics: NodeDynamics, q: Tensor, x: Tensor) -> Tensor:
 
 def acceleration(dynamics: NodeDynamics, q: Tensor, v: Tensor, *inputs: Tensor) -> Tensor:
     """Accelerations of the nodes [m/s²]; of a Hamiltonian M⁻¹ ṗ at p = M v: q̈ where H is true."""
-    return dynamics.velocity(dynamics.derivative(q, dynamics.conjugate(v), *inputs)[1])
+    return dynamics.velocity(dynamics.derivative(q, dynamics.conjugate(v), KnownInputs(*inputs))[1])
 
 
 def no_inputs(mechanics: Mechanics, count: int) -> tuple[Tensor, Tensor]:

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from mbds_xsim.learn.energy_models import Hamiltonian
+from mbds_xsim.learn.window import KnownInputs
 
 from .energies import drawn_states, no_inputs, random_energy
 from .mechanisms import scene_of
@@ -20,7 +21,7 @@ def test_rates_keep_the_constraints(name: str) -> None:
     torch.manual_seed(4)
     force, torque = no_inputs(mechanics, len(q))
     push = torch.randn_like(force)
-    q_rate, p_rate = model.derivative(q, model.conjugate(v), push, torque)
+    q_rate, p_rate = model.derivative(q, model.conjugate(v), KnownInputs(push, torque))
     jacobian = mechanics.jacobian(q)
     assert jacobian.along(q_rate).abs().max() < 1e-10
     bend = mechanics.jacobian_rate(q_rate).along(v)

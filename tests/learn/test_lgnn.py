@@ -20,6 +20,7 @@ from mbds_xsim.learn.energy import (
 )
 from mbds_xsim.learn.energy_models import Hamiltonian, Lagrangian
 from mbds_xsim.learn.mechanics import Mechanics
+from mbds_xsim.learn.window import KnownInputs
 from mbds_xsim.scene.scene import Body, Particle, Scene, SpringDamper
 from mbds_xsim.simulate.registry import load_scene
 
@@ -94,7 +95,7 @@ def test_a_learned_energy_is_kept(
 
     def rate(state: Tensor) -> Tensor:
         q, x = state.unbind(1)
-        return torch.stack(model.derivative(q, x, *inputs), dim=1)
+        return torch.stack(model.derivative(q, x, KnownInputs(*inputs)), dim=1)
 
     with torch.no_grad():
         before = total_energy(model, q, x)
@@ -166,7 +167,7 @@ def test_energy_falls_by_the_power_of_drag(name: str) -> None:
     assert (power < 0).all()
     assert torch.allclose(lost, power, rtol=1e-8)
     p = hamiltonian.conjugate(v)
-    q_rate, p_rate = hamiltonian.derivative(q, p, *inputs)
+    q_rate, p_rate = hamiltonian.derivative(q, p, KnownInputs(*inputs))
     lost = torch.func.jvp(functools.partial(total_energy, hamiltonian), (q, p), (q_rate, p_rate))[1]
     assert torch.allclose(lost, (drag(q_rate) * q_rate).sum((1, 2)), rtol=1e-8)
 

@@ -15,6 +15,7 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.learn.energy_models import Hamiltonian, Lagrangian
 from mbds_xsim.learn.mechanics import Mechanics, constrained
+from mbds_xsim.learn.window import KnownInputs
 from mbds_xsim.reference import accelerations, solve
 from mbds_xsim.scene.constraints import degrees_of_freedom
 from mbds_xsim.scene.joint_space import BodyStates, LinkStates, to_bodies
@@ -126,10 +127,10 @@ def test_a_pendulum_is_its_particles() -> None:
 
 def rate_of(kind: str, energy: TrueEnergy, force: Tensor, torque: Tensor, state: Tensor) -> Tensor:
     """Rate of nodes and their velocities, or momenta, under forces and torques."""
-    q, v = state.unbind(1)
+    (q, v), inputs = state.unbind(1), KnownInputs(force, torque)
     if kind == "lgnn":
-        return torch.stack([v, Lagrangian(energy).acceleration(q, v, force, torque)], dim=1)
-    return torch.stack(Hamiltonian(energy).derivative(q, v, force, torque), dim=1)
+        return torch.stack([v, Lagrangian(energy).acceleration(q, v, inputs)], dim=1)
+    return torch.stack(Hamiltonian(energy).derivative(q, v, inputs), dim=1)
 
 
 @pytest.mark.parametrize("kind", ["lgnn", "hgnn"])
