@@ -64,7 +64,6 @@ def validate(
         mbds-xsim validate 3ladder
         mbds-xsim validate my.toml --engines mujoco
     """
-    from mbds_xsim.measure.result import to_json
     from mbds_xsim.report.losses import loss_section
     from mbds_xsim.report.terminal import print_report
     from mbds_xsim.scene.sampling import Starts
@@ -87,7 +86,7 @@ def validate(
     if is_model(scene) and (to.paged or to.markdown):
         losses = loss_section(read_model(Path(scene)))
         shown = replace(shown, blocks=(*shown.blocks, losses))
-    to.give([shown], validation.scene, to_json(validation))
+    to.give([shown], validation.scene, shared.encoded(validation))
     raise Exit(0 if validation.verdict != "fail" else 1)
 
 

@@ -62,7 +62,9 @@ class Cluster(AbstractContextManager["Cluster"]):
     def __init__(self, address: str, out: Path) -> None:
         self._address = address
         try:
-            self._client = _dask().Client(address, timeout=_PATIENCE)
+            self._client = optional("distributed", "--scheduler", "cluster").Client(
+                address, timeout=_PATIENCE
+            )
         except (OSError, ValueError) as error:
             msg = (
                 f"--scheduler: got {address!r}, where no Dask scheduler answers within "
@@ -209,10 +211,6 @@ class Cluster(AbstractContextManager["Cluster"]):
             f"--scheduler: {self._address} is gone ({' '.join(reason.split())}); start it again "
             "with `dask scheduler`, and run the same command again, it goes on"
         )
-
-
-def _dask() -> Any:
-    return optional("distributed", "--scheduler", "cluster")
 
 
 def _carry_out(task: Task) -> Any:

@@ -14,13 +14,11 @@ import numpy as np
 
 from mbds_xsim.base.isolate import Conduct, Crash, Task, run_tasks
 from mbds_xsim.dataset.layout import AUDIT_EVERY, AUDITED, rejected_folder
-from mbds_xsim.dataset.shard import LOG, make_shard
+from mbds_xsim.dataset.shard import LOG, STAGES, make_shard
 from mbds_xsim.dataset.variant import Item, Variant
 from mbds_xsim.measure.quick import searched
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.choice import Choice
-
-STAGES = ("draw_s", "simulate_s", "check_s", "write_s")
 
 _JOINED_BYTES = 9  # of a trajectory in the joined file: its index and split
 _HOUR = 3600.0

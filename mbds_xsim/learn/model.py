@@ -25,7 +25,8 @@ SYMMETRIES: tuple[Symmetry, ...] = ("shift", "turn")
 
 _GROUP = "mbds_xsim.models"
 """Entry points of models; docs/add-a-model.md."""
-_TRIVIAL = ("hold", "constant_velocity", "constant_acceleration")
+TRIVIAL = ("hold", "constant_velocity", "constant_acceleration")
+"""What every model must beat."""
 _BATCH = 512
 _NODES = 4096
 """At a time on a CPU: the tensors of more leave its caches, and are so large that each is made of
@@ -141,7 +142,7 @@ def runge_kutta(derivative: Callable[[Tensor], Tensor], state: Tensor, step: flo
 def model_names() -> list[str]:
     """Names of all models that packages register, the trivial ones last."""
     names = sorted(registered(_GROUP))
-    return sorted(names, key=lambda name: name in _TRIVIAL)
+    return sorted(names, key=lambda name: name in TRIVIAL)
 
 
 def trainable() -> list[str]:

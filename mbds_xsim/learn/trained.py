@@ -20,21 +20,18 @@ import torch
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.learn.graph import Graph, RowBundle
-from mbds_xsim.learn.model import LearnedModel, load_model, roll
+from mbds_xsim.learn.model import TRIVIAL, LearnedModel, load_model, roll
 from mbds_xsim.learn.model_file import read_model
 from mbds_xsim.learn.particles import ParticleMotion
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Start
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import Scene
-from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.scene.state import STATES, Batch, Trajectory
 from mbds_xsim.simulate.choice import words_of
 
 _FACTS = ("train_engines", "variant", "training", "seed")
 _ALIKE = ("profile", "track", "settings", "drawn", "starts", "device")
 """Facts that trainings must share to differ in their engines alone."""
-_STATES = ("position", "orientation", "velocity", "angular_velocity")
-TRIVIAL = ("hold", "constant_velocity", "constant_acceleration")
-"""What every model must beat."""
 _WAYS = ("each", "leave-one-out", "all", "by-interval")
 
 
@@ -312,7 +309,7 @@ def known_start(model: LearnedModel, truth: Trajectory, inputs: Batch) -> Known:
         msg = f"the reference, which gives a model its first {HISTORY} frames, ends before them"
         raise InputError(msg)
     position, velocity = (torch.from_numpy(part) for part in Points.of(graph.scene).motion(truth))
-    body = np.concatenate([getattr(truth, name)[:, :HISTORY] for name in _STATES], axis=-1)
+    body = np.concatenate([getattr(truth, name)[:, :HISTORY] for name in STATES], axis=-1)
     return Known(
         Start(
             history=graph.embed(position[:, :HISTORY].to(model.dtype)),

@@ -188,8 +188,3 @@ def _with_nan(what: Any, kind: Any) -> Any:
         hints = get_type_hints(kind)
         return {key: _with_nan(one, hints.get(key)) for key, one in what.items()}
     return what
-
-
-def to_json(validation: Validation) -> bytes:
-    """Write with two spaces of indent; NaN and infinities become null."""
-    return msgspec.json.format(msgspec.json.encode(validation), indent=2)

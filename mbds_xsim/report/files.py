@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-from markupsafe import Markup
 
 from mbds_xsim.base.files import write_whole
 from mbds_xsim.base.text import as_code, csv_text, in_markdown, printable, sentence
@@ -18,7 +17,6 @@ from mbds_xsim.report.blocks import (
     Block,
     Cell,
     Column,
-    Figure,
     Motion,
     Remarks,
     Report,
@@ -105,13 +103,9 @@ def to_html(reports: Sequence[Report], title: str) -> str:
         reports=reports,
         title=title,
         signs=SIGNS,
-        svg=_svg,
+        svg=lambda figure: themed.svg(figure.title, figure.draw, figure.size, figure.tips),
         motion=next((m.data for report in reports for m in _motions(report.blocks)), None),
     )
-
-
-def _svg(figure: Figure) -> Markup:
-    return themed.svg(figure.title, figure.draw, figure.size, figure.tips)
 
 
 def _motions(blocks: Iterable[Block]) -> Iterator[Motion]:

@@ -11,7 +11,8 @@ from rich.console import Console
 
 from mbds_xsim.base.isolate import Conduct, Crash, Silent
 from mbds_xsim.commands.generate import plan_blocks
-from mbds_xsim.dataset.estimate import STAGES, CostPlan, ShardCost, estimate, measure, plan
+from mbds_xsim.dataset.estimate import CostPlan, ShardCost, estimate, measure, plan
+from mbds_xsim.dataset.shard import STAGES
 from mbds_xsim.dataset.variant import Variant
 from mbds_xsim.report.terminal import print_blocks
 from mbds_xsim.scene.scene import Scene

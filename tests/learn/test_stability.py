@@ -255,7 +255,7 @@ def test_what_was_predicted_is_kept_until_the_model_is_another(
 
 
 def test_pages_tell_how_far_models_hold_and_how_to_run_a_cell_again(sweep: Survey) -> None:
-    ((name, told),) = words.holding(sweep)
+    (name, told), _ = words.holding(sweep)
     cell = sweep.panels[1].cells[0][0]
 
     assert name == sweep.panels[1].name
@@ -283,7 +283,7 @@ def test_values_that_hold_are_told_as_ranges(sweep: Survey) -> None:
     )
     swept = msgspec.structs.replace(sweep, panels=(msgspec.structs.replace(model, cells=cells),))
 
-    ((_, told),) = words.holding(swept)
+    (_, told), _ = words.holding(swept)
 
     assert told == (
         "stable at 0 m/s to 2 m/s and at 9 m/s, on course at 1 m/s to 2 m/s and at 9 m/s; "

@@ -182,10 +182,6 @@ def _percent(value: float) -> str:
     return f"{100.0 * value:+.0f} %" if abs(value) >= 0.1 else f"{100.0 * value:+.2g} %"
 
 
-def _of_radius(depth: float) -> str:
-    return f"{100.0 * depth / RADIUS:.2g} %"
-
-
 _FIRST_ABOVE = min(push for push in PUSHES if push > 1.0)
 """The first push over what friction bears should start what stands."""
 _STILL = _near(0.0, 1e-3)
@@ -264,7 +260,12 @@ LINES = (
     ContactLine("rebound at 1 m/s", "restitution", impact(1.0), _E),
     ContactLine("rebound at 0.1 m/s", "restitution", impact(0.1), _E),
     ContactLine("an impact at 1 m/s takes", "impact duration", impact(1.0)),
-    ContactLine("depth at 5 m/s, of radius", "impact depth", impact(5.0), write=_of_radius),
+    ContactLine(
+        "depth at 5 m/s, of radius",
+        "impact depth",
+        impact(5.0),
+        write=lambda depth: f"{100.0 * depth / RADIUS:.2g} %",
+    ),
     ContactLine("friction along x", "ball: sliding friction", heading(0.0), _MU),
     ContactLine("friction at 45°", "ball: sliding friction", heading(45.0), _MU),
     ContactLine("friction aside at 15°", "ball: friction aside of the slip", heading(15.0), "0"),

@@ -13,6 +13,7 @@ import tomli_w
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.text import counted
+from mbds_xsim.measure.result import FIGURES
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Cell, Column, Remarks, Report, table_of
 
@@ -85,12 +86,16 @@ _COLUMNS = (
 def present(match: Match) -> Report:
     """Say who keeps the budgets, and at what cost."""
     met = all(found.meets_budget for found in match.engines)
+    note = (
+        f"figures of {match.held_out} held-out starts of each interval (seed "
+        f"{match.held_out_seed}); searched with {match.trajectories} (seed {match.seed})"
+    )
     return Report(
         title=match.scene,
         what="within budgets" if met else "budgets missed",
         conclusion=_conclusion(match),
         blocks=(
-            table_of(_COLUMNS, map(_row, match.engines), note=_figures_of(match)),
+            table_of(_COLUMNS, map(_row, match.engines), note=note),
             Remarks.of(_remarks(match)),
         ),
         command=match.command,
@@ -140,13 +145,6 @@ def _remarks(match: Match) -> Iterator[tuple[str, str]]:
     yield from (("left out", reason) for reason in match.left_out.values())
 
 
-def _figures_of(match: Match) -> str:
-    return (
-        f"figures of {match.held_out} held-out starts of each interval (seed "
-        f"{match.held_out_seed}); searched with {match.trajectories} (seed {match.seed})"
-    )
-
-
 _HEAD = """\
 # Settings whose trajectories are published: the cheapest of each engine that keep all budgets of
 # the scene on {held_out} held-out starts of each interval. Found by
@@ -192,10 +190,7 @@ def _table(found: Found) -> dict[str, Any]:
         "reason": found.reasons[0] if found.reasons else None,
         "trajectories": found.held_out,
         "wall_per_simulated_s": _short(found.wall_per_simulated_s),
-        "error_1s_m": _short(found.error_1s_m),
-        "error_weighted_m": _short(found.error_weighted_m),
-        "constraint_gap_m": _short(found.constraint_gap_m),
-        "energy_balance": _short(found.energy_balance),
+        **{name: _short(getattr(found, name)) for name in FIGURES},
     }
     return settings | {"found": {key: value for key, value in figures.items() if value is not None}}
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from mbds_xsim.learn.curves import looks
+from mbds_xsim.learn.model import TRIVIAL
 from mbds_xsim.learn.shift.evaluation import RESTART
 from mbds_xsim.learn.shift.interaction import by_change
 from mbds_xsim.learn.shift.result import INTERVALS, ErrorCell, Shift
-from mbds_xsim.learn.trained import TRIVIAL
 from mbds_xsim.report import themed
 from mbds_xsim.report.quantity import number
 from mbds_xsim.studies.shift.changes import between

@@ -7,12 +7,12 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 
+from mbds_xsim.learn.model import TRIVIAL
 from mbds_xsim.learn.shift.domains import REFERENCE
 from mbds_xsim.learn.shift.evaluation import ENGINE, RESTART
 from mbds_xsim.learn.shift.gaps import PAPER, paper_errors
 from mbds_xsim.learn.shift.interaction import changed
 from mbds_xsim.learn.shift.result import INTERVALS, Gap, Shift
-from mbds_xsim.learn.trained import TRIVIAL
 from mbds_xsim.report.blocks import Table
 from mbds_xsim.report.quantity import NONE, number
 from mbds_xsim.studies.shift.changes import change_tables, titled

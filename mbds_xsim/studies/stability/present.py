@@ -67,14 +67,12 @@ def present(sweep: Survey) -> blocks.Report:
 
 def _blocks(sweep: Survey) -> Iterator[blocks.Block]:
     yield _limits(sweep)
-    told = words.learned_told(sweep)
     yield blocks.Remarks.of(
         [
             ("reading", words.reading(sweep)),
             ("stable", sweep.criteria.removeprefix("stable: ")),
             *words.breaking(sweep),
             *words.holding(sweep),
-            *([("trained models", told)] if told else []),
             *((f"{name} left out", reason) for name, reason in sweep.left_out.items()),
             *((f"no reference at {name}", reason) for name, reason in sweep.unknown.items()),
         ]

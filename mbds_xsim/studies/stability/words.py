@@ -99,15 +99,11 @@ def _holds(cell: MapCell) -> bool:
 
 
 def holding(sweep: Survey) -> Iterator[tuple[str, str]]:
-    """Say of every trained model at which values it holds, and what breaks first beyond."""
-    for panel in sweep.panels:
-        if panel.learned:
-            yield panel.name, _held([row[0] for row in panel.cells], sweep)
-
-
-def learned_told(sweep: Survey) -> str:
-    """Explain how trained models are judged; "" where there are none."""
-    return _LEARNED if any(panel.learned for panel in sweep.panels) else ""
+    """Say of every trained model where it holds and what breaks first beyond; then how."""
+    learned = [panel for panel in sweep.panels if panel.learned]
+    for panel in learned:
+        yield panel.name, _held([row[0] for row in panel.cells], sweep)
+    yield from [("trained models", _LEARNED)] * bool(learned)
 
 
 def _held(cells: Sequence[MapCell], sweep: Survey) -> str:
@@ -307,7 +303,12 @@ def draw_legend(figure: Any, sweep: Survey, *, columns: int) -> None:
 
     seen = {cell.outcome for cell in sweep.cells}
     patches = [
-        Patch(facecolor=look.colour, edgecolor=GREY, linewidth=0.4, label=_label(look))
+        Patch(
+            facecolor=look.colour,
+            edgecolor=GREY,
+            linewidth=0.4,
+            label=f"{look.letter}  {look.meaning}".strip(),
+        )
         for outcome, look in LOOKS.items()
         if outcome in seen
     ]
@@ -357,10 +358,6 @@ def _told(cell: MapCell, sweep: Survey) -> str:
     lines = [name_of(cell, sweep)]
     lines += [f"{subject}: {text}" for subject, text in told(cell, sweep)]
     return "\n".join(lines)
-
-
-def _label(look: Look) -> str:
-    return f"{look.letter}  {look.meaning}" if look.letter else look.meaning
 
 
 def _short(text: str) -> str:

@@ -247,7 +247,7 @@ class Tradeoff(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def read_tradeoff(path: Path) -> Tradeoff:
-    """Read what `to_json` has written of one study.
+    """Read what the command has written of one study.
 
     Raises:
         InputError: It cannot be read, or is something else.

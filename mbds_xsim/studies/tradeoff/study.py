@@ -6,7 +6,6 @@ import math
 import time
 from collections.abc import Iterable, Sequence
 
-import msgspec
 import numpy as np
 
 from mbds_xsim.base.errors import InputError
@@ -109,9 +108,7 @@ def tradeoff_with_rows(
         own=dict.fromkeys(own, confirmations(scene, batch, solved, conduct) if own else []),
     )
     found = explore(bench, curves)
-    rows = [row for points in found for rows in points for row in rows]
-    study = _study(bench, curves, found, left_out, command, time.perf_counter() - begin)
-    return msgspec.structs.replace(study, busy=_busy(rows)), rows
+    return _study(bench, curves, found, left_out, command, time.perf_counter() - begin)
 
 
 def _study(
@@ -121,10 +118,10 @@ def _study(
     left_out: dict[str, str],
     command: str,
     wall_s: float,
-) -> Tradeoff:
-    scene = bench.scene
+) -> tuple[Tradeoff, list[Measurement]]:
+    rows, scene = [row for points in found for rows in points for row in rows], bench.scene
     results = curve_results(scene, curves, found, own_limit=bench.are_limits)
-    return Tradeoff(
+    study = Tradeoff(
         schema=SCHEMA,
         scene=scene.name,
         description=scene.description,
@@ -145,12 +142,13 @@ def _study(
         versions=versions_of({result.engine: result.version for result in results}),
         machine=machine(),
         workers=bench.conduct.processes,
-        busy=1.0,
+        busy=_busy(rows),
         measured=bench.runner.measured,
         kept=bench.runner.kept,
         wall_s=wall_s,
         fingerprint=fingerprint(scene),
     )
+    return study, rows
 
 
 def _draw(scene: Scene, starts: int, seed: int) -> Batch:

@@ -92,7 +92,15 @@ def validate_with_evidence(
         spent_s=_account(spent),
         fingerprint=fingerprint(scene),
     )
-    return validation, _evidence(scene, batch, rows, reference)
+    return validation, Evidence(
+        scene=scene,
+        batch=batch,
+        trajectories=tuple(row.trajectory for row in rows),
+        reference=reference.trajectory,
+        growth=reference.growth,
+        errors=tuple(row.error for row in rows),
+        series=tuple(row.series for row in rows),
+    )
 
 
 def _judged(
@@ -133,20 +141,6 @@ def _account(spent: Account) -> dict[str, float]:
     """List what took its time, the longest first [s]."""
     longest = sorted(spent.items(), key=operator.itemgetter(1), reverse=True)
     return {what: seconds for what, seconds in longest if seconds >= _SEEN}
-
-
-def _evidence(
-    scene: Scene, batch: Batch, rows: list[Judged], reference: ReferenceOutcome
-) -> Evidence:
-    return Evidence(
-        scene=scene,
-        batch=batch,
-        trajectories=tuple(row.trajectory for row in rows),
-        reference=reference.trajectory,
-        growth=reference.growth,
-        errors=tuple(row.error for row in rows),
-        series=tuple(row.series for row in rows),
-    )
 
 
 def _vote(
