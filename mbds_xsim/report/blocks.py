@@ -213,20 +213,21 @@ class Report:
 
 def table_of(
     columns: Iterable[Column | str],
-    rows: Iterable[Iterable[Cell | str]],
+    rows: Iterable[Row | Iterable[Cell | str]],
     *,
     title: str = "",
     note: str = "",
     most: int | None = None,
+    grouped: bool = False,
 ) -> Table:
     """Make a table of plain texts and cells, under columns or headings as in `columns_of`."""
-    return Table(
-        columns_of(*columns),
-        tuple(Row(tuple(c if isinstance(c, Cell) else Cell(c) for c in row)) for row in rows),
-        title,
-        note,
-        most,
-    )
+    made = (row if isinstance(row, Row) else row_of(row) for row in rows)
+    return Table(columns_of(*columns), tuple(made), title, note, most, grouped)
+
+
+def row_of(cells: Iterable[Cell | str], mark: Mark = "", reasons: tuple[str, ...] = ()) -> Row:
+    """Make a row of plain texts and cells."""
+    return Row(tuple(c if isinstance(c, Cell) else Cell(c) for c in cells), mark, reasons)
 
 
 def columns_of(*headings: Column | str) -> tuple[Column, ...]:

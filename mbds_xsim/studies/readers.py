@@ -17,7 +17,7 @@ from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.base.text import counted
 from mbds_xsim.reference import solve
 from mbds_xsim.report import quantity
-from mbds_xsim.report.blocks import Cell, Report, Row, Table, columns_of
+from mbds_xsim.report.blocks import Cell, Report, Row, Table, row_of, table_of
 from mbds_xsim.scene.imported import Imported, JointFacts, LinkFacts, ModelFacts
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
@@ -237,34 +237,25 @@ def present(readings: Readings, command: str) -> Report:
 
 
 def _table(readings: Readings) -> Table:
-    columns = columns_of("engine", "field", ">wrong", ">of", "for one", "engine has", "file says")
-    rows = [row for reading in readings.readings for row in _rows(reading)]
-    return Table(columns, tuple(rows), "what engines' own readers make of it", grouped=True)
+    columns = ("engine", "field", ">wrong", ">of", "for one", "engine has", "file says")
+    rows = (row for reading in readings.readings for row in _rows(reading))
+    title = "what engines' own readers make of it"
+    return table_of(columns, rows, title=title, grouped=True)
 
 
-def _rows(reading: EngineReading) -> list[Row]:
+def _rows(reading: EngineReading) -> Iterator[Row]:
+    engine = Cell(reading.engine, "pass" if reading.alike else "fail")
     if reading.refused:
-        cells = (reading.engine, "", "", "", "", f"refuses: {reading.refused}", "")
-        return [Row((Cell(reading.engine, "fail"), *map(Cell, cells[1:])), "fail")]
+        yield row_of((engine, "", "", "", "", f"refuses: {reading.refused}", ""), "fail")
+        return
     if reading.alike:
-        rest = map(Cell, ("", "0", "", "", "all that the file says", ""))
-        return [Row((Cell(reading.engine, "pass"), *rest))]
-    rows = [_row(reading.engine, difference) for difference in reading.differences]
+        yield row_of((engine, "", "0", "", "", "all that the file says", ""))
+        return
+    for each in reading.differences:
+        field, count = f"{each.field} of {each.of}", str(each.count)
+        yield row_of((engine, field, count, str(each.among), each.first, each.read, each.stated))
     gone = "none" if reading.moved_m is None else f"{quantity.length(reading.moved_m)} off"
-    end = map(Cell, ("motion after 1 s", "", "", "", gone, ""))
-    return [*rows, Row((Cell(reading.engine, "fail"), *end))]
-
-
-def _row(engine: str, difference: Difference) -> Row:
-    cells = (
-        f"{difference.field} of {difference.of}",
-        str(difference.count),
-        str(difference.among),
-        difference.first,
-        difference.read,
-        difference.stated,
-    )
-    return Row((Cell(engine, "fail"), *map(Cell, cells)))
+    yield row_of((engine, "motion after 1 s", "", "", "", gone, ""))
 
 
 def moved(imported: Imported, read: ModelFacts) -> float | None:
@@ -304,10 +295,7 @@ def _scene_of(scene: Scene, imported: Imported, read: ModelFacts) -> Scene:
             joint,
             anchor=tuple(own_joint.anchor),
             axis=tuple(own_joint.axis),
-            damping=own_joint.damping,
-            stiffness=own_joint.stiffness,
-            armature=own_joint.armature,
-            friction=own_joint.friction,
+            **{name: getattr(own_joint, name) for name in _JOINT_FIELDS},
         )
         if (own_joint := joints.get(joint.name)) and joint.axis and any(own_joint.axis)
         else joint

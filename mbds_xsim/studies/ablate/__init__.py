@@ -282,7 +282,7 @@ def present(ablation: Ablation) -> Report:
 
 
 def _blocks(ablation: Ablation) -> Iterator[Block]:
-    yield Table(_COLUMNS, tuple(map(_row, ablation.rows)), grouped=True)
+    yield table_of(_COLUMNS, map(_row, ablation.rows), grouped=True)
     yield Remarks.of(
         [
             ("judge", _judge(ablation)),

@@ -21,7 +21,7 @@ from mbds_xsim.base.files import write_whole
 from mbds_xsim.base.isolate import Conduct, Crash, Task, run_tasks
 from mbds_xsim.base.text import counted
 from mbds_xsim.report import quantity
-from mbds_xsim.report.blocks import Block, Cell, Column, Remarks, Row, Table, Text
+from mbds_xsim.report.blocks import Block, Cell, Column, Remarks, Row, Text, row_of, table_of
 from mbds_xsim.report.themed import DOTTED, ENGINES, engine_style, png
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.simulate import registry
@@ -291,14 +291,14 @@ def rows_of(study: ContactStudy, profile: Profile) -> Iterator[Row]:
     """List the summary's rows at a profile: label, what was asked, a cell an engine."""
     for line in LINES:
         cells = (line.cell(study, engine, profile) for engine in study.versions)
-        yield Row((Cell(line.label), Cell(line.asked), *cells))
+        yield row_of((line.label, line.asked, *cells))
 
 
 def present(study: ContactStudy) -> Iterator[Block]:
     """Say in short what each engine makes of contact, one table a profile."""
     columns = (Column("", words=True), *map(Column, ("asked", *study.versions)))
     for profile in study.profiles:
-        yield Table(columns, tuple(rows_of(study, profile)), title=f"{profile} settings")
+        yield table_of(columns, rows_of(study, profile), title=f"{profile} settings")
     yield Remarks.of((f"{m.engine} {m.profile}, {m.part}", m.reason) for m in study.missing)
     yield Text(JUDGED.replace("Marked", "Marked ✗"), "muted")
 

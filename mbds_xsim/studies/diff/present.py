@@ -56,25 +56,22 @@ def _entry_rows(entry: EntryDiff) -> Iterator[blocks.Row]:
     name = entry.name
     if entry.worse or entry.old_verdict != entry.new_verdict:
         words = "worse" if entry.worse else "better" if entry.better else ""
-        told = (name, "verdict", entry.old_verdict, entry.new_verdict)
-        yield blocks.Row((*map(blocks.Cell, (*told, words)),), "over" if entry.worse else "")
+        told = (name, "verdict", entry.old_verdict, entry.new_verdict, words)
+        yield blocks.row_of(told, "over" if entry.worse else "")
     for change in entry.settings:
-        yield _row(name, change.what, _value(change.old), _value(change.new), "")
+        told = (name, change.what, _value(change.old), _value(change.new), "")
+        yield blocks.row_of(told)
     for figure in entry.figures:
         yield _figure(name, figure)
     for reason in entry.reasons_gone:
-        yield _row(name, "reason", reason, quantity.NONE, "gone")
+        yield blocks.row_of((name, "reason", reason, quantity.NONE, "gone"))
     for reason in entry.reasons_new:
-        yield _row(name, "reason", quantity.NONE, reason, "new")
-
-
-def _row(*texts: str) -> blocks.Row:
-    return blocks.Row(tuple(map(blocks.Cell, texts)))
+        yield blocks.row_of((name, "reason", quantity.NONE, reason, "new"))
 
 
 def _figure(name: str, figure: FigureChange) -> blocks.Row:
     before, now = (quantity.with_unit(value, figure.unit) for value in (figure.old, figure.new))
-    return _row(name, figure.what, before, now, _change(figure))
+    return blocks.row_of((name, figure.what, before, now, _change(figure)))
 
 
 def _change(figure: FigureChange) -> str:

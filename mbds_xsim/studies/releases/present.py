@@ -98,8 +98,8 @@ def _steps(history: History) -> blocks.Table:
         blocks.Column("factor"),
         blocks.Column("why", "What the change log says, and what the engine did.", words=True),
     )
-    rows = [_step(step) for step in history.steps if step.what != "time"]
-    return blocks.Table(columns, tuple(rows), title="Steps", most=_MOST, grouped=True)
+    rows = (_step(step) for step in history.steps if step.what != "time")
+    return blocks.table_of(columns, rows, title="Steps", most=_MOST, grouped=True)
 
 
 def _step(step: Step) -> blocks.Row:
@@ -111,7 +111,7 @@ def _step(step: Step) -> blocks.Row:
     mark: blocks.Mark = "over" if step.worse else ""
     why = "; ".join(filter(None, (known, said)))
     cells = (step.release, step.name, step.what, before, now, factor, why)
-    return blocks.Row(tuple(map(blocks.Cell, cells)), mark)
+    return blocks.row_of(cells, mark)
 
 
 def value_of(step: Step, value: float | None) -> str:

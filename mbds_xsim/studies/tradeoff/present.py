@@ -73,20 +73,17 @@ def _blocks(study: Tradeoff) -> Iterator[blocks.Block]:
         lines = [blocks.Remark(name, f"{steps}: {what}", "fail") for name, steps, what in failed]
         lines += [blocks.Remark("left out", reason) for reason in study.left_out.values()]
         yield blocks.Section("Failures", (blocks.Remarks(tuple(lines), _MOST_LINES + 1),))
-    points = blocks.Table(_POINTS, tuple(_point_rows(study)))
+    points = blocks.table_of(_POINTS, _point_rows(study))
     yield blocks.Section("All points", (points,), folded=True, on=frozenset({"page"}))
 
 
 def _main(study: Tradeoff) -> blocks.Table:
     columns = words.columns(study)
-    rows = [
-        blocks.Row(
-            tuple(blocks.Cell(tell(curve)) for _, tell in columns),
-            "muted" if curve.variation else "",
-        )
-        for curve in words.main_curves(study)
-    ]
-    return blocks.Table(tuple(column for column, _ in columns), tuple(rows), grouped=True)
+    rows = (
+        blocks.row_of((tell(c) for _, tell in columns), "muted" if c.variation else "")
+        for c in words.main_curves(study)
+    )
+    return blocks.table_of((column for column, _ in columns), rows, grouped=True)
 
 
 def _charts(study: Tradeoff) -> Iterator[blocks.Block]:
@@ -125,12 +122,9 @@ def _point_rows(study: Tradeoff) -> Iterator[blocks.Row]:
     for curve in study.curves:
         for point in curve.points:
             texts = (curve.name, quantity.pace(point.step_s, point.rtol), *_figures(point))
-            tone: blocks.Mark = (
-                "strong" if point.on_front else "" if point.kind == "done" else "muted"
-            )
-            yield blocks.Row(
-                tuple(blocks.Cell(text, "strong" if point.on_front else "") for text in texts), tone
-            )
+            mark: blocks.Mark = "strong" if point.on_front else ""
+            tone: blocks.Mark = mark if mark or point.kind == "done" else "muted"
+            yield blocks.row_of((blocks.Cell(text, mark) for text in texts), tone)
 
 
 def _figures(point: Point) -> Iterator[str]:

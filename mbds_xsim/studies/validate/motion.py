@@ -17,7 +17,7 @@ from mbds_xsim.checks.finding import Record
 from mbds_xsim.checks.ground import Impacts, Push, impacts_of, pushes_of
 from mbds_xsim.measure.result import Evidence, Validation
 from mbds_xsim.report import quantity
-from mbds_xsim.report.blocks import Cell, Column, Row, Table
+from mbds_xsim.report.blocks import Cell, Column, Table, table_of
 from mbds_xsim.report.motion import Skeleton, encoded, in_base64, packed, skeleton
 from mbds_xsim.report.themed import Style
 from mbds_xsim.scene.scene import Scene
@@ -187,12 +187,9 @@ def tables(
     kept = [k for k in range(len(_COLUMNS)) if any(texts[k] != quantity.NONE for texts in every)]
     columns = tuple(_COLUMNS[k] for k in kept)
     return tuple(
-        Table(
-            (Column(f"trajectory {number}", words=True), *columns),
-            tuple(
-                Row((Cell(name, line=style), *(Cell(texts[k]) for k in kept)))
-                for (name, style), texts in rows
-            ),
+        table_of(
+            (f"trajectory {number}", *columns),
+            ((Cell(n, line=style), *(texts[k] for k in kept)) for (n, style), texts in rows),
         )
         for number, rows in zip(index, told, strict=True)
     )

@@ -9,7 +9,6 @@ from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import (
     Block,
     Cell,
-    Column,
     FigureGroup,
     Mark,
     Motion,
@@ -20,7 +19,7 @@ from mbds_xsim.report.blocks import (
     Section,
     Table,
     Text,
-    columns_of,
+    row_of,
     table_of,
 )
 from mbds_xsim.report.themed import Style
@@ -33,9 +32,7 @@ _PAGE: frozenset[Place] = frozenset({"page"})
 _VERDICTS: dict[str, Mark] = {"pass": "pass", "warn": "warn", "fail": "fail"}
 _FEW = 6
 """Pairs of distributions that are not folded away."""
-_FINDING = columns_of(
-    "", "check", ">figure", ">budget", "worst in", "where", "figure of each trajectory"
-)
+_FINDING = ("", "check", ">figure", ">budget", "worst in", "where", "figure of each trajectory")
 _REFERENCE = Style(-1, dashed=False)
 
 
@@ -75,7 +72,7 @@ def _engines(validation: Validation) -> Table:
         verdict = Cell(result.verdict, _VERDICTS.get(result.verdict, ""))
         first = Cell(result.engine, line=style)
         rows.append(Row((first, *cells, verdict), reasons=result.reasons))
-    return Table((*words.COLUMNS, Column("verdict", words=True)), tuple(rows), grouped=True)
+    return table_of((*words.COLUMNS, "verdict"), rows, grouped=True)
 
 
 def _behind(validation: Validation, evidence: Evidence) -> Iterator[Section]:
@@ -164,10 +161,10 @@ def _distributions(validation: Validation) -> Iterator[Block]:
 
 
 def _findings(result: EngineResult, style: Style, *, first: bool) -> Section:
-    rows = tuple(map(_finding_row, result.findings))
+    table = table_of(_FINDING, map(_finding_row, result.findings))
     blocks: tuple[Block, ...] = (
         *(Text(failure, "fail") for failure in result.failures),
-        *([Table(_FINDING, rows)] if rows else []),
+        *([table] if table.rows else []),
     )
     return Section(
         words.label(result),
@@ -193,7 +190,7 @@ def _finding_row(finding: FindingResult) -> Row:
         each,
     )
     sign = Cell("·", "muted") if finding.budget is None else Cell("", judged)
-    return Row((sign, *map(Cell, texts)), "" if finding.passed else "over")
+    return row_of((sign, *texts), "" if finding.passed else "over")
 
 
 def _settings(validation: Validation, evidence: Evidence) -> Iterator[Table]:
