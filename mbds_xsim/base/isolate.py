@@ -359,8 +359,11 @@ class Silent:
     def begin(self, total: int, done: int = 0) -> None:
         """Discard how much there is."""
 
-    def advance(self, what: object, rejected: int = 0) -> None:
+    def advance(self, what: str) -> None:
         """Discard what is done."""
+
+    def made(self, done: int, rejected: int) -> None:
+        """Discard how many trajectories there are."""
 
     def doing(self, what: str) -> None:
         """Discard what is under way."""

@@ -19,7 +19,16 @@ from typing import Any, Protocol
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.files import locked, tidied
 from mbds_xsim.base.frame import frame_of
-from mbds_xsim.base.isolate import Carrier, Conduct, Crash, Silent, Task, core_count, run_tasks
+from mbds_xsim.base.isolate import (
+    Carrier,
+    Conduct,
+    Crash,
+    Meter,
+    Silent,
+    Task,
+    core_count,
+    run_tasks,
+)
 from mbds_xsim.checks.kernels import CHECKS
 from mbds_xsim.dataset.card import write_card
 from mbds_xsim.dataset.layout import rejected_folder
@@ -69,17 +78,14 @@ class Generated:
         return frame_of(self.variants)
 
 
-class ShardProgress(Protocol):
-    """Where progress is told."""
+class ShardProgress(Meter, Protocol):
+    """Where progress is told: of settings that are found, then of trajectories that are made."""
 
-    def begin(self, total: int, done: int) -> None:
-        """Say how many trajectories there are, and how many an earlier run has made."""
+    def begin(self, total: int, done: int = 0) -> None:
+        """Say how many there are, and how many an earlier run has made."""
 
-    def advance(self, done: int, rejected: int) -> None:
+    def made(self, done: int, rejected: int) -> None:
         """Count trajectories that were made since, and how many of them were rejected."""
-
-    def notice(self, line: str) -> None:
-        """Say what is to stay and be read."""
 
 
 def generate(
@@ -145,28 +151,11 @@ def _variants(
     variants: list[Variant] = []
     left_out: dict[str, str] = {}
     for scene in request.scenes:
-        choice = searched(scene, request.choice, Conduct(workers, meter=_Found(progress)))
+        choice = searched(scene, request.choice, Conduct(workers, meter=progress))
         contenders, reasons = choice.contenders(scene)
         variants += [Variant(scene, one, request.seed, request.noise) for one in contenders]
         left_out |= {f"{scene.name} {engine}": reason for engine, reason in reasons.items()}
     return variants, left_out
-
-
-class _Found(Silent):
-    """Tells of settings that are found as of trajectories that are made."""
-
-    def __init__(self, progress: ShardProgress) -> None:
-        self._progress = progress
-
-    def begin(self, total: int, done: int = 0) -> None:
-        self._progress.begin(total, done)
-
-    def advance(self, what: object, rejected: int = 0) -> None:
-        del what, rejected
-        self._progress.advance(1, 0)
-
-    def notice(self, line: str) -> None:
-        self._progress.notice(line)
 
 
 def _forewarnings(items: list[Item], workers: int | None) -> list[str]:
@@ -311,7 +300,7 @@ def _watched(folders: Sequence[Path], progress: ShardProgress) -> Iterator[None]
         facts = [line for path in places for line in _added(path, places)]
         if facts:
             done = sum(line["count"] for line in facts)
-            progress.advance(done, sum(line["rejected"] for line in facts))
+            progress.made(done, sum(line["rejected"] for line in facts))
 
     try:
         with repeating(look):

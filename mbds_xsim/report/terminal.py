@@ -241,6 +241,10 @@ class Bar:
         else:
             _log(line)
 
+    def doing(self, what: str) -> None:
+        """Say what is being done now."""
+        self._show(description=what)
+
     def forecast(self, left_s: float) -> None:
         """Pass over what the bar tells itself by what it counts."""
 
@@ -275,10 +279,6 @@ class ProgressBar(Bar):
         """Say how many tasks there are, and what is done."""
         self._show(total=total, completed=0, description=what)
 
-    def doing(self, what: str) -> None:
-        """Say what is being done now."""
-        self._show(description=what)
-
     def advance(self, what: str) -> None:
         """Count one task as done."""
         self._show(advance=1, description=what)
@@ -295,10 +295,6 @@ class StudyBar(Bar):
 
     def begin(self, total: int) -> None:
         """Pass over how many tasks there are: points are counted."""
-
-    def doing(self, what: str) -> None:
-        """Say what is being done now."""
-        self._show(description=what)
 
     def forecast(self, left_s: float) -> None:
         """Say how much work is left [s of one worker]."""
@@ -324,7 +320,12 @@ class GeneratingBar(Bar):
         """Say how many trajectories there are, and how many an earlier run has made."""
         self._show(total=total, completed=done)
 
-    def advance(self, done: int, rejected: int) -> None:
+    def advance(self, what: str) -> None:
+        """Count what is found before any trajectory is made."""
+        del what
+        self.made(1, 0)
+
+    def made(self, done: int, rejected: int) -> None:
         """Count trajectories that were made since, and how many of them were rejected."""
         self._made += done
         self._rejected += rejected

@@ -10,6 +10,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from mbds_xsim.base.isolate import Silent
 from mbds_xsim.dataset.generate import Generated, Request, generate
 from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.simulate.choice import Choice
@@ -25,17 +26,17 @@ STEPS = 10
 Make = Callable[..., Generated]
 
 
-class Silence:
+class Silence(Silent):
     """Counts what it is told."""
 
     def __init__(self) -> None:
         self.total = self.done = self.rejected = 0
         self.notices: list[str] = []
 
-    def begin(self, total: int, done: int) -> None:
+    def begin(self, total: int, done: int = 0) -> None:
         self.total, self.done = total, done
 
-    def advance(self, done: int, rejected: int) -> None:
+    def made(self, done: int, rejected: int) -> None:
         self.done += done
         self.rejected += rejected
 

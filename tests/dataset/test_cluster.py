@@ -44,8 +44,8 @@ def test_workers_of_a_cluster_make_the_same_data_and_one_may_die(
     class Murder(Silence):
         """Kills a worker as soon as there is something to lose."""
 
-        def advance(self, done: int, rejected: int) -> None:
-            super().advance(done, rejected)
+        def made(self, done: int, rejected: int) -> None:
+            super().made(done, rejected)
             if done and second.poll() is None:
                 os.kill(second.pid, signal.SIGKILL)
 

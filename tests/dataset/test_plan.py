@@ -38,8 +38,7 @@ class Silence(Silent):
         del done
         self.total, self.names = total, list[str]()
 
-    def advance(self, what: object, rejected: int = 0) -> None:
-        del rejected
+    def advance(self, what: str) -> None:
         self.names.append(str(what))
 
 

@@ -213,8 +213,8 @@ class Count(Silent):
     def begin(self, total: int, done: int = 0) -> None:
         self.whole += total + done
 
-    def advance(self, what: object, rejected: int = 0) -> None:
-        del what, rejected
+    def advance(self, what: str) -> None:
+        del what
         self.counted += 1
 
 

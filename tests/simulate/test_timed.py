@@ -39,8 +39,7 @@ class _Notes(Silent):
     def notice(self, line: str) -> None:
         self.done.append(line)
 
-    def advance(self, what: object, rejected: int = 0) -> None:
-        del rejected
+    def advance(self, what: str) -> None:
         self.done.append(f"then {what}")
 
 
