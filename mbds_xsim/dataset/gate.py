@@ -233,7 +233,7 @@ def limit_faults(
     steps is solved here, and no more of them is looked at.
     """
     rows, settings = list(range(len(batch))), contender.settings
-    steps = other_steps(scene, contender.engine, settings)
+    steps = other_steps(scene, contender)
     if steps and solved is None:
         scene, batch, trajectory = _beginning(scene, batch, trajectory)
         solved = _briefly(scene, batch)

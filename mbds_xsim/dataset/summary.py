@@ -118,9 +118,7 @@ def summary_of(data: Dataset) -> Summary:
 def rejected_beside(data: Dataset) -> Path:
     """Where the trajectories lie that a joined file has not; as the layout has it."""
     folder = data.path.absolute().with_suffix("")
-    if data.attributes["kind"] != "joined":
-        return folder
-    return rejected_folder(folder)
+    return rejected_folder(folder) if data.attributes["kind"] == "joined" else folder
 
 
 def counts_of(data: Dataset) -> dict[str, dict[str, int]]:

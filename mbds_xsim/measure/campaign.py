@@ -115,7 +115,7 @@ def _work_of(outcome: Outcome) -> Work:
     """Sum up the steps of all runs."""
     contender, scene = outcome.contender, outcome.scene
     steps = [len(outcome.batch) * scene.clock.duration / contender.settings.step]
-    others = other_steps(scene, contender.engine, contender.settings)
+    others = other_steps(scene, contender)
     steps += [len(outcome.sample) * scene.clock.duration / step for step in others]
     return Work(contender.name, contender.engine, contender.settings, sum(steps))
 

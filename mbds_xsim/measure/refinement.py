@@ -35,8 +35,7 @@ def pieces_of(outcome: Outcome, known: ReferenceOutcome | None = None) -> list[P
 
     The shortest step, which takes longest, comes first.
     """
-    contender = outcome.contender
-    steps = other_steps(outcome.scene, contender.engine, contender.settings)
+    steps = other_steps(outcome.scene, outcome.contender)
     return [_step_piece(outcome, step, known) for step in sorted(steps)]
 
 
@@ -55,14 +54,15 @@ def step_name(contender: Contender, step: float) -> str:
     return f"{contender.name}, step {step:.3g} s"
 
 
-def other_steps(scene: Scene, engine: str, settings: Settings) -> list[float]:
+def other_steps(scene: Scene, contender: Contender) -> list[float]:
     """Give the consistency check's steps: three, each half the one before, with that of settings.
 
     Longer ones as far as they divide the frame, since they cost less; two a frame are only halved,
     as implicit methods that do with two often do not get through it in one. None for an adaptive
     method, which takes no step from its settings.
     """
-    if load_adapter(engine).methods[settings.method].adaptive:
+    settings = contender.settings
+    if load_adapter(contender.engine).methods[settings.method].adaptive:
         return []
     count = settings.substeps(scene.clock.frame)
     fewest = next(count // f for f in (4, 2, 1) if count % f == 0 and (count > 2 or f == 1))

@@ -79,7 +79,7 @@ def run_trial(
     # Where it fails already, nothing that other steps tell can mend it.
     if sample and _passed(row, limits):
         outcome.sample = list(range(min(sample, len(batch))))
-        steps: list[float] = other_steps(scene, engine, settings)
+        steps = other_steps(scene, contender)
         while steps:
             for step in steps:
                 other = Settings(settings.method, step, settings.options)
@@ -89,8 +89,7 @@ def run_trial(
             steps = [] if further is None else [further]
         row, limits = _judged(outcome, reference)
         if row.trajectory is not None and is_unknown(reference):
-            runs = outcome.other_steps
-            limits += [own_limit(scene, row.trajectory, settings.step, outcome.sample, runs)]
+            limits.append(own_limit(outcome, row.trajectory))
     result, simulated = row.result, len(batch) * scene.clock.duration
     return Trial(
         reasons=(*result.reasons, *failed_lines(batch, limits)),
@@ -162,39 +161,28 @@ def is_unknown(reference: ReferenceOutcome) -> bool:
     return not np.isfinite(reference.trajectory.position[:, 1:]).all(axis=(2, 3)).any()
 
 
-def own_limit(
-    scene: Scene,
-    motion: Trajectory,
-    step: float,
-    sample: Sequence[int],
-    others: Mapping[float, Trajectory],
-) -> Finding:
+def own_limit(outcome: Outcome, motion: Trajectory) -> Finding:
     """Extrapolate a motion at 1 s, or its end before that, to a vanishing step.
 
     Contact makes every method one of the first order: with steps h and k·h the error of the longer
     one is k / (k − 1) times their distance, that of the shorter one 1 / (k − 1) times. The nearest
     shorter step is taken, or where there is none the nearest longer one.
 
-    Args:
-        scene: What was simulated.
-        motion: At the step in question.
-        step: That step [s].
-        sample: Rows of the motion that ran at other steps too.
-        others: The sample by step [s].
-
     Returns:
         RMS distance of the particles [m], against the scene's budget of the error at 1 s; 0 for
-        rows beside the sample.
+        rows beside the sample, which alone ran at other steps.
     """
+    scene, sample, others = outcome.scene, outcome.sample, outcome.other_steps
+    step = outcome.contender.settings.step
     shorter = max((h for h in others if h < step), default=None)
     other = min(others) if shorter is None else shorter
     ratio = max(step, other) / min(step, other)
-    apart = agreement.particle_error(Mechanism.of(scene), motion[list(sample)], others[other])
+    apart = agreement.particle_error(Mechanism.of(scene), motion[sample], others[other])
     share = apart * (1.0 if shorter is None else ratio) / (ratio - 1.0)
     frame = min(round(_INSTANT / scene.clock.frame), share.shape[1] - 1)
     series = np.full((*motion.position.shape[:2], 1), np.nan)
     series[:, frame] = 0.0
-    series[list(sample), frame, 0] = np.where(np.isfinite(share), share, np.inf)[:, frame]
+    series[sample, frame, 0] = np.where(np.isfinite(share), share, np.inf)[:, frame]
     budget = scene.budget.error_1s * scene.length
     return Finding.of("distance to its own limit", "m", series, budget=budget)
 
