@@ -100,7 +100,11 @@ def _plane(surface: str = "", height: float = 0.0) -> str:
 
 
 def _sdf(kind: str, size: tuple[float, ...]) -> str:
-    return _world(_link(_solid(kind, size, (*_PLACE, *_ANGLES))))
+    """Give a file of which the model has the last of the turns, and the shape the others."""
+    *_, yaw = _ANGLES
+    place = rotation.rotate(rotation.from_vector(np.array([0, 0, -yaw])), np.array(_PLACE))
+    shape = _solid(kind, size, (*place, *_ANGLES[:2], 0.0))
+    return _world(_link(shape).replace("0.0 0 0 0</pose>", f"0 0 0 {yaw}</pose>", 1))
 
 
 def _world(*models: str) -> str:
