@@ -1,7 +1,9 @@
-"""Spheres on the ground plane: the calls that build them, and what DART does silently to them.
+"""Spheres on the ground plane and on each other: the calls that build them, and what DART does
+silently to them.
 
 DART takes the smaller friction of a pair and the product of its restitutions, so the ground gets
-the pair's friction and a restitution of 1. Measured on 6.20:
+the pair's friction and a restitution of 1; where bodies collide with each other, spheres have their
+friction and the root of their restitution, and the ground what is then missing. Measured on 6.20:
 
 - Its own solver (Dantzig) bounds friction by a box along x and y, which at 45° holds √2 times too
   much; `NsgsFrictionSolver` has the round cone.
@@ -16,6 +18,8 @@ the pair's friction and a restitution of 1. Measured on 6.20:
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -25,8 +29,10 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import Unsupported
+from mbds_xsim.scene.collisions import Collisions, passed
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Ground
 from mbds_xsim.scene.state import Failure
 from mbds_xsim.simulate.adapter import first_failures
 from mbds_xsim.simulate.claims import ContactLaw
@@ -37,7 +43,8 @@ CONTACT_LAW = ContactLaw(
     friction="a box along x and y (Dantzig), or a round cone (NSGS)",
     mixing="the smaller friction, the product of restitutions",
     adapter="The spheres carry the pair's coefficients and the ground restitution 1, so that both "
-    "rules give back the pair's. At matched, contacts are found by `ode` and solved by NSGS, whose "
+    "rules give back the pair's; with collisions, spheres carry theirs and the root of the "
+    "restitution. At matched, contacts are found by `ode` and solved by NSGS, whose "
     "cone is round, and what its solver leaves open or gives up on is a failure. What is reflected "
     "has gravity's share of a step in it, so that the matched steps are short; rebounds above "
     "100 m/s, which DART cuts, are a failure.",
@@ -83,22 +90,17 @@ def contact_statements(
     """Write the calls that put spheres on `bodies` and a ground into `world`; none without.
 
     Raises:
-        Unsupported: DART takes a coefficient that is not 0 for 0.
+        Unsupported: DART takes a coefficient that is not 0 for 0, or another one for it.
     """
-    ground = mechanism.scene.ground
-    if ground is None:
+    ground, collisions = mechanism.scene.ground, mechanism.scene.collisions
+    if not mechanism.scene.contacts:
         return
-    for what, value in (("friction", ground.friction), ("restitution", ground.restitution)):
-        if 0.0 < value <= _NONE:
-            msg = f"ground.{what}: got {value}, DART takes {_NONE} and less for 0"
-            raise Unsupported(msg)
+    (plane_friction, friction), (plane_rebound, rebound) = _parted(ground, collisions)
     yield _detection(detector)
     if solver == "nsgs":
         pull = float(np.linalg.norm(mechanism.scene.gravity)) or _EARTH
         yield _SOLVER.format(tolerance=_TOLERANCE * pull * step, sweeps=_SWEEPS)
-    yield "ground = dart.dynamics.Skeleton()"
-    yield "_, plane = ground.createWeldJointAndBodyNodePair()"
-    yield "shapes = [plane.createShapeNode(dart.dynamics.PlaneShape([0.0, 0.0, 1.0], 0.0))]"
+    yield "shapes = []"
     for body, centre, radius in zip(
         mechanism.sphere_body.tolist(),
         mechanism.sphere_offset.tolist(),
@@ -111,29 +113,88 @@ def contact_statements(
     yield "for shape in shapes:"
     yield "    shape.createCollisionAspect()"
     yield "    shape.createDynamicsAspect()"
-    yield f"    shape.getDynamicsAspect().setFrictionCoeff({ground.friction!r})"
-    yield f"    shape.getDynamicsAspect().setRestitutionCoeff({ground.restitution!r})"
-    yield "shapes[0].getDynamicsAspect().setRestitutionCoeff(1.0)"
-    yield "world.addSkeleton(ground)"
+    yield f"    shape.getDynamicsAspect().setFrictionCoeff({friction!r})"
+    yield f"    shape.getDynamicsAspect().setRestitutionCoeff({rebound!r})"
+    if ground is not None:
+        yield from (
+            "ground = dart.dynamics.Skeleton()",
+            "_, plane = ground.createWeldJointAndBodyNodePair()",
+            "floor = plane.createShapeNode(dart.dynamics.PlaneShape([0.0, 0.0, 1.0], 0.0))",
+            "floor.createCollisionAspect()",
+            "floor.createDynamicsAspect()",
+            f"floor.getDynamicsAspect().setFrictionCoeff({plane_friction!r})",
+            f"floor.getDynamicsAspect().setRestitutionCoeff({plane_rebound!r})",
+            "world.addSkeleton(ground)",
+        )
+    if collisions is not None:
+        yield from _filtered(mechanism)
 
 
-def pairs(shapes: list[Any]) -> Array | None:
+def _filtered(mechanism: Mechanism) -> Iterator[str]:
+    """Let bodies collide that may, by a list of those that may not."""
+    met = {frozenset(pair) for pair in mechanism.sphere_body[mechanism.sphere_pairs].tolist()}
+    carriers = np.unique(mechanism.sphere_body).tolist()
+    yield "skeleton.enableSelfCollisionCheck()"
+    yield "skeleton.enableAdjacentBodyCheck()"
+    yield "apart = world.getConstraintSolver().getCollisionOption().collisionFilter"
+    for pair in itertools.combinations(carriers, 2):
+        if frozenset(pair) not in met:
+            yield f"apart.addBodyNodePairToBlackList(bodies[{pair[0]}], bodies[{pair[1]}])"
+
+
+def _parted(
+    ground: Ground | None, collisions: Collisions | None
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Give what the ground and spheres have of friction, then of restitution.
+
+    Raises:
+        Unsupported: No such two give both pairs their coefficients.
+    """
+    for where, law in (("ground", ground), ("collisions", collisions)):
+        for what in ("friction", "restitution") if law else ():
+            if 0.0 < (value := getattr(law, what)) <= _NONE:
+                msg = f"{where}.{what}: got {value}, DART takes {_NONE} and less for 0"
+                raise Unsupported(msg)
+    if collisions is None:
+        assert ground is not None
+        return (ground.friction, ground.friction), (1.0, ground.restitution)
+    own = math.sqrt(collisions.restitution)
+    if ground is None:
+        return (0.0, collisions.friction), (0.0, own)
+    if ground.friction > collisions.friction or (ground.restitution and not own):
+        msg = (
+            f"dart: collisions: got friction {collisions.friction:g} and restitution "
+            f"{collisions.restitution:g}, allowed is as much friction as the ground's, "
+            f"{ground.friction:g}, as the smaller one of two bodies counts, and no restitution of "
+            "0 beside the ground's, as their product does"
+        )
+        raise Unsupported(msg)
+    return (ground.friction, collisions.friction), (ground.restitution / (own or 1.0), own)
+
+
+def contacts(shapes: list[Any], floor: Any) -> Array | None:
     """Radius, friction and restitution of each sphere on the ground by DART's rules, (sphere, 3).
 
-    The ground is the first of the shapes.
+    Coefficients are NaN where there is no ground, None.
     """
     if not shapes:
         return None
-    plane, *spheres = [shape.getDynamicsAspect() for shape in shapes]
-    return np.array(
-        [
-            (
-                shape.getShape().getRadius(),
-                min(plane.getFrictionCoeff(), sphere.getFrictionCoeff()),
-                plane.getRestitutionCoeff() * sphere.getRestitutionCoeff(),
-            )
-            for shape, sphere in zip(shapes[1:], spheres, strict=True)
-        ]
+    laws = [_law(shape, floor) if floor else (np.nan, np.nan) for shape in shapes]
+    radii = [shape.getShape().getRadius() for shape in shapes]
+    return np.column_stack([radii, laws])
+
+
+def collisions(shapes: list[Any], mechanism: Mechanism) -> Array:
+    """Friction and restitution of each pair of spheres by DART's rules, (pair, 2)."""
+    found = [_law(shapes[one], shapes[other]) for one, other in mechanism.sphere_pairs.tolist()]
+    return np.array(found).reshape(-1, 2)
+
+
+def _law(*shapes: Any) -> tuple[float, float]:
+    one, other = (shape.getDynamicsAspect() for shape in shapes)
+    return (
+        min(one.getFrictionCoeff(), other.getFrictionCoeff()),
+        one.getRestitutionCoeff() * other.getRestitutionCoeff(),
     )
 
 
@@ -141,7 +202,7 @@ def centers(shapes: list[Any]) -> Array | None:
     """Centres of the spheres in W as the model stands [m], shape (sphere, 3)."""
     if not shapes:
         return None
-    return np.array([shape.getWorldTransform().translation() for shape in shapes[1:]])
+    return np.array([shape.getWorldTransform().translation() for shape in shapes])
 
 
 class ContactSolver:
@@ -179,29 +240,42 @@ def contact_failures(
         bodies: States, shape (trajectory, frame, body, …); NaN is passed over.
         frame: Interval between frames [s].
     """
-    height, approach = _spheres(mechanism, bodies)
-    overlap = mechanism.sphere_radius - height
-    ground = mechanism.scene.ground
-    rebound = ground.restitution * approach if ground else 0.0 * approach
-    # What is two frames from the ground may reach it before the next one.
-    cut = (rebound > _NEARLY * _FASTEST_REBOUND) & (-overlap < 2.0 * approach * frame)
-    wrong = np.asarray(cut | (overlap > mechanism.sphere_radius))
+    gap, approach, back, names = _touches(mechanism, bodies)
+    # What is two frames from a touch may come to it before the next one.
+    cut = (back * approach > _NEARLY * _FASTEST_REBOUND) & (gap < 2.0 * approach * frame)
+    lost = passed(mechanism, bodies.position, bodies.native)
 
     def reason(row: int, frame: int) -> str:
-        sphere = wrong[row, frame].argmax()
-        deep, fast = overlap[row, frame, sphere], approach[row, frame, sphere]
-        if not cut[row, frame, sphere]:
-            return f"contact sphere {sphere} is {deep:.3g} m in the ground"
+        if lost[row, frame]:
+            deepest = int(np.nanargmin(gap[row, frame]))
+            one, other = names[deepest]
+            return f"{one} is {-gap[row, frame, deepest]:.3g} m in {other}"
+        touch = cut[row, frame].argmax()
         limit = f"DART cuts rebounds to {_FASTEST_REBOUND:g} m/s"
-        return f"contact sphere {sphere} hits the ground at {fast:.4g} m/s: {limit}"
+        one, other = names[touch]
+        return f"{one} hits {other} at {approach[row, frame, touch]:.4g} m/s: {limit}"
 
-    return first_failures(np.asarray(wrong.any(axis=-1)), reason, earliest=1)
+    return first_failures(np.asarray(lost | cut.any(axis=-1)), reason, earliest=1)
 
 
-def _spheres(mechanism: Mechanism, bodies: BodyStates) -> tuple[Array, Array]:
-    """Heights of the spheres' centres [m] and their speeds downwards [m/s], (…, sphere)."""
-    at = mechanism.sphere_body
-    arm = rotation.rotate(bodies.native[..., at, :], mechanism.sphere_offset)
-    turning = np.cross(bodies.angular_velocity[..., at, :], arm)
-    height = mechanism.sphere_heights(bodies.position, bodies.native)
-    return height, -bodies.velocity[..., at, 2] - turning[..., 2]
+def _touches(
+    mechanism: Mechanism, bodies: BodyStates
+) -> tuple[Array, Array, Array, list[tuple[str, str]]]:
+    """Gaps [m] of what may touch, and approaches [m/s], (…, touch); restitutions; names."""
+    scene, at, radius = mechanism.scene, mechanism.sphere_body, mechanism.sphere_radius
+    place = bodies.points(at, mechanism.sphere_offset)
+    speed = bodies.speeds(at, mechanism.sphere_offset)
+    one, other = mechanism.sphere_pairs.T
+    apart = place[..., one, :] - place[..., other, :]
+    distance = rotation.norm(apart)
+    between = distance - radius[one] - radius[other]
+    closing = rotation.dot(speed[..., other, :] - speed[..., one, :], apart / distance[..., None])
+    spheres = [f"contact sphere {k}" for k in range(len(at))]
+    names = [(spheres[i], spheres[j]) for i, j in mechanism.sphere_pairs.tolist()]
+    back = [scene.collisions.restitution if scene.collisions else 0.0] * len(names)
+    if scene.ground is None:
+        return between, closing, np.array(back), names
+    names = [(sphere, "the ground") for sphere in spheres] + names
+    back = [scene.ground.restitution] * len(at) + back
+    gap = np.concatenate([place[..., 2] - radius, between], axis=-1)
+    return gap, np.concatenate([-speed[..., 2], closing], axis=-1), np.array(back), names

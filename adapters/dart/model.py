@@ -30,6 +30,7 @@ class SkeletonModel:
         self.bodies: list[Any] = [names["bodies"][k] for k in range(mechanism.body_count)]
         self.joints: list[Any] = [names["joints"][k] for k in range(mechanism.body_count)]
         self.shapes: list[Any] = names["shapes"]
+        self.floor = names.get("floor")
         # The listing's functions hold its names in a cycle, which would outlive the run.
         names.clear()
         self.turning, self.turning_at = self._columns("ball", 0, 3)

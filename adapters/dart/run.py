@@ -17,6 +17,7 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.process import redirected
+from mbds_xsim.scene.collisions import count_pairs
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
 from mbds_xsim.scene.scene import Scene
@@ -25,7 +26,7 @@ from mbds_xsim.scene.state import Batch, Failure, Trajectory
 from mbds_xsim.simulate.adapter import ModelSize, Readback, Run, Settings, earlier, recorded
 from mbds_xsim.simulate.readback import joint_anchors, joint_axes, joint_laws
 
-from .contact import ContactSolver, centers, contact_failures, pairs
+from .contact import ContactSolver, centers, collisions, contact_failures, contacts
 from .model import SkeletonModel
 from .script import build_listing, script
 from .stepping import DartStepper, FrameLoads
@@ -72,7 +73,7 @@ class DartRun(Run):
         self.size = ModelSize(
             self._model.coordinate_count,
             sum(rows[joint.kind] for joint in self._mechanism.loops),
-            len(scene.contacts),
+            count_pairs(self._mechanism),
         )
 
     def rollout(self, batch: Batch) -> Trajectory:
@@ -141,7 +142,8 @@ class DartRun(Run):
             step=float(model.world.getTimeStep()),
             joint_axis=joint_axes(self._mechanism, self._axis),
             damping=self._damping(),
-            contact=pairs(model.shapes),
+            contact=contacts(model.shapes, model.floor),
+            collision=collisions(model.shapes, self._mechanism),
             sphere=centers(model.shapes),
             anchor=joint_anchors(self._mechanism, self._link_anchor),
             spring=self._loads.springs(),

@@ -61,6 +61,8 @@ class Drake(Adapter):
         Feature.JOINT_FRICTION: "Drake's joints have no dry friction",
         Feature.JOINT_REBOUND: "Drake's limits of joints take velocities and give none back",
         Feature.CLOSING_LOAD: "a joint that closes a loop has no coordinate in Drake",
+        Feature.COLLISION: "springs of two bodies in series, whose rebound would take a stiffness "
+        "of its own for each pair of masses",
         Feature.LINKED_CONTACT: "what comes back would depend on the mass that is behind: Drake's "
         "stiffness of contact is a figure of its own",
     }

@@ -1,4 +1,4 @@
-"""Contact spheres on the ground: Exudyn's sphere on one large triangle, a penalty contact.
+"""Contact spheres on the ground, one large triangle, and on each other: Exudyn's penalty contacts.
 
 - Normal: a spring so stiff that an impact lasts a given number of the finest steps, and the
   damping of the next paragraph. What rests sinks by its weight over the stiffness. That law has no
@@ -49,11 +49,12 @@ CONTACT_LAW = ContactLaw(
     restitution="a coefficient of the contact, from 0.01; a linear damper for 0",
     friction="a round cone; in proportion to the slip below a slip speed",
     mixing="none: coefficients belong to the contact",
-    adapter="Sphere and triangle contacts, one a sphere, as stiff as makes an impact last a given "
-    "number of the finest steps. The coefficient is corrected, in closed form, for what the law "
-    "delivers; one of 0 is a damper so strong that nothing rebounds, and one between 0 and 0.01 is "
-    "refused. Near the ground steps are divided and end where a sphere touches down. A sphere "
-    "with its centre below the ground is a failure, as the triangle has no inside.",
+    adapter="Contacts of sphere and triangle, one a sphere, and of two spheres, as stiff as makes "
+    "an impact last a given number of the finest steps. The coefficient is corrected, in closed "
+    "form, for what the law delivers; one of 0 is a damper so strong that nothing rebounds, and "
+    "one between 0 and 0.01 is refused. Near a touch steps are divided and end where a sphere "
+    "touches. A sphere with its centre below the ground, whose triangle has no inside, or in "
+    "another one is a failure.",
 )
 """What contact is in the engine."""
 Marker = Callable[[int, Array], str]
@@ -78,13 +79,23 @@ def outputs(kind):  # of the spheres' centres
     return np.array([mbs.GetMarkerOutput(number, kind) for number in spheres])
 
 
-def gaps():  # heights of the spheres' lowest points
-    return outputs("Position")[:, 2] - {radii!r}
+radii, arms = np.array({radii!r}), np.array({arms!r})
+one, other = np.array({pairs!r}, dtype=int).reshape(-1, 2).T
+fixed = np.arange({grounded})  # spheres that may touch the ground
 
 
-def may_touch(duration):  # whether a sphere can get to the ground within a time
-    speed = np.maximum(0.0, -outputs("Velocity")[:, 2])
-    pull = {gravity!r} + np.sum(outputs("AngularVelocity") ** 2, axis=1) * {arms!r}
+def gaps():  # of the spheres and the ground, then of two spheres
+    place = outputs("Position")
+    apart = np.linalg.norm(place[one] - place[other], axis=1)
+    return np.append((place[:, 2] - radii)[fixed], apart - radii[one] - radii[other])
+
+
+def may_touch(duration):  # whether a sphere can get to the ground or another within a time
+    velocity = outputs("Velocity")
+    pull = {gravity!r} + np.sum(outputs("AngularVelocity") ** 2, axis=1) * arms
+    speed = np.linalg.norm(velocity[one] - velocity[other], axis=1)
+    speed = np.append(np.maximum(0.0, -velocity[fixed, 2]), speed)
+    pull = np.append(pull[fixed], pull[one] + pull[other])
     return bool(np.any(gaps() < {reach!r} * duration * (speed + pull * duration)))
 
 """
@@ -101,64 +112,82 @@ class PenaltyContact:
 
 
 def contact_listing(mechanism: Mechanism, contact: PenaltyContact, marker: Marker) -> Iterator[str]:
-    """Lines that make `spheres`, markers at the centres, and `contacts`, one a sphere.
+    """Lines that make `spheres`, markers at the centres, and `contacts`, in the order of `gaps`.
 
     Args:
         mechanism: With contact spheres.
         contact: How hard the ground is.
         marker: Writes a marker at a point of a body's native frame.
     """
-    ground = mechanism.scene.ground
-    assert ground is not None
-    if 0.0 < ground.restitution < _LEAST:
-        msg = (
-            f"exudyn: ground.restitution: got {ground.restitution:g}, allowed is 0, or {_LEAST} to "
-            "1: its law of impact gets too stiff to be integrated on the way to 0"
-        )
-        raise Unsupported(msg)
-    corners = [[-2 * _FAR, -_FAR, 0.0], [2 * _FAR, -_FAR, 0.0], [0.0, 2 * _FAR, 0.0]]
-    yield f"corners = exu.Vector3DList([np.array(corner) for corner in {corners!r}])"
-    yield "plane = mbs.AddMarker(items.MarkerBodyRigid(bodyNumber=ground))"
+    scene, radius = mechanism.scene, mechanism.sphere_radius.tolist()
     yield "spheres, contacts = [], []"
     for k, body in enumerate(mechanism.sphere_body):
         yield f"spheres.append({marker(int(body), mechanism.sphere_offset[k])})"
-        # Gap, speed of the slip and of the impact, and one that is not used.
-        yield "node = mbs.AddNode(items.NodeGenericData("
-        yield "    initialCoordinates=[1.0, 0.0, 0.0, 0.0], numberOfDataCoordinates=4))"
-        yield "contacts.append(mbs.AddObject(items.ObjectContactSphereTriangle("
-        yield f"    markerNumbers=[spheres[{k}], plane], nodeNumber=node,"
-        yield f"    sphereRadius={float(mechanism.sphere_radius[k])!r}, trianglePoints=corners,"
-        stiffness = _stiffness(mechanism, k, contact.duration)
-        yield f"    contactStiffness={stiffness!r},"
-        if ground.restitution:
-            # Model 1 misses the restitution.
-            yield f"    impactModel=2, restitutionCoefficient={coefficient(ground.restitution)!r},"
-            slowest = min(_SLOWEST_IMPACT, _SLOWEST_GAIN * contact.duration)
-            yield f"    minimumImpactVelocity={slowest!r},"
-        else:
-            damping = 2.0 * math.sqrt(stiffness * float(mechanism.mass.sum()))
-            yield f"    impactModel=0, contactDamping={damping!r},"
-        yield f"    dynamicFriction={ground.friction!r},"
-        yield f"    frictionProportionalZone={contact.slip_speed!r}, includeEdges=0)))"
+    if scene.ground is not None:
+        corners = [[-2 * _FAR, -_FAR, 0.0], [2 * _FAR, -_FAR, 0.0], [0.0, 2 * _FAR, 0.0]]
+        yield f"corners = exu.Vector3DList([np.array(corner) for corner in {corners!r}])"
+        yield "plane = mbs.AddMarker(items.MarkerBodyRigid(bodyNumber=ground))"
+    for k in range(len(radius)) if scene.ground else ():
+        yield from _contact("Triangle", f"spheres[{k}], plane")
+        yield f"    sphereRadius={radius[k]!r}, trianglePoints=corners, includeEdges=0,"
+        yield from _law("ground", mechanism, [k], contact)
+    for pair in mechanism.sphere_pairs.tolist():
+        yield from _contact("Sphere", ", ".join(f"spheres[{k}]" for k in pair))
+        yield f"    spheresRadii={[radius[k] for k in pair]!r},"
+        yield from _law("collisions", mechanism, pair, contact)
     yield _REACHING.format(
-        radii=mechanism.sphere_radius.tolist(),
+        radii=radius,
+        pairs=mechanism.sphere_pairs.tolist(),
+        grounded=len(radius) if scene.ground else 0,
         arms=np.linalg.norm(mechanism.sphere_offset, axis=-1).tolist(),
         gravity=float(np.linalg.norm(mechanism.scene.gravity)),
         reach=_REACH,
     )
 
 
-def _stiffness(mechanism: Mechanism, sphere: int, duration: float) -> float:
-    """Of a spring on which the sphere's body alone bounces in a time [N/m].
+def _contact(kind: str, markers: str) -> Iterator[str]:
+    # Gap, speed of the slip and of the impact, and one that is not used.
+    yield "node = mbs.AddNode(items.NodeGenericData("
+    yield "    initialCoordinates=[1.0, 0.0, 0.0, 0.0], numberOfDataCoordinates=4))"
+    yield f"contacts.append(mbs.AddObject(items.ObjectContactSphere{kind}("
+    yield f"    markerNumbers=[{markers}], nodeNumber=node,"
 
-    Joints only add to the mass that a body turns against a push, so impacts last longer.
-    """
+
+def _law(
+    where: str, mechanism: Mechanism, spheres: list[int], contact: PenaltyContact
+) -> Iterator[str]:
+    """Lines with the coefficients of a contact of a sphere, or of two."""
+    law = getattr(mechanism.scene, where)
+    if 0.0 < law.restitution < _LEAST:
+        msg = (
+            f"exudyn: {where}.restitution: got {law.restitution:g}, allowed is 0, or {_LEAST} to "
+            "1: its law of impact gets too stiff to be integrated on the way to 0"
+        )
+        raise Unsupported(msg)
+    # On such a spring the spheres' bodies alone bounce in that time. Joints only add to the mass
+    # that a body turns against a push, so impacts last longer.
+    yielding = sum(_yielding(mechanism, sphere) for sphere in spheres)
+    stiffness = (math.pi / contact.duration) ** 2 / yielding
+    yield f"    contactStiffness={stiffness!r},"
+    if law.restitution:
+        # Model 1 misses the restitution.
+        yield f"    impactModel=2, restitutionCoefficient={coefficient(law.restitution)!r},"
+        slowest = min(_SLOWEST_IMPACT, _SLOWEST_GAIN * contact.duration)
+        yield f"    minimumImpactVelocity={slowest!r},"
+    else:
+        damping = 2.0 * math.sqrt(stiffness * float(mechanism.mass.sum()))
+        yield f"    impactModel=0, contactDamping={damping!r},"
+    yield f"    dynamicFriction={law.friction!r},"
+    yield f"    frictionProportionalZone={contact.slip_speed!r})))"
+
+
+def _yielding(mechanism: Mechanism, sphere: int) -> float:
+    """How much a sphere's body alone yields to a push on it at most [1/kg]."""
     body = mechanism.sphere_body[sphere]
     x, y, z = mechanism.sphere_offset[sphere]
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     turning = cross.T @ np.linalg.solve(mechanism.inertia[body], cross)
-    lightest = 1.0 / (1.0 / mechanism.mass[body] + np.linalg.eigvalsh(turning).max())
-    return float(lightest * (math.pi / duration) ** 2)
+    return float(1.0 / mechanism.mass[body] + np.linalg.eigvalsh(turning).max())
 
 
 class TouchingSpheres:
@@ -167,19 +196,30 @@ class TouchingSpheres:
     def __init__(self, mechanism: Mechanism, names: Mapping[str, Any]) -> None:
         self._mbs, self._contacts = names["mbs"], names["contacts"]
         self._outputs, self._gaps = names["outputs"], names["gaps"]
-        self._radius = mechanism.sphere_radius
+        self._radius, self._pairs = mechanism.sphere_radius, mechanism.sphere_pairs
+        self._grounded = len(self._radius) if mechanism.scene.ground else 0
+        least = self._radius[self._pairs].min(axis=1)
+        self._deepest = -np.append(self._radius[: self._grounded], least)
 
     def sunk(self) -> bool:
-        """Whether the centre of a sphere is in the ground."""
-        return bool(np.any(self._gaps() < -self._radius))
+        """Whether the centre of a sphere is in the ground, or in another one."""
+        return bool(np.any(self._gaps() < self._deepest))
 
     def memory(self) -> Array:
         """What the contacts' nodes hold where they know of no impact, from the state as it is."""
         velocity, spin = self._outputs("Velocity"), self._outputs("AngularVelocity")
         slip_x = velocity[:, 0] - spin[:, 1] * self._radius
         slip_y = velocity[:, 1] + spin[:, 0] * self._radius
-        none = np.zeros_like(slip_x)
-        return np.stack([self._gaps(), np.hypot(slip_x, slip_y), none, none], axis=-1).ravel()
+        place, (one, other) = self.centers(), self._pairs.T
+        normal = place[one] - place[other]
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        turning = spin * self._radius[:, None]
+        passing = velocity[one] - velocity[other] - np.cross(turning[one] + turning[other], normal)
+        passing -= np.vecdot(passing, normal)[:, None] * normal
+        slips = np.hypot(slip_x, slip_y)[: self._grounded]
+        slips = np.append(slips, np.linalg.norm(passing, axis=1))
+        none = np.zeros_like(slips)
+        return np.stack([self._gaps(), slips, none, none], axis=-1).ravel()
 
     def centers(self) -> Array:
         """In W as the model stands [m], shape (sphere, 3)."""
@@ -187,18 +227,22 @@ class TouchingSpheres:
 
     def coefficients(self) -> Array:
         """Radius, friction and the restitution that is delivered, shape (sphere, 3)."""
-        contacts = [self._mbs.GetObject(number) for number in self._contacts]
-        return np.array(
-            [
-                (
-                    contact["sphereRadius"],
-                    contact["dynamicFriction"],
-                    # Model 0 has a damper alone.
-                    delivered(contact["restitutionCoefficient"]) if contact["impactModel"] else 0.0,
-                )
-                for contact in contacts
-            ]
-        )
+        contacts = [self._mbs.GetObject(number) for number in self._contacts[: self._grounded]]
+        if not contacts:
+            return np.column_stack([self._radius, np.full((len(self._radius), 2), np.nan)])
+        radii = [contact["sphereRadius"] for contact in contacts]
+        return np.column_stack([radii, [_given(contact) for contact in contacts]])
+
+    def collisions(self) -> Array:
+        """Friction and the restitution that is delivered, shape (pair, 2)."""
+        contacts = [self._mbs.GetObject(number) for number in self._contacts[self._grounded :]]
+        return np.array([_given(contact) for contact in contacts]).reshape(-1, 2)
+
+
+def _given(contact: Mapping[str, Any]) -> tuple[float, float]:
+    # Model 0 has a damper alone.
+    back = delivered(contact["restitutionCoefficient"]) if contact["impactModel"] else 0.0
+    return contact["dynamicFriction"], back
 
 
 @functools.cache

@@ -9,6 +9,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
+from mbds_xsim.scene.collisions import count_pairs
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.servo import with_pushes
@@ -63,9 +64,9 @@ class ExudynRun(Run):
         exec(compile(self._listing, "<exudyn model>", "exec"), self._names)
         self._mbs = self._names["mbs"]
         data = self._mbs.systemData
-        count = len(mechanism.sphere_body)
-        self.size = ModelSize(data.ODE2Size(), data.AEsize(), contact_pairs=count)
-        self._spheres = TouchingSpheres(mechanism, self._names) if count else None
+        self.size = ModelSize(data.ODE2Size(), data.AEsize(), count_pairs(mechanism))
+        touching = bool(mechanism.scene.contacts)
+        self._spheres = TouchingSpheres(mechanism, self._names) if touching else None
         # Also the multipliers, which a later trajectory would start Newton's method from.
         self._rest = data.GetSystemState(exudyn.ConfigurationType.Initial)
 
@@ -124,7 +125,7 @@ class ExudynRun(Run):
             except Exception as error:
                 return _reason(self._mbs.sys["dynamicSolver"], error)
             if self._spheres is not None and self._spheres.sunk():
-                return "a contact sphere is in the ground up to its centre, and falls through it"
+                return "a contact sphere is in the ground, or in another, up to its centre"
             positions[k + 1] = data.GetODE2Coordinates()
             velocities[k + 1] = data.GetODE2Coordinates_t()
             if not np.isfinite(velocities[k + 1]).all():
@@ -166,6 +167,7 @@ class ExudynRun(Run):
             joint_axis=self._model.joint_axes(self._names, turn),
             damping=None,
             contact=self._spheres.coefficients() if self._spheres is not None else None,
+            collision=self._spheres.collisions() if self._spheres is not None else None,
             sphere=self._spheres.centers() if self._spheres is not None else None,
             anchor=self._model.anchors(self._names, com, turn),
             spring=self._springs(),

@@ -1,4 +1,4 @@
-"""Contact spheres on the ground, and when one of them can reach it.
+"""Contact spheres on the ground and on each other, and when one of them can reach another.
 
 A contact of MuJoCo is a normal row, a spring and damper, and two tangential rows behind a friction
 cone. All are tied to the semi-implicit Euler step h:
@@ -28,6 +28,7 @@ settles the normal impulse before friction has any: right only where the two do 
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 from dataclasses import dataclass
@@ -39,7 +40,9 @@ import numpy as np
 
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.xml import numbers
+from mbds_xsim.scene.collisions import Collisions
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
+from mbds_xsim.scene.scene import Ground
 from mbds_xsim.simulate.claims import ContactLaw
 
 CONTACT_LAW = ContactLaw(
@@ -48,7 +51,7 @@ CONTACT_LAW = ContactLaw(
     friction="a pyramid, or a round cone (elliptic), softened; lifts what slides",
     mixing="the larger friction; nothing is mixed in an explicit pair",
     adapter="Spheres and ground are explicit pairs with the pair's friction. At native that is "
-    "all, and restitution is ignored. At matched, steps near the ground are divided, and the "
+    "all, and restitution is ignored. At matched, steps near a touch are divided, and the "
     "damper is calibrated by following the engine's own steps to give the restitution back; the "
     "cone is elliptic, and friction is left to the `noslip` solver, which does not lift what "
     "slides. Where all bodies are balls an impact is a single step; on wheels contacts are half as "
@@ -89,18 +92,17 @@ class Impact:
     """Share of an acceleration into the ground that a contact takes, whatever its depth."""
 
 
-def add_ground(
+def add_contacts(
     root: Element, bodies: dict[int, Element], mechanism: Mechanism, impact: Impact
 ) -> None:
     """Add the plane, the spheres and their pairs; geoms that are in no pair never touch."""
-    ground = mechanism.scene.ground
-    if ground is None:
+    scene, never = mechanism.scene, {"contype": "0", "conaffinity": "0"}
+    if not scene.contacts:
         return
-    never = {"contype": "0", "conaffinity": "0"}
-    # The first geom of the world. A plane is a half-space: nothing gets behind it.
-    SubElement(bodies[WORLD_INDEX], "geom", never, name=_GROUND, type="plane", size="0 0 1")
+    if scene.ground is not None:
+        # The first geom of the world. A plane is a half-space: nothing gets behind it.
+        SubElement(bodies[WORLD_INDEX], "geom", never, name=_GROUND, type="plane", size="0 0 1")
     contact = SubElement(root, "contact")
-    law = _law(ground.restitution, impact) if impact.step else {}
     for k, body in enumerate(mechanism.sphere_body):
         SubElement(
             bodies[int(body)],
@@ -111,11 +113,23 @@ def add_ground(
             size=repr(float(mechanism.sphere_radius[k])),
             pos=numbers(mechanism.sphere_offset[k]),
         )
-        pair = SubElement(contact, "pair", law, geom1=_GROUND, geom2=_name(k))
-        # Two tangential coefficients; no torsion and rolling in condim 3. A coefficient of 0
-        # would be raised to 1e-5.
-        pair.set("condim", "3" if ground.friction else "1")
-        pair.set("friction", numbers((ground.friction, ground.friction, 0, 0, 0)))
+        if scene.ground is not None:
+            _add_pair(contact, (_GROUND, _name(k)), scene.ground, impact)
+    hard = dataclasses.replace(impact, hardness=HARDEST)
+    for one, other in mechanism.sphere_pairs.tolist():
+        assert scene.collisions is not None
+        _add_pair(contact, (_name(one), _name(other)), scene.collisions, hard)
+
+
+def _add_pair(
+    contact: Element, geoms: tuple[str, str], law: Ground | Collisions, impact: Impact
+) -> None:
+    response = _law(law.restitution, impact) if impact.step else {}
+    pair = SubElement(contact, "pair", response, geom1=geoms[0], geom2=geoms[1])
+    # Two tangential coefficients; no torsion and rolling in condim 3. A coefficient of 0
+    # would be raised to 1e-5.
+    pair.set("condim", "3" if law.friction else "1")
+    pair.set("friction", numbers((law.friction, law.friction, 0, 0, 0)))
 
 
 def cone_options(impact: Impact) -> dict[str, str]:
@@ -143,6 +157,9 @@ class SphereGeoms:
         self._places = slice(self._geoms[0], self._geoms[-1] + 1) if together else self._geoms
         self._roots = model.body_rootid[self._bodies]
         self._radius = model.geom_size[self._geoms, 0].copy()
+        self._grounded = mechanism.scene.ground is not None
+        self._one, self._other = mechanism.sphere_pairs.T
+        self._reach = self._radius[self._one] + self._radius[self._other]
         self._gravity = float(np.linalg.norm(model.opt.gravity))
         from_com = np.linalg.norm(
             model.geom_pos[self._geoms] - model.body_ipos[self._bodies], axis=1
@@ -153,18 +170,23 @@ class SphereGeoms:
         ]
 
     def gaps(self, model: Any, data: Any) -> tuple[Array, float]:
-        """Give the height of each sphere's lowest point [m], and the least of them.
+        """Give the gaps of spheres to the ground, if any, then those of pairs [m]; and the least.
 
         Brings positions up to date.
         """
         mujoco.mj_kinematics(model, data)
         gap = data.geom_xpos[self._places, 2] - self._radius
+        if len(self._one):
+            centre = data.geom_xpos[self._places]
+            apart = centre[self._one] - centre[self._other]
+            between = np.sqrt(np.vecdot(apart, apart)) - self._reach
+            gap = np.concatenate([gap, between]) if self._grounded else between
         return gap, float(np.minimum.reduce(gap))
 
     def time_aloft(
         self, model: Any, data: Any, gap: Array, low: float, least: float, enough: float
     ) -> float:
-        """Time in which no sphere can reach the ground [s].
+        """Time in which no sphere can reach the ground or another [s].
 
         It is 0 if it is less than the `least`, and told roughly, but not too long, if that is
         `enough`.
@@ -178,7 +200,7 @@ class SphereGeoms:
         speed = self._speed(data, lowest)
         if low < _REACH * least * (speed + self._gravity * least):
             return 0.0
-        fastest = self._fastest(data)
+        fastest = self._fastest(data) * (2.0 if len(self._one) else 1.0)
         if (rough := self._time(low, fastest)) >= enough:
             return rough
         first = self._time(low, speed)
@@ -202,7 +224,14 @@ class SphereGeoms:
             speeds.append(math.hypot(u, v, w) + math.hypot(p, q, r) * arm)
         return max(speeds)
 
-    def _speed(self, data: Any, sphere: int) -> float:
+    def _speed(self, data: Any, gap: int) -> float:
+        """Speed at which a gap may close [m/s]."""
+        if (pair := gap - self._grounded * len(self._geoms)) < 0:
+            return self._own_speed(data, gap)
+        ends = (self._one[pair], self._other[pair])
+        return sum(self._own_speed(data, int(sphere)) for sphere in ends)
+
+    def _own_speed(self, data: Any, sphere: int) -> float:
         p, q, r, u, v, w = data.cvel[self._bodies[sphere]].tolist()
         x, y, z = data.geom_xpos[self._geoms[sphere]].tolist()
         a, b, c = data.subtree_com[self._roots[sphere]].tolist()
@@ -214,9 +243,19 @@ class SphereGeoms:
         return np.array(data.geom_xpos[self._geoms])
 
     def coefficients(self, model: Any) -> Array:
-        """Radius and friction of each sphere's pair; MuJoCo has no restitution."""
-        friction = np.where(model.pair_dim == 1, 0.0, model.pair_friction[:, 0])
+        """Radius and friction of each sphere's pair with the ground; MuJoCo has no restitution."""
+        friction, _ = self._frictions(model)
         return np.stack([self._radius, friction, np.full(len(friction), np.nan)], axis=-1)
+
+    def collisions(self, model: Any) -> Array:
+        """Friction of each pair of spheres, and no restitution, shape (pair, 2)."""
+        _, friction = self._frictions(model)
+        return np.stack([friction, np.full(len(friction), np.nan)], axis=-1)
+
+    def _frictions(self, model: Any) -> tuple[Array, Array]:
+        friction = np.where(model.pair_dim == 1, 0.0, model.pair_friction[:, 0])
+        count = len(friction) - len(self._one)
+        return friction[:count] if count else np.full(len(self._radius), np.nan), friction[count:]
 
 
 def _law(restitution: float, impact: Impact) -> dict[str, str]:

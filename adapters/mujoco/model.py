@@ -19,7 +19,7 @@ from mbds_xsim.base.xml import indented, numbers
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint, PointPair
 from mbds_xsim.scene.servo import PlacedDrive
 
-from .contact import Impact, add_ground, cone_options, stop_law
+from .contact import Impact, add_contacts, cone_options, stop_law
 from .state import slim
 
 _JOINT_TYPES = {"ball": "ball", "hinge": "hinge", "slider": "slide"}
@@ -82,7 +82,7 @@ def mjcf(mechanism: Mechanism, stepping: StepOptions, idle: Array) -> Element:
         element = bodies[_carried(mechanism, joint)].find("joint")
         assert element is not None
         element.attrib.update({f"{key}limit": value for key, value in law.items()})
-    add_ground(root, bodies, mechanism, stepping.impact)
+    add_contacts(root, bodies, mechanism, stepping.impact)
     if mechanism.hinges or mechanism.drives:
         actuators = SubElement(root, "actuator")
         _motors(actuators, bodies, mechanism)

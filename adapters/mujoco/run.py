@@ -12,6 +12,7 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.xml import indented
+from mbds_xsim.scene.collisions import passed
 from mbds_xsim.scene.joint_space import BodyStates, to_links
 from mbds_xsim.scene.mechanism import Link, Mechanism, PlacedJoint
 from mbds_xsim.scene.servo import with_pushes
@@ -157,12 +158,12 @@ class ModelRun(Run):
             start = mechanism.native_rotation(batch.orientation)
             bodies = carried(self._idle, start, bodies, mechanism.scene.clock.frame)
         blown = too_fast(mechanism, bodies.velocity)
-        sunk = np.any(mechanism.sphere_heights(bodies.position, bodies.native) < 0.0, axis=-1)
+        sunk = passed(mechanism, bodies.position, bodies.native)
 
         def reason(row: int, frame: int) -> str:
             if warning := warned[row]:
                 return warning
-            sunken = "a contact sphere is in the ground with its centre"
+            sunken = "a contact sphere is in the ground, or in another, with its centre"
             return blow_up(mechanism) if blown[row, frame] else sunken
 
         return recorded(mechanism, bodies, first_failures(blown | sunk, reason))
@@ -192,6 +193,7 @@ class ModelRun(Run):
             joint_axis=joint_axes(self._mechanism, self._axis, self._loop_axis),
             damping=self._unasked_damping(),
             contact=self._spheres.coefficients(model),
+            collision=self._spheres.collisions(model),
             sphere=self._spheres.centers(data),
             anchor=self._anchors(),
             spring=self._springs(),

@@ -1,7 +1,8 @@
-"""Spheres on the ground plane in Bullet's terms.
+"""Spheres on the ground plane and on each other in Bullet's terms.
 
-Bullet multiplies the coefficients of two bodies that touch; the ground has 1, so that a body with
-spheres has those of the pair.
+Bullet multiplies the coefficients of two bodies that touch. The ground has 1, so that a body with
+spheres has those of the pair; where bodies collide with each other they have the roots of what they
+have together, and the ground has what is then missing.
 
 Bullet has a friction row along each of two axes, x and y of the world. In every sweep a row adds to
 its impulse what would stop the slip along its axis alone, −v/w, with w its diagonal element of
@@ -31,7 +32,6 @@ from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
-from mbds_xsim.scene.scene import Ground
 from mbds_xsim.simulate.claims import ContactLaw
 
 from .client import Client, Constant
@@ -42,7 +42,8 @@ CONTACT_LAW = ContactLaw(
     restitution="a coefficient of each body, above 0.2 m/s",
     friction="a round cone, turned towards where a body yields less (along x or y)",
     mixing="the product of frictions, cut to 10, and of restitutions",
-    adapter="The ground has friction and restitution 1, so that the products are the pair's. At "
+    adapter="The ground has friction and restitution 1, so that the products are the pair's; with "
+    "collisions, bodies have the roots of theirs, and the ground the rest. At "
     "matched, contacts act from a gap of 1 µm on and not a step ahead, overlaps are pushed out "
     "over a second and not within steps, and all that is faster than four steps' fall bounces; "
     "Bullet's drag of linear and of quadratic order, on at native, is off; and the axes of "
@@ -65,12 +66,11 @@ _FALLS = 4.0
 
 
 class BulletContact:
-    """The ground, and the spheres of a mechanism on it.
+    """The spheres of a mechanism, and the ground, if there is one.
 
     Args:
         client: The connection.
         mechanism: With contact spheres.
-        ground: Coefficients of the pairs.
         options: The adapter's, by name.
         step: [s]
     """
@@ -79,16 +79,9 @@ class BulletContact:
         self,
         client: Client,
         mechanism: Mechanism,
-        ground: Ground,
         options: Mapping[str, Any],
         step: float,
     ) -> None:
-        if ground.friction > _FRICTION_CAP:
-            msg = (
-                f"pybullet: ground.friction: got {ground.friction:g}, allowed is up to "
-                f"{_FRICTION_CAP:g}, to which Bullet cuts it without a word"
-            )
-            raise Unsupported(msg)
         self._client = client
         self._mechanism = mechanism
         self._body = mechanism.sphere_body
@@ -97,18 +90,25 @@ class BulletContact:
         self._arm = np.linalg.norm(self._offset, axis=-1)
         self._gravity = float(np.linalg.norm(mechanism.scene.gravity))
         self._names = [body.name for body in mechanism.scene.bodies]
-        self._pair = ground
+        scene = mechanism.scene
+        self._friction, self._restitution = (
+            _parted(name, getattr(scene.ground, name, None), getattr(scene.collisions, name, None))
+            for name in ("friction", "restitution")
+        )
+        self.collides = scene.collisions is not None
+        """Whether bodies may collide, those of one multibody too."""
+        self._reach = float(options["contact_reach"])
         moments = np.linalg.eigvalsh(mechanism.inertia)
         even = mechanism.has_only_balls and np.ptp(moments, axis=-1).max() <= _EVEN * moments.max()
-        turns = options["friction_axes"] and ground.friction > 0.0 and not even
+        turns = options["friction_axes"] and scene.ground and scene.ground.friction and not even
         self._yielding = Yielding(mechanism) if turns else None
         self._set_solver(options, step)
         bodies = np.unique(self._body).tolist() if turns else [int(self._body[0])]
-        self._planes = [
-            self._lay_ground(float(options["contact_reach"]), k)
-            for k in range(min(len(bodies), _GROUNDS))
-        ]
-        self._ground = {body: k % len(self._planes) for k, body in enumerate(bodies)}
+        grounds = range(min(len(bodies), _GROUNDS)) if scene.ground else ()
+        self._planes = [self._lay_ground(k) for k in grounds]
+        self._ground = {
+            body: k % len(self._planes) for k, body in enumerate(bodies if grounds else ())
+        }
         self._filter = client.function("setCollisionFilterGroupMask")
         self._turn_ground = client.put
 
@@ -130,14 +130,15 @@ class BulletContact:
             enableConeFriction=1,
         )
 
-    def _lay_ground(self, reach: float, number: int) -> int:
+    def _lay_ground(self, number: int) -> int:
         build = self._client.build
         shape = build("createCollisionShape", Constant("GEOM_PLANE"), planeNormal=[0, 0, 1])
         plane = build("createMultiBody", 0.0, shape)
         # The smaller threshold of two bodies holds for their contact: the ground's is enough.
         build(
-            "changeDynamics", plane, -1, lateralFriction=1.0, restitution=1.0,
-            contactProcessingThreshold=reach,
+            "changeDynamics", plane, -1,
+            lateralFriction=self._friction[0], restitution=self._restitution[0],
+            contactProcessingThreshold=self._reach,
         )  # fmt: skip
         if self._yielding:
             self._client.note("is turned once a frame, by half the angle of the friction's axes")
@@ -164,14 +165,23 @@ class BulletContact:
         return int(shape)
 
     def set_pair(self, number: int, link: int, body: int) -> None:
-        """Give a body with spheres the coefficients of the pair."""
+        """Give a body with spheres its coefficients."""
         if body in self._body:
+            reach = {"contactProcessingThreshold": self._reach} if self.collides else {}
             self._client.build(
                 "changeDynamics", number, link,
-                lateralFriction=self._pair.friction, restitution=self._pair.restitution,
+                lateralFriction=self._friction[1], restitution=self._restitution[1], **reach,
             )  # fmt: skip
             bits = _bits(self._ground.get(body, 0), _SPHERE, _GROUND)
             self._client.build("setCollisionFilterGroupMask", number, link, *bits)
+
+    def join(self, address: Callable[[int], tuple[int, int]]) -> None:
+        """Let bodies collide that may."""
+        pairs = self._body[self._mechanism.sphere_pairs]
+        for one, other in np.unique(pairs, axis=0).tolist():
+            ends = zip(address(one), address(other), strict=True)
+            numbers, links = ends
+            self._client.build("setCollisionFilterPair", *numbers, *links, 1)
 
     def forget(self) -> None:
         """Let go of the points where spheres touched in an earlier trajectory.
@@ -220,6 +230,8 @@ class BulletContact:
         """Say how the ground has failed to hold the lowest sphere."""
         height = self.heights(state)
         sphere = int(height.argmin())
+        if not self._planes or height[sphere] >= 0.0:
+            return "contact is lost: a sphere is in another with its centre"
         return (
             f"contact is lost: sphere {sphere} on {self._names[self._body[sphere]]!r} is "
             f"{self._radius[sphere] - height[sphere]:.3g} m in the ground, deeper than its radius"
@@ -241,13 +253,52 @@ class BulletContact:
         pairs = np.empty((len(self._body), 3))
         dynamics = self._client.function("getDynamicsInfo")
         shapes = self._client.function("getCollisionShapeData")
-        plane = dynamics(self._planes[0], -1)
+        none = (np.nan,) * 6
+        plane = dynamics(self._planes[0], -1) if self._planes else none
         for body in np.unique(self._body).tolist():
             rows = np.flatnonzero(self._body == body)
             info = dynamics(*address(body))
             pairs[rows, 0] = [shape[3][0] for shape in shapes(*address(body))]
             pairs[rows, 1:] = info[1] * plane[1], info[5] * plane[5]
         return pairs
+
+    def collisions(self, address: Callable[[int], tuple[int, int]]) -> Array:
+        """Friction and restitution of pairs of spheres as Bullet combines them, (pair, 2)."""
+        dynamics = self._client.function("getDynamicsInfo")
+        ends = self._body[self._mechanism.sphere_pairs].tolist()
+        infos = [[dynamics(*address(body)) for body in pair] for pair in ends]
+        return np.array([(a[1] * b[1], a[5] * b[5]) for a, b in infos]).reshape(-1, 2)
+
+
+def flags_of(contact: BulletContact | None) -> int:
+    """Give the flags of a multibody."""
+    order = Constant("URDF_MAINTAIN_LINK_ORDER")  # else Bullet numbers the links depth first
+    return order | Constant("URDF_USE_SELF_COLLISION") if contact and contact.collides else order
+
+
+def _parted(name: str, ground: float | None, between: float | None) -> tuple[float, float]:
+    """Part a coefficient of pairs between the ground and bodies, whose product is that of a pair.
+
+    Raises:
+        Unsupported: No product is it.
+    """
+    for where, value in (("ground", ground), ("collisions", between)):
+        if name == "friction" and value is not None and value > _FRICTION_CAP:
+            msg = (
+                f"pybullet: {where}.friction: got {value:g}, allowed is up to {_FRICTION_CAP:g}, "
+                "to which Bullet cuts it without a word"
+            )
+            raise Unsupported(msg)
+    if between is None:
+        return 1.0, ground or 0.0
+    if ground and not between:
+        msg = (
+            f"pybullet: collisions.{name}: got 0 beside {ground:g} of the ground, which Bullet, "
+            "that multiplies those of two bodies, takes for 0 too"
+        )
+        raise Unsupported(msg)
+    own = math.sqrt(between)
+    return (ground or 0.0) / (own or 1.0), own
 
 
 def _bits(ground: int, *bits: int) -> list[int]:

@@ -15,13 +15,14 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
+from mbds_xsim.scene.collisions import count_pairs
 from mbds_xsim.scene.joint_space import BodyStates, to_links
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
 from mbds_xsim.simulate.adapter import ModelSize
 from mbds_xsim.simulate.readback import joint_anchors, joint_axes
 
 from .client import Client, Constant
-from .contact import BulletContact
+from .contact import BulletContact, flags_of
 from .gears import IMPULSE_CAP, armatures, gear_rotors, speed, tie, with_rotors
 from .parts import Multibody, split
 
@@ -72,8 +73,7 @@ class Multibodies:
             if part.base != WORLD_INDEX:
                 self._places[part.base] = (number, -1)
             self._places |= {link.body: (number, k) for k, link in enumerate(part.links)}
-        # Of a joint's constraints: the number, and of the joint's parent, then child, the body and
-        # which of the constraint's ends it is.
+        # Of a joint's constraints: number, and body and end of its parent's side, then its child's.
         self._ties: dict[int, list[tuple[int, list[tuple[int, int]]]]] = {}
         rows = sum(self._close(joint) for joint in self.closures)
         rows += len(mechanism.couplings) + len(mechanism.rotors)
@@ -82,8 +82,10 @@ class Multibodies:
             client.note(each.name)
             ends = [self.address(bodies[joint.index]) for joint in (each.follower, each.leader)]
             tie(client, ends, each.ratio)
+        if contact:
+            contact.join(self.address)
         self.size = ModelSize(
-            sum(part.coordinate_count for part in self.parts), rows, len(mechanism.sphere_body)
+            sum(part.coordinate_count for part in self.parts), rows, count_pairs(mechanism)
         )
         self._base_pose = client.function("getBasePositionAndOrientation")
         self._base_rate = client.function("getBaseVelocity")
@@ -275,8 +277,7 @@ class Multibodies:
             baseInertialFramePosition=[0.0, 0.0, 0.0],
             baseInertialFrameOrientation=_xyzw(base_turn),
             **with_rotors(links, joints),
-            # Without it Bullet numbers the links depth first.
-            flags=Constant("URDF_MAINTAIN_LINK_ORDER"),
+            flags=flags_of(self._contact),
         )
         cap = SPEED_CAP * max([1.0, *map(speed, joints)])
         build("changeDynamics", number, -1, **drag, maxJointVelocity=cap)

@@ -10,6 +10,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
+from mbds_xsim.scene.collisions import passed
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PointPair
 from mbds_xsim.scene.scene import Scene
@@ -79,9 +80,8 @@ class PyBulletRun(Run):
         drag = {
             f"{kind}Damping": float(options[f"{kind}_damping"]) for kind in ("linear", "angular")
         }
-        ground = scene.ground
         self._contact = (
-            BulletContact(self._client, mechanism, ground, options, self._step) if ground else None
+            BulletContact(self._client, mechanism, options, self._step) if scene.contacts else None
         )
         self._model = Multibodies(self._client, mechanism, drag, self._contact)
         self._loads = StepLoads(self._client, self._model, mechanism)
@@ -136,7 +136,7 @@ class PyBulletRun(Run):
         turn = self._turn(state)
         fine = finite & (fastest <= _BLOW_UP) & (turn <= _TURN_CAP)
         if self._contact:
-            fine &= self._contact.heights(state).min(axis=-1) >= 0.0
+            fine &= ~passed(self._mechanism, state.position, state.native)
 
         def reason(*at: int) -> str:
             if not finite[at]:
@@ -183,6 +183,7 @@ class PyBulletRun(Run):
             joint_axis=joint_axis,
             damping=self._model.damping(),
             contact=self._contact.readback(self._model.address) if self._contact else None,
+            collision=self._contact.collisions(self._model.address) if self._contact else None,
             sphere=self._contact.centers(self._model.address, reading) if self._contact else None,
             anchor=self._model.anchors(reading),
             spring=self._loads.springs(state),

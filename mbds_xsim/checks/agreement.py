@@ -10,7 +10,7 @@ import numpy as np
 
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.checks.conservation import energy_of
-from mbds_xsim.checks.finding import Record
+from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.markers import marker_positions
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene

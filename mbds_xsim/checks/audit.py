@@ -8,10 +8,11 @@ import numpy as np
 
 from mbds_xsim.checks.balance import balance, balance_drift, cones
 from mbds_xsim.checks.coefficients import coefficients
+from mbds_xsim.checks.collisions import collision_friction, collision_gap, collision_restitution
 from mbds_xsim.checks.conservation import energy_balance, momentum
 from mbds_xsim.checks.displacement import displacement
 from mbds_xsim.checks.eccentric import eccentric_friction, eccentric_restitution
-from mbds_xsim.checks.finding import Check, Finding, Record
+from mbds_xsim.checks.finding import Check, Finding
 from mbds_xsim.checks.friction import friction, rolling, wheels
 from mbds_xsim.checks.ground import restitution
 from mbds_xsim.checks.integrity import (
@@ -34,6 +35,7 @@ from mbds_xsim.checks.passivity import (
     penetration,
     resting,
 )
+from mbds_xsim.checks.record import Record
 from mbds_xsim.checks.stops import past_limits, stop_passivity
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
@@ -69,6 +71,9 @@ CHECKS: tuple[Check, ...] = (
     restitution,
     eccentric_restitution,
     eccentric_friction,
+    collision_gap,
+    collision_restitution,
+    collision_friction,
     hop,
     resting,
 )

@@ -22,9 +22,10 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index, Mask
-from mbds_xsim.checks.finding import Figures, Record, check
+from mbds_xsim.checks.finding import Figures, check
 from mbds_xsim.checks.gains import Axle, axles_of, gains_of
 from mbds_xsim.checks.ground import Push, pushes_of
+from mbds_xsim.checks.record import Record
 
 _LASTING = 1.0  # of its change, which a slip must keep
 _FAST = 0.5  # of what gravity adds in a frame: slower slips may come and go in one (Exudyn's do)

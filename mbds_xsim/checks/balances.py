@@ -31,14 +31,14 @@ class Balance:
 def balances_of(mechanism: Mechanism) -> list[Balance]:
     """Find the balances that the scene's supports leave.
 
-    A free group has all of them, angular ones about its centre of mass. Ball joints, distance
-    links and springs to the world pull at points, and have no moment about a line through all of
-    them; nor has a hinge along it. Sliders leave the momentum along them. Where a joint to the
-    world has a spring, damper or rotor none is looked for.
+    Groups are what joints, links and springs connect, and what these and collisions do: a collision
+    leaves what its bodies have together. A free group has all of them, angular ones about its
+    centre of mass. Ball joints, distance links and springs to the world pull at points, and have no
+    moment about a line through all of them; nor has a hinge along it. Sliders leave the momentum
+    along them. Where a joint to the world has a spring, damper or rotor none is looked for.
     """
     found: list[Balance] = []
-    for group in _groups(mechanism):
-        name = mechanism.scene.bodies[group[0]].name
+    for group, name in _named_groups(mechanism).items():
         joints, points = _supports(mechanism, set(group))
         if any(joint.is_loaded for joint in joints):
             continue
@@ -59,11 +59,26 @@ def balances_of(mechanism: Mechanism) -> list[Balance]:
     return found
 
 
-def _groups(mechanism: Mechanism) -> list[tuple[int, ...]]:
-    """Bodies that joints, distance links and springs connect, the world left out."""
+def groups_of(mechanism: Mechanism, *, colliding: bool = False) -> list[tuple[int, ...]]:
+    """Bodies that joints, distance links and springs connect, the world left out.
+
+    Args:
+        mechanism: Whose bodies.
+        colliding: Whether those that may touch each other are connected, too.
+    """
     pairs = [(joint.parent, joint.child) for joint in mechanism.joints]
     pairs += [pair.bodies for pair in (*mechanism.distances, *mechanism.springs)]
+    if colliding:
+        pairs += [(int(a), int(b)) for a, b in mechanism.sphere_body[mechanism.sphere_pairs]]
     return connected(mechanism.body_count, pairs)
+
+
+def _named_groups(mechanism: Mechanism) -> dict[tuple[int, ...], str]:
+    names = [body.name for body in mechanism.scene.bodies]
+    found = {group: names[group[0]] for group in groups_of(mechanism)}
+    for group in groups_of(mechanism, colliding=True):
+        found.setdefault(group, f"{names[group[0]]} and what it collides with")
+    return found
 
 
 def _supports(mechanism: Mechanism, group: set[int]) -> tuple[list[PlacedJoint], list[Array]]:

@@ -19,20 +19,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbds_xsim.base.arrays import Array, Mask
-from mbds_xsim.checks.conservation import (
-    energy_of,
-    flights_of,
-    gain_of,
-    input_work,
-    work_of_forces,
-)
+from mbds_xsim.checks.conservation import energy_of, flights_of, gain_of, input_work, work_of_forces
 from mbds_xsim.checks.coordinates import coordinate_of, hinge_rates, hinge_turns
 from mbds_xsim.checks.eccentric import Pool, Shown, shown_of
-from mbds_xsim.checks.finding import Figures, Record, check
+from mbds_xsim.checks.finding import Figures, check
 from mbds_xsim.checks.flights import numbers
 from mbds_xsim.checks.integrity import pair_distance, pair_rate
 from mbds_xsim.checks.joint_work import delayed_springs, losses
 from mbds_xsim.checks.mismatch import steady
+from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.joint_space import joint_rate
 
 SURE = 3e-3

@@ -11,10 +11,11 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.balances import Balance, balances_of
 from mbds_xsim.checks.coordinates import coordinate_of, hinge_turns
-from mbds_xsim.checks.finding import Figures, Record, check
+from mbds_xsim.checks.finding import Figures, check
 from mbds_xsim.checks.flights import summed
 from mbds_xsim.checks.integrity import pair_distance
 from mbds_xsim.checks.joint_work import losses
+from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.joint_space import joint_rate
 from mbds_xsim.scene.mechanism import WORLD_INDEX
 

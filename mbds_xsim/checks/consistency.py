@@ -31,8 +31,9 @@ from mbds_xsim.checks.extrapolation import (
     extrapolate,
     running,
 )
-from mbds_xsim.checks.finding import Finding, Record
+from mbds_xsim.checks.finding import Finding
 from mbds_xsim.checks.mismatch import steady
+from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory

@@ -12,7 +12,7 @@ from mbds_xsim.scene.joint_space import BodyStates, joint_coordinate, joint_rate
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 
 if TYPE_CHECKING:
-    from mbds_xsim.checks.finding import Record
+    from mbds_xsim.checks.record import Record
 
 
 def counted_coordinate(joint: PlacedJoint, world: BodyStates, frame: float) -> Array:

@@ -19,10 +19,12 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
-from mbds_xsim.checks.finding import Figures, Record, check
+from mbds_xsim.checks.balances import groups_of
+from mbds_xsim.checks.finding import Figures, check
 from mbds_xsim.checks.flights import numbers
 from mbds_xsim.checks.forced import Forced, forced
 from mbds_xsim.checks.ground import Push, pushes_of, responses
+from mbds_xsim.checks.record import Record
 from mbds_xsim.checks.stops import kicked
 
 _BEND = 0.5  # of second differences: 1/12 in smooth motion, ½ where a jump is anywhere in the frame
@@ -269,6 +271,7 @@ def _hidden(record: Record, more: Forced | None, angular: bool) -> Array:
     found = np.zeros_like(record.bodies.position[:, 1:, :, 0])
     if mechanism.limited:
         found += _PATH * kicked(record, 0.0 if more is None else more.pull)[angular]
+    found[_struck(record)] = np.inf
     if not len(mechanism.sphere_body):
         return found
     moved = responses(mechanism)[angular]
@@ -279,6 +282,17 @@ def _hidden(record: Record, more: Forced | None, angular: bool) -> Array:
             path *= _POSE * np.where(push.steady, _LASTING, 1.0)
         most = moved[push.spheres][:, group].max(axis=0)
         found[:, :, group] = (path * _upward(push))[..., None] * most
+    return found
+
+
+def _struck(record: Record) -> Mask:
+    """Bodies that may collide in a step, or hang on such: how often is unknown; shape as bend."""
+    mechanism, found = record.mechanism, np.zeros(record.moved.shape[:3], dtype=bool)
+    groups = {body: list(group) for group in groups_of(mechanism) for body in group}
+    for k, pair in enumerate(mechanism.sphere_body[mechanism.sphere_pairs].tolist()):
+        met = ~record.parted[..., k]
+        for body in (one for end in pair for one in groups[end]):
+            found[..., body] |= met
     return found
 
 

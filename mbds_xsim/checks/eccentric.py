@@ -19,7 +19,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index
-from mbds_xsim.checks.finding import Figures, Record, check
+from mbds_xsim.checks.finding import Figures, check
 from mbds_xsim.checks.ground import (
     Impacts,
     at_impacts,
@@ -31,6 +31,7 @@ from mbds_xsim.checks.ground import (
     pushes_of,
     told_restitution,
 )
+from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.joint_space import BodyStates
 
 _RESTITUTION = 5.0  # times the budget of balls; springs of a few steps give up to 0.033

@@ -12,8 +12,8 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.checks.finding import Record
 from mbds_xsim.checks.mismatch import MOMENT, Flow, wound
+from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.joint_space import BodyStates, joint_rate
 
 

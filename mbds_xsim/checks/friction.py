@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from mbds_xsim.base.arrays import Array, Mask
-from mbds_xsim.checks.finding import Figures, Record, check
+from mbds_xsim.checks.finding import Figures, check
 from mbds_xsim.checks.gains import axles_of, spin_gained
 from mbds_xsim.checks.ground import Push, balls_of, pushes_of
+from mbds_xsim.checks.record import Record
 
 _LITTLE = 0.05  # of the weight, or of the slip that friction takes in a step
 _SPRUNG = 0.01  # of what friction takes in an impact, which springs give back (MuJoCo: 1.2e-3)

@@ -16,8 +16,8 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
-from mbds_xsim.checks.finding import Record
 from mbds_xsim.checks.ground import Push, impacts_of
+from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mass import of_revolution
 from mbds_xsim.scene.mechanism import Mechanism

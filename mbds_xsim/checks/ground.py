@@ -9,15 +9,18 @@ shows.
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol, TypeVar
 
 import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index, Mask
-from mbds_xsim.checks.balances import balances_of
+from mbds_xsim.checks.balances import balances_of, groups_of
 from mbds_xsim.checks.coordinates import clear_of_own
-from mbds_xsim.checks.finding import Figures, Record, check
+from mbds_xsim.checks.finding import Figures, check
+from mbds_xsim.checks.record import Record
 from mbds_xsim.checks.spheres import Spheres, spheres_of
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
@@ -80,13 +83,18 @@ def pushes_of(record: Record) -> list[Push]:
     """Find what the ground does to each group that has contact spheres and no other support.
 
     Linear momentum less the impulses of gravity and inputs: exact, as forces are held over steps.
+    Bodies that collide with each other are one group.
     """
     mechanism = record.mechanism
+    if record.scene.ground is None:
+        return []
+    groups = groups_of(mechanism, colliding=True)
     return [
         _push(record, balance.name.removeprefix("linear momentum, "), balance.bodies)
         for balance in balances_of(mechanism)
         if not balance.angular
         and len(balance.directions) == 3
+        and balance.bodies in groups
         and np.isin(mechanism.sphere_body, balance.bodies).any()
     ]
 
@@ -279,11 +287,15 @@ def impacts_of(record: Record, push: Push) -> Impacts:
     And nothing but the ground pushes the group's bodies that motions without it would not have.
     """
     free = push.untouched
-    alone = (push.reach.sum(axis=2) == 1) & _unbraked(record, push)
+    alone = (push.reach.sum(axis=2) == 1) & _undisturbed(record, push)
     row, step = np.nonzero(free[:, 1:] & free[:, :-1] & alone & (push.impulse[..., 2] > 0.0))
     sphere = push.spheres[push.reach[row, step].argmax(axis=1)]
-    arrival, before, falling = _at_touch(record, row, step, step, sphere)
-    parting, after, rising = _at_touch(record, row, step, step + 1, sphere)
+
+    def look(bodies: BodyStates) -> Spheres:
+        return one_sphere(record, bodies, sphere)
+
+    arrival, before, falling = at_touch(record, row, step, step, look)
+    parting, after, rising = at_touch(record, row, step, step + 1, look)
     pull = record.pull or np.finfo(float).tiny
     left = record.frame - falling + rising
     arriving, leaving = -before.climb, after.climb
@@ -305,29 +317,49 @@ def impacts_of(record: Record, push: Push) -> Impacts:
     )
 
 
-def _unbraked(record: Record, push: Push) -> Mask:
-    """Steps in which no joint of a group rubs or may meet a stop, shape (trajectory, step)."""
+def _undisturbed(record: Record, push: Push) -> Mask:
+    """Steps in which no bodies of a group may collide, and no joint of it rubs or meets a stop.
+
+    Shape (trajectory, step).
+    """
     mechanism, group = record.mechanism, {*push.bodies}
     rubs = any(group & {joint.parent, joint.child} for joint in mechanism.frictional)
     found = np.full(push.steady.shape, not rubs)
     for joint in mechanism.limited:
         if group & {joint.parent, joint.child}:
             found &= clear_of_own(joint, record.world, record.frame)
-    return found
+    inside = np.isin(mechanism.sphere_pairs, push.spheres).all(axis=1)
+    return found & record.parted[:, :, inside].all(axis=2) if inside.any() else found
 
 
-def _at_touch(
-    record: Record, row: Index, step: Index, frame: Index, sphere: Index
-) -> tuple[BodyStates, Spheres, Array]:
-    """Follow frames to the touch of a sphere: bodies and sphere there, and the time to it [s].
+class Touching(Protocol):
+    """What may touch, in several states."""
 
-    Forwards from the step's first frame, backwards from its last; NaN where it stays clear.
+    @property
+    def gap(self) -> Array:
+        """[m], shape (state,)."""
+
+    @property
+    def climb(self) -> Array:
+        """Rate of the gap [m/s]."""
+
+
+_Touch = TypeVar("_Touch", bound=Touching)
+
+
+def at_touch(
+    record: Record, row: Index, step: Index, frame: Index, look: Callable[[BodyStates], _Touch]
+) -> tuple[BodyStates, _Touch, Array]:
+    """Follow frames to a touch: the bodies and what touches there, and the time to it [s].
+
+    Forwards from the step's first frame, backwards from its last; NaN where it stays clear. `look`
+    gives what touches of states with shape (touch, body, …).
     """
     bodies = record.bodies[row, frame]
     force, torque = record.batch.force[row, step], record.torque[row, step]
     sense = np.where(frame > step, -1.0, 1.0)
     time, limit = np.zeros(len(row)), 1.5 * record.frame
-    there, here = bodies, one_sphere(record, bodies, sphere)
+    there, here = bodies, look(bodies)
     for k in range(_REFINEMENTS + 1):
         speed = sense * here.climb
         # The first guess is a parabola's, on which Newton's steps cannot go astray.
@@ -335,7 +367,7 @@ def _at_touch(
         ahead = 2.0 * here.gap / (square - speed) if k == 0 else -here.gap / speed
         time = np.clip(time + sense * ahead, -limit, limit)
         there = followed(record, bodies, force, torque, time)
-        here = one_sphere(record, there, sphere)
+        here = look(there)
     reached = (np.abs(time) <= record.frame) & (np.abs(here.gap) < 1e-6 * record.scene.length)
     return there, here, np.where(reached, time, np.nan)
 

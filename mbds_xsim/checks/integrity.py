@@ -9,7 +9,8 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.coordinates import coupling_errors
-from mbds_xsim.checks.finding import Figures, Record, check
+from mbds_xsim.checks.finding import Figures, check
+from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.joint_space import BodyStates, taken
 from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint, PointPair
 from mbds_xsim.simulate import rounding

@@ -13,8 +13,8 @@ import numpy as np
 
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.checks.coordinates import coordinate_of
-from mbds_xsim.checks.finding import Record
 from mbds_xsim.checks.integrity import pair_distance, pair_rate
+from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.joint_space import joint_rate
 from mbds_xsim.scene.mechanism import PlacedJoint, PointPair
 from mbds_xsim.scene.servo import PlacedDrive

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbds_xsim.checks.audit import audited
-from mbds_xsim.checks.finding import Record
+from mbds_xsim.checks.record import Record
 from mbds_xsim.reference.kernels import Kernels
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene

@@ -13,9 +13,11 @@ from __future__ import annotations
 import numpy as np
 
 from mbds_xsim.base.arrays import Array, Mask
+from mbds_xsim.checks.collisions import pairs_of_balls
 from mbds_xsim.checks.conservation import energy_of, input_work
-from mbds_xsim.checks.finding import Figures, Record, check
+from mbds_xsim.checks.finding import Figures, check
 from mbds_xsim.checks.ground import Impacts, Push, balls_of, impacts_of, pushes_of
+from mbds_xsim.checks.record import Record
 
 _SLOW = 1e-3  # of the speed √(g · length)
 _NEAR = 1e-3  # of the scene's length
@@ -33,10 +35,10 @@ def passivity(record: Record) -> Figures | None:
     Above its running minimum, among frames in which no contact stores energy. None without
     contact, or where something else supports a body that may touch.
     """
-    pushes = _all_pushes(record)
-    if not pushes:
+    scene, pushes = record.scene, _all_pushes(record)
+    if not scene.contacts or (scene.ground is not None and not pushes):
         return None
-    gain = sum((law_gain(record, push) for push in pushes), np.zeros(1))
+    gain = sum((law_gain(record, push) for push in pushes), _collision_gain(record))
     explained = np.cumsum(gain, axis=1)
     rise, scale = _rise(record, pushes, explained)
     share = np.nan_to_num(explained[:, -1] / scale)
@@ -86,6 +88,24 @@ def _veering(record: Record, push: Push) -> Array:
     return np.asarray(round_ * np.linalg.norm(record.bodies.angular_velocity[:, :, body], axis=-1))
 
 
+def _collision_gain(record: Record) -> Array:
+    """Give the energy that collisions may add by their own law [J], shape (trajectory, step).
+
+    Those of balls, or without friction, none; of others, whose slip may turn round as in an
+    eccentric impact, whatever they do add in a step in which they may touch.
+    """
+    mechanism, collisions = record.mechanism, record.scene.collisions
+    gain = np.zeros(record.moved.shape[:2])
+    central = pairs_of_balls(mechanism)
+    others = [k for k in range(len(mechanism.sphere_pairs)) if k not in central]
+    if collisions is None or not collisions.friction or not others:
+        return gain
+    met = ~record.parted[..., others].all(axis=2)
+    left = energy_of(record).total - input_work(record)
+    gain[met] = np.maximum(np.diff(left, axis=1), 0.0)[met]
+    return np.asarray(np.nan_to_num(gain))
+
+
 def _all_pushes(record: Record) -> list[Push]:
     """Groups with contact, none where the ground's part in one of them is not known."""
     pushes = pushes_of(record)
@@ -102,6 +122,7 @@ def _rise(record: Record, pushes: list[Push], explained: Array) -> tuple[Array, 
     for push in pushes:
         compared &= settled(push)
         most += stored(record, push)
+    compared[:, 1:] &= (record.neighbours.gap[:, 1:] > 0.0).all(axis=2)
     return risen(left, most, compared) / energy.scale[:, None], energy.scale
 
 
@@ -240,14 +261,19 @@ def _places(record: Record, push: Push) -> Array:
 
 @check("penetration", "penetration")
 def penetration(record: Record) -> Figures:
-    """Measure the deepest overlap of a contact sphere with the ground over the scene's length.
+    """Measure the deepest overlap of a contact sphere with what it may touch, over the length.
 
     Of recorded frames: an impact may go deeper between them. None without contact.
     """
-    overlap = np.maximum(-record.spheres.gap, 0.0)
-    share = np.nanmax(overlap / record.mechanism.sphere_radius, initial=0.0)
-    names = [sphere.body for sphere in record.scene.contacts]
-    return Figures(overlap / record.scene.length, names, f"{share:.2g} of a radius")
+    mechanism, names = record.mechanism, [sphere.body for sphere in record.scene.contacts]
+    gaps, radii = [record.neighbours.gap], [mechanism.sphere_radius[mechanism.sphere_pairs].min(1)]
+    pairs = [f"{names[one]} and {names[other]}" for one, other in mechanism.sphere_pairs]
+    if record.scene.ground is not None:
+        gaps, radii = [record.spheres.gap, *gaps], [mechanism.sphere_radius, *radii]
+        pairs = [*names, *pairs]
+    overlap = np.maximum(-np.concatenate(gaps, axis=2), 0.0)
+    share = np.nanmax(overlap / np.concatenate(radii), initial=0.0)
+    return Figures(overlap / record.scene.length, pairs, f"{share:.2g} of a radius")
 
 
 @check("contact gap", "contact_gap")

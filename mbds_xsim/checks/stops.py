@@ -8,9 +8,10 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.checks.conservation import energy_of, input_work
 from mbds_xsim.checks.coordinates import clear_of_own, coordinate_of, stop_gap
-from mbds_xsim.checks.finding import Figures, Record, check
+from mbds_xsim.checks.finding import Figures, check
 from mbds_xsim.checks.flights import summed
 from mbds_xsim.checks.joint_work import losses
+from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.joint_inertia import kicks
 from mbds_xsim.scene.joint_space import joint_rate
 from mbds_xsim.scene.mechanism import PlacedJoint

@@ -13,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
@@ -86,7 +87,17 @@ class Graph(Bundle):
 
     @staticmethod
     def of(scene: Scene) -> Graph:
-        """Build the graph of a scene; it may have no edges and no anchors."""
+        """Build the graph of a scene; it may have no edges and no anchors.
+
+        Raises:
+            InputError: Its bodies collide with each other, which no edge of it shows.
+        """
+        if scene.collisions:
+            msg = (
+                f"scene {scene.name!r}: got [collisions], allowed are scenes without; the graph of "
+                "learned models has fixed edges, along which they see no other body come near"
+            )
+            raise InputError(msg)
         points = Points.of(scene)
         edges = np.array(scene.edges, dtype=np.int64).reshape(-1, 2)
         edges[edges >= scene.particle_count] += len(points.body) - scene.particle_count

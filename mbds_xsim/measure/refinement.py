@@ -15,6 +15,7 @@ from mbds_xsim.checks.extrapolation import LEAST_SPAN
 from mbds_xsim.measure.outcome import Outcome, ReferenceOutcome
 from mbds_xsim.measure.runner import Account, Piece, carry_out
 from mbds_xsim.reference import FirstImpact
+from mbds_xsim.scene.collisions import has_known_impacts
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch
@@ -27,7 +28,7 @@ from mbds_xsim.simulate.timed import simulate
 
 def may_end(scene: Scene) -> bool:
     """Whether the reference may end before the scene does: other steps wait until it is known."""
-    return bool(scene.contacts) and not Mechanism.of(scene).has_only_balls
+    return bool(scene.contacts) and not has_known_impacts(Mechanism.of(scene))
 
 
 def pieces_of(outcome: Outcome, known: ReferenceOutcome | None = None) -> list[Piece]:
@@ -148,7 +149,7 @@ def smooth(scene: Scene, reference: ReferenceOutcome) -> list[bool]:
     ends = reference.trajectory.failures
     if not scene.contacts:
         return [True] * len(ends)
-    balls = Mechanism.of(scene).has_only_balls
+    balls = has_known_impacts(Mechanism.of(scene))
     return [
         not balls if end is None else isinstance(end, FirstImpact) and end.frame > LEAST_SPAN
         for end in ends

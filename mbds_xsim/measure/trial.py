@@ -20,6 +20,7 @@ from mbds_xsim.measure.judge import Judged, failed_lines, finding_result, judge
 from mbds_xsim.measure.outcome import Outcome, ReferenceOutcome
 from mbds_xsim.measure.refinement import further_step, other_steps
 from mbds_xsim.measure.result import FIGURES, EngineResult
+from mbds_xsim.scene.collisions import has_known_impacts
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
@@ -220,13 +221,13 @@ def contact_findings(
     series of its check (trajectory, frame) if it has any, is looked at in all flights.
 
     Returns:
-        A finding for each limit that applies; none where the scene has no contact, or no gravity
-        towards the ground.
+        A finding for each limit that applies; none where the scene has no ground, or no gravity
+        towards it.
     """
-    if not scene.contacts or scene.gravity[2] >= 0.0:
+    if scene.ground is None or scene.gravity[2] >= 0.0:
         return []
     mechanism = Mechanism.of(scene)
-    pieces = _ball_pieces if mechanism.has_only_balls else _flight_pieces
+    pieces = _ball_pieces if has_known_impacts(mechanism) else _flight_pieces
     return [*pieces(mechanism, motion, exact), *_momenta(exact, method, momentum)]
 
 

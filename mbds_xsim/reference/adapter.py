@@ -19,6 +19,7 @@ from mbds_xsim.reference.equations import dynamics_of
 from mbds_xsim.reference.marching import Problem
 from mbds_xsim.reference.solution import LOOSEST, TIGHTEST, solve, start_states
 from mbds_xsim.reference.tree import tree_of
+from mbds_xsim.scene.collisions import count_pairs
 from mbds_xsim.scene.constraints import degrees_of_freedom
 from mbds_xsim.scene.mechanism import Link, Mechanism
 from mbds_xsim.scene.scene import Scene
@@ -67,7 +68,7 @@ class Reference(Adapter):
         friction="Coulomb's cone, in impacts too",
         mixing="none: the scene's coefficients are of the pair",
         adapter="Follows a ball through flight, impacts, sliding and rolling, by formulas where "
-        "its inertia is even.",
+        "its inertia is even; and even balls that touch each other, two at a time, and no ground.",
     )
 
     def settings(self, scene: Scene, profile: Profile) -> Settings:
@@ -93,7 +94,7 @@ class ReferenceRun(Run):
         self.size = ModelSize(
             coordinates=speeds,
             constraints=speeds - degrees_of_freedom(mechanism),
-            contact_pairs=len(mechanism.scene.contacts),
+            contact_pairs=count_pairs(mechanism),
         )
 
     def rollout(self, batch: Batch) -> Trajectory:
@@ -118,6 +119,7 @@ class ReferenceRun(Run):
             joint_axis=joint_axes(mechanism, lambda link: self._axis(link, states[0])),
             damping=None,
             contact=self._contact(),
+            collision=self._collisions(),
             sphere=start.position[0][mechanism.sphere_body] if mechanism.scene.contacts else None,
             anchor=joint_anchors(mechanism, lambda link: self._anchors(link, states[0])),
             spring=self._springs(states[0]),
@@ -157,10 +159,14 @@ class ReferenceRun(Run):
 
     def _contact(self) -> Array | None:
         ground = self._mechanism.scene.ground
-        if ground is None:
-            return None
         radii = dynamics_of(self._mechanism).topology.sphere_radius
-        return np.array([(radius, ground.friction, ground.restitution) for radius in radii])
+        law = (ground.friction, ground.restitution) if ground else (np.nan, np.nan)
+        return np.array([(radius, *law) for radius in radii]) if len(radii) else None
+
+    def _collisions(self) -> Array:
+        collisions, pairs = self._mechanism.scene.collisions, self._mechanism.sphere_pairs
+        law = (collisions.friction, collisions.restitution) if collisions else (np.nan, np.nan)
+        return np.array([law] * len(pairs)).reshape(-1, 2)
 
 
 def _load_kernels(mechanism: Mechanism) -> None:

@@ -131,6 +131,7 @@ def key_of(what: str, scene: Scene, batch: Batch, row: int, rtol: float) -> str:
     physics += [_GEARS, scene.couplings] if scene.couplings else []
     braked = any(joint.friction or joint.limits for joint in scene.joints)
     physics += [_LANDING if scene.contacts else _BRAKES] if braked else []
+    physics += [scene.collisions] if scene.collisions else []
     # Scenes made in Python may hold numpy's numbers.
     digest.update(
         msgspec.json.encode([what, PHYSICS, rtol, scene.clock.frame, physics], enc_hook=float)

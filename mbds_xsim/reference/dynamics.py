@@ -178,16 +178,25 @@ class Dynamics:
         """Whether the constraints of one state have lost rank, or nearly so."""
         return bool(self._constrains and self.closest(state[None])[1][0] < self.near)
 
-    def heights(self, state: Array) -> tuple[Array, Array]:
-        """Gaps between contact spheres and the plane z = 0 [m] and their rates [m/s].
+    def gaps(self, state: Array) -> tuple[Array, Array]:
+        """Gaps of contact spheres [m] and their rates [m/s], each (batch, grounded + pair).
 
-        Each has the shape (batch, sphere).
+        First those to the plane z = 0, then those between spheres. The latter are (d² − R²) / 2R,
+        with d the distance of the centres and R that at which they touch: at a touch it is the gap,
+        and where they pass each other evenly a parabola in time.
         """
         top = self.topology
         carrier = state[:, top.sphere_body]
         arm = rotation.rotate(carrier[..., _Q], top.sphere)
-        height = carrier[..., 2] + arm[..., 2] - top.sphere_radius
-        return height, carrier[..., 9] + rotation.cross(carrier[..., _W], arm)[..., 2]
+        place, radius = carrier[..., _X] + arm, top.sphere_radius
+        speed = carrier[..., _V] + rotation.cross(carrier[..., _W], arm)
+        one, other = top.sphere_pairs.T
+        reach = radius[one] + radius[other]
+        apart, parting = place[:, one] - place[:, other], speed[:, one] - speed[:, other]
+        between = (rotation.dot(apart, apart) - reach**2) / (2.0 * reach)
+        height = (place[..., 2] - radius)[:, top.grounded]
+        rates = [speed[:, top.grounded, 2], rotation.dot(apart, parting) / reach]
+        return np.concatenate([height, between], axis=1), np.concatenate(rates, axis=1)
 
     def _closed(self, state: Array) -> tuple[Array, Array]:
         motion = self._motion(state)

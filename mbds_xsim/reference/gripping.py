@@ -132,7 +132,7 @@ class _Motion:
     def _heights(self, y: Array) -> tuple[Array, Array]:
         """Give heights of contact spheres above the ground and their rates, shape (1, sphere)."""
         self._kernel.y[:] = y[:, None]
-        return self._dynamics.heights(self._kernel.body_states()[:1])
+        return self._dynamics.gaps(self._kernel.body_states()[:1])
 
     def _touch_within(self, rate: Array, h: float, new: Array) -> float | None:
         """Find the shortest part of a step in which a sphere reaches the ground."""

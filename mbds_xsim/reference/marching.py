@@ -204,7 +204,7 @@ class _March:
             return
         self.y = self.dynamics.project(self.y)
         self.rate = self._derivative(self.y, self._forces(slice(None)))
-        self._end_at_impact(np.where(resting(*self.dynamics.heights(self.y)), 0.0, np.nan))
+        self._end_at_impact(np.where(resting(*self.dynamics.gaps(self.y)), 0.0, np.nan))
 
     def run(self) -> Marched:
         progress = self.problem.progress
@@ -260,7 +260,7 @@ class _March:
         times = np.full(len(new), np.nan)
         if not len(self.dynamics.topology.sphere_body):
             return times
-        places = dips(self.dynamics.heights(self.y), self.dynamics.heights(new), h)
+        places = dips(self.dynamics.gaps(self.y), self.dynamics.gaps(new), h)
         for row in np.flatnonzero(good & np.isfinite(places).any(axis=1)).tolist():
             share = first_touch(self._lowest(row, forces, h), places[row])
             if share is not None:
@@ -280,7 +280,7 @@ class _March:
                 self.rate[pick],
                 share * h[pick],
             )
-            return float(self.dynamics.heights(new)[0].min())
+            return float(self.dynamics.gaps(new)[0].min())
 
         return height
 

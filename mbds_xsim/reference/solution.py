@@ -13,11 +13,13 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.reference import cache as entries
 from mbds_xsim.reference.bouncing import march_balls
+from mbds_xsim.reference.colliding import march_colliding
 from mbds_xsim.reference.dynamics import Dynamics
 from mbds_xsim.reference.equations import dynamics_of
 from mbds_xsim.reference.first_impact import TOUCHING, FirstImpact
 from mbds_xsim.reference.marching import Marched, Problem, march
 from mbds_xsim.reference.stiff import is_stiff, march_stiff
+from mbds_xsim.scene.collisions import has_known_impacts
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.markers import marker_positions, markers
 from mbds_xsim.scene.mechanism import Mechanism
@@ -50,9 +52,10 @@ def solve(
     acceleration level and a projection at every frame, by compiled kernels (`compiled`); scenes
     with contact or stiff dampers in maximal coordinates (`marching`). Free bodies with one contact
     sphere around their centre of mass are followed through flight, impacts, sliding and rolling,
-    exactly (`bouncing`). Any other contact has no unique solution: there a trajectory ends, with a
-    `FirstImpact` in place of a failure, when a contact sphere first reaches the ground; its later
-    frames are NaN.
+    exactly (`bouncing`); so are even balls that touch each other, two at a time, and no ground
+    (`colliding`). Any other contact has no unique solution: there a trajectory ends, with a
+    `FirstImpact` in place of a failure, when a contact sphere first reaches what it may touch; its
+    later frames are NaN.
 
     Args:
         scene: What to simulate.
@@ -87,7 +90,7 @@ def _solved(
 ) -> Trajectory:
     def compute(rows: list[int], report: Progress | None) -> list[entries.Arrays]:
         problem = _problem(scene, batch[rows], rtol, report)
-        _check_above_ground(problem.mechanism, problem.start)
+        _check_apart(problem.mechanism, problem.start)
         marched = method(problem)
         return [
             {"states": states, "failure": _encoded(failure)}
@@ -127,16 +130,21 @@ def checked_tolerance(rtol: float) -> float:
     return rtol
 
 
-def _check_above_ground(mechanism: Mechanism, start: Array) -> None:
-    height, _ = dynamics_of(mechanism).heights(start)
-    if height.size and height.min() < -_SUNK:
-        sphere = int(height.min(axis=0).argmin())
-        body = mechanism.scene.bodies[mechanism.sphere_body[sphere]].name
-        msg = (
-            f"contacts[{sphere}] on {body!r} starts {-height.min():.3g} m below the ground z = 0; "
-            "start it with its centre at its radius or higher"
-        )
-        raise InputError(msg)
+def _check_apart(mechanism: Mechanism, start: Array) -> None:
+    dynamics = dynamics_of(mechanism)
+    gap, _ = dynamics.gaps(start)
+    if not (gap.size and gap.min() < -_SUNK):
+        return
+    grounded, pairs = dynamics.topology.grounded, dynamics.topology.sphere_pairs.tolist()
+    lowest, names = int(gap.min(axis=0).argmin()), [body.name for body in mechanism.scene.bodies]
+    on = [f"contacts[{k}] on {names[body]!r}" for k, body in enumerate(mechanism.sphere_body)]
+    if lowest < len(grounded):
+        where, what = f"{on[lowest]} starts", "below the ground z = 0"
+        why = "start it with its centre at its radius or higher"
+    else:
+        where = " and ".join(on[k] for k in pairs[lowest - len(grounded)]) + " start"
+        what, why = "in each other", "start them apart"
+    raise InputError(f"{where} {-gap.min():.3g} m {what}; {why}")
 
 
 def start_states(mechanism: Mechanism, batch: Batch) -> Array:
@@ -147,8 +155,8 @@ def start_states(mechanism: Mechanism, batch: Batch) -> Array:
 def integrate(problem: Problem) -> Marched:
     """Solve a problem with the method that suits the scene."""
     mechanism = problem.mechanism
-    if mechanism.scene.contacts and mechanism.has_only_balls:
-        return march_balls(problem)
+    if has_known_impacts(mechanism):
+        return march_balls(problem) if mechanism.scene.ground else march_colliding(problem)
     if mechanism.braked:
         return _gripping(problem)
     stiff = is_stiff(problem)
@@ -288,8 +296,9 @@ def _free_components(mechanism: Mechanism, dynamics: Dynamics, state: Array) -> 
         free[:, [1, 3, 5]] = 0.0
     if mechanism.scene.dimension < 2:
         free[:, 2] = 0.0
-    height, _ = dynamics.heights(state[None])
-    free[mechanism.sphere_body[height[0] <= TOUCHING], 2] = 0.0
+    grounded = dynamics.topology.grounded
+    height = dynamics.gaps(state[None])[0][0, : len(grounded)]
+    free[mechanism.sphere_body[grounded[height <= TOUCHING]], 2] = 0.0
     return free
 
 

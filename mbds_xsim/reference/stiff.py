@@ -50,7 +50,7 @@ def march_stiff(problem: Problem) -> Marched:
             failures[rows] = [Failure(1, BIFURCATION)] * companions
             continue
         state, step = dynamics.project(problem.start[rows]), _FIRST_STEP * frame
-        if resting(*dynamics.heights(state)).any():
+        if resting(*dynamics.gaps(state)).any():
             failures[rows] = [FirstImpact.at(1, 0.0)] * companions
             continue
         for k in range(frames):
@@ -110,7 +110,7 @@ def _impact(rate: _Rate, solver: Radau) -> float | None:
     path, begin, span = solver.dense_output(), solver.t_old, solver.t - solver.t_old
 
     def heights(share: float) -> tuple[Array, Array]:
-        return rate.dynamics.heights(path(begin + share * span).reshape(rate.shape))
+        return rate.dynamics.gaps(path(begin + share * span).reshape(rate.shape))
 
     places = dips(heights(0.0), heights(1.0), np.full(rate.shape[0], span))
     share = first_touch(lambda at: float(heights(at)[0].min()), places.reshape(-1))

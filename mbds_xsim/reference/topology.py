@@ -47,6 +47,10 @@ class Topology:
     sphere: Array
     """Centres of the contact spheres in principal frames, shape (sphere, 3)."""
     sphere_radius: Array
+    grounded: Indices
+    """Spheres that may touch the ground."""
+    sphere_pairs: Indices
+    """Those that may touch each other, shape (pair, 2)."""
 
 
 @functools.lru_cache(maxsize=64)
@@ -81,6 +85,8 @@ def topology_of(mechanism: Mechanism) -> Topology:
         sphere_body=mechanism.sphere_body.astype(np.intp),
         sphere=rotation.rotate(back[mechanism.sphere_body], mechanism.sphere_offset),
         sphere_radius=mechanism.sphere_radius,
+        grounded=np.arange(len(mechanism.scene.contacts) if mechanism.scene.ground else 0),
+        sphere_pairs=mechanism.sphere_pairs.astype(np.intp),
     )
 
 

@@ -30,7 +30,7 @@ class Budget(Neutral):
     planarity: Positive = 1e-6
     """Excursion out of the scene's dimensions over its length."""
     penetration: Positive = 0.02
-    """Overlap of a contact sphere with the ground over the scene's length."""
+    """Overlap of a contact sphere with what it touches, over the scene's length."""
     contact_gap: Positive = 2e-3
     """Distance from the ground at which it carries a sphere, over the scene's length."""
     passivity: Positive = 1e-3

@@ -19,6 +19,7 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import SceneError
+from mbds_xsim.scene.collisions import sphere_pairs
 from mbds_xsim.scene.coupling import PlacedCoupling
 from mbds_xsim.scene.mass import mass_properties
 from mbds_xsim.scene.scene import WORLD, DistanceLink, Scene, SpringDamper
@@ -180,6 +181,8 @@ class Mechanism:
     sphere_offset: Array
     """Centres of the contact spheres in native frames [m], shape (sphere, 3)."""
     sphere_radius: Array
+    sphere_pairs: Index
+    """Contact spheres that may touch each other, shape (pair, 2)."""
     hinges: tuple[PlacedJoint, ...]
     """The joints that torques can drive, in scene order; the order of `Batch.torque`."""
 
@@ -212,7 +215,7 @@ class Mechanism:
 
     @property
     def has_impacts(self) -> bool:
-        """Whether something can meet the ground, or a joint its stop."""
+        """Whether something can meet the ground or another body, or a joint its stop."""
         return bool(self.scene.contacts or self.limited)
 
     @functools.cached_property
@@ -348,6 +351,7 @@ def _build(scene: Scene, cut: tuple[JointKind, ...]) -> Mechanism:
         sphere_body=sphere_body,
         sphere_offset=sphere - com[sphere_body],
         sphere_radius=np.array([sphere.radius for sphere in scene.contacts]),
+        sphere_pairs=sphere_pairs(scene),
         hinges=tuple(joint for joint in joints if joint.kind == "hinge"),
     )
 

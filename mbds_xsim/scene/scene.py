@@ -19,6 +19,7 @@ from mbds_xsim.base import bounds
 from mbds_xsim.base.bounds import Neutral
 from mbds_xsim.base.errors import SceneError, UnknownName
 from mbds_xsim.scene.budget import Budget
+from mbds_xsim.scene.collisions import Collisions, check_collisions
 from mbds_xsim.scene.coupling import Coupling, check_couplings
 from mbds_xsim.scene.sampling_terms import Draw, Lift, Pose, Roll, Throw
 from mbds_xsim.scene.servo import Servo
@@ -217,7 +218,7 @@ class Torque(Neutral):
 
 
 class ContactSphere(Neutral):
-    """A sphere fixed in a body that can touch the ground plane, and nothing else."""
+    """A sphere fixed in a body that can touch the ground plane, and spheres of other bodies."""
 
     body: str
     center: Place
@@ -272,6 +273,7 @@ class Scene(Neutral):
     couplings: tuple[Coupling, ...] = ()
     contacts: tuple[ContactSphere, ...] = ()
     ground: Ground | None = None
+    collisions: Collisions | None = None
     clock: Clock = Clock()
     sampling: tuple[Draw, ...] = ()
     """How starts and inputs are drawn; without it every trajectory starts alike."""
@@ -283,7 +285,7 @@ class Scene(Neutral):
     """Pairs of particles (numbered body by body), anchors behind them."""
     budget: Budget = Budget()
 
-    added = ("servos", "couplings")
+    added = ("servos", "couplings", "collisions")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -333,11 +335,7 @@ class Scene(Neutral):
         check_couplings(self.couplings)
         for k, sphere in enumerate(self.contacts):
             _known(f"contacts[{k}].body", sphere.body, bodies)
-        if bool(self.contacts) != (self.ground is not None):
-            msg = f"ground: got {self.ground}, with {len(self.contacts)} contact spheres; " + (
-                "they need a [ground]" if self.contacts else "a ground needs contact spheres"
-            )
-            raise SceneError(msg)
+        self._check_contacts()
         for k, draw in enumerate(self.sampling):
             for body in getattr(draw, "bodies", ()):
                 _known(f"sampling[{k}].bodies", body, bodies)
@@ -347,6 +345,17 @@ class Scene(Neutral):
                 _known(f"sampling[{k}].joints", joint_name, named, what=what)
             if isinstance(draw, Throw | Roll | Lift):
                 _known(f"sampling[{k}].body", draw.body, bodies)
+
+    def _check_contacts(self) -> None:
+        if bool(self.contacts) != bool(self.ground or self.collisions):
+            msg = f"ground: got {self.ground}, with {len(self.contacts)} contact spheres; " + (
+                "they need a [ground] or [collisions]"
+                if self.contacts
+                else "a ground, or collisions, need contact spheres"
+            )
+            raise SceneError(msg)
+        if self.collisions is not None:
+            check_collisions(self.collisions, [sphere.body for sphere in self.contacts])
 
     def _check_edges(self) -> None:
         count = self.particle_count + len(self.anchors)

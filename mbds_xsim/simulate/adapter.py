@@ -98,7 +98,9 @@ class Readback:
     shape (any,)."""
     contact: Array | None = None
     """Radius [m], friction and restitution of each contact sphere on the ground, in scene order;
-    NaN where the engine has no such coefficient. Shape (sphere, 3)."""
+    NaN where the engine, or the scene, has no such coefficient. Shape (sphere, 3)."""
+    collision: Array | None = None
+    """Friction and restitution of each of `Mechanism.sphere_pairs`, as above, shape (pair, 2)."""
     sphere: Array | None = None
     """Centres of the contact spheres, in scene order and in W at that start [m], (sphere, 3)."""
     anchor: Array | None = None

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from mbds_xsim.base.errors import InputError, UnknownName
+from mbds_xsim.scene.collisions import has_known_impacts
 from mbds_xsim.scene.mechanism import CUT, JointKind, Mechanism
 from mbds_xsim.scene.scene import Scene
 
@@ -61,13 +62,14 @@ class Feature(Enum):
     HINGE_TORQUE = "hinge torque"
     FULL_INERTIA = "inertia not along the body frame"
     CONTACT = "sphere on the ground"
-    LINKED_CONTACT = "spheres of joined bodies, or off centre"
+    COLLISION = "sphere on another body's sphere"
+    LINKED_CONTACT = "spheres of joined bodies, off centre, or on the ground and each other"
 
 
 LOOPS = frozenset(feature for feature in Feature if feature.name.startswith("LOOP_"))
 """Every way of closing a loop."""
-CONTACTS = (Feature.CONTACT, Feature.LINKED_CONTACT)
-"""Every kind of sphere on the ground."""
+CONTACTS = (Feature.CONTACT, Feature.COLLISION, Feature.LINKED_CONTACT)
+"""Every kind of contact."""
 
 
 def features_of(scene: Scene, cut: tuple[JointKind, ...] = CUT) -> frozenset[Feature]:
@@ -108,8 +110,9 @@ def features_of(scene: Scene, cut: tuple[JointKind, ...] = CUT) -> frozenset[Fea
         or any(servo.needs_input and servo.joint not in driven for servo in servos),
         Feature.HINGE_TORQUE: bool(driving & driven) or "hinge_torque" in draws,
         Feature.FULL_INERTIA: not np.allclose(mechanism.inertia, diagonal, rtol=0, atol=1e-14),
-        Feature.CONTACT: bool(scene.contacts),
-        Feature.LINKED_CONTACT: bool(scene.contacts) and not mechanism.has_only_balls,
+        Feature.CONTACT: scene.ground is not None,
+        Feature.COLLISION: scene.collisions is not None,
+        Feature.LINKED_CONTACT: bool(scene.contacts) and not has_known_impacts(mechanism),
     }
     return frozenset(kinds | {feature for feature, needed in asked.items() if needed})
 
@@ -273,7 +276,7 @@ class ContactLaw:
     """What contact is in an engine, in words; `mbds-xsim contact` measures it."""
 
     normal: str
-    """How a sphere is kept out of the ground."""
+    """How a sphere is kept out of what it touches."""
     restitution: str
     """What decides the rebound."""
     friction: str

@@ -27,6 +27,7 @@ _Quantity = tuple[str, Array | None, Array, float, list[str]]
 _TOLERANCE = 1e-9
 _MISSING = 1e-6
 _PAIR = ("radius of contact [m]", "friction", "restitution")
+_BETWEEN = ("friction of a collision", "restitution of a collision")
 _LAW = ("stiffness", "damping", "coordinate at rest")
 _SERVO = ("stiffness of the servo", "damping of the servo", "limit of the servo")
 _SPRING = ("stiffness [N/m]", "damping [N·s/m]", "rest length [m]", "length at the start [m]")
@@ -198,17 +199,22 @@ def _of_springs(mechanism: Mechanism, batch: Batch, readback: Readback) -> Itera
 
 
 def _of_contact(mechanism: Mechanism, batch: Batch, readback: Readback) -> Iterator[_Quantity]:
-    scene, ground = mechanism.scene, mechanism.scene.ground
-    if ground is None:
+    scene, ground, collisions = mechanism.scene, mechanism.scene.ground, mechanism.scene.collisions
+    if not scene.contacts:
         return
     names = [f"sphere {k} on {sphere.body}" for k, sphere in enumerate(scene.contacts)]
     pairs = zip(mechanism.sphere_body.tolist(), mechanism.sphere_offset, strict=True)
     places = np.array([_placed(mechanism, batch, body, offset) for body, offset in pairs])
     got = _known(readback.sphere, places)
     yield "centre of contact [m]", got, places, scene.length, names
-    pair = [(sphere.radius, ground.friction, ground.restitution) for sphere in scene.contacts]
-    wanted = np.array(pair)
+    law = (ground.friction, ground.restitution) if ground else (0.0, 0.0)
+    wanted = np.array([(sphere.radius, *law) for sphere in scene.contacts])
     yield from _columns("contact", _PAIR, _known(readback.contact, wanted), wanted, names)
+    if collisions is None:
+        return
+    names = [f"{names[one]} and {names[other]}" for one, other in mechanism.sphere_pairs.tolist()]
+    wanted = np.array([(collisions.friction, collisions.restitution)] * len(names))
+    yield from _columns("collision", _BETWEEN, _known(readback.collision, wanted), wanted, names)
 
 
 def _columns(

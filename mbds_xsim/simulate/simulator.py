@@ -52,7 +52,7 @@ class Signs:
     gap: Array
     """Largest gap of a joint over the scene's length, or angle between its axes [rad]."""
     sunk: Array
-    """Deepest overlap with the ground over the scene's length."""
+    """Deepest overlap of a contact sphere with what it touches, over the scene's length."""
     way: Array
     """Way of the particles over that of the truth, where that is long enough."""
     error: Array

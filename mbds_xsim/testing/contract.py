@@ -24,9 +24,9 @@ import numpy as np
 import pytest
 
 from mbds_xsim.base.errors import InputError, UnknownName, Unsupported
-from mbds_xsim.checks.finding import Record
 from mbds_xsim.checks.integrity import start
 from mbds_xsim.checks.kinematics import kinematics, velocity_lag
+from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
@@ -36,6 +36,7 @@ from mbds_xsim.simulate.adapter import Adapter, Settings
 from mbds_xsim.simulate.claims import CONTACTS, Feature, Method, check_claims
 from mbds_xsim.testing.case import Case
 from mbds_xsim.testing.cases import CASES
+from mbds_xsim.testing.collision_contract import CollisionContract
 from mbds_xsim.testing.contact_contract import ContactContract
 from mbds_xsim.testing.ladder import EXACT, answer_known_to, case_settings, measured_order
 
@@ -45,7 +46,7 @@ _PROPORTION = 0.8
 _NUMBER = re.compile(r"[-+]?\d+\.\d*(?:e[-+]?\d+)?")
 
 
-class AdapterContract(ContactContract):
+class AdapterContract(ContactContract, CollisionContract):
     """One test, one way in which adapters go wrong."""
 
     @pytest.fixture

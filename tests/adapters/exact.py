@@ -11,7 +11,7 @@ import pytest
 
 from mbds_xsim import reference
 from mbds_xsim.checks.conservation import energy_of
-from mbds_xsim.checks.finding import Record
+from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.constraints import constraint_rows
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch

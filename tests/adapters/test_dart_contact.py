@@ -14,7 +14,7 @@ import pytest
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import UnknownName, Unsupported
 from mbds_xsim.checks.conservation import energy_of
-from mbds_xsim.checks.finding import Record
+from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import HingeRate

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mbds_xsim.base.errors import UnknownName
-from mbds_xsim.checks.finding import Record
 from mbds_xsim.checks.integrity import gap
+from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.simulate.adapter import Settings

@@ -12,7 +12,8 @@ import pytest
 from mbds_xsim import reference
 from mbds_xsim.base import rotation
 from mbds_xsim.checks.balance import balance, balance_drift
-from mbds_xsim.checks.finding import Finding, Record
+from mbds_xsim.checks.finding import Finding
+from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.scene.state import Batch, Trajectory

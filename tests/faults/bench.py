@@ -34,6 +34,27 @@ _SETTINGS: dict[tuple[str, str], tuple[str, int, dict[str, Any]]] = {
     # At longer steps Newton's method fails on the fast start; at shorter ones, or with a Jacobian
     # that is kept, what it leaves shows beside the small difference that a step makes.
     ("workbench", "exudyn"): ("trapezoidal", 64, {"modified_newton": False}),
+    ("ballscroll with another ball", "mujoco"): ("RK4", 8, {"impact_steps": 1}),
+    ("ballscroll with another ball", "pybullet"): (
+        "semi-implicit-euler",
+        160,
+        {"solver_iterations": 50},
+    ),
+    ("ballscroll with another ball", "dart"): (
+        "semi-implicit-euler",
+        200,
+        {"collision_detector": "ode", "friction_solver": "nsgs"},
+    ),
+    ("ballscroll with another ball", "exudyn"): (
+        "trapezoidal",
+        32,
+        {
+            "modified_newton": False,
+            "slip_speed": 1e-4,
+            "impact_steps": 48,
+            "contact_substeps": 80,
+        },
+    ),
     ("simplecubli set down", "pybullet"): ("semi-implicit-euler", 40, {"solver_iterations": 50}),
     ("simplecubli set down", "dart"): (
         "semi-implicit-euler",

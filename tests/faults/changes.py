@@ -54,9 +54,14 @@ def ground(key: str, change: Figure) -> Change:
     return Change(model=changed(ground=changed(**{key: change})), told=f"{key} of")
 
 
+def collisions(key: str, change: Figure) -> Change:
+    """Give collisions another coefficient."""
+    return Change(model=changed(collisions=changed(**{key: change})), told=f"{key} of a collision")
+
+
 def bare(scene: Scene) -> Scene:
-    """Leave the ground out."""
-    return msgspec.structs.replace(scene, contacts=(), ground=None)
+    """Leave all contact out."""
+    return msgspec.structs.replace(scene, contacts=(), ground=None, collisions=None)
 
 
 def part(group: str, name: str, change: Figure, told: str) -> Change:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import msgspec
 
+from mbds_xsim.scene.budget import Budget
+from mbds_xsim.scene.collisions import Collisions
 from mbds_xsim.scene.coupling import Coupling
 from mbds_xsim.scene.sampling_terms import Draw, HingeRate, HingeTorque, Roll, Throw
-from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.scene import Body, Scene
 from mbds_xsim.scene.servo import Servo
 from mbds_xsim.simulate import registry
 
@@ -29,6 +31,7 @@ SCENES = {
     "particlecar": 10,
     "particlecar for 0.8 s": 40,
     "particlecar at 100 rad/s": 12,
+    "ballscroll with another ball": 14,
     "simplecubli": 50,
     "simplecubli for 3 s": 150,
     "simplecubli in flight": 18,
@@ -37,6 +40,7 @@ SCENES = {
 """Recorded frames: a second, or what is enough for the faults that are planted there."""
 
 _NONE = (0.0, 0.0)
+_SPUN = (_NONE, _NONE, (150.0, 160.0))
 
 
 def scene_of(name: str, frames: int | None = None) -> Scene:
@@ -46,6 +50,7 @@ def scene_of(name: str, frames: int | None = None) -> Scene:
     scene = msgspec.structs.replace(scene, clock=clock)
     changes = {
         "ballscroll at 45°": _across,
+        "ballscroll with another ball": _colliding,
         "particlecar at 100 rad/s": _fast,
         "simplecubli set down": _set_down,
         "workbench with sprung joints": _sprung,
@@ -63,6 +68,29 @@ def _across(scene: Scene) -> Scene:
     """Throw the ball between x and y, without spin."""
     throw = Throw("ball", velocity=((3.0, 3.0), (3.0, 3.0), _NONE))
     return _started(msgspec.structs.replace(scene, dimension=3), throw, Roll("ball", share=_NONE))
+
+
+def _colliding(scene: Scene) -> Scene:
+    """Throw the ball at another one, beside its middle, high above where the ground was."""
+    ball, sphere = scene.bodies[0], scene.contacts[0]
+    x, y, z = sphere.center
+    other = msgspec.structs.replace(sphere, body="other", center=(x + 0.5, y + 0.02, z))
+    mass = ball.particles[0]
+    hit = Body("other", (msgspec.structs.replace(mass, position=other.center),))
+    throw = Throw("ball", velocity=((2.5, 3.0), (-0.1, 0.1), _NONE), angular_velocity=_SPUN)
+    alone = msgspec.structs.replace(
+        scene,
+        bodies=(ball, hit),
+        contacts=(sphere, other),
+        ground=None,
+        collisions=Collisions((("ball", "other"),), 0.2, 0.8),
+        gravity=(0.0, 0.0, 0.0),
+        noise=0.0,
+        edges=(),
+        dimension=3,
+        budget=Budget(),
+    )
+    return _started(alone, throw)
 
 
 def _fast(scene: Scene) -> Scene:

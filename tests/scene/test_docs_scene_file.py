@@ -17,7 +17,7 @@ from mbds_xsim.base.bounds import Neutral
 from mbds_xsim.base.errors import SceneError
 from mbds_xsim.base.rotation import rotate
 from mbds_xsim.reference import solve
-from mbds_xsim.scene import budget, coupling, sampling_terms, scene, servo
+from mbds_xsim.scene import budget, collisions, coupling, sampling_terms, scene, servo
 from mbds_xsim.scene.assembly import assemble
 from mbds_xsim.scene.constraints import constraint_rows
 from mbds_xsim.scene.file import read_scene
@@ -43,6 +43,7 @@ _HEADINGS: dict[type[msgspec.Struct], str] = {
     coupling.Coupling: "`[[couplings]]`",
     scene.ContactSphere: "`[[contacts]]`",
     scene.Ground: "`[ground]`",
+    collisions.Collisions: "`[collisions]`",
     scene.Clock: "`[clock]`",
     budget.Budget: "`[budget]`",
     sampling_terms.Levels: "Sampling",

@@ -59,6 +59,21 @@ def _set(*path: str | int, to: object) -> Edit:
     return edit
 
 
+_TIP = {"body": "knob", "center": [0.5, 0.0, 0.0], "radius": 0.1}
+
+
+def _collisions(*pairs: list[str]) -> Table:
+    return {"pairs": list(pairs), "friction": 0.1, "restitution": 0.5}
+
+
+def _both(*edits: Edit) -> Edit:
+    def edit(table: Any) -> None:
+        for one in edits:
+            one(table)
+
+    return edit
+
+
 def _drop(*path: str | int) -> Edit:
     def edit(table: Any) -> None:
         for step in path[:-1]:
@@ -296,6 +311,26 @@ _MISTAKES: dict[str, tuple[Edit, str]] = {
     "gear that a draw breaks": (
         _set("couplings", to=[{"joint": "spindle", "follows": "frame"}]),
         "sampling: the drawn velocities break couplings['spindle follows frame'] at ",
+    ),
+    "collisions without spheres": (
+        _set("collisions", to=_collisions(["leaf", "knob"])),
+        "ground: got None, with 0 contact spheres; a ground, or collisions, need contact spheres",
+    ),
+    "collision with a body without spheres": (
+        _both(_set("contacts", to=[_TIP]), _set("collisions", to=_collisions(["leaf", "knob"]))),
+        "collisions.pairs[0][0]: no body with contact spheres is called 'leaf'",
+    ),
+    "collision of a body with itself": (
+        _both(_set("contacts", to=[_TIP]), _set("collisions", to=_collisions(["knob", "knob"]))),
+        "collisions.pairs[0]: got ['knob', 'knob'], allowed are two different bodies, each pair",
+    ),
+    "collisions of none": (
+        _both(_set("contacts", to=[_TIP]), _set("collisions", to=_collisions())),
+        "collisions.pairs: got none, allowed are one or more",
+    ),
+    "spheres that touch nothing": (
+        _set("contacts", to=[_TIP]),
+        "with 1 contact spheres; they need a [ground] or [collisions]",
     ),
     "friction below nothing": (
         _set("joints", 0, "friction", to=-1.0),

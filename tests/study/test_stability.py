@@ -16,7 +16,7 @@ import pytest
 from mbds_xsim import reference
 from mbds_xsim.base.errors import InputError, UnknownName
 from mbds_xsim.base.isolate import HERE, Conduct
-from mbds_xsim.checks.finding import Record
+from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Failure, Trajectory
 from mbds_xsim.simulate import registry

@@ -13,6 +13,7 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks import agreement
 from mbds_xsim.measure.result import Evidence
+from mbds_xsim.scene.collisions import count_pairs
 from mbds_xsim.scene.constraints import constraint_rows, degrees_of_freedom, dense_jacobian
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
@@ -325,11 +326,11 @@ def least_size(scene: Scene) -> Least:
     mechanism = Mechanism.of(scene)
     if scene.dimension < 3:
         freedom = _planar_freedom(mechanism, _IN_LINE if scene.dimension == 1 else _IN_PLANE)
-        return Least(freedom, freedom, 0, len(scene.contacts))
+        return Least(freedom, freedom, 0, count_pairs(mechanism))
     freedom = degrees_of_freedom(mechanism)
     tree = [link.joint for link in mechanism.links]
     coordinates = sum(_FREE if joint is None else _FREEDOMS[joint.kind] for joint in tree)
-    return Least(freedom, coordinates, coordinates - freedom, len(scene.contacts))
+    return Least(freedom, coordinates, coordinates - freedom, count_pairs(mechanism))
 
 
 def native_size(scene: Scene, engine: str, settings: Settings) -> ModelSize:

@@ -85,7 +85,8 @@ def _scaled_at(value: Any, path: Sequence[str], factor: float) -> Any:
 
 def _ground(scene: Scene, _: float) -> Scene | None:
     draws = tuple(draw for draw in scene.sampling if draw.__struct_config__.tag != "roll")
-    return _replace(scene, ground=None, contacts=(), sampling=draws) if scene.contacts else None
+    left = {"ground": None, "collisions": None, "contacts": (), "sampling": draws}
+    return _replace(scene, **left) if scene.contacts else None
 
 
 def _loops(scene: Scene, _: float) -> Scene | None:
@@ -246,8 +247,12 @@ EFFECTS = (
     ),
     Effect("rotary inertia", "half the inertia of every body", rotary_inertia, (HALF,)),
     Effect("ground", "no contact at all", _ground, (DROP,)),
-    Effect("friction", "a smooth ground", _part("ground.friction")),
-    Effect("restitution", "impacts without rebound", _part("ground.restitution")),
+    Effect("friction", "smooth contact", _part("ground.friction", "collisions.friction")),
+    Effect(
+        "restitution",
+        "impacts without rebound",
+        _part("ground.restitution", "collisions.restitution"),
+    ),
     Effect("springs", "dampers alone", _part("springs.stiffness")),
     Effect("damping", "springs without damping", _part("springs.damping")),
     Effect("springs of joints", "joints without springs", _part("joints.stiffness")),

@@ -14,9 +14,9 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
-from mbds_xsim.checks.finding import Record
 from mbds_xsim.checks.ground import impacts_of, pushes_of
 from mbds_xsim.checks.passivity import energy_rise, passivity
+from mbds_xsim.checks.record import Record
 from mbds_xsim.checks.spheres import spheres_of
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism

@@ -144,7 +144,7 @@ class MapCell(Keyed, frozen=True, kw_only=True):
     gap: float | None = None
     """Largest gap of a joint over the scene's length, or angle between its axes [rad]."""
     sunk: float | None = None
-    """Deepest overlap of a contact sphere with the ground over the scene's length."""
+    """Deepest overlap of a contact sphere with what it touches, over the scene's length."""
     way: float | None = None
     """Way of the particles over that of the reference."""
     error: float | None = None

@@ -25,10 +25,10 @@ import numpy as np
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks import agreement
 from mbds_xsim.checks.conservation import energy_of, input_work
-from mbds_xsim.checks.finding import Record
 from mbds_xsim.checks.integrity import angle_gap, gap
 from mbds_xsim.checks.joint_work import losses
 from mbds_xsim.checks.passivity import passivity, penetration
+from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
 from mbds_xsim.simulate.simulator import Signs, Simulator, part_of_way

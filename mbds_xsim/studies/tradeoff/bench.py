@@ -22,6 +22,7 @@ from mbds_xsim.measure.judge import error_findings
 from mbds_xsim.measure.runner import Runner, Store, StudyCase, in_time, machine, row_key
 from mbds_xsim.reference import FirstImpact
 from mbds_xsim.reference.solution import confirmed
+from mbds_xsim.scene.collisions import has_known_impacts
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
@@ -82,9 +83,9 @@ def confirmations(
 ) -> list[Truth]:
     """Solve each start by other equations, so that the reference is not held to itself.
 
-    A ball on the ground has no second solution: its motion has a cost, and no error.
+    A ball that bounces has no second solution: its motion has a cost, and no error.
     """
-    if Mechanism.of(scene).has_only_balls:
+    if has_known_impacts(Mechanism.of(scene)):
         return [dataclasses.replace(truth, judged=False, compared=False) for truth in truths]
     tasks = [Task(confirmed, (scene, batch[[k]], conduct.cache)) for k in range(len(batch))]
     answers = run_tasks(tasks, workers=conduct.workers)

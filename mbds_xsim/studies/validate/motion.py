@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from mbds_xsim.base.arrays import Array, Mask
-from mbds_xsim.checks.finding import Record
 from mbds_xsim.checks.ground import Impacts, Push, impacts_of, pushes_of
+from mbds_xsim.checks.record import Record
 from mbds_xsim.measure.result import Evidence, Validation
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Cell, Column, Table, table_of
@@ -277,9 +277,9 @@ class Episode:
 
 
 def contacts_of(evidence: Evidence) -> tuple[Contact | None, ...]:
-    """Look at the reference, then at the engine results; empty for a scene without contact."""
+    """Look at the reference, then at the engine results; empty for a scene without ground."""
     scene, batch = evidence.scene, evidence.batch
-    if not scene.contacts:
+    if scene.ground is None:
         return ()
     return tuple(
         None if motion is None else contact_of(scene, batch, motion)

@@ -1,0 +1,273 @@
+"""What a check is given to look at: a batch, the motion recorded for it, and how it was made."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array, Mask
+from mbds_xsim.checks.coordinates import clear_of_stops
+from mbds_xsim.checks.mismatch import EVERY_SECOND, Mismatch, mismatch_of, steady
+from mbds_xsim.checks.spheres import (
+    Neighbours,
+    Spheres,
+    driven,
+    neighbours_of,
+    out_of_reach,
+    spheres_of,
+)
+from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Ground, Scene
+from mbds_xsim.scene.servo import with_pushes
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate.claims import Method
+
+if TYPE_CHECKING:
+    from mbds_xsim.checks.balance_kernel import Masses
+    from mbds_xsim.checks.motion_kernel import FlatMotion
+
+_EARTH = 9.81
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """A batch with the motion that was recorded for it, as the checks read it."""
+
+    scene: Scene
+    batch: Batch
+    trajectory: Trajectory
+    method: Method | None = None
+    """How it was made; None: unknown, as for a file from elsewhere."""
+    step: float | None = None
+    """Integration step [s]; None: the frame interval."""
+    contact_time: float | None = None
+    """Over which the engine declares to spread an impact [s]; None: unknown."""
+    steps_compared: tuple[int, int] = EVERY_SECOND
+    """First step, and every how many, over which displacements are held against velocities."""
+    many: bool = False
+    """Whether compiled kernels do what they can, which pays over thousands of trajectories; these
+    have finite numbers only, and nothing meets the ground or a stop."""
+
+    @functools.cached_property
+    def mechanism(self) -> Mechanism:
+        """The scene as arrays."""
+        return Mechanism.of(self.scene)
+
+    @functools.cached_property
+    def finite(self) -> Mask:
+        """Frames before the first number that is not finite, shape (trajectory, frame)."""
+        if self.trajectory.finite.all():
+            return np.ones(self.trajectory.position.shape[:2], dtype=bool)
+        each = [np.isfinite(field).all(axis=(2, 3)) for field in vars(self._states).values()]
+        return np.logical_and.accumulate(np.logical_and.reduce(each), axis=1)
+
+    @functools.cached_property
+    def _states(self) -> BodyStates:
+        return BodyStates.of(self.mechanism, self.trajectory).each(np.asfortranarray)
+
+    @functools.cached_property
+    def bodies(self) -> BodyStates:
+        """States with native rotations, NaN from the first frame that is not finite.
+
+        In memory components are apart, then bodies, then frames: numpy has long rows to work on.
+        """
+        if self.finite.all():
+            return self._states
+        keep = self.finite[:, :, None, None]
+        return self._states.each(lambda values: np.where(keep, values, np.nan))
+
+    @functools.cached_property
+    def motion(self) -> FlatMotion:
+        """The same as kernels read it, of eight trajectories at least, some of them repeated."""
+        from mbds_xsim.checks.motion_kernel import FlatMotion  # imports a compiler
+        from mbds_xsim.reference.lanes import LANES
+
+        fields, count = [*vars(self.bodies).values(), self.force], len(self.batch)
+        if count < LANES:
+            rows = np.resize(np.arange(count), LANES)
+            fields, count = [np.asfortranarray(values[rows]) for values in fields], LANES
+        frames, bodies = fields[0].shape[1:3]
+        flat = (values.T.reshape(-1) for values in fields)
+        return FlatMotion._make([*flat, bodies, frames, count])
+
+    @property
+    def masses(self) -> Masses:
+        """What resists, as kernels read it."""
+        from mbds_xsim.checks.balance_kernel import Masses  # imports a compiler
+
+        mechanism = self.mechanism
+        return Masses(mechanism.mass, mechanism.inertia, np.array(self.scene.gravity))
+
+    @functools.cached_property
+    def world(self) -> BodyStates:
+        """The same with the world as a last body."""
+        return self.bodies.with_world()
+
+    @functools.cached_property
+    def moved(self) -> Array:
+        """Displacements of the centres of mass in each step [m], (trajectory, step, body, 3)."""
+        return np.diff(self.bodies.position, axis=1)
+
+    @functools.cached_property
+    def force(self) -> Array:
+        """Held forces [N], shape (trajectory, step, body, 3), laid out as the bodies."""
+        return np.asfortranarray(self.batch.force[:, : self.steps])
+
+    @functools.cached_property
+    def torque(self) -> Array:
+        """Held torques of hinges, and behind them pushes of drives, (trajectory, step, input)."""
+        return with_pushes(self.mechanism.drives, self.batch.torque)
+
+    @functools.cached_property
+    def spheres(self) -> Spheres:
+        """The contact spheres, shape (trajectory, frame, sphere)."""
+        return spheres_of(self.mechanism, self.bodies)
+
+    @functools.cached_property
+    def clear(self) -> Mask:
+        """Steps in which a contact sphere cannot reach the ground, (trajectory, step, sphere).
+
+        At both ends it must be higher than it would fall, at its own speed and at what gravity and
+        the body's rotation add to it, in a whole frame.
+        """
+        if self.scene.ground is None:
+            return np.ones((*self.moved.shape[:2], self.spheres.gap.shape[2]), dtype=bool)
+        return out_of_reach(self.spheres.gap, np.abs(self.spheres.climb), self._pulls, self.frame)
+
+    @property
+    def _pulls(self) -> Array:
+        return driven(self.mechanism, self.bodies, self.pull)
+
+    @functools.cached_property
+    def neighbours(self) -> Neighbours:
+        """The pairs of contact spheres that may touch, shape (trajectory, frame, pair)."""
+        return neighbours_of(self.mechanism, self.bodies)
+
+    @functools.cached_property
+    def parted(self) -> Mask:
+        """Steps in which two contact spheres cannot reach each other, (trajectory, step, pair)."""
+        pulls = self._pulls[:, :, self.mechanism.sphere_pairs].sum(axis=3)
+        return out_of_reach(self.neighbours.gap, self.neighbours.speed, pulls, self.frame)
+
+    def flying(self, group: tuple[int, ...] | None = None) -> Mask:
+        """Find the steps in which no sphere of a group (or of all) can reach what is beside it.
+
+        And no joint that holds the group on the world (or none at all) a stop; (trajectory, step).
+        """
+        owner, pairs = self.mechanism.sphere_body, self.mechanism.sphere_pairs
+        own = np.isin(owner, range(len(self.scene.bodies)) if group is None else group)
+        crossing = own[pairs].any(axis=1) & (group is None or ~own[pairs].all(axis=1))
+        alone = self.clear[:, :, own].all(axis=2)
+        if crossing.any():
+            alone = alone & self.parted[:, :, crossing].all(axis=2)
+        return alone & clear_of_stops(self.mechanism, self.world, self.frame, group)
+
+    @functools.cached_property
+    def spin(self) -> Array:
+        """Angular velocities in the native frames [rad/s], shape (trajectory, frame, body, 3)."""
+        back = rotation.conjugate(self.bodies.native)
+        return rotation.rotate(back, self.bodies.angular_velocity)
+
+    @functools.cached_property
+    def turning(self) -> Array:
+        """Angular momenta about centres of mass in the native frames [kg·m²/s], shape as spin."""
+        inertia, (x, y, z) = self.mechanism.inertia, np.moveaxis(self.spin, -1, 0)
+        found = np.empty_like(self.spin)
+        for k, row in enumerate(np.moveaxis(inertia, 1, 0)):  # einsum takes four times as long
+            np.add(row[:, 0] * x + row[:, 1] * y, row[:, 2] * z, out=found[..., k])
+        return found
+
+    @functools.cached_property
+    def mismatch(self) -> Mismatch:
+        """What positions do between frames that velocities do not tell, outside contact."""
+        return mismatch_of(
+            self.mechanism,
+            self.bodies,
+            self.batch.force,
+            self.torque,
+            self.flying() & steady(self.mechanism, self.world, self.torque),
+            frame=self.frame,
+            lag=self.lag,
+            steps=self.steps_compared,
+            many=self.many,
+        )
+
+    def by_step(self, parts: Sequence[Array]) -> Array:
+        """Put values of steps at the frames at their ends, 0 at the first: (…, frame, part)."""
+        found = self._filled(0.0, len(parts))
+        for k, part in enumerate(parts):
+            found[:, 1:, k] = part
+        return found
+
+    def by_frame(self, parts: Sequence[Array]) -> Array:
+        """Put values of frames side by side, shape (trajectory, frame, part)."""
+        found = self._filled(0.0, len(parts))
+        for k, part in enumerate(parts):
+            found[..., k] = part
+        return found
+
+    def at_end(self, values: Array) -> Array:
+        """Put values of trajectories at their last finite frames, (trajectory, frame, part)."""
+        found = self._filled(np.nan, values.shape[-1])
+        last = np.maximum(self.finite.sum(axis=1) - 1, 0)
+        found[np.arange(len(found)), last] = values
+        return found
+
+    def _filled(self, value: float, parts: int) -> Array:
+        """Make an array of shape (trajectory, frame, part), with the parts apart in memory."""
+        return np.full((parts, *self.finite.T.shape), value).T
+
+    @property
+    def ground(self) -> Ground:
+        """The ground of a scene that has one."""
+        assert self.scene.ground is not None
+        return self.scene.ground
+
+    @property
+    def pull(self) -> float:
+        """Size of gravity [m/s²]."""
+        return float(np.linalg.norm(self.scene.gravity))
+
+    @property
+    def usual_pull(self) -> float:
+        """The same, but the earth's in scenes without: it sets scales there [m/s²]."""
+        return self.pull or _EARTH
+
+    @property
+    def fall(self) -> float:
+        """Speed that gravity adds in a frame [m/s]."""
+        return self.frame * self.pull
+
+    @property
+    def lag(self) -> float:
+        """Recorded velocities belong to frame time + lag, as the method declares [s]."""
+        if self.method is None or self.step is None:
+            return 0.0
+        return self.method.velocity_lag * self.step
+
+    @property
+    def steps(self) -> int:
+        """Number of recorded steps."""
+        return len(self.trajectory.time) - 1
+
+    @property
+    def frame(self) -> float:
+        """Interval between frames [s]."""
+        return self.scene.clock.frame
+
+    @property
+    def order(self) -> int:
+        """Order of convergence that the method claims for the scene; 1 where none is known."""
+        return 1 if self.method is None else self.method.order_for(self.scene)
+
+    @property
+    def energy_budget(self) -> float:
+        """Budget of conserved quantities, relative, by the method's order."""
+        budget = self.scene.budget
+        return budget.energy if self.order >= 2 else budget.energy_first_order

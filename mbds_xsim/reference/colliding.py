@@ -1,0 +1,155 @@
+"""March balls that collide with each other and touch nothing else, from impact to impact.
+
+Between impacts a ball's path is a parabola and its spin stays. An impact of two balls is central:
+normal and tangential motion do not mix, so that Newton's restitution and Coulomb's friction have
+one solution together. Three balls at once have none that is unique.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.reference.first_impact import TOUCHING, FirstImpact
+from mbds_xsim.reference.marching import Marched, Problem
+from mbds_xsim.reference.topology import topology_of
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.state import Failure
+
+_MOST_IMPACTS = 20_000  # in a frame
+_PRESSED = 1e-9  # overlap of balls that something presses together [m]
+_GRAZING = 1e-12  # approach over the fastest speed: less is the rounding of what has no rebound
+_REAL = 1e-7  # imaginary part of a root that is real, over its size
+
+
+def march_colliding(problem: Problem) -> Marched:
+    """Solve a scene without ground whose impacts are known: exactly, whatever the tolerance."""
+    marched, frames, batch = Marched.from_start(problem), problem.frames, len(problem.start)
+    states = marched.states
+    states[:, :, -1] = problem.start[:, None, -1]
+    for row in range(batch):
+        balls = _Balls(problem.mechanism, states[row, 0, :-1].copy())
+        for k in range(frames):
+            time = k * problem.frame
+            try:
+                ended = balls.through_frame(problem.force[row, k], problem.frame)
+            except ArithmeticError as error:
+                why = f"the solution cannot be continued after {time:.6g} s: {error}"
+                marched.failures[row] = Failure(k + 1, why)
+                break
+            if ended is not None:
+                marched.failures[row] = FirstImpact.at(k + 1, time + ended)
+                break
+            states[row, k + 1, :-1] = balls.state
+        if (failure := marched.failures[row]) is not None:
+            states[row, failure.frame :] = np.nan
+        if problem.progress is not None:
+            problem.progress(frames * (row + 1), frames * batch)
+    return marched
+
+
+class _Balls:
+    """Balls under way; their `state` has the shape (ball, 13)."""
+
+    def __init__(self, mechanism: Mechanism, state: Array) -> None:
+        collisions = mechanism.scene.collisions
+        assert collisions is not None
+        self.state, self._mass = state, mechanism.mass
+        self._moment = topology_of(mechanism).inertia_root[:-1].mean(axis=1) ** 2
+        self._radius = np.empty(len(state))
+        self._radius[mechanism.sphere_body] = mechanism.sphere_radius
+        self._pairs = mechanism.sphere_body[mechanism.sphere_pairs]
+        self._reach = self._radius[self._pairs].sum(axis=1)
+        self._friction, self._restitution = collisions.friction, collisions.restitution
+        self._gravity = np.array(mechanism.scene.gravity)
+
+    def through_frame(self, force: Array, duration: float) -> float | None:
+        """Go on to the end of a frame, or give when in it three balls first meet at once [s].
+
+        Raises:
+            ArithmeticError: There is no end to the impacts, or balls press on each other.
+        """
+        pull, left = self._gravity + force / self._mass[:, None], duration
+        for _ in range(_MOST_IMPACTS):
+            times = self._times(pull, left)
+            first = float(times.min(initial=np.inf))
+            self._fly(pull, min(first, left))
+            if first > left:
+                if (self._gaps() < -_PRESSED).any():
+                    break
+                return None
+            left -= first
+            pair = int(times.argmin())
+            near = np.flatnonzero(self._gaps() <= TOUCHING)
+            if np.isin(self._pairs[near[near != pair]], self._pairs[pair]).any():
+                return duration - left
+            self._hit(*self._pairs[pair].tolist())
+        raise ArithmeticError("balls are pressed together")
+
+    def _apart(self, values: Array) -> Array:
+        return values[self._pairs[:, 0]] - values[self._pairs[:, 1]]
+
+    def _gaps(self) -> Array:
+        return rotation.norm(self._apart(self.state[:, :3])) - self._reach
+
+    def _fly(self, pull: Array, time: float) -> None:
+        state = self.state
+        state[:, :3] += time * state[:, 7:10] + 0.5 * time**2 * pull
+        state[:, 7:10] += time * pull
+        turn = rotation.multiply(rotation.from_vector(time * state[:, 10:]), state[:, 3:7])
+        state[:, 3:7] = turn / np.linalg.norm(turn, axis=1, keepdims=True)
+
+    def _times(self, pull: Array, most: float) -> Array:
+        """When pairs touch next, each on its own; infinite where not within `most`, (pair,)."""
+        place, speed = self._apart(self.state[:, :3]), self._apart(self.state[:, 7:10])
+        bend, found = self._apart(pull), np.full(len(self._pairs), np.inf)
+        fastest = float(rotation.norm(self.state[:, 7:10]).max())
+        way = most * (rotation.norm(speed) + 0.5 * most * rotation.norm(bend))
+        for k in np.flatnonzero(self._gaps() <= way).tolist():
+            found[k] = _touch(place[k], speed[k], bend[k], self._reach[k], most, fastest)
+        return found
+
+    def _hit(self, one: int, other: int) -> None:
+        """Let two balls that touch rebound, by Newton's and Coulomb's laws."""
+        state, mass, radius, pair = self.state, self._mass, self._radius, [one, other]
+        normal = state[one, :3] - state[other, :3]
+        normal /= np.linalg.norm(normal)
+        slip = state[one, 7:10] - state[other, 7:10]
+        approach = -float(slip @ normal)
+        slip -= np.cross(radius[pair] @ state[pair, 10:], normal)
+        slip -= (slip @ normal) * normal
+        yields = (1.0 / mass[pair]).sum()
+        push = (1.0 + self._restitution) * approach / yields
+        across, speed = (radius[pair] ** 2 / self._moment[pair]).sum(), np.linalg.norm(slip)
+        drag = min(self._friction * push, speed / (yields + across))
+        impulse = push * normal - (drag / speed * slip if speed else 0.0)
+        for ball, sign in ((one, 1.0), (other, -1.0)):
+            state[ball, 7:10] += sign * impulse / mass[ball]
+            state[ball, 10:] -= radius[ball] * np.cross(normal, impulse) / self._moment[ball]
+
+
+def _touch(
+    place: Array, speed: Array, bend: Array, reach: float, most: float, fastest: float
+) -> float:
+    """Time at which |place + speed t + bend t²/2| first falls to `reach`, infinite if never.
+
+    A root of a polynomial of the fourth degree, which is scaled to the time `most`.
+    """
+    u, b = most * speed, most**2 * bend
+    terms = np.array(
+        [place @ place - reach**2, 2.0 * place @ u, u @ u + place @ b, u @ b, b @ b / 4.0]
+    )
+    if not terms[1:].any():
+        return float(np.inf)
+    polynomial = np.polynomial.Polynomial(np.trim_zeros(terms, "b"))
+    slope, grazing = polynomial.deriv(), _GRAZING * reach * fastest * most
+    for root in sorted(polynomial.roots(), key=lambda each: float(each.real)):
+        if abs(root.imag) > _REAL * (1.0 + abs(root.real)):
+            continue
+        share = float(root.real)
+        for _ in range(3):
+            share -= float(polynomial(share) / (slope(share) or np.inf))
+        if -TOUCHING <= share <= 1.0 and slope(share) < -grazing:
+            return max(0.0, share) * most
+    return float(np.inf)

@@ -1,0 +1,172 @@
+"""Bodies that collide with each other, with exact answers: balls in flight, balls on one frame.
+
+A collision of two even balls is central: Newton's restitution gives the normal impulse, Coulomb's
+friction the tangential one, which stops the slip or is μ times the normal one against it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.scene.collisions import Collisions
+from mbds_xsim.scene.scene import (
+    GRAVITY,
+    Body,
+    Clock,
+    ContactSphere,
+    Ground,
+    Inertia,
+    Joint,
+    Particle,
+    Scene,
+    Vector,
+)
+from mbds_xsim.scene.state import Trajectory
+
+RADIUS = 0.05
+FRICTION, RESTITUTION = 0.3, 0.8
+_STILL = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Flying:
+    """A solid sphere that starts in the air."""
+
+    place: Vector
+    velocity: Vector = _STILL
+    spin: Vector = _STILL
+    mass: float = 1.0
+
+    @property
+    def moment(self) -> float:
+        """About any axis through its centre [kg·m²]."""
+        return 0.4 * self.mass * RADIUS**2
+
+
+def balls(
+    given: Sequence[Flying],
+    friction: float = FRICTION,
+    restitution: float = RESTITUTION,
+    *,
+    ground: Ground | None = None,
+    gravity: Vector = _STILL,
+    steps: int = 25,
+) -> Scene:
+    """Make balls, named by their numbers, all of which may collide with each other."""
+    names = [f"ball {k}" for k in range(len(given))]
+    bodies = (
+        Body(
+            name,
+            (Particle(one.place, one.mass, one.moment),),
+            velocity=one.velocity,
+            angular_velocity=one.spin,
+        )
+        for name, one in zip(names, given, strict=True)
+    )
+    spheres = (ContactSphere(n, one.place, RADIUS) for n, one in zip(names, given, strict=True))
+    pairs = tuple((a, b) for k, a in enumerate(names) for b in names[k + 1 :])
+    return Scene(
+        "balls",
+        tuple(bodies),
+        length=1.0,
+        gravity=gravity,
+        contacts=tuple(spheres),
+        ground=ground,
+        collisions=Collisions(pairs, friction, restitution),
+        clock=Clock(steps=steps),
+    )
+
+
+TWO = {
+    "head on": (
+        Flying((0.0, 0.0, 1.0), (1.5, 0.0, 0.0)),
+        Flying((0.43, 0.0, 1.0), (-1.0, 0.0, 0.0)),
+    ),
+    "slides": (
+        Flying((0.0, 0.0, 1.0), (2.0, 0.3, 0.0), (0.0, 0.0, 150.0)),
+        Flying((0.4, 0.07, 1.02), mass=2.0),
+    ),
+    "sticks": (
+        Flying((0.0, 0.0, 1.0), (2.0, 0.0, 0.1), (0.0, 8.0, 0.0)),
+        Flying((0.4, 0.0, 1.02), (-1.0, 0.0, 0.0), (3.0, 0.0, 2.0), mass=0.5),
+    ),
+}
+"""Pairs of balls that meet: centrally, with so much slip that it lasts, with little."""
+
+
+def collided(scene: Scene, given: Sequence[Flying]) -> tuple[Trajectory, float]:
+    """Give the exact motion of two balls without gravity, but for their turns, and when they meet.
+
+    Orientations are NaN.
+    """
+    collisions = scene.collisions
+    assert collisions is not None
+    place, velocity, spin = (
+        np.array([getattr(one, key) for one in given]) for key in ("place", "velocity", "spin")
+    )
+    mass, moment = (np.array([getattr(one, key) for one in given]) for key in ("mass", "moment"))
+    apart, speed = place[0] - place[1], velocity[0] - velocity[1]
+    # |apart + speed t| = 2 R
+    half, square = float(apart @ speed), float(speed @ speed)
+    root = np.sqrt(half**2 - square * (float(apart @ apart) - 4.0 * RADIUS**2))
+    touch = (-half - root) / square
+    normal = (apart + touch * speed) / (2.0 * RADIUS)
+    approach = -float(speed @ normal)
+    slip = speed + approach * normal - RADIUS * np.cross(spin.sum(axis=0), normal)
+    yields, turns = float(np.sum(1.0 / mass)), float(np.sum(RADIUS**2 / moment))
+    push = (1.0 + collisions.restitution) * approach / yields
+    size = float(np.linalg.norm(slip))
+    drag = min(collisions.friction * push, size / (yields + turns))
+    impulse = push * normal - (drag / size * slip if size else 0.0)
+    signed = np.array([1.0, -1.0])[:, None] * impulse
+    time = scene.clock.frame * np.arange(scene.clock.steps + 1, dtype=np.float64)
+    after = (time > touch)[:, None, None]
+    motion = Trajectory.empty(time, 1, 2)
+    gained = np.where(after, signed / mass[:, None], 0.0)
+    motion.velocity[0] = velocity + gained
+    left = np.maximum(time - touch, 0.0)[:, None, None]
+    motion.position[0] = place + time[:, None, None] * velocity + left * gained
+    twist = RADIUS * np.cross(normal, impulse) / moment[:, None]
+    motion.angular_velocity[0] = spin - np.where(after, twist, 0.0)
+    return motion, float(touch)
+
+
+_LENGTH = 0.4  # of the pendulums in a cradle [m]
+
+
+def cradle(restitution: float, *, angle: float = -0.6, steps: int = 60) -> Scene:
+    """Hang two equal balls from a frame that is fixed: one falls from an angle, one hangs still."""
+    top, names = 1.0, ("left", "right")
+    places = [(-RADIUS, 0.0, top - _LENGTH), (RADIUS + 1e-9, 0.0, top - _LENGTH)]
+    frame = Body("frame", inertia=Inertia(1.0, (0.1, 0.1, 0.1), com=(0.0, 0.0, top)))
+    hung = (Body(n, (Particle(at, 1.0, 1e-3),)) for n, at in zip(names, places, strict=True))
+    hinges = (
+        Joint(n, "hinge", "frame", n, (at[0], 0.0, top), (0.0, -1.0, 0.0), start, 0.0)
+        for n, at, start in zip(names, places, (angle, 0.0), strict=True)
+    )
+    return Scene(
+        "cradle",
+        (frame, *hung),
+        length=_LENGTH,
+        dimension=2,
+        gravity=GRAVITY,
+        joints=(Joint("base", "fixed", "world", "frame", (0.0, 0.0, top)), *hinges),
+        contacts=tuple(ContactSphere(n, at, RADIUS) for n, at in zip(names, places, strict=True)),
+        collisions=Collisions((names,), 0.0, restitution),
+        clock=Clock(frame=0.01, steps=steps),
+    )
+
+
+def swings(scene: Scene, motion: Trajectory) -> Array:
+    """How high the energy of each ball would let it swing [m], shape (frame, ball)."""
+    place, speed, spin = (
+        values[0, :, 1:] for values in (motion.position, motion.velocity, motion.angular_velocity)
+    )
+    low = min(sphere.center[2] for sphere in scene.contacts)
+    turning = 1e-3 * np.sum(spin**2, axis=-1)
+    kinetic = 0.5 * (np.sum(speed**2, axis=-1) + turning)
+    return np.asarray(place[..., 2] - low + kinetic / -GRAVITY[2])
