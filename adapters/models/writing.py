@@ -20,6 +20,7 @@ _NO_MODEL: dict[str, tuple[bool, str]] = {
     "noise": (True, "the format has no forces"),
     "contacts": (True, "an importing program has contact of its own"),
     "ground": (True, "an importing program has contact of its own"),
+    "collisions": (True, "an importing program has contact of its own"),
     "sampling": (True, _START),
     "clock": (False, _SETTING),
     "budget": (False, _SETTING),

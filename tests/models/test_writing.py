@@ -19,6 +19,7 @@ from mbds_xsim.scene.scene import WORLD, Body, Inertia, Joint, Scene, SpringDamp
 from mbds_xsim.scene.servo import Servo
 from mbds_xsim.simulate.registry import PAPER_SCENES, load_scene, write_model
 from mbds_xsim.testing import CASES
+from mbds_xsim.testing.collision_cases import TWO, balls
 from tests.command_line import CommandLine
 from tests.models.writing import (
     FORMATS,
@@ -151,6 +152,8 @@ def test_losses_of_an_export_are_those_of_the_scene() -> None:
     assert {f.element for f in write_model(led, "urdf").fates} >= {"servos"}
     assert "servos" in {f.element for f in write_model(led, "mjcf").fates}
     assert {f.element for f in write_model(load_scene("balldrop"), "urdf").fates} >= {"contacts"}
+    told = {fate.element for fate in write_model(balls(TWO["head on"]), "sdf").fates}
+    assert told >= {"contacts", "collisions"}
 
 
 @pytest.mark.parametrize("kind", FORMATS)
