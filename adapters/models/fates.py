@@ -16,7 +16,7 @@ from mbds_xsim.scene.imported import Fate, Outcome
 _Row = tuple[Outcome, bool, str, str]
 """Outcome, whether it bears on the motion, the reason, keys."""
 
-_APART = "bodies do not collide in the scene description"
+_APART = "no collisions of bodies are made of a model"
 COLLISION = f"{_APART}; with --ground they meet a plane"
 _SOLVER = "a setting of an engine, not of the mechanism"
 _DRAWN = "drawn only"
@@ -46,7 +46,7 @@ _MJCF: tuple[_Row, ...] = (
         COLLISION,
         "geom@contype geom@conaffinity geom@condim geom@priority geom@friction exclude",
     ),
-    ("dropped", True, "bodies collide by no pairs in the scene description", "pair"),
+    ("dropped", True, _APART, "pair"),
     (
         "dropped",
         False,

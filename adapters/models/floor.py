@@ -67,5 +67,7 @@ def floor_fates(solids: Solids, floor: Solid | None) -> Iterator[Fate]:
         yield Fate(solids.element, ("plane",), "approximated", how, True)
     names = tuple(shape.name for shape in solids.shapes if shape is not floor)
     if len(names) > 1:
-        reason = "bodies do not collide with each other in the scene description"
+        reason = (
+            "no collisions of bodies are made of a model; [collisions] of a scene file has some"
+        )
         yield Fate(solids.element, ("contact",), "dropped", reason, True, names, len(names))
