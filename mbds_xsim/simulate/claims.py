@@ -63,7 +63,8 @@ class Feature(Enum):
     FULL_INERTIA = "inertia not along the body frame"
     CONTACT = "sphere on the ground"
     COLLISION = "sphere on another body's sphere"
-    LINKED_CONTACT = "spheres of joined bodies, off centre, or on the ground and each other"
+    LINKED_CONTACT = "spheres of joined bodies, or off centre"
+    """Or balls that touch the ground and each other: all contact but what has one solution."""
 
 
 LOOPS = frozenset(feature for feature in Feature if feature.name.startswith("LOOP_"))
