@@ -25,8 +25,7 @@ Pinocchio's reading of URDF. What an engine has otherwise than the file says is 
 
 *Verdicts* are on half a second of motion from three starts, at the engines' presets (`matched`,
 without a search for better settings), with a minute of processor time for each engine and for the
-reference. Imports and deviations are of one run; verdicts and what engines' own readers make of the
-files are of earlier ones, of the same files and releases of engines.
+reference. Verdicts are of an earlier run than the rest, of the same files and releases of engines.
 """
 
 
