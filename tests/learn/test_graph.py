@@ -4,10 +4,12 @@ import msgspec
 import pytest
 import torch
 
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Body, Inertia
 from mbds_xsim.simulate.registry import PAPER_SCENES, load_scene
+from mbds_xsim.testing.collision_cases import TWO, balls
 
 
 @pytest.mark.parametrize("name", PAPER_SCENES)
@@ -66,3 +68,8 @@ def test_positions_in_the_plane_get_their_depth_back() -> None:
     expected = graph.reference[:, 1].float().expand(5, graph.particle_count)
     assert torch.equal(whole[..., 1], expected)
     assert graph.embed(published, rest=0.0)[..., 1].abs().max() == 0
+
+
+def test_bodies_that_collide_with_each_other_have_no_graph() -> None:
+    with pytest.raises(InputError, match=r"scene 'balls': got \[collisions\], allowed are scenes"):
+        Graph.of(balls(TWO["head on"]))
