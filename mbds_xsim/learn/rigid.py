@@ -47,7 +47,8 @@ class JointRows(nn.Module):
     ends: Tensor
     """Bodies of the parents' ends of the rows, then of the children's, shape (2 · row,)."""
     pairs: Tensor
-    """Ends at one and the same body, the world apart, shape (2, pair)."""
+    """Ends at one and the same body, the world apart, the first's row not before the second's,
+    shape (2, pair)."""
     place: Tensor
     """Where the product of such a pair is in a flat matrix (row, row), shape (pair,)."""
     axes: Tensor
@@ -58,7 +59,10 @@ class JointRows(nn.Module):
         self.body_count = mechanism.body_count
         ends = torch.from_numpy(layout.row_body % (mechanism.body_count + 1)).flatten()
         moves = ends < mechanism.body_count
-        first, second = torch.nonzero((ends[:, None] == ends) & moves[:, None], as_tuple=True)
+        count = layout.row_count
+        row = torch.arange(2 * count) % count
+        meet = (ends[:, None] == ends) & moves[:, None] & (row[:, None] >= row)
+        first, second = torch.nonzero(meet, as_tuple=True)
         keep(
             self,
             vector_body=layout.vector_body,
@@ -68,7 +72,7 @@ class JointRows(nn.Module):
             length=layout.length,
             ends=ends,
             pairs=torch.stack([first, second]),
-            place=layout.row_count * (first % layout.row_count) + second % layout.row_count,
+            place=count * row[first] + row[second],
             axes=torch.eye(3).double().repeat(layout.points.stop, 1),
         )
 
@@ -146,10 +150,15 @@ class JointHold:
     """J M⁻¹, of the same shape."""
     factor: Tensor
     """Of J M⁻¹ Jᵀ."""
+    lost: Tensor
+    """NaN where there is none, else 0, shape (batch, 1)."""
 
     def least(self, goal: Tensor) -> Tensor:
         """Mass-weighted least change c with J c = goal, shape (batch, body, 6)."""
-        multiplier = torch.cholesky_solve(goal[..., None], self.factor)
+        # Twice a triangle: `cholesky_solve` would copy the factor.
+        side = (goal + self.lost)[..., None]
+        side = torch.linalg.solve_triangular(self.factor, side, upper=False)
+        multiplier = torch.linalg.solve_triangular(self.factor.mT, side, upper=True)
         pull = self.over_mass * multiplier.repeat(1, 2, 1)
         world = self.rows.body_count
         whole = pull.new_zeros(len(pull), world + 1, 6).index_add(1, self.rows.ends, pull)
@@ -241,11 +250,11 @@ class BodyMechanics(nn.Module):
         first, second = rows.pairs
         product = jacobian.index_select(1, first) * over_mass.index_select(1, second)
         matrix = jacobian.new_zeros(len(state), count * count)
-        matrix = matrix.index_add(1, rows.place, product.sum(-1)).view(-1, count, count)
-        matrix = matrix + torch.diag_embed(_REST * matrix.diagonal(dim1=-2, dim2=-1))
-        factor, failed = torch.linalg.cholesky_ex(matrix)
-        factor = torch.where((failed > 0)[:, None, None], torch.nan, factor)
-        return JointHold(rows, jacobian, over_mass, factor)
+        matrix = matrix.index_add_(1, rows.place, product.sum(-1)).view(-1, count, count)
+        matrix.diagonal(dim1=-2, dim2=-1).mul_(1.0 + _REST)
+        factor, failed = torch.linalg.cholesky_ex(matrix)  # of the lower half, all that there is
+        lost = torch.where(failed > 0, torch.nan, 0.0)[:, None].to(matrix)
+        return JointHold(rows, jacobian, over_mass, factor, lost)
 
     def residual(self, state: Tensor) -> Tensor:
         """How far joints are open [m or rad], shape (batch, row)."""
