@@ -9,7 +9,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.scene.imported import Imported
@@ -18,152 +17,11 @@ from mbds_xsim.scene.scene import Clock, Ground, Scene
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.registry import load_adapter, read_model
 from tests.command_line import CommandLine
+from tests.models import ground_files as files
 
 for _name in ("mujoco", "dartpy", "pxr"):
     pytest.importorskip(_name)
 pytestmark = pytest.mark.usefixtures("in_process")
-
-_SHAPES = {
-    "sphere": (0.1,),
-    "capsule": (0.05, 0.2),
-    "box": (0.2, 0.15, 0.1),
-    "cylinder": (0.2, 0.1),
-}
-"""Half-sizes."""
-_PLACE, _ANGLES = (0.3, -0.2, 2.0), (0.4, -0.3, 0.7)
-_INERTIA = " ".join(f'{key}="{float(key[1] == key[2])}"' for key in
-                    ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"))  # fmt: skip
-
-
-def _words(values: object) -> str:
-    return " ".join(map(repr, np.array(values).tolist()))
-
-
-def _turn() -> Array:
-    """Give the turn of `_ANGLES` about the axes of W in turn, wxyz."""
-    about_x, about_y, about_z = (rotation.from_vector(v) for v in np.diag(_ANGLES))
-    return rotation.multiply(about_z, rotation.multiply(about_y, about_x))
-
-
-def _mjcf(kind: str, size: tuple[float, ...]) -> str:
-    return (
-        '<mujoco><worldbody><body name="b"><freejoint/><inertial pos="0 0 0" mass="1" '
-        f'diaginertia="1 1 1"/><geom name="s" type="{kind}" size="{_words(size)}" '
-        f'pos="{_words(_PLACE)}" quat="{_words(_turn())}"/></body></worldbody></mujoco>'
-    )
-
-
-def _urdf(kind: str, size: tuple[float, ...]) -> str:
-    solid = f'<box size="{_words(2 * np.array(size))}"/>'
-    if kind != "box":
-        length = f' length="{2 * size[1]}"' if len(size) > 1 else ""
-        solid = f'<{kind} radius="{size[0]}"{length}/>'
-    return (
-        f'<robot name="r"><link name="b"><inertial><mass value="1"/><inertia {_INERTIA}/>'
-        f'</inertial><collision><origin xyz="{_words(_PLACE)}" rpy="{_words(_ANGLES)}"/>'
-        f"<geometry>{solid}</geometry></collision></link></robot>"
-    )
-
-
-_BODY = (
-    "<inertial><mass>1</mass><inertia><ixx>1</ixx><iyy>1</iyy><izz>1</izz><ixy>0</ixy><ixz>0</ixz>"
-    "<iyz>0</iyz></inertia></inertial>"
-)
-
-
-def _solid(
-    kind: str, size: tuple[float, ...], pose: object = (0,) * 6, surface: str = "", name: str = "s"
-) -> str:
-    inside = f"<size>{_words(2 * np.array(size))}</size>"
-    if kind != "box":
-        length = f"<length>{2 * size[1]}</length>" if len(size) > 1 else ""
-        inside = f"<radius>{size[0]}</radius>{length}"
-    return (
-        f'<collision name="{name}"><pose>{_words(pose)}</pose><geometry><{kind}>{inside}</{kind}>'
-        f"</geometry><surface>{surface}</surface></collision>"
-    )
-
-
-def _link(inside: str, name: str = "b", height: float = 0.0) -> str:
-    return (
-        f'<model name="{name}"><pose>0 0 {height!r} 0 0 0</pose><link name="{name}">{_BODY}{inside}'
-        "</link></model>"
-    )
-
-
-def _plane(surface: str = "", height: float = 0.0) -> str:
-    return (
-        f'<model name="floor"><static>1</static><pose>0 0 {height!r} 0 0 0</pose><link name="f">'
-        '<collision name="ground"><geometry><plane><normal>0 0 2</normal></plane></geometry>'
-        f"<surface>{surface}</surface></collision></link></model>"
-    )
-
-
-def _sdf(kind: str, size: tuple[float, ...]) -> str:
-    """Give a file of which the model has the last of the turns, and the shape the others."""
-    *_, yaw = _ANGLES
-    place = rotation.rotate(rotation.from_vector(np.array([0, 0, -yaw])), np.array(_PLACE))
-    shape = _solid(kind, size, (*place, *_ANGLES[:2], 0.0))
-    return _world(_link(shape).replace("0.0 0 0 0</pose>", f"0 0 0 {yaw}</pose>", 1))
-
-
-def _world(*models: str) -> str:
-    return f'<sdf version="1.9"><world name="w">{"".join(models)}</world></sdf>'
-
-
-_HEAD = (
-    '#usda 1.0\n(\n    metersPerUnit = 1\n    kilogramsPerUnit = 1\n    upAxis = "Z"\n)\n'
-    'def PhysicsScene "scene"\n{\n}\n'
-)
-_ORDER = 'uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:orient"]\n'
-_APIS = '"PhysicsCollisionAPI", "MaterialBindingAPI"'
-_USD_NAMES = {"sphere": "Sphere", "capsule": "Capsule", "box": "Cube", "cylinder": "Cylinder"}
-
-
-def _prim(
-    kind: str,
-    size: tuple[float, ...],
-    place: object = (0.0, 0.0, 0.0),
-    turn: object = (1.0, 0.0, 0.0, 0.0),
-    more: str = "",
-    name: str = "s",
-) -> str:
-    """Give a shape in its body; a box is a cube of edge 2, scaled."""
-    dims = f"double radius = {size[0]}\n"
-    dims += f'double height = {2 * size[1]}\nuniform token axis = "Z"\n' if len(size) > 1 else ""
-    order = _ORDER
-    if kind == "box":
-        dims = f"float3 xformOp:scale = {size}\n"
-        order = _ORDER.replace('orient"]', 'orient", "xformOp:scale"]')
-    stand = f"double3 xformOp:translate = {tuple(place)}\nquatd xformOp:orient = {tuple(turn)}\n"  # type: ignore[arg-type]
-    return (
-        f'def {_USD_NAMES[kind]} "{name}" (prepend apiSchemas = [{_APIS}])\n'
-        f"{{\n{dims}{stand}{order}{more}}}\n"
-    )
-
-
-def _xform(inside: str, name: str = "b", height: float = 0.0, apis: str = "") -> str:
-    return (
-        f'def Xform "{name}" (prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI"{apis}])'
-        f"\n{{\nfloat physics:mass = 1\nfloat3 physics:diagonalInertia = (1, 1, 1)\n"
-        f"double3 xformOp:translate = (0, 0, {height!r})\n"
-        f'uniform token[] xformOpOrder = ["xformOp:translate"]\n{inside}}}\n'
-    )
-
-
-def _floor(more: str = "", height: float = 0.0) -> str:
-    return (
-        f'def Plane "floor" (prepend apiSchemas = [{_APIS}])\n{{\n'
-        f'uniform token axis = "Z"\ndouble3 xformOp:translate = (0, 0, {height!r})\n'
-        f'uniform token[] xformOpOrder = ["xformOp:translate"]\n{more}}}\n'
-    )
-
-
-def _usda(kind: str, size: tuple[float, ...]) -> str:
-    return _HEAD + _xform(_prim(kind, size, _PLACE, _turn().tolist()))
-
-
-_FORMATS = {"xml": _mjcf, "urdf": _urdf, "sdf": _sdf, "usda": _usda}
 
 
 def _read(here: Path, suffix: str, text: str) -> Imported:
@@ -177,11 +35,11 @@ def _centers(scene: Scene) -> Array:
     return np.asarray(found[np.lexsort(found.round(6).T)])
 
 
-@pytest.mark.parametrize("kind", _SHAPES)
+@pytest.mark.parametrize("kind", files.SHAPES)
 def test_a_shape_has_the_same_spheres_in_every_format(kind: str, here: Path) -> None:
     found = {
-        suffix: _read(here, suffix, write(kind, _SHAPES[kind]))
-        for suffix, write in _FORMATS.items()
+        suffix: _read(here, suffix, write(kind, files.SHAPES[kind]))
+        for suffix, write in files.FORMATS.items()
     }
 
     first = _centers(found["xml"].scene)
@@ -197,13 +55,13 @@ _FALL, _HEIGHT = 0.05, -0.3  # m
 
 def _drops() -> dict[str, str]:
     """Give a file in each format of shapes that stand upright above a floor."""
-    models, prims = [_plane(height=_HEIGHT)], [_HEAD, _floor(height=_HEIGHT)]
-    for kind, size in _SHAPES.items():
+    models, prims = [files.plane(height=_HEIGHT)], [files.HEAD, files.floor(height=_HEIGHT)]
+    for kind, size in files.SHAPES.items():
         lowest = sum(size) if kind == "capsule" else size[-1]
         height = _HEIGHT + _FALL + lowest
-        models.append(_link(_solid(kind, size), kind, height))
-        prims.append(_xform(_prim(kind, size, name=f"{kind}_shape"), kind, height))
-    return {"sdf": _world(*models), "usda": "".join(prims)}
+        models.append(files.link(files.solid(kind, size), kind, height))
+        prims.append(files.xform(files.prim(kind, size, name=f"{kind}_shape"), kind, height))
+    return {"sdf": files.world(*models), "usda": "".join(prims)}
 
 
 @pytest.mark.parametrize("suffix", ["sdf", "usda"])
@@ -264,14 +122,14 @@ _SDF_PAIRS = {
 def test_a_shape_of_sdf_meets_the_plane_as_surfaces_say(case: str, here: Path) -> None:
     shape, plane, expected = _SDF_PAIRS[case]
     models = [
-        "" if plane is None else _plane(plane),
-        _link(_solid("sphere", (0.1,), (0,) * 6, shape), height=1.0),
+        "" if plane is None else files.plane(plane),
+        files.link(files.solid("sphere", (0.1,), (0,) * 6, shape), height=1.0),
     ]
     if isinstance(expected, str):
         with pytest.raises(InputError, match=expected):
-            _read(here, "sdf", _world(*models))
+            _read(here, "sdf", files.world(*models))
         return
-    imported = _read(here, "sdf", _world(*models))
+    imported = _read(here, "sdf", files.world(*models))
     assert imported.scene.ground == expected
     idle = [fate for fate in imported.fates if "no restitution below" in fate.reason]
     assert len(idle) == (case == "no speed to rebound from")
@@ -281,8 +139,10 @@ def test_a_shape_of_sdf_meets_the_plane_as_surfaces_say(case: str, here: Path) -
 def test_what_of_a_surface_the_ground_lacks_is_named(here: Path) -> None:
     torsional = "<torsional><coefficient>1</coefficient></torsional>"
     surface = f"<friction><ode><mu>0.5</mu><mu2>0.2</mu2></ode>{torsional}</friction>"
-    shapes = _solid("sphere", (0.1,), (0,) * 6, surface) + _solid("cone", (0.1, 0.1), name="tip")
-    imported = _read(here, "sdf", _world(_link(shapes, height=1.0)))
+    shapes = files.solid("sphere", (0.1,), (0,) * 6, surface) + files.solid(
+        "cone", (0.1, 0.1), name="tip"
+    )
+    imported = _read(here, "sdf", files.world(files.link(shapes, height=1.0)))
 
     lost = {
         (fate.element, *fate.properties): fate.places
@@ -296,9 +156,9 @@ def test_what_of_a_surface_the_ground_lacks_is_named(here: Path) -> None:
 
 def test_a_plane_that_moves_or_is_tilted_is_no_ground(here: Path) -> None:
     plane = '<collision name="p"><geometry><plane/></geometry></collision>'
-    tilted = _plane(height=-3.0).replace("0 0 2", "1 0 2")
-    body = _link(_solid("sphere", (0.1,)) + plane, height=1.0)
-    imported = _read(here, "sdf", _world(tilted, body))
+    tilted = files.plane(height=-3.0).replace("0 0 2", "1 0 2")
+    body = files.link(files.solid("sphere", (0.1,)) + plane, height=1.0)
+    imported = _read(here, "sdf", files.world(tilted, body))
 
     told = {fate.reason: fate.places for fate in imported.fates if fate.outcome != "kept"}
     assert any("no horizontal plane is fixed in the world" in reason for reason in told)
@@ -364,8 +224,13 @@ _USD_PAIRS = {
 @pytest.mark.parametrize("case", _USD_PAIRS)
 def test_a_shape_of_usd_meets_the_plane_as_its_schema_says(case: str, here: Path) -> None:
     beside, shape, floor, body, expected = _USD_PAIRS[case]
-    solid = _prim("sphere", (0.1,), more=shape)
-    text = _HEAD + beside + _floor(floor) + _xform(body + solid, height=1.0, apis=_FILTERED)
+    solid = files.prim("sphere", (0.1,), more=shape)
+    text = (
+        files.HEAD
+        + beside
+        + files.floor(floor)
+        + files.xform(body + solid, height=1.0, apis=_FILTERED)
+    )
     if isinstance(expected, str):
         with pytest.raises(InputError, match=expected):
             _read(here, "usda", text)
@@ -380,10 +245,10 @@ def test_a_shape_of_usd_meets_the_plane_as_its_schema_says(case: str, here: Path
 
 def test_centimetres_y_up_and_axes_of_usd(here: Path) -> None:
     """A capsule along x, of a body 2 m above a floor at 0.5 m, on a stage that is y up."""
-    head = _HEAD.replace("metersPerUnit = 1", "metersPerUnit = 0.01").replace('"Z"', '"Y"')
-    capsule = _prim("capsule", (10, 30)).replace('"Z"', '"X"')
-    body = _xform(capsule).replace("(0, 0, 0.0)", "(0, 250, 0)", 1)
-    floor = _floor().replace("(0, 0, 0.0)", "(0, 50, 0)").replace('"Z"', '"Y"')
+    head = files.HEAD.replace("metersPerUnit = 1", "metersPerUnit = 0.01").replace('"Z"', '"Y"')
+    capsule = files.prim("capsule", (10, 30)).replace('"Z"', '"X"')
+    body = files.xform(capsule).replace("(0, 0, 0.0)", "(0, 250, 0)", 1)
+    floor = files.floor().replace("(0, 0, 0.0)", "(0, 50, 0)").replace('"Z"', '"Y"')
 
     scene = _read(here, "usda", head + floor + body).scene
 
@@ -418,32 +283,41 @@ _BOX = "<collision><geometry><box/></geometry></collision>"
 _BAD = {
     "size": (
         "sdf",
-        _world(_link(_solid("box", (0.1, -0.1, 0.1)))),
+        files.world(files.link(files.solid("box", (0.1, -0.1, 0.1)))),
         "is 0.2 -0.2 0.2, allowed is above 0",
     ),
-    "no size": ("sdf", _world(_link(_BOX)), "<size> of <collision> '' is not there"),
-    "word": ("sdf", _world(_link(_solid("sphere", (np.nan,)))), "allowed is a number"),
-    "pose": ("sdf", _world(_link(_solid("sphere", (0.1,), (1, 2)))), "allowed is six numbers"),
+    "no size": ("sdf", files.world(files.link(_BOX)), "<size> of <collision> '' is not there"),
+    "word": (
+        "sdf",
+        files.world(files.link(files.solid("sphere", (np.nan,)))),
+        "allowed is a number",
+    ),
+    "pose": (
+        "sdf",
+        files.world(files.link(files.solid("sphere", (0.1,), (1, 2)))),
+        "allowed is six numbers",
+    ),
     "mask": (
         "sdf",
-        _world(_link(_solid("sphere", (0.1,), (0,) * 6, _mask("all")))),
+        files.world(files.link(files.solid("sphere", (0.1,), (0,) * 6, _mask("all")))),
         "'all', allowed is an integer",
     ),
     "friction": (
         "sdf",
-        _world(_link(_solid("sphere", (0.1,), (0,) * 6, _friction(-1)), height=1.0)),
+        files.world(files.link(files.solid("sphere", (0.1,), (0,) * 6, _friction(-1)), height=1.0)),
         "friction",
     ),
     "scales": (
         "usda",
-        _HEAD + _xform(_prim("sphere", (0.1,), more="")).replace(
-            _ORDER, "float3 xformOp:scale = (1, 2, 1)\n" + _ORDER.replace("orient", "scale")),
+        files.HEAD + files.xform(files.prim("sphere", (0.1,), more="")).replace(
+            files.ORDER,
+            "float3 xformOp:scale = (1, 2, 1)\n" + files.ORDER.replace("orient", "scale")),
         "of the kind sphere, scaled unevenly",
     ),
     "restitution": (
         "usda",
-        _HEAD + _material("r", 0.5, 1.5)
-        + _xform(_prim("sphere", (0.1,), more=_BOUND.format("/r")), height=1.0),
+        files.HEAD + _material("r", 0.5, 1.5)
+        + files.xform(files.prim("sphere", (0.1,), more=_BOUND.format("/r")), height=1.0),
         "restitution",
     ),
 }  # fmt: skip
