@@ -71,7 +71,7 @@ def _asked(study: Tradeoff) -> str:
     """Say what the error is, and what it may be."""
     if study.own_limit is not None:
         allowed = quantity.length(study.error_budget_m)
-        return f"≤ {allowed} from its own limit at {study.horizon_s:g} s"
+        return f"≤ {allowed} from its own small-step limit at {study.horizon_s:g} s"
     when = f"{study.horizon_s:g} s"
     if study.reference_ends_s is not None and study.horizon_s < 1.0:
         return f"error at {when}, before the first impact"

@@ -40,9 +40,9 @@ _DATA = (".png", ".csv", ".json", ".json.gz")
 _HEAD = """\
 # Reports
 
-Figures of runs that take longer than a test may. `make reports` makes all of them again, in hours
-on a quiet machine; each chapter has a target of its own. [`mbds-xsim diff`](../docs/diff.md) tells
-what a new result has that a stored one had not.
+Results of runs that take too long for a test, each with the command that made it. `make reports`
+makes all of them again, in hours on a quiet machine; each chapter has a target of its own. To see
+what differs between a new result and a stored one, use [`mbds-xsim diff`](../docs/diff.md).
 """
 
 

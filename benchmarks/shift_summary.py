@@ -30,15 +30,20 @@ _HEAD = """\
 
 <!-- Written by: python -m benchmarks.shift_summary reports/shift > reports/shift/README.md -->
 
-**What do learned models inherit from the engine whose data taught them? Its settings, not the
-engine.** At one step, without damping and with hard contact, MuJoCo, PyBullet and DART are the same
-to a model; what costs is a coarser step, PyBullet's damping and MuJoCo's soft contact.
+**What do learned models inherit from the engine whose data taught them? Its settings, and almost
+nothing of the engine.** At one step, without damping and with hard contact MuJoCo, PyBullet and
+DART are nearly the same to a model; what costs is a coarser step, PyBullet's damping and MuJoCo's
+soft contact.
 
-Each figure is how many times the squared error at t = 10 grows by one change between the data that
-a model learned from and those it is tested on, with its 95 % interval; 1 is no loss. It is
-√(R_ij R_ji / (R_ii R_jj)), R_ij the error of the training on i, tested on j. Bold ones are told
-from chance, of all pairs of a study together. Of several pairs of engines it is the largest that
-is told from chance, else the largest. A scene's page has every pair, and what a model *survives*.
+Each figure says how many times the squared error ten predicted frames ahead (t = 10, 0.2 s) grows
+when the test data differ from the training data in one respect; 1 is no loss, brackets are 95 %
+intervals, and what is bold is told from chance among all pairs of a study. It is
+√(R_ij R_ji / (R_ii R_jj)), R_ij the error of the model trained on i and tested on j. Where several
+pairs of engines fall under a heading it is the largest bold one, or else the largest. A scene's
+page has every pair, and what a model *survives*.
+
+*Equal*: MuJoCo, DART and PyBullet at a step of 1 ms, PyBullet without damping, contact hard.
+*Native*: each engine as its users have it. *Matched*: settings that keep all budgets of the scene.
 """
 _FACTORS: dict[str, tuple[str, str] | str] = {
     "engine alone, equal settings": "equal",
@@ -60,7 +65,8 @@ and tested on every engine's. Each study's page has all figures.
 - *resolved*: of the shifts from one engine to another, how many can be told from the model's own
   error and from chance.
 - *worst gap*: error on another engine over that of the model trained there, the worst resolved
-  pair; of all pairs where none is resolved, which tells of trainings, not of engines.
+  pair; of all pairs where none is resolved, which says how well trainings went, not what a
+  change of engine does.
 - *without the target*: error of a training on all engines but the tested one, over that of single
   other engines. *all engines*: the worst engine's error of a training on all, over the worst of
   single ones.

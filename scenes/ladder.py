@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from mbds_xsim.base.text import counted
 from mbds_xsim.scene.sampling_terms import Levels, Turn, Wind
 from mbds_xsim.scene.scene import Body, Joint, Particle, Scene
 
@@ -25,7 +26,7 @@ def ladder(rungs: int) -> Scene:
     The paper gives particles, gravity, frames and the wind's role; the geometry and the intervals
     are this project's.
     """
-    rods = RODS_PER_RUNG * rungs
+    rods, steps = RODS_PER_RUNG * rungs, counted(rungs, "rung")
     bodies: list[Body] = []
     joints: list[Joint] = []
     for side, y in _SIDES.items():
@@ -43,7 +44,7 @@ def ladder(rungs: int) -> Scene:
             joints.append(Joint(f"{name}_{side}", "ball", knot, name, (0.0, y, z)))
     return Scene(
         name=f"{rungs}ladder",
-        description=f"rope ladder of {rungs} rungs, {rods} massless rods of {ROD} m a side",
+        description=f"rope ladder of {steps}, {rods} massless rods of {ROD} m a side",
         source=SMOOTH_SOURCE,
         bodies=tuple(bodies),
         joints=tuple(joints),

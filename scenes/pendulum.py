@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from mbds_xsim.base.text import counted
 from mbds_xsim.scene.sampling_terms import Levels, Swing
 from mbds_xsim.scene.scene import Body, Joint, Particle, Scene
 
@@ -19,7 +20,7 @@ def pendulum(links: int) -> Scene:
     Each particle is welded to its rod, so its inertia counts; it has no spin about the rod. The
     paper gives particles, gravity and frames; the geometry and the intervals are this project's.
     """
-    names = [f"link{k}" for k in range(1, links + 1)]
+    rods, names = counted(links, "massless rod"), [f"link{k}" for k in range(1, links + 1)]
     bodies = tuple(
         Body(name, particles=(Particle((0.0, 0.0, -ROD * k)),)) for k, name in enumerate(names, 1)
     )
@@ -29,7 +30,7 @@ def pendulum(links: int) -> Scene:
     )
     return Scene(
         name=f"{links}pendulum",
-        description=f"{links} massless rods of {ROD} m, each with one particle at its lower end",
+        description=f"{rods} of {ROD} m, each with one particle at its lower end",
         source=SMOOTH_SOURCE,
         bodies=bodies,
         joints=joints,

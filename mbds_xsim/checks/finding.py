@@ -5,16 +5,13 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.base.text import apart
-
-if TYPE_CHECKING:
-    pass
 from mbds_xsim.checks.record import Record
 
 
@@ -153,8 +150,9 @@ class Finding:
         """Say in a line what a trajectory has of what is allowed."""
         allowed = np.inf if self.budget is None else self.budget
         figure, budget = apart(self.figure[row], allowed, lambda x, n: f"{x:.{n}g}", 3)
+        unit = "" if self.unit == "1" else f" {self.unit}"
         where = f" ({self.where[row]})" if self.where[row] else ""
-        return f"{self.check}: {figure} {self.unit}, allowed {budget}{where}"
+        return f"{self.check}: {figure}{unit}, allowed {budget}{where}"
 
     @property
     def worst(self) -> int:

@@ -111,7 +111,7 @@ def train(
     scheduler: _Scheduler = None,
     tensorboard: _Events = None,
 ) -> None:
-    """Train learned models on engines' data, all on equally much of it; see docs/train.md.
+    """Train learned models on engines' data, the same amount of data for each.
 
     Examples:
         mbds-xsim train data --models gns,sgnn --on each,all --plan
@@ -317,7 +317,7 @@ def shift(
     device: shared.Device = "cpu",
     rollouts: _Rollouts = None,
 ) -> None:
-    """Test models that were trained on one engine's data on every other engine's.
+    """Take models trained on one engine's data, and test them on the data of all others.
 
     Examples:
         mbds-xsim shift models data --html shift.html

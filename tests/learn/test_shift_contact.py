@@ -107,14 +107,14 @@ def test_changes_stand_side_by_side_in_one_sentence() -> None:
     other = [_matched(each) for each in found]
     (both,) = answer_of_factors([*found, *other], 0, 1)
     assert both.answer == (
-        "At t = 1 the squared error of gns grows up to 4 times with another engine on native "
-        "data, 4 times with another engine on matched data"
+        "At t = 1 the squared error of gns grows at most 4-fold with another engine on native "
+        "data, 4-fold with another engine on matched data"
     )
     quiet = [msgspec.structs.replace(each, resolved=(False, False)) for each in other]
     (both,) = answer_of_factors([*found, *quiet], 0, 1)
     assert both.answer == (
-        "At t = 1 the squared error of gns grows up to 4 times with another engine on native "
-        "data; by less than 2 times, if at all, with another engine on matched data"
+        "At t = 1 the squared error of gns grows at most 4-fold with another engine on native "
+        "data; less than 2-fold, if at all, with another engine on matched data"
     )
 
 

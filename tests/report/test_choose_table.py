@@ -110,7 +110,7 @@ def test_scenes_without_a_truth_are_not_said_to_be_judged() -> None:
     limit = msgspec.structs.replace(_STUDY, own_limit=200, reference_ends_s=0.0)
     impact = msgspec.structs.replace(_STUDY, horizon_s=0.38, reference_ends_s=0.39)
 
-    assert "pair<br>≤ 1.0 mm from its own limit at 1 s" in choose_table([limit])
+    assert "pair<br>≤ 1.0 mm from its own small-step limit at 1 s" in choose_table([limit])
     assert "pair<br>error at 0.38 s, before the first impact" in choose_table([impact])
 
 

@@ -96,16 +96,16 @@ def _resolved(gaps: Sequence[Gap], place: int, frame: int) -> Answer:
     better = sum(_is_gain(gap, place) for gap in resolved)
     text = (
         f"At t = {frame}, {len(resolved)} of {len(single)} shifts from one engine's data to "
-        f"another's are resolved{_by_settings(single, place)}: {len(resolved) - better} times the "
-        f"model errs more than the one trained there{_no_harm(resolved, place)}, {better} times "
-        f"less; {count[WEAK]} are not because the model's own error exceeds the engine floor, "
-        f"{count[UNSURE]} because the interval of the difference contains 0"
+        f"another's are resolved{_by_settings(single, place)}. In {len(resolved) - better} of them "
+        f"the model errs more than the one trained there{_no_harm(resolved, place)}, in {better} "
+        f"less. Not resolved are {count[WEAK]} because the model's own error exceeds the engine "
+        f"floor, {count[UNSURE]} because the interval of the difference contains 0"
     )
     if count[UNKNOWN]:
         text += f", {count[UNKNOWN]} because the model's own domain is not tested"
     tried = len(resolved) + count[UNSURE]
     if tried > 1:
-        text += f". Of {tried} intervals at 95 % each, {0.05 * tried:.2g} miss 0 without a shift"
+        text += f". By chance alone {0.05 * tried:.2g} of {tried} intervals of 95 % would miss 0"
     return Answer(RESOLVABLE, "Is a shift resolvable?", text)
 
 
@@ -153,8 +153,8 @@ def _most_robust(
     parts = ", ".join(f"{len(resolved[m])} of {len(own)} of {m}" for m, own in within.items())
     text = (
         f"At t = {frame} on {variant} data {_first(able, ordered, place)}. Gaps resolved: "
-        f"{parts}. Worst ratio of error to that of the target-trained model, of the resolved gaps, "
-        "else of all (the worst of several is above 1 even without a shift): "
+        f"{parts}. Largest error over that of the model trained on the test engine, of the "
+        "resolved gaps, else of all (the largest of several is above 1 even without a shift): "
         f"{_texts(ordered, place)}"
     )
     question = f"Which model is most robust ({variant})?"
@@ -269,8 +269,8 @@ def _matched(
         within = {name: _gaps_within(g, g.singles, gaps) for name, g in variants.items()}
         text = (
             f"At t = {frame} {_removal(native, matched, change, within, place)}. "
-            f"Mean gap ratio {native.text(place)} on native, {matched.text(place)} on "
-            f"matched data, {change.text(place)} of the two"
+            f"Mean gap ratio: native {native.text(place)}, matched {matched.text(place)}, native "
+            f"over matched {change.text(place)}"
         )
         question = f"Does matched data remove the shift of {model}?"
         yield Answer(MATCHED, question, text, ratios=_results({model: change}))

@@ -158,11 +158,11 @@ def answer_of_factors(
         for (change, where), whole in changes.items()
     }
     ranked = sorted(costs.items(), key=lambda cost: -cost[1])
-    dear = ", ".join(f"{most:.3g} times {words}" for words, most in ranked if most >= BEARABLE)
+    dear = ", ".join(f"{_times(most)} {words}" for words, most in ranked if most >= BEARABLE)
     cheap = ", ".join(words for words, most in ranked if most < BEARABLE)
-    told = [f"up to {dear}"] if dear else []
-    told += [f"by less than {BEARABLE:g} times, if at all, {cheap}"] if cheap else []
-    models = ", ".join(dict.fromkeys(each.model for each in found))
+    told = [f"at most {dear}"] if dear else []
+    told += [f"less than {BEARABLE:g}-fold, if at all, {cheap}"] if cheap else []
+    models = " and ".join(dict.fromkeys(each.model for each in found))
     text = f"At t = {frame}{since} the squared error of {models} grows {'; '.join(told)}"
     yield Answer(INTERACTION, f"Which change costs how much{since}?", text)
 
@@ -176,6 +176,11 @@ def by_change(found: Sequence[Interaction]) -> dict[tuple[str, str], list[Intera
             changes.setdefault(change, []).append(each)
     kinds = list(OTHER)
     return dict(sorted(changes.items(), key=lambda change: kinds.index(change[0][0])))
+
+
+def _times(value: float) -> str:
+    """Write 8.32-fold or 1021-fold."""
+    return f"{value:.3g}-fold" if value < 1000.0 else f"{value:.0f}-fold"
 
 
 def _most(own: Sequence[Interaction], place: int) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
 
+from mbds_xsim.base.text import counted
 from mbds_xsim.learn.shift.interaction import BEARABLE, FALSE, OTHER, by_change
 from mbds_xsim.learn.shift.result import Interaction, Shift
 from mbds_xsim.report.blocks import Column, Table, table_of
@@ -17,7 +18,8 @@ def change_tables(shift: Shift, place: int) -> Iterator[Table]:
     yield _pairs(shift.interactions, place, when)
     if shift.after_contact:
         frames = [frame for frame in shift.contact_frames if frame <= shift.frames[place]]
-        when = f"{frames[-1]} frames after the first contact, {shift.contact_trajectories} of them"
+        taken = counted(shift.contact_trajectories, "trajectory")
+        when = f"{frames[-1]} frames after the first contact ({taken})"
         yield survivors(shift.after_contact, len(frames) - 1, when, seen)
         yield _pairs(shift.after_contact, len(frames) - 1, when)
 
@@ -56,10 +58,11 @@ def survivors(
     )
     return titled(
         f"Which model survives which change {when}",
-        "How many times the squared error grows by the dearest change of its kind that is told "
-        "from chance, its 95 % interval, and which it is. Where none is told a model survives if "
-        "it errs less at home than the domains are apart, and the intervals leave room for less "
-        f"than {BEARABLE:g} times; where it errs more it cannot notice the change",
+        "How many times the squared error grows by the costliest change of its kind that is told "
+        "from chance, with its 95 % interval, and which change it is. Where none is told, a model "
+        "survives if it errs less on its own data than the two data sets differ and all intervals "
+        f"end below {BEARABLE:g} times; it does not notice the change if it errs more than they "
+        "differ. Below 1.1: where the highest interval ends",
         ("change", *models),
         rows,
     )

@@ -112,11 +112,12 @@ def protocol(shift: Shift) -> str:
     budget = f", {' to '.join(map(str, ends))} steps" if ends else ""
     few = "" if len(seeds) >= _ENOUGH else ", too few to tell of other runs of the same trainings"
     told = sorted({m.model for m in shift.models if m.bodies})
-    bodies = f", to {' and '.join(told)} with the bodies' states" if told else ""
+    bodies = f" ({', '.join(told)}: the bodies' states, too)" if told else ""
     return (
-        f"{len(shift.index)} test trajectories that all {len(shift.domains)} domains share, from "
-        f"the same starts and inputs; the first {shift.history} frames are the test domain's own"
-        f"{bodies}, then {shift.horizon} frames of {shift.frame_s:g} s are predicted. "
+        f"Tested on {len(shift.index)} trajectories that all {len(shift.domains)} domains (engines "
+        f"at given settings) share, from the same starts and inputs. A model is shown the first "
+        f"{shift.history} frames of the test domain{bodies} and predicts the next {shift.horizon}, "
+        f"of {shift.frame_s:g} s each. "
         f"Seeds {', '.join(map(str, seeds))}{few}; "
         f"profile {profiles}{budget}; random forces {'act' if shift.noise else 'do not act'} and "
         "are never told to a model"

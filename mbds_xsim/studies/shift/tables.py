@@ -249,7 +249,7 @@ def _floors(shift: Shift) -> Table:
     rows = []
     for floor in shift.floors:
         first, test = floor.first, floor.test
-        names = {ENGINE: f"{first} and {test}", RESTART: f"{first} gone on from {test}"}
+        names = {ENGINE: f"{first} and {test}", RESTART: f"{first} restarted from {test}"}
         # A distance is the same both ways, and stands once.
         twice = floor.kind == ENGINE and test != REFERENCE and first > test
         alike = not first or test in (first, REFERENCE) or changed(first, test)

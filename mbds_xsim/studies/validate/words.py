@@ -46,7 +46,7 @@ def reference_line(validation: Validation) -> str:
 def spent_line(validation: Validation) -> str:
     """Say where the time went, of all processes together."""
     parts = (f"{what} {quantity.span(seconds)}" for what, seconds in validation.spent_s.items())
-    return f"{', '.join(parts)} (seconds of processes)"
+    return f"{', '.join(parts)} (summed over all processes)"
 
 
 def _until(validation: Validation) -> str:
