@@ -36,6 +36,11 @@ def test_a_scene_shown_as_toml_loads_as_the_same_scene(
     assert registry.load_scene("./again.toml") == registry.load_scene(name)
 
 
+def test_a_scene_says_which_budgets_are_its_own(run: CommandLine) -> None:
+    assert "budgets: error at 1 s 1.8 mm; all as usual\n" in run("show", "3ladder").out
+    assert "budgets: error at 1 s 20 mm; error_1s 0.02" in run("show", "balldrop").out
+
+
 def test_mujocos_file_gives_the_same_motion_in_mujoco_alone(run: CommandLine, here: Path) -> None:
     mujoco = pytest.importorskip("mujoco")
     sideways = msgspec.structs.replace(
