@@ -58,7 +58,7 @@ def test_what_breaks_is_counted_with_what_is_silent(sweep: Survey) -> None:
     assert conclusion(sweep).startswith(f"{len(failed)} of {len(sweep.cells)} cells fail, ")
     assert f"{len(silent)} of them without a word" in conclusion(sweep)
     lines = dict(breaking(sweep))
-    assert "without a word of the engine" in lines["pybullet semi-implicit-euler"]
+    assert "without a word from the engine" in lines["pybullet semi-implicit-euler"]
 
 
 def test_what_an_engine_cannot_do_makes_it_no_stabler(sweep: Survey) -> None:

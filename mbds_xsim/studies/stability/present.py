@@ -98,7 +98,7 @@ def _limits(sweep: Survey) -> blocks.Table:
 def _maps(sweep: Survey) -> Iterator[blocks.Block]:
     yield blocks.Text(
         f"Across: the step; upwards: {words.swept(sweep)}. The colour says what breaks first "
-        f"within {sweep.duration_s:g} s; hatched cells go wrong without a word of the engine. "
+        f"within {sweep.duration_s:g} s; hatched cells go wrong without a word from the engine. "
         "Point at a cell for its figures and the command that runs it again"
     )
     present_ones = {cell.outcome for cell in sweep.cells}
@@ -107,7 +107,7 @@ def _maps(sweep: Survey) -> Iterator[blocks.Block]:
         for outcome, look in LOOKS.items()
         if outcome in present_ones
     ]
-    yield blocks.Legend((*keys, blocks.Key("without a word of the engine", hatched=True)))
+    yield blocks.Legend((*keys, blocks.Key("without a word from the engine", hatched=True)))
     told = tips(sweep)
     yield blocks.FigureGroup(
         tuple(_map(sweep, places, told) for places in charts_of(sweep)), least=275

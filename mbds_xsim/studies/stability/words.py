@@ -1,6 +1,6 @@
 """A stability study in words and maps: limits, what breaks first, who said so.
 
-A cell that goes wrong without a word of the engine is hatched.
+A cell that goes wrong without a word from the engine is hatched.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def breaking(sweep: Survey) -> Iterator[tuple[str, str]]:
         text = ", ".join(told + [f"not measured {late}×"] * bool(late))
         if text:
             cells = sum(len(row) for row in panel.cells)
-            yield panel.name, f"{text}, of {cells} cells; {silent} without a word of the engine"
+            yield panel.name, f"{text}, of {cells} cells; {silent} without a word from the engine"
 
 
 def conclusion(sweep: Survey) -> str:
@@ -89,7 +89,7 @@ def conclusion(sweep: Survey) -> str:
     shown = ", ".join(best[:3]) + (f" and {len(best) - 3} more" if len(best) > 3 else "")
     of_most = f"most stable: {shown} ({most} of {sum(map(len, ranked[0].cells))})"
     return (
-        f"{len(failed)} of {len(cells)} cells fail, {len(silent)} of them without a word of the "
+        f"{len(failed)} of {len(cells)} cells fail, {len(silent)} of them without a word from the "
         f"engine{lacking}; {of_most if most else 'none is stable'}"
     )
 
@@ -314,7 +314,7 @@ def draw_legend(figure: Any, sweep: Survey, *, columns: int) -> None:
     ]
     silent = Patch(
         facecolor="white", edgecolor=INK, linewidth=0.0, hatch=_HATCH,
-        label="hatched: without a word of the engine",
+        label="hatched: without a word from the engine",
     )  # fmt: skip
     figure.legend(
         handles=[*patches, silent], loc="outside lower left", ncols=columns, frameon=False,
