@@ -161,12 +161,12 @@ def _parted(
     own = math.sqrt(collisions.restitution)
     if ground is None:
         return (0.0, collisions.friction), (0.0, own)
-    if ground.friction > collisions.friction or (ground.restitution and not own):
+    if ground.friction > collisions.friction or ground.restitution > own:
         msg = (
             f"dart: collisions: got friction {collisions.friction:g} and restitution "
             f"{collisions.restitution:g}, allowed is as much friction as the ground's, "
-            f"{ground.friction:g}, as the smaller one of two bodies counts, and no restitution of "
-            "0 beside the ground's, as their product does"
+            f"{ground.friction:g}, as the smaller one of two bodies counts, and a restitution from "
+            f"{ground.restitution**2:g} on, the ground's squared, as their product does"
         )
         raise Unsupported(msg)
     return (ground.friction, collisions.friction), (ground.restitution / (own or 1.0), own)

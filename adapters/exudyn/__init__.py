@@ -73,7 +73,7 @@ class Exudyn(Adapter):
     """Rigid bodies with six coordinates each; joints are constraints with multipliers."""
 
     name = "exudyn"
-    revision = 4
+    revision = 5
     package = "exudyn"
     methods: ClassVar = {
         "trapezoidal": Method(

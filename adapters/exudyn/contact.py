@@ -82,6 +82,8 @@ def outputs(kind):  # of the spheres' centres
 radii, arms = np.array({radii!r}), np.array({arms!r})
 one, other = np.array({pairs!r}, dtype=int).reshape(-1, 2).T
 fixed = np.arange({grounded})  # spheres that may touch the ground
+driven = [0.0]  # largest of the held forces over the masses
+before = [None]  # velocities of the spheres a frame ago, where springs or drives pull
 
 
 def gaps():  # of the spheres and the ground, then of two spheres
@@ -92,7 +94,12 @@ def gaps():  # of the spheres and the ground, then of two spheres
 
 def may_touch(duration):  # whether a sphere can get to the ground or another within a time
     velocity = outputs("Velocity")
-    pull = {gravity!r} + np.sum(outputs("AngularVelocity") ** 2, axis=1) * arms
+    pull = {gravity!r} + driven[0] + np.sum(outputs("AngularVelocity") ** 2, axis=1) * arms
+    if {sprung}:
+        last, before[0] = before[0], velocity
+        if last is None:
+            return True
+        pull = np.maximum(pull, {reach!r} * np.linalg.norm(velocity - last, axis=1) / duration)
     speed = np.linalg.norm(velocity[one] - velocity[other], axis=1)
     speed = np.append(np.maximum(0.0, -velocity[fixed, 2]), speed)
     pull = np.append(pull[fixed], pull[one] + pull[other])
@@ -141,6 +148,11 @@ def contact_listing(mechanism: Mechanism, contact: PenaltyContact, marker: Marke
         grounded=len(radius) if scene.ground else 0,
         arms=np.linalg.norm(mechanism.sphere_offset, axis=-1).tolist(),
         gravity=float(np.linalg.norm(mechanism.scene.gravity)),
+        sprung=bool(
+            mechanism.springs
+            or mechanism.scene.servos
+            or any(joint.complies for joint in mechanism.joints)
+        ),
         reach=_REACH,
     )
 

@@ -100,6 +100,7 @@ class ExudynRun(Run):
             data.SetODE2Coordinates_t(velocities, configuration)
             data.SetODE2Coordinates_tt(np.zeros_like(velocities), configuration)
         if self._spheres is not None:
+            self._names["before"][0] = None
             memory = self._memory()
             data.SetDataCoordinates(memory, exudyn.ConfigurationType.Initial)
             data.SetDataCoordinates(memory, exudyn.ConfigurationType.Current)
@@ -134,6 +135,9 @@ class ExudynRun(Run):
 
     def _load(self, force: Array, torque: Array) -> None:
         put = self._mbs.SetLoadParameter
+        if self._spheres is not None:
+            pulls = np.linalg.norm(force, axis=-1) / self._mechanism.mass
+            self._names["driven"][0] = float(pulls.max())
         for load, value in zip(self._names["forces"], force, strict=True):
             put(load, "loadVector", value)
         hinges = self._mechanism.hinges

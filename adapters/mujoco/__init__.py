@@ -59,7 +59,7 @@ class MuJoCo(Adapter):
 
     name = "mujoco"
     package = "mujoco"
-    revision = 2
+    revision = 3
     methods: ClassVar = {
         # A loop is as stiff as the step allows, so the stages of a step see it open by h² and
         # push with accelerations that do not vanish with h: velocities are off by a share of h.

@@ -39,6 +39,7 @@ import mujoco
 import numpy as np
 
 from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.base.xml import numbers
 from mbds_xsim.scene.collisions import Collisions
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
@@ -67,6 +68,8 @@ _SOFT_CONE = 1e-9
 _NOSLIP_ITERATIONS = 100
 # Tighter, it runs through all its iterations and changes nothing.
 _NOSLIP_TOLERANCE = 1e-9
+# μ² times what a sphere yields [1/kg], whose square is the least determinant of `mju_QCQP2`.
+_FRICTIONLESS = 1e-5
 # How far a sphere may get within a step, in lengths of a straight path.
 _REACH = 2.0
 # Slower than that [m/s] is at rest.
@@ -102,7 +105,7 @@ def add_contacts(
     if scene.ground is not None:
         # The first geom of the world. A plane is a half-space: nothing gets behind it.
         SubElement(bodies[WORLD_INDEX], "geom", never, name=_GROUND, type="plane", size="0 0 1")
-    contact = SubElement(root, "contact")
+    contact, yields = SubElement(root, "contact"), _yields(mechanism)
     for k, body in enumerate(mechanism.sphere_body):
         SubElement(
             bodies[int(body)],
@@ -114,11 +117,32 @@ def add_contacts(
             pos=numbers(mechanism.sphere_offset[k]),
         )
         if scene.ground is not None:
+            _check_friction("ground", scene.ground, float(yields[k]), impact)
             _add_pair(contact, (_GROUND, _name(k)), scene.ground, impact)
     hard = dataclasses.replace(impact, hardness=HARDEST)
     for one, other in mechanism.sphere_pairs.tolist():
         assert scene.collisions is not None
+        _check_friction("collisions", scene.collisions, yields[one] + yields[other], impact)
         _add_pair(contact, (_name(one), _name(other)), scene.collisions, hard)
+
+
+def _yields(mechanism: Mechanism) -> Array:
+    """How much speed an impulse along the ground gives the spheres, alone [1/kg], (sphere,)."""
+    body, radius = mechanism.sphere_body, mechanism.sphere_radius
+    return np.asarray(
+        1.0 / mechanism.mass[body] + radius**2 / np.linalg.eigvalsh(mechanism.inertia[body])[:, 0]
+    )
+
+
+def _check_friction(where: str, law: Ground | Collisions, yields: float, impact: Impact) -> None:
+    """Refuse friction that the noslip solver takes for none: a determinant below 1e-10."""
+    least = math.sqrt(_FRICTIONLESS / yields)
+    if impact.step and 0.0 < law.friction < least:
+        msg = (
+            f"mujoco: {where}.friction: got {law.friction:g}, allowed is 0, or at least "
+            f"{least:.3g} for bodies so heavy: its solver of friction takes less for none"
+        )
+        raise Unsupported(msg)
 
 
 def _add_pair(
@@ -160,7 +184,8 @@ class SphereGeoms:
         self._grounded = mechanism.scene.ground is not None
         self._one, self._other = mechanism.sphere_pairs.T
         self._reach = self._radius[self._one] + self._radius[self._other]
-        self._gravity = float(np.linalg.norm(model.opt.gravity))
+        self._gravity, self._load = model.opt.gravity.tolist(), 0.0
+        self.free = not (mechanism.joints or mechanism.distances or mechanism.springs)
         from_com = np.linalg.norm(
             model.geom_pos[self._geoms] - model.body_ipos[self._bodies], axis=1
         )
@@ -168,6 +193,11 @@ class SphereGeoms:
             (int(body), int(model.body_rootid[body]), float(from_com[self._bodies == body].max()))
             for body in np.unique(self._bodies)
         ]
+
+    def loaded(self, model: Any, force: Array) -> None:
+        """Foresee held forces on MuJoCo's bodies but the world [N], shape (…, body, 3)."""
+        pulls = np.linalg.norm(force, axis=-1) / model.body_mass[1:]
+        self._load = float(pulls.max(initial=0.0))
 
     def gaps(self, model: Any, data: Any) -> tuple[Array, float]:
         """Give the gaps of spheres to the ground, if any, then those of pairs [m]; and the least.
@@ -192,28 +222,40 @@ class SphereGeoms:
         `enough`.
         """
         # The lowest alone mostly tells; where it rests, without its speed.
-        if low < _REACH * least * self._gravity * least:
+        twice = 2.0 if len(self._one) else 1.0
+        pull = math.hypot(*self._gravity) + twice * self._load
+        if low < _REACH * least * pull * least:
             return 0.0
         mujoco.mj_comPos(model, data)
         mujoco.mj_comVel(model, data)
         lowest = int(gap.argmin())
         speed = self._speed(data, lowest)
-        if low < _REACH * least * (speed + self._gravity * least):
+        if low < _REACH * least * (speed + pull * least):
             return 0.0
-        fastest = self._fastest(data) * (2.0 if len(self._one) else 1.0)
-        if (rough := self._time(low, fastest)) >= enough:
+        pull = pull if self.free else max(pull, twice * self._bend(model, data))
+        fastest = self._fastest(data) * twice
+        if (rough := _time(low, fastest, pull)) >= enough:
             return rough
-        first = self._time(low, speed)
+        first = _time(low, speed, pull)
         # What is higher than the fastest falls until then cannot come before the lowest.
-        others = np.flatnonzero(gap < _REACH * first * (fastest + self._gravity * first)).tolist()
-        times = (self._time(float(gap[k]), self._speed(data, k)) for k in others if k != lowest)
+        others = np.flatnonzero(gap < _REACH * first * (fastest + pull * first)).tolist()
+        times = (_time(float(gap[k]), self._speed(data, k), pull) for k in others if k != lowest)
         return min([first, *times])
 
-    def _time(self, gap: float, speed: float) -> float:
-        """Solve gap = _REACH (speed time + gravity time²)."""
-        way = gap * (2.0 / _REACH)
-        rate = speed + math.sqrt(speed**2 + 2.0 * self._gravity * way)
-        return way / max(rate, _TINY)
+    def _bend(self, model: Any, data: Any) -> float:
+        """Acceleration that no sphere passes, as joints, springs and drives pull now [m/s²]."""
+        mujoco.mj_forward(model, data)
+        mujoco.mj_rnePostConstraint(model, data)
+        pulls = []
+        for body, root, reach in self._carriers:
+            p, q, r, u, v, w = data.cvel[body].tolist()
+            a, b, c, x, y, z = data.cacc[body].tolist()  # against gravity: at rest -g
+            x, y, z = (value + g for value, g in zip((x, y, z), self._gravity, strict=True))
+            arm = reach + math.dist(data.xipos[body].tolist(), data.subtree_com[root].tolist())
+            spin = math.hypot(p, q, r)
+            along = math.hypot(x, y, z) + math.hypot(a, b, c) * arm
+            pulls.append(along + spin * (math.hypot(u, v, w) + spin * arm))
+        return max(pulls)
 
     def _fastest(self, data: Any) -> float:
         """Speed that no sphere passes [m/s]."""
@@ -266,6 +308,13 @@ def _law(restitution: float, impact: Impact) -> dict[str, str]:
         "solreffriction": numbers((0.0, -impact.hardness / h)),
         "solimp": f"{impact.hardness} {impact.hardness} 0.001 0.5 2",
     }
+
+
+def _time(gap: float, speed: float, pull: float) -> float:
+    """Solve gap = _REACH (speed time + pull time²)."""
+    way = gap * (2.0 / _REACH)
+    rate = speed + math.sqrt(speed**2 + 2.0 * pull * way)
+    return way / max(rate, _TINY)
 
 
 def _name(k: int) -> str:

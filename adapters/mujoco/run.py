@@ -131,6 +131,7 @@ class ModelRun(Run):
         # At the centre of mass and along W in every stage of a step. MuJoCo's first body is W.
         push, force = data.xfrc_applied[1:, :3], one.force[0][:, self._order]
         drive, torque = data.ctrl, with_pushes(self._mechanism.drives, one.torque[0])
+        self._spheres.loaded(model, force)
         qpos, second = data.qpos, self.coordinates.second
         frames.keep(row, 0)
         for k in range(one.steps):

@@ -128,6 +128,8 @@ class FinerNearGround:
         # What the last frame left behind holds on, unless the state was put anew.
         if data.time != self._left_at:
             self._look(model, data)
+        elif not self._spheres.free:  # drives may pull in another way now
+            self._until = -math.inf
         while left:
             aloft = self._aloft(model, data, left)
             if not (aloft and self._flown(model, data, aloft)):

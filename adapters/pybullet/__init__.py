@@ -51,6 +51,7 @@ class PyBullet(Adapter):
 
     name = "pybullet"
     package = "pybullet"
+    revision = 2
     methods: ClassVar[Mapping[str, Method]] = {
         "semi-implicit-euler": Method(
             "semi-implicit-euler", "semi-implicit Euler", 1, velocity_lag=-0.5

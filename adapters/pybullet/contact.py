@@ -273,7 +273,11 @@ class BulletContact:
 def flags_of(contact: BulletContact | None) -> int:
     """Give the flags of a multibody."""
     order = Constant("URDF_MAINTAIN_LINK_ORDER")  # else Bullet numbers the links depth first
-    return order | Constant("URDF_USE_SELF_COLLISION") if contact and contact.collides else order
+    if not (contact and contact.collides):
+        return order
+    # Also of a link with the one that carries it; which spheres may touch, their masks say.
+    parents = Constant("URDF_USE_SELF_COLLISION_INCLUDE_PARENT")
+    return order | Constant("URDF_USE_SELF_COLLISION") | parents
 
 
 def _parted(name: str, ground: float | None, between: float | None) -> tuple[float, float]:

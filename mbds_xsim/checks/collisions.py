@@ -25,7 +25,7 @@ from mbds_xsim.scene.mechanism import Mechanism
 
 _CENTRED = 1e-9  # [m], and of a moment that balls have alike about all axes
 _OVER = 1e-6  # of the approach that changes beside each other once a collision is over
-_SLOW = 3.0  # times what gravity adds in a frame: slower ones are no measure of restitution
+_SLOW = 3.0  # times what gravity or loads add in a frame: slower ones tell no restitution
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +55,9 @@ def collision_restitution(record: Record) -> Figures | None:
         return None
     assert record.scene.collisions is not None
     wanted, ratios = record.scene.collisions.restitution, []
-    for hits in found.values():
-        fast = hits.approach > _SLOW * record.fall
+    for pair, hits in found.items():
+        loads = rotation.norm(_pull(record, pair)[hits.row, hits.step])
+        fast = hits.approach > _SLOW * np.maximum(record.fall, record.frame * loads)
         ratios.append(np.where(fast, hits.parting / hits.approach, np.nan))
     off = [np.abs(ratio - wanted) for ratio in ratios]
     every = np.concatenate(ratios)

@@ -205,7 +205,7 @@ def responses(mechanism: Mechanism) -> tuple[Array, Array]:
 _REFINEMENTS = 4  # Newton's steps to the time of touch
 _SUBSTEPS = 4  # of Runge and Kutta to it
 _APART = 0.5  # of the flight that follows a rebound: a step with so much time left has two impacts
-_SLOW = 3.0  # times what gravity adds in a frame: slower impacts are no measure of restitution
+_SLOW = 3.0  # times what gravity and loads add in a frame: slower ones tell no restitution
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,7 +277,8 @@ def told_restitution(ratios: list[float], wanted: float) -> str:
 def fast_impacts_of(record: Record, push: Push) -> Impacts:
     """Find the single impacts that are a measure of restitution."""
     hits = impacts_of(record, push)
-    return hits[hits.arriving > _SLOW * record.fall]
+    loads = record.loads[hits.row, hits.step, record.mechanism.sphere_body[hits.sphere]]
+    return hits[hits.arriving > _SLOW * (record.fall + record.frame * loads)]
 
 
 @functools.lru_cache(maxsize=4)

@@ -140,9 +140,17 @@ class Record:
             return np.ones((*self.moved.shape[:2], self.spheres.gap.shape[2]), dtype=bool)
         return out_of_reach(self.spheres.gap, np.abs(self.spheres.climb), self._pulls, self.frame)
 
+    @functools.cached_property
+    def loads(self) -> Array:
+        """Held forces over the masses of their bodies [m/s²], shape (trajectory, step, body)."""
+        return np.asarray(rotation.norm(self.force) / self.mechanism.mass)
+
     @property
     def _pulls(self) -> Array:
-        return driven(self.mechanism, self.bodies, self.pull)
+        """What may add to the speed of each sphere [m/s²], shape (trajectory, frame, sphere)."""
+        given = np.pad(self.loads, ((0, 0), (1, 1), (0, 0)))[..., self.mechanism.sphere_body]
+        loads = np.maximum(given[:, 1:], given[:, :-1])
+        return loads + driven(self.mechanism, self.bodies, self.pull)
 
     @functools.cached_property
     def neighbours(self) -> Neighbours:

@@ -15,7 +15,6 @@ from mbds_xsim.reference.first_impact import TOUCHING, FirstImpact
 from mbds_xsim.reference.marching import Marched, Problem
 from mbds_xsim.reference.topology import topology_of
 from mbds_xsim.scene.mechanism import Mechanism
-from mbds_xsim.scene.state import Failure
 
 _MOST_IMPACTS = 20_000  # in a frame
 _PRESSED = 1e-9  # overlap of balls that something presses together [m]
@@ -35,8 +34,8 @@ def march_colliding(problem: Problem) -> Marched:
             try:
                 ended = balls.through_frame(problem.force[row, k], problem.frame)
             except ArithmeticError as error:
-                why = f"the solution cannot be continued after {time:.6g} s: {error}"
-                marched.failures[row] = Failure(k + 1, why)
+                why = f"{error} after {time:.6g} s: what follows is no motion of impacts alone"
+                marched.failures[row] = FirstImpact(k + 1, why, time)
                 break
             if ended is not None:
                 marched.failures[row] = FirstImpact.at(k + 1, time + ended)

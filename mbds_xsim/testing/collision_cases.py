@@ -6,6 +6,7 @@ friction the tangential one, which stops the slip or is μ times the normal one 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -135,7 +136,8 @@ def collided(scene: Scene, given: Sequence[Flying]) -> tuple[Trajectory, float]:
     return motion, float(touch)
 
 
-_LENGTH = 0.4  # of the pendulums in a cradle [m]
+_LENGTH = 0.4  # of the pendulums in a cradle, and of a gate [m]
+_GATE = ("post", "arm")
 
 
 def cradle(restitution: float, *, angle: float = -0.6, steps: int = 60) -> Scene:
@@ -158,6 +160,24 @@ def cradle(restitution: float, *, angle: float = -0.6, steps: int = 60) -> Scene
         contacts=tuple(ContactSphere(n, at, RADIUS) for n, at in zip(names, places, strict=True)),
         collisions=Collisions((names,), 0.0, restitution),
         clock=Clock(frame=0.01, steps=steps),
+    )
+
+
+def gate(restitution: float, *, rate: float = 3.0) -> Scene:
+    """Hinge an arm with a ball upright on a fixed post, whose own ball it swings against."""
+    away = 0.8  # [rad]
+    places = [(_LENGTH, 0.0, 0.0), (_LENGTH * math.cos(away), -_LENGTH * math.sin(away), 0.0)]
+    still = Joint("still", "fixed", "world", "post", (0.0, 0.0, 0.0))
+    hinge = Joint("hinge", "hinge", "post", "arm", (0.0,) * 3, (0.0, 0.0, 1.0), 0.0, rate)
+    return Scene(
+        "gate",
+        tuple(Body(n, (Particle(p, 1.0, 1e-3),)) for n, p in zip(_GATE, places, strict=True)),
+        length=_LENGTH,
+        gravity=(0.0, 0.0, 0.0),
+        joints=(still, hinge),
+        contacts=tuple(ContactSphere(n, p, RADIUS) for n, p in zip(_GATE, places, strict=True)),
+        collisions=Collisions((_GATE,), 0.0, restitution),
+        clock=Clock(frame=0.01, steps=40),
     )
 
 

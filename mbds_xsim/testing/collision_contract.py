@@ -20,6 +20,7 @@ from mbds_xsim.testing.collision_cases import (
     balls,
     collided,
     cradle,
+    gate,
     swings,
 )
 
@@ -61,6 +62,15 @@ class CollisionContract:
         wanted = np.array([(1.0 - restitution) ** 2, (1.0 + restitution) ** 2]) / 4.0
         assert height[0, 1] == pytest.approx(0.0, abs=1e-9)
         assert height[-1] / height[0, 0] == pytest.approx(wanted, abs=0.02)
+
+    @pytest.mark.parametrize("restitution", _REBOUNDS)
+    def test_a_body_collides_with_the_one_that_carries_it(
+        self, adapter: Adapter, restitution: float
+    ) -> None:
+        """An arm swings back from its post at e times its speed."""
+        motion = _simulate(adapter, gate(restitution))
+        rates = motion.angular_velocity[0, [0, -1], 1, 2]
+        assert rates == pytest.approx([3.0, -3.0 * restitution], abs=0.06)
 
     def test_what_is_no_pair_goes_through(self, adapter: Adapter) -> None:
         """A third ball in the way of the first, which it may not touch."""

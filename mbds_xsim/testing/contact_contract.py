@@ -20,6 +20,7 @@ from mbds_xsim.scene.scene import (
     PARTICLE_RADIUS,
     Body,
     ContactSphere,
+    Force,
     Ground,
     Particle,
     Scene,
@@ -115,6 +116,23 @@ class ContactContract:
             kept = np.sqrt(max(0.0, climb**2 + 2 * _G * height)) / impact
             within = scene.budget.restitution + _G * scales.time / speed
             assert kept == pytest.approx(restitution, abs=within), f"at {speed} m/s"
+
+    def test_a_ball_that_is_pushed_down_comes_back_as_its_restitution_says(
+        self, adapter: Adapter
+    ) -> None:
+        """A held force of a hundred weights brings it down within a frame, from rest."""
+        height, push = 0.15, 1000.0
+        scene = ball(height, ground=Ground(0.43, 0.6), steps=1)
+        scene = msgspec.structs.replace(scene, forces=(Force("ball", ((0.0, 0.0, -push),), 1),))
+        settings = _settings(adapter, scene, coarser=1)
+        scales, motion = _simulate(adapter, scene, draw_batch(scene, [0]), settings)
+        top, climb = motion.position[0, 1, 0, 2] - PARTICLE_RADIUS, motion.velocity[0, 1, 0, 2]
+        pull = push / Mechanism.of(scene).mass[0] + _G
+        impact = np.sqrt(2 * pull * height)
+        kept = np.sqrt(max(0.0, climb**2 + 2 * pull * top)) / impact
+        assert kept == pytest.approx(
+            0.6, abs=scene.budget.restitution + pull * scales.time / impact
+        )
 
     def test_without_friction_nothing_turns(self, adapter: Adapter) -> None:
         """A smooth ground takes no speed and no spin."""

@@ -24,6 +24,7 @@ from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.readback import compare
 from mbds_xsim.simulate.registry import load_adapter, load_scene
+from mbds_xsim.testing.collision_cases import Flying, balls
 from mbds_xsim.testing.contact_cases import RADIUS as R
 from mbds_xsim.testing.contact_cases import ball, gaps, laid_cubli, rolling
 from tests.adapters.exact import balldrop_followed, ballscroll_followed
@@ -273,6 +274,11 @@ def test_what_dart_cannot_mean_is_refused() -> None:
     for ground, what in ((Ground(5e-4, E), "friction"), (Ground(MU, 5e-4), "restitution")):
         with pytest.raises(Unsupported, match=f"ground.{what}: got 0.0005"):
             ENGINE.open(replaced(ball(), ground=ground), careful(20))
+    lively = balls([Flying((0.0, 0.0, 1.0)), Flying((0.3, 0.0, 1.0))], ground=Ground(MU, 0.9))
+    assert lively.collisions is not None
+    dull = replaced(lively, collisions=replaced(lively.collisions, restitution=0.8))
+    with pytest.raises(Unsupported, match=r"a restitution from 0.81 on"):
+        ENGINE.open(dull, careful(20))
     with pytest.raises(UnknownName, match="ode"):
         ENGINE.open(ball(), careful(20, collision_detector="eyes"))
     with pytest.raises(UnknownName, match="nsgs"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import math
 from typing import Any
@@ -10,11 +11,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.checks import audit
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Ground
+from mbds_xsim.scene.scene import Body, Ground, Particle
 from mbds_xsim.simulate import readback
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.choice import settings_for
@@ -212,3 +213,14 @@ def test_only_contact_scenes_get_a_ground() -> None:
         with ENGINE.open(scene, settings_for(scene, ENGINE, "matched")) as run:
             text = run.native(draw_batch(scene, [0]))
         assert ("geom" in text) == ("elliptic" in text) == ("noslip" in text) == expected
+
+
+def test_friction_of_bodies_so_heavy_that_the_solver_loses_it_is_refused() -> None:
+    """It finds none where μ² times what a sphere yields is below 1e-5 [1/kg]."""
+    scene, settings = ball(ground=Ground(0.1, 0.5)), ENGINE.settings(ball(), "matched")
+    for mass, lost in ((3000.0, False), (5000.0, True)):
+        body = Body("ball", (Particle((0.0, 0.0, R), mass, 0.4 * mass * R**2),))
+        heavy = msgspec.structs.replace(scene, bodies=(body,))
+        refused = pytest.raises(Unsupported, match=r"at least 0\.12 for bodies so heavy")
+        with refused if lost else contextlib.nullcontext():
+            ENGINE.open(heavy, settings).close()
