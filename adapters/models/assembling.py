@@ -10,8 +10,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from mbds_xsim.base import rotation
-from mbds_xsim.base.errors import InputError
+from mbds_xsim.base import bounds, rotation
+from mbds_xsim.base.errors import InputError, located
 from mbds_xsim.scene.coupling import Coupling
 from mbds_xsim.scene.imported import Fate, Imported, Outcome, gathered
 from mbds_xsim.scene.scene import WORLD, Body, DistanceLink, Inertia, Joint, Scene, SpringDamper
@@ -55,6 +55,7 @@ def assemble(model: Parts, *, file: str, kind: str, reader: str, fates: Iterable
         fates: What has become of the rest of the file.
     """
     floor = floor_of(model)
+    _check_finite(model)
     model = on_the_floor(model, floor)
     builder = _Builder(model)
     if not builder.bodies:
@@ -82,6 +83,17 @@ def assemble(model: Parts, *, file: str, kind: str, reader: str, fates: Iterable
     check_above_ground(scene)
     told = gathered([*fates, *builder.fates, *touching, *more])
     return Imported(scene, file, kind, reader, told, facts_of(model, reader))
+
+
+def _check_finite(model: Parts) -> None:
+    """Raise SceneError where a mass or place is no number, or too large to reckon with."""
+    for part in model.parts:
+        values: dict[str, Any] = {"position": part.position, "orientation": part.orientation}
+        values |= {"mass": part.mass.mass, "centre of mass": part.mass.com}
+        values |= {"inertia": part.mass.inertia}
+        values |= {f"joint {each.name!r}": (each.anchor, each.axis) for each in part.freedoms}
+        for key, value in values.items():
+            bounds.finite(f"{key} of {part.name!r}", tuple(np.ravel(value).tolist()))
 
 
 class _Builder:
@@ -241,20 +253,11 @@ class _Builder:
         name = _unique(freedom.name, {joint.name for joint in self.joints})
         self._joint_names[freedom.name] = name
         axis = freedom.axis.tolist() if freedom.kind in ("hinge", "slider") else None
-        limits = freedom.properties.get("limits")
-        if axis and isinstance(limits, tuple) and max(map(abs, limits)) <= _FAR:
-            self.limits[name] = limits
-        self.joints.append(
-            Joint(
-                name=name,
-                kind=freedom.kind,
-                parent=parent,
-                child=child,
-                anchor=freedom.anchor.tolist(),
-                axis=axis,
-                **kept,
-            )
-        )
+        if "limits" in kept:
+            self.limits[name] = kept["limits"]
+        with located(f"joint {name!r}"):
+            anchor = freedom.anchor.tolist()
+            self.joints.append(Joint(name, freedom.kind, parent, child, anchor, axis, **kept))
 
     def _close(self, closing: Closing) -> None:
         ends = self._ends(closing.parts)

@@ -6,7 +6,8 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
 
-from mbds_xsim.base.errors import InputError
+from mbds_xsim.base import bounds
+from mbds_xsim.base.errors import InputError, located
 from mbds_xsim.scene.imported import Fate
 from mbds_xsim.scene.scene import WORLD, ContactSphere, Ground
 
@@ -46,7 +47,10 @@ def contacts_of(
             fates.append(Fate(element, (), "kept", pair.note, True, (shape.name,)))
         balls = BALLS[shape.kind](shape.size)
         places = shape.place + balls.centers @ shape.axes.T
-        spheres += [ContactSphere(str(body), p.tolist(), balls.radius) for p in places]
+        with located(f"{element} {shape.name!r}"):
+            bounds.at_least_zero("friction with the ground", pair.friction or 0.0)
+            bounds.share("restitution on the ground", pair.restitution or 0.0)
+            spheres += [ContactSphere(str(body), p.tolist(), balls.radius) for p in places]
         touching.append((shape.name, pair))
         fates.append(
             Fate(element, (), "approximated", balls.how, True,

@@ -103,9 +103,10 @@ _SDF: tuple[_Row, ...] = (
         "kept",
         True,
         "as DART's parser reads it",
-        "sdf@version world@name model@name link@name link inertial mass inertia ixx ixy ixz iyy "
-        "iyz izz pose joint@name joint@type parent child xyz use_parent_model_frame static",
+        "sdf@version world@name model@name link@name link pose joint@name joint@type parent child "
+        "xyz use_parent_model_frame static",
     ),
+    ("kept", True, "as the format says", "inertial mass inertia ixx ixy ixz iyy iyz izz"),
     ("kept", True, "it names no frame", "pose@frame"),
     ("dropped", False, _DRAWN, "visual light scene gui material"),
     ("dropped", True, COLLISION, "collision"),

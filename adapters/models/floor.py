@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mbds_xsim.base import bounds
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.imported import Fate
 
@@ -32,6 +33,7 @@ def on_the_floor(model: Parts, floor: Solid | None) -> Parts:
     """Give the model with all places but the ground's own counted from the height of the ground."""
     if model.solids is None or floor is None or not floor.place[2]:
         return model
+    bounds.finite(f"place of {floor.name!r}", tuple(floor.place.tolist()))
     down = np.array([0.0, 0.0, -floor.place[2]])
     return replace(
         model,

@@ -1,8 +1,9 @@
-"""SDF, as DART parses it: poses, masses and joints are its reader's."""
+"""SDF, as DART parses it: poses and joints are its reader's, masses are those of the file."""
 
 from __future__ import annotations
 
 import copy
+import itertools
 import math
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -22,7 +23,7 @@ from .assembling import assemble
 from .fates import fates_of
 from .parts import Freedom, Mass, Part, Parts, Property, Solid, Solids
 from .sdf_shapes import TOLD, pair, shapes_of
-from .sdf_values import numbers, pose
+from .sdf_values import masses_of, numbers
 from .source import read_source
 
 _LABELS = {
@@ -40,6 +41,7 @@ _VERSIONS = ("1.5", "1.6", "1.7", "1.8", "1.9", "1.10", "1.11")
 _FRAMES = ("relative_to", "expressed_in", "frame", "degrees", "rotation_format")
 _ONE = "DART's parser takes one joint for each link, between links that are there"
 _OFF = ("0", "false")
+_LAW = ("damping", "friction", "spring_stiffness", "spring_reference")
 _NOT_READ = ("include", "frame", "experimental:params")
 
 
@@ -51,24 +53,25 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
         raise InputError(msg)
     root = read_source(path, folder)
     _refuse(root)
+    models = list(root.iter("model"))
+    for each in models:
+        _check_numbers(each)
+    stated = [masses_of(each) for each in models]
     try:
         skeletons, gravity = _skeletons(dartpy.utils.SdfParser, root)
     except (RuntimeError, ValueError) as error:  # the latter of numbers that are none
         raise InputError(f"DART's parser refuses it: {error}") from error
-    models = list(root.iter("model"))
     if len(models) != len(skeletons):
         msg = f"DART's parser gives {len(skeletons)} of its {len(models)} models"
         raise InputError(msg)
     parts: list[Part] = []
     shapes: list[Solid] = []
     untaken: list[str] = []
-    for skeleton, element in zip(skeletons, models, strict=True):
+    for skeleton, element, own in zip(skeletons, models, stated, strict=True):
         untaken += _untaken(skeleton, element)
         skeleton.setPositions(np.zeros(skeleton.getNumDofs()))
-        links = element.findall("link")
-        turns = {link.get("name", ""): pose(link, "inertial/pose")[1] for link in links}
         first = len(parts)
-        parts += _parts(skeleton, first, turns)
+        parts += _parts(skeleton, first, own)
         shapes += shapes_of(element, parts[first:], first) if ground else ()
     named = models[0].get("name") or path.stem
     solids = Solids("collision", tuple(shapes), pair) if ground else None
@@ -150,6 +153,17 @@ def _refuse(root: Element) -> None:
             raise InputError(msg)
 
 
+def _check_numbers(model: Element) -> None:
+    """Raise where a number is none: DART's parser goes on with another in its place."""
+    joints = model.findall("joint")
+    for element in (model, *model.findall("link"), *joints):
+        numbers(element, "pose", (0.0,) * 6)
+    for joint, axis in itertools.product(joints, ("axis", "axis2")):
+        numbers(joint, f"{axis}/xyz", (0.0, 0.0, 1.0))
+        for key in _LAW:
+            numbers(joint, f"{axis}/dynamics/{key}", (0.0,))
+
+
 def _untaken(skeleton: Any, model: Element) -> list[str]:
     """Name the joints that DART's parser does not take; raise where it leaves out links."""
     nodes = skeleton.getBodyNodes()
@@ -164,21 +178,20 @@ def _untaken(skeleton: Any, model: Element) -> list[str]:
     return [n for joint in model.findall("joint") if (n := joint.get("name", "")) not in joints]
 
 
-def _parts(skeleton: Any, first: int, turns: Mapping[str, Array]) -> Iterator[Part]:
+def _parts(skeleton: Any, first: int, stated: Mapping[str, tuple[float, Array]]) -> Iterator[Part]:
     order = list(_downwards(skeleton))
     place = {node.getName(): first + k for k, node in enumerate(order)}
     for node in order:
         above = node.getParentBodyNode()
-        frame, inertia = node.getTransform(), node.getInertia()
-        axes = np.array(frame.rotation()) @ turns.get(node.getName(), np.eye(3))
+        frame = node.getTransform()
+        axes = np.array(frame.rotation())
+        mass, inertia = stated[node.getName()]
         yield Part(
             name=node.getName(),
             parent=place[above.getName()] if above is not None else -1,
             position=np.array(frame.translation()),
-            orientation=rotation.from_matrix(np.array(frame.rotation())),
-            mass=Mass(
-                inertia.getMass(), np.array(node.getCOM()), axes @ inertia.getMoment() @ axes.T
-            ),
+            orientation=rotation.from_matrix(axes),
+            mass=Mass(mass, np.array(node.getCOM()), axes @ inertia @ axes.T),
             freedoms=tuple(_freedoms(node)) if skeleton.isMobile() else (),
         )
 

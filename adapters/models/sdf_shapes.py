@@ -86,7 +86,10 @@ def _size(shape: Element, kind: str) -> Array:
 def _normal(shape: Element) -> Array:
     """Give axes of which the third is a plane's normal."""
     normal = numbers(shape, "geometry/plane/normal", (0.0, 0.0, 1.0))
-    normal /= np.linalg.norm(normal) or 1.0
+    if not normal.any():
+        msg = f"<normal> of <collision> {shape.get('name', '')!r} is 0 0 0, allowed is any other"
+        raise InputError(msg)
+    normal /= np.linalg.norm(normal)
     return np.column_stack([*rotation.normal_to(normal), normal])
 
 

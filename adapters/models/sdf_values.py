@@ -1,4 +1,4 @@
-"""Numbers and poses in elements of SDF."""
+"""Numbers, poses and masses in elements of SDF."""
 
 from __future__ import annotations
 
@@ -49,3 +49,37 @@ def pose(element: Element, path: str = "pose") -> tuple[Array, Array]:
     turns = (rotation.from_vector(v) for v in np.diag(found[3:]))
     about_x, about_y, about_z = map(rotation.matrix, turns)
     return found[:3], np.asarray(about_z @ about_y @ about_x)
+
+
+def masses_of(model: Element) -> dict[str, tuple[float, Array]]:
+    """Read the masses of a model's links, and refuse names that stand twice.
+
+    Returns:
+        Mass [kg], and inertia about its centre along the link's axes [kg·m²], shape (3, 3), by
+        link. Where a file states none they are DART's: 1 kg, and moments of 1 m² times the mass.
+
+    Raises:
+        InputError: A mass or moment is none that it can be, or two links have one name.
+    """
+    links = model.findall("link")
+    found = {link.get("name", ""): _mass(link) for link in links}
+    for name, (mass, _) in found.items():
+        if mass <= 0 and model.findtext("static") not in ("1", "true"):
+            msg = f"<mass> of <link> {name!r} is {mass:g}, allowed is above 0; what does not "
+            raise InputError(f"{msg}move needs one, too, and a fixed joint to the world")
+    if len(found) < len(links):
+        names = [link.get("name", "") for link in links]
+        twice = next(name for name in names if names.count(name) > 1)
+        msg = f"<model> {model.get('name', '')!r} has two links called {twice!r}, allowed is one"
+        raise InputError(msg)
+    return found
+
+
+def _mass(link: Element) -> tuple[float, Array]:
+    mass = number(link, "inertial/mass", 1.0)
+    xx, yy, zz, xy, xz, yz = (
+        number(link, f"inertial/inertia/i{key}", mass if key[0] == key[1] else 0.0)
+        for key in ("xx", "yy", "zz", "xy", "xz", "yz")
+    )
+    axes = pose(link, "inertial/pose")[1]
+    return mass, axes @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ axes.T

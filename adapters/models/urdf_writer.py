@@ -13,7 +13,7 @@ from mbds_xsim.scene.imported import Fate, Written, gathered
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism
 from mbds_xsim.scene.scene import GRAVITY, WORLD, Scene
 
-from .writing import dropped, lacking, name_of, no_model, tensor_words, without_servos
+from .writing import dropped, lacking, name_of, no_model, tensor_words, untaken, without_servos
 
 _KINDS = {"hinge": "continuous", "slider": "prismatic", "fixed": "fixed", None: "floating"}
 _LIMITED = {"hinge": "revolute", "slider": "prismatic"}
@@ -62,7 +62,9 @@ def _link(root: Element, mechanism: Mechanism, link: Link, frames: dict[int, Arr
     SubElement(inertial, "origin", xyz=numbers(com - frames[body]), rpy="0 0 0")
     SubElement(inertial, "mass", value=repr(float(mechanism.mass[body])))
     SubElement(inertial, "inertia", tensor_words(mechanism.inertia[body]))
-    hold = SubElement(root, "joint", name=joint.name if joint else f"{name} floats")
+    floats = f"{name} floats"
+    own = joint.name if joint else untaken(floats, {each.name for each in mechanism.joints})
+    hold = SubElement(root, "joint", name=own)
     hold.set("type", str(_KINDS[kind]))
     SubElement(hold, "parent", link=name_of(mechanism, link.parent))
     SubElement(hold, "child", link=name)

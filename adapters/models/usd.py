@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mbds_xsim.base import rotation
+from mbds_xsim.base import bounds, rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.frame import optional
@@ -43,12 +43,17 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
         reading = _Reading(stage)
         parts = reading.model(path.stem, ground=ground)
     except tf.ErrorException as error:
-        reason = str(error).strip().splitlines()[-1].rpartition(": ")[2].strip("' ")
-        raise InputError(f"OpenUSD does not read it: {reason}") from error
+        raise InputError(f"OpenUSD does not read it: {_reason(str(error))}") from error
     had = {key for part in parts.parts for freedom in part.freedoms for key in freedom.properties}
     fates = [*fates_of(stage, limited="limits" in had, touching=ground), *reading.fates]
     version = ".".join(map(str, usd.GetVersion()))
     return assemble(parts, file=path.name, kind="USD", reader=f"OpenUSD {version}", fates=fates)
+
+
+def _reason(text: str) -> str:
+    """Give the last line of what the library says, without the place in its own source."""
+    lines = [line.partition(" : ")[2] or line for line in text.splitlines()]
+    return next(filter(None, (line.strip("' \t") for line in reversed(lines))), text)
 
 
 def _check_layers(sdf: Any, path: Path, folder: Path) -> None:
@@ -86,6 +91,8 @@ class _Reading:
         self._stage, self._physics = stage, UsdPhysics
         self._metre = UsdGeom.GetStageMetersPerUnit(stage)
         self._kilogram = UsdPhysics.GetStageKilogramsPerUnit(stage)
+        bounds.positive("metersPerUnit", self._metre)
+        bounds.positive("kilogramsPerUnit", self._kilogram)
         upright = UsdGeom.GetStageUpAxis(stage) == "Z"
         turn = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # y up to z up
         self._up = np.eye(3) if upright else turn

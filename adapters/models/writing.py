@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from itertools import combinations_with_replacement
 
 import msgspec
@@ -89,15 +89,20 @@ def unlike(
     fates = []
     for table in tables:
         for item in getattr(scene, table):
-            name = spelt(item.name)
-            while name in taken:
-                name += "_"
+            name = untaken(spelt(item.name), taken)
             taken.add(name)
             names[table, item.name] = name
             if name != item.name:
                 told = (f"{item.name} is {name}",)
                 fates.append(Fate(table, ("name",), "approximated", reason, False, told))
     return names, fates
+
+
+def untaken(name: str, taken: Container[str]) -> str:
+    """Give a name, followed by as many underscores as make it one of its own."""
+    while name in taken:
+        name += "_"
+    return name
 
 
 def name_of(mechanism: Mechanism, body: int) -> str:

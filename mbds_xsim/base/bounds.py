@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+import re
 from collections.abc import Callable
 from typing import (
     Annotated,
@@ -27,6 +28,8 @@ _MOST = 10**9
 """More frames than this fit into no memory."""
 _LARGEST, _SMALLEST, _LEAST_MOMENT = 1e15, 1e-30, 1e-60
 _FARTHEST, _SHORTEST = 1e7, 1e-9  # [m]
+_LINE = re.compile(r"[^\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufffe\uffff]*")
+"""Characters that XML holds, but those that control or end a line."""
 _LONGEST_NAME = 200  # bytes, of the 255 that a file's name may have
 _TOO_FAR = "farther out, double precision rounds by more than 1e-9 m"
 _TOO_SMALL = "products of smaller numbers underflow"
@@ -111,8 +114,8 @@ def at_least_zero(key: str, value: float) -> None:
 
 def name(key: str, value: str) -> None:
     """Raise unless a name is text that files, engines and the heading of a page can hold."""
-    if "\0" in value or value.splitlines() not in ([value], []):
-        msg = f"{key}: got {value!r}, allowed is a line of text without NUL"
+    if not _LINE.fullmatch(value):
+        msg = f"{key}: got {value!r}, allowed is a line of text without control characters"
         raise SceneError(msg)
     if (size := len(value.encode("utf-8", "replace"))) > _LONGEST_NAME:
         msg = (

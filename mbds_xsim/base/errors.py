@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
 
 class InputError(Exception):
@@ -12,6 +13,15 @@ class InputError(Exception):
 
 class SceneError(InputError, ValueError):
     """A scene that contradicts itself or physics; the text names the table."""
+
+
+@contextmanager
+def located(what: str) -> Iterator[None]:
+    """Say of what in a scene an error is: of which joint, of which shape."""
+    try:
+        yield
+    except SceneError as error:
+        raise SceneError(f"{what}: {error}") from error
 
 
 class UnknownName(InputError):

@@ -337,6 +337,7 @@ def _about_scenes(rows: list[SceneRow]) -> Iterator[Block]:
 
 def _about_scene(scene: Scene, row: SceneRow) -> Iterator[Block]:
     """Say what a scene is, what it needs and how its starts are drawn."""
+    from mbds_xsim.report.catalogue import told_budgets
     from mbds_xsim.scene.mechanism import Mechanism
 
     mechanism, clock = Mechanism.of(scene), scene.clock
@@ -354,21 +355,9 @@ def _about_scene(scene: Scene, row: SceneRow) -> Iterator[Block]:
         f"{counted(clock.steps, 'step')} of {clock.frame:g} s ({clock.duration:g} s); length "
         f"{scene.length:g} m; noise {scene.noise:g} N"
     )
-    yield Text(f"budgets: {_budgets(scene)}")
+    yield Text(f"budgets: {told_budgets(scene)}")
     yield Text(f"needs: {', '.join(row.needs) or 'nothing'}")
     yield from (Text(f"draws {_term(term)}") for term in scene.sampling)
-
-
-def _budgets(scene: Scene) -> str:
-    """Say what the error may be, and which budgets are not the usual ones."""
-    from msgspec.structs import asdict
-
-    from mbds_xsim.report.quantity import length
-    from mbds_xsim.scene.budget import Budget
-
-    usual, own = asdict(Budget()), asdict(scene.budget)
-    other = ", ".join(f"{key} {value:g}" for key, value in own.items() if value != usual[key])
-    return f"error at 1 s {length(scene.budget.error_1s * scene.length)}; {other or 'all as usual'}"
 
 
 def _term(term: object) -> str:

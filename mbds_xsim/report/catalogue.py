@@ -11,7 +11,9 @@ import msgspec
 
 from mbds_xsim.base.errors import EngineFaulty, EngineMissing, InputError
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
+from mbds_xsim.report import quantity
 from mbds_xsim.report.files import table_text
+from mbds_xsim.scene.budget import Budget
 from mbds_xsim.scene.constraints import degrees_of_freedom
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
@@ -157,6 +159,14 @@ def scene_row(scene: Scene) -> SceneRow:
         needs=tuple(feature.value for feature in Feature if feature in needs),
         description=scene.description,
     )
+
+
+def told_budgets(scene: Scene) -> str:
+    """Say what the error may be, and which budgets are not the usual ones."""
+    usual, own = (msgspec.structs.asdict(each) for each in (Budget(), scene.budget))
+    other = ", ".join(f"{key} {value:g}" for key, value in own.items() if value != usual[key])
+    error = quantity.length(scene.budget.error_1s * scene.length)
+    return f"error at 1 s {error}; {other or 'all as usual'}"
 
 
 def native_text(scene: Scene, engine: str, settings: Settings, start: int | None = None) -> str:

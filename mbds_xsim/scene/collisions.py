@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     from mbds_xsim.scene.scene import Scene
 
 _EVEN = 1e-9
+_MOST_PAIRS = 100_000
+_TOO_MANY = "200 frames of so many pairs of spheres take 3 GB to check"
 
 
 class Collisions(Neutral):
@@ -33,18 +36,21 @@ class Collisions(Neutral):
 def check_collisions(collisions: Collisions, carriers: Sequence[str]) -> None:
     """Raise SceneError where a pair is not of two bodies with contact spheres, or comes twice."""
     seen: set[frozenset[str]] = set()
+    spheres, found = Counter(carriers), 0
     if not collisions.pairs:
         raise SceneError("collisions.pairs: got none, allowed are one or more")
     for k, pair in enumerate(collisions.pairs):
         where = f"collisions.pairs[{k}]"
         for end, body in enumerate(pair):
-            if body not in carriers:
-                what = UnknownName.of("body with contact spheres", body, sorted({*carriers}))
+            if body not in spheres:
+                what = UnknownName.of("body with contact spheres", body, sorted(spheres))
                 raise SceneError(f"{where}[{end}]: {what}")
         if len({*pair}) < 2 or frozenset(pair) in seen:
             msg = f"{where}: got {list(pair)}, allowed are two different bodies, each pair once"
             raise SceneError(msg)
         seen.add(frozenset(pair))
+        found += spheres[pair[0]] * spheres[pair[1]]
+    bounds.count("collisions.pairs · spheres", found, _MOST_PAIRS, _TOO_MANY)
 
 
 def sphere_pairs(scene: Scene) -> Index:

@@ -57,6 +57,10 @@ _BAD = {
     ),
     "no bodies": (_MJCF.format("", ""), "nothing in it moves"),
     "number": (_MJCF.format(_BODY.replace(".1", "nan"), ""), "nan"),
+    "place": (
+        _MJCF.format(_BODY.replace("<body", '<body name="b" pos="nan 0 1"'), ""),
+        "position of 'b': got [nan, 0.0, 1.0], allowed are finite numbers",
+    ),
     "macro": ('<robot name="r"><xacro:include filename="a.xacro"/></robot>', "expand it first"),
     "expression": ('<robot name="r"><link name="${a}"/></robot>', "expand it first"),
     "rigid": (f'<robot name="r">{_LINKS.format("fixed", "")}</robot>', "nothing in it moves"),

@@ -305,7 +305,7 @@ _BAD = {
     "friction": (
         "sdf",
         files.world(files.link(files.solid("sphere", (0.1,), (0,) * 6, _friction(-1)), height=1.0)),
-        "friction",
+        "collision 's of b': friction with the ground: got -1.0",
     ),
     "scales": (
         "usda",
@@ -318,7 +318,23 @@ _BAD = {
         "usda",
         files.HEAD + _material("r", 0.5, 1.5)
         + files.xform(files.prim("sphere", (0.1,), more=_BOUND.format("/r")), height=1.0),
-        "restitution",
+        "Collision 's': restitution on the ground: got 1.5, allowed is 0 to 1",
+    ),
+    "radius": (
+        "usda",
+        files.HEAD + files.xform(files.prim("sphere", (2.0**-40,)), height=1.0),
+        "Collision 's': radius: got 9",
+    ),
+    "normal": (
+        "sdf",
+        files.world(files.plane().replace("0 0 2", "0 0 0"), files.link("")),
+        "<normal> of <collision> 'ground' is 0 0 0, allowed is any other",
+    ),
+    "plane": (
+        "xml",
+        '<mujoco><worldbody><geom name="p" type="plane" size="1 1 1" pos="0 0 nan"/><body>'
+        '<freejoint/><geom size=".1"/></body></worldbody></mujoco>',
+        "place of 'p': got ",
     ),
 }  # fmt: skip
 

@@ -71,6 +71,30 @@ def test_what_is_lost_is_named(here: Path) -> None:
     assert imported.facts.joints[0].limits == (-1, 2)
 
 
+def test_a_mass_is_that_of_the_file_however_small(here: Path) -> None:
+    """Which DART's parser raises to 1e-9 kg."""
+    light = _ARM.format("", "revolute", "").replace("<mass>2", "<mass>1e-12")
+    base = "<static>1</static>" + _ARM.format("", "fixed", "").replace("<mass>2", "<mass>0")
+    models = f'<model name="a">{light}</model><model name="b">{base}</model>'
+    (here / "model.sdf").write_text(f'<sdf version="1.7"><world name="w">{models}</world></sdf>')
+
+    (body,) = read_model(here / "model.sdf").scene.bodies
+
+    assert body.inertia is not None
+    assert body.inertia.mass == 1e-12
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_limits_that_are_upside_down_are_dropped(kind: str, here: Path) -> None:
+    limit = "<limit><lower>1</lower><upper>-1</upper></limit>"
+    imported = _read(here, _ARM.format("", kind, limit))
+
+    assert imported.scene.joints[0].limits is None
+    (told,) = (fate for fate in imported.fates if fate.element == "lower")
+    assert (told.outcome, told.reason) == ("dropped", "the lower one is not below the upper one")
+    assert told.places == ("pivot: 1 to -1",)
+
+
 def test_gravity_is_that_of_the_world(here: Path) -> None:
     """Which DART's parser passes over; links without it are told."""
     model = (
@@ -104,7 +128,19 @@ def test_a_joint_that_closes_a_loop_is_told(here: Path) -> None:
     assert [(fate.places, fate.moves) for fate in dropped] == [(("second",), True)]
 
 
+_SOUND = _ARM.format("", "revolute", "")
 _BAD = {
+    "mass": (_SOUND.replace("<mass>2", "<mass>-1"), "<mass> of <link> 'arm' is -1, allowed is ab"),
+    "no mass": (_SOUND.replace("<mass>2", "<mass>0"), "<mass> of <link> 'arm' is 0, allowed is ab"),
+    "mass nan": (_SOUND.replace("<mass>2", "<mass>nan"), "'arm' is 'nan', allowed is a number"),
+    "moment": (_SOUND.replace("<ixx>1", "<ixx>inf"), "<ixx> of <link> 'arm' is 'inf', allowed is"),
+    "pose": (f"<pose>nan 0 1 0 0 0</pose>{_SOUND}", "<pose> of <model> 'robot' is 'nan 0 1 0 0 0'"),
+    "place": (_SOUND.replace("<pose>0.1 0.2", "<pose>inf 0"), "<pose> of <link> 'arm' is 'inf 0 "),
+    "twice": (f'<link name="arm"/>{_SOUND}', "'robot' has two links called 'arm', allowed is one"),
+    "turned": (_SOUND.replace("1 0 0</xyz>", "nan 0 0</xyz>"), "<xyz> of <joint> 'pivot' is 'nan"),
+    "damper": (_ARM.format("", "revolute", "<dynamics><damping>inf</damping></dynamics>"),
+               "<damping> of <joint> 'pivot' is 'inf', allowed is a number"),
+    "axis": (_SOUND.replace("1 0 0</xyz>", "0 0 0</xyz>"), "joint 'pivot': axis: got [0.0, 0.0, 0"),
     "frames": (_ARM.format("", "revolute", "").replace("<pose>1", '<pose relative_to="b">1'),
                "does not read (relative_to=)"),
     "include": ("<include><uri>model://a</uri></include>", "does not read (include)"),

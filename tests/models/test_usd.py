@@ -86,6 +86,16 @@ def test_limits_count_from_where_the_bodies_stand(here: Path) -> None:
     np.testing.assert_allclose([low, high], [-np.pi / 2 - standing, np.pi - standing], atol=1e-6)
 
 
+def test_limits_that_are_upside_down_are_dropped(here: Path) -> None:
+    limits = "    float physics:lowerLimit = 1\n    float physics:upperLimit = -1\n"
+    joint = _joint("Prismatic", "rail", ("", "rod"), _PLACE + limits)
+    imported = _read(here, _body("rod", "(1, 2, 3)"), joint)
+
+    assert imported.scene.joints[0].limits is None
+    (told,) = (fate for fate in imported.fates if fate.properties == ("physics:lowerLimit",))
+    assert (told.outcome, told.places) == ("dropped", ("rail: 1 to -1",))
+
+
 def test_centimetres_grams_and_y_up_become_si_and_z_up(here: Path) -> None:
     parts = (
         _body("rod", "(100, 200, 300)"),
@@ -229,8 +239,15 @@ def test_a_drive_of_accelerations_is_told(here: Path) -> None:
 
 
 _MESH = 'def Mesh "shell" (prepend apiSchemas = ["PhysicsCollisionAPI"])\n{\n}\n'
+_POINT = (
+    'float physics:mass = 1\ndef Sphere "point" (prepend apiSchemas = ["PhysicsCollisionAPI"])\n'
+    "{\ndouble radius = 0\n}\n"
+)
 _BAD = {
-    "text": ("#usda 1.0\ndef {", "OpenUSD does not read it"),
+    "text": ("#usda 1.0\ndef {", "model.usda:2:1: parse error matching"),
+    "place": (_body("rod", "(nan, 2, 3)"), "position of 'rod': got [nan, "),
+    "size": (_body("rod", "(0, 0, 0)", inside=_POINT), "inertia of 'rod': got [nan, "),
+    "units": (_HEAD.format(0, 1, "Z") + _body("rod", "(1, 2, 3)"), "metersPerUnit: got 0.0, allow"),
     "apart": (
         _body("rod", "(1, 2, 3)") + _joint("Revolute", "hip", ("", "rod")),
         "'hip' is 3.74 m apart",

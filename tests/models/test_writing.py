@@ -105,6 +105,16 @@ def test_any_tree_of_hinges_and_sliders_comes_back_from_urdf(
     same(scene, again(scene, "urdf", tmp_path))
 
 
+def test_a_free_body_of_a_urdf_has_a_joint_of_its_own_name(here: Path) -> None:
+    arm = sprung_arm(0.0)
+    hip = msgspec.structs.replace(arm.joints[0], name="a floats", rest=0.0)
+    a = msgspec.structs.replace(arm.bodies[0], name="a")
+    scene = msgspec.structs.replace(arm, bodies=(*arm.bodies, a), joints=(hip,))
+
+    assert 'joint name="a floats_"' in write_model(scene, "urdf").text
+    same(scene, again(scene, "urdf", here))
+
+
 @settings(deadline=None, max_examples=30, suppress_health_check=list(HealthCheck))
 @given(st.lists(st.sampled_from(KINDS), min_size=1, max_size=5), st.integers(0, 2**32 - 1))
 def test_any_tree_comes_back_from_sdf(tmp_path: Path, kinds: list[Kind], seed: int) -> None:

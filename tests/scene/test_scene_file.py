@@ -20,9 +20,10 @@ Table = dict[str, Any]
 _FINITE = st.floats(-1e6, 1e6)
 _POSITIVE = st.floats(1e-6, 1e6)
 _VECTOR = st.tuples(_FINITE, _FINITE, _FINITE)
-_NAME = st.text(min_size=1, max_size=8).filter(
-    lambda name: name != "world" and "\0" not in name and name.splitlines() == [name]
+_LETTERS = st.characters(
+    exclude_categories=("Cc", "Cs", "Zl", "Zp"), exclude_characters="\ufffe\uffff"
 )
+_NAME = st.text(_LETTERS, min_size=1, max_size=8).filter(lambda name: name != "world")
 
 
 def _range(values: tuple[float, float]) -> list[float]:

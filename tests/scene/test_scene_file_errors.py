@@ -227,7 +227,15 @@ _MISTAKES: dict[str, tuple[Edit, str]] = {
     ),
     "NUL in a name": (
         _set("bodies", 1, "name", to="kn\0b"),
-        "bodies[1].name: got 'kn\\x00b', allowed is a line of text without NUL",
+        "bodies[1].name: got 'kn\\x00b', allowed is a line of text without control characters",
+    ),
+    "bell in a name": (
+        _set("joints", 0, "name", to="fra\ame"),
+        "joints[0].name: got 'fra\\x07me', allowed is a line of text without control characters",
+    ),
+    "no character in a name": (
+        _set("name", to="do\uffffor"),
+        "name: got 'do\\uffffor', allowed is a line of text without control characters",
     ),
     "name too long": (
         _set("joints", 0, "name", to="é" * 101),
@@ -319,6 +327,13 @@ _MISTAKES: dict[str, tuple[Edit, str]] = {
     "collision with a body without spheres": (
         _both(_set("contacts", to=[_TIP]), _set("collisions", to=_collisions(["leaf", "knob"]))),
         "collisions.pairs[0][0]: no body with contact spheres is called 'leaf'",
+    ),
+    "too many collisions": (
+        _both(
+            _set("contacts", to=[_TIP] * 400 + [_TIP | {"body": "leaf"}] * 251),
+            _set("collisions", to=_collisions(["leaf", "knob"])),
+        ),
+        "collisions.pairs · spheres: got 100400, allowed are 100000 at most: 200 frames of so many",
     ),
     "collision of a body with itself": (
         _both(_set("contacts", to=[_TIP]), _set("collisions", to=_collisions(["knob", "knob"]))),
