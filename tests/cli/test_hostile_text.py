@@ -26,14 +26,15 @@ from tests.command_line import CommandLine
 
 _REPORTS = Path(__file__).parents[2] / "reports"
 _EVIL = '[red]a[/x] $\\bad$ \x1b[31m\x9b2J\u202e | `b` <script>alert(1)</script> ![i](u) & "c"'
+_NAME = _EVIL.replace("\x1b", "").replace("\x9b", "")  # which names may not have
 _SCENE = Scene(
-    name=f"=cmd() {_EVIL}",
+    name=f"=cmd() {_NAME}",
     description=f"{_EVIL}\n# big\n\n| --- | --- |",
     source=_EVIL,
     bodies=(
-        Body(name=f"=b {_EVIL}", inertia=Inertia(1.0, (0.1, 0.1, 0.1)), position=(0.0, 0.0, -1.0)),
+        Body(name=f"=b {_NAME}", inertia=Inertia(1.0, (0.1, 0.1, 0.1)), position=(0.0, 0.0, -1.0)),
     ),
-    joints=(Joint(f"j {_EVIL}", "hinge", "world", f"=b {_EVIL}", (0.0, 0.0, 0.0), axis=(0, 1, 0)),),
+    joints=(Joint(f"j {_NAME}", "hinge", "world", f"=b {_NAME}", (0.0, 0.0, 0.0), axis=(0, 1, 0)),),
     length=1.0,
     noise=0.0,
     clock=Clock(frame=0.02, steps=10),
