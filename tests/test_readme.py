@@ -38,16 +38,19 @@ def test_the_table_of_readme_is_that_of_the_reports() -> None:
     assert found.strip() == _printed("choose_table", "reports/tradeoff").strip(), "make readme"
 
 
-def test_the_page_of_reports_lists_what_is_stored() -> None:
-    found = (_ROOT / "reports" / "README.md").read_text("utf-8")
+@pytest.mark.parametrize(
+    ("page", "script"),
+    {
+        "README.md": "reports_page reports",
+        "margins.md": "margins reports",
+        "paper-tables.md": "paper_tables reports/shift reports/lite",
+        "shift/README.md": "shift_summary reports/shift",
+    }.items(),
+)
+def test_a_page_says_what_the_stored_results_say(page: str, script: str) -> None:
+    found = (_ROOT / "reports" / page).read_text("utf-8")
 
-    assert found == _printed("reports_page", "reports"), "make reports-pages"
-
-
-def test_the_page_of_margins_is_that_of_the_validations() -> None:
-    found = (_ROOT / "reports" / "margins.md").read_text("utf-8")
-
-    assert found == _printed("margins", "reports"), "make reports-pages"
+    assert found == _printed(*script.split()), f"python -m benchmarks.{script} > reports/{page}"
 
 
 def test_all_scenes_and_studies_are_reported() -> None:
