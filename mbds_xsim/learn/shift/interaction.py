@@ -162,7 +162,8 @@ def answer_of_factors(
     cheap = ", ".join(words for words, most in ranked if most < BEARABLE)
     told = [f"at most {dear}"] if dear else []
     told += [f"less than {BEARABLE:g}-fold, if at all, {cheap}"] if cheap else []
-    models = " and ".join(dict.fromkeys(each.model for each in found))
+    *others, last = dict.fromkeys(each.model for each in found)
+    models = " and ".join([*filter(None, [", ".join(others)]), last])
     text = f"At t = {frame}{since} the squared error of {models} grows {'; '.join(told)}"
     yield Answer(INTERACTION, f"Which change costs how much{since}?", text)
 
