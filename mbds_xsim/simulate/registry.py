@@ -326,6 +326,7 @@ def _tried(point: EntryPoint) -> Adapter | str:
     return adapter
 
 
+@functools.cache  # a package's metadata are read anew each time
 def _owner(point: EntryPoint) -> str:
     return point.dist.name if point.dist is not None else "(unknown)"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 from mbds_xsim.base.isolate import HERE
@@ -64,6 +65,7 @@ _SETTINGS: dict[tuple[str, str], tuple[str, int, dict[str, Any]]] = {
 }
 
 
+@functools.cache
 def _quick(name: str, engine: str) -> Matched:
     """Give settings that are quick, or those stored for the scene that it was made from."""
     for known in (name, name := name.partition(" with ")[0]):
@@ -74,10 +76,11 @@ def _quick(name: str, engine: str) -> Matched:
     return Matched(settings.method, settings.substeps(scene.clock.frame), dict(settings.options))
 
 
-def able(scene: str) -> list[str]:
+@functools.cache
+def able(scene: str) -> tuple[str, ...]:
     """Name the engines that have everything a scene needs."""
     ways = {name: load_adapter(name).refusals for name in ENGINES}
-    return [n for n in ENGINES if not ways[n](scene_of(scene), _quick(scene, n).method)]
+    return tuple(n for n in ENGINES if not ways[n](scene_of(scene), _quick(scene, n).method))
 
 
 def checked(

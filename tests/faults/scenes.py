@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import msgspec
 
 from mbds_xsim.scene.budget import Budget
@@ -43,6 +45,7 @@ _NONE = (0.0, 0.0)
 _SPUN = (_NONE, _NONE, (150.0, 160.0))
 
 
+@functools.cache
 def scene_of(name: str, frames: int | None = None) -> Scene:
     """Load a scene and cut it short, if need be shorter than usual."""
     scene = registry.load_scene(name.split()[0])
