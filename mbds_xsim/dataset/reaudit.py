@@ -183,7 +183,11 @@ def _figures(data: Dataset, verdict: CheckTable) -> Iterator[str]:
 
 
 def making_of(data: Dataset) -> Making:
-    """Give what a file says of how it was made."""
+    """Give what a file says of how it was made.
+
+    It has the order that held for its scene: one above what steps of a fixed size have there, as
+    where friction stops joints, is of a method that chooses its steps.
+    """
     attrs = data.attributes
     method = Method(
         name=attrs["method"],
@@ -192,6 +196,8 @@ def making_of(data: Dataset) -> Making:
         velocity_lag=attrs["velocity_lag_s"] / attrs["step_s"],
         single=attrs["single_precision"],
     )
+    adaptive = method.order > method.order_for(data.scene)
+    method = dataclasses.replace(method, adaptive=adaptive)
     return Making(method, attrs["step_s"], attrs["contact_time_s"])
 
 

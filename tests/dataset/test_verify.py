@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -22,10 +23,12 @@ from mbds_xsim.dataset.points import Points
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.dataset.reaudit import making_of
 from mbds_xsim.dataset.verify import Verified, recheck, verify
-from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.sampling_terms import HingeRate
+from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.scene.state import STATES, Batch
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.timed import Simulation, simulate
+from mbds_xsim.testing.joint_cases import JOINT_CASES
 
 from .conftest import FILE, JOINT, SHARD, TEXTS, Make
 
@@ -59,6 +62,17 @@ def test_a_finished_set_is_sound(few: Path) -> None:
 def test_a_file_is_looked_at_with_its_shards(few: Path) -> None:
     assert [report.kind for report in _verify(few / FILE).files] == ["joined", "shard"]
     assert [report.kind for report in _verify(few / SHARD).files] == ["shard"]
+
+
+def test_data_of_the_reference_are_sound_where_friction_stops_joints(
+    make: Make, tmp_path: Path
+) -> None:
+    """They keep the budgets of its own order, not of the first that fixed steps have there."""
+    (brake,) = (case.scene for case in JOINT_CASES if case.name == "brake")
+    draw = HingeRate(("axle",), rate=(0.0, 1.0))
+    scene = msgspec.structs.replace(brake, clock=Clock(steps=10), sampling=(draw,))
+    make(tmp_path, scene=scene, engines="reference", trajectories=3)
+    assert _problems(_verify(tmp_path)) == []
 
 
 def test_rejected_ones_are_checked_too(
