@@ -86,9 +86,13 @@ def _numbers(data: Dataset) -> Iterator[str]:
     own = "published" if attrs["kind"] == "shard" else "rejected"
     if attrs[own] != len(index) or attrs["published"] + attrs["rejected"] != count:
         yield f"counts: {own} is {attrs[own]} with {len(index)} trajectories of {count} here"
-    clock = data.scene.clock
+    scene, clock = data.scene, data.scene.clock
     if (attrs["steps"], attrs["frame_s"]) != (clock.steps, clock.frame):
         yield "clock: steps and frame_s are not the scene's"
+    if (attrs["scene_name"], attrs["dimension"]) != (scene.name, scene.dimension):
+        yield "scene_name and dimension are not the scene's"
+    if (attrs["certification"] == "certified") != (attrs["profile"] == "matched"):
+        yield f"certification: {attrs['certification']} at settings called {attrs['profile']}"
 
 
 def _derived(data: Dataset) -> Iterator[str]:
@@ -166,6 +170,8 @@ def _same_checks(data: Dataset) -> bool:
 
 def _figures(data: Dataset, verdict: CheckTable) -> Iterator[str]:
     names = data["check/name"][:].tolist()
+    if data["check/unit"][:].tolist() != [COLUMNS[name] for name in names]:
+        yield "check/unit: not those of the checks"
     columns = [list(COLUMNS).index(name) for name in names]
     allowed = verdict.allowed[:, columns]
     for key in ("figure", "allowed"):
