@@ -54,6 +54,10 @@ def written(here: Path, run: CommandLine, monkeypatch: pytest.MonkeyPatch) -> Pa
     return here / "found.toml"
 
 
+def test_the_file_says_on_how_many_starts_they_were_tried(written: Path) -> None:
+    assert "the scene on 1 held-out start of each interval. Found by" in written.read_text()
+
+
 def test_every_command_takes_the_settings_that_match_has_written(
     written: Path, run: CommandLine, monkeypatch: pytest.MonkeyPatch
 ) -> None:

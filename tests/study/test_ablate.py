@@ -20,10 +20,11 @@ from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene
 from mbds_xsim.scene.servo import Servo
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice
-from mbds_xsim.studies.ablate import ablate
+from mbds_xsim.studies.ablate import _more, ablate
 from mbds_xsim.studies.ablate.analyse import (
     Ablation,
     Floor,
+    Size,
     WeakenedEffect,
     Window,
     least_size,
@@ -239,6 +240,12 @@ def test_the_smallest_model(
     least = least_size(registry.load_scene(name))
     assert (least.degrees_of_freedom, least.coordinates) == (freedom, coordinates)
     assert (least.conditions, least.spheres) == (conditions, spheres)
+
+
+def test_one_is_told_as_one() -> None:
+    assert _more(Size("exudyn", 2, 1, 1, 1, 1, 0)).startswith(
+        "models 1 coordinate and 1 constraint "
+    )
 
 
 def _judged(change: float, frames: int, apart: float) -> WeakenedEffect:

@@ -353,21 +353,22 @@ def _floor(floor: float, disagreement: float | None, budget: float) -> str:
 
 
 def _smallest(ablation: Ablation) -> str:
+    freedom = counted(ablation.degrees_of_freedom, "degree of freedom", "degrees of freedom")
     return (
-        f"{ablation.degrees_of_freedom} degrees of freedom; smallest model "
-        f"{ablation.joint_coordinates} coordinates, {ablation.loop_conditions} conditions of "
-        f"closed loops, {ablation.contact_spheres} contact pairs"
+        f"{freedom}; smallest model {counted(ablation.joint_coordinates, 'coordinate')}, "
+        f"{counted(ablation.loop_conditions, 'condition')} of closed loops, "
+        f"{counted(ablation.contact_spheres, 'contact pair')}"
     )
 
 
 def _more(size: Size) -> str:
     """Say what an engine's model has more than the scene needs."""
     more = [
-        f"{count} {what}"
+        counted(count, what)
         for count, what in (
-            (size.more_coordinates, "coordinates"),
-            (size.more_constraints, "constraints"),
-            (size.more_pairs, "contact pairs"),
+            (size.more_coordinates, "coordinate"),
+            (size.more_constraints, "constraint"),
+            (size.more_pairs, "contact pair"),
         )
         if count > 0
     ]

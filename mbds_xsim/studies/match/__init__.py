@@ -87,7 +87,7 @@ def present(match: Match) -> Report:
     """Say who keeps the budgets, and at what cost."""
     met = all(found.meets_budget for found in match.engines)
     note = (
-        f"figures of {match.held_out} held-out starts of each interval (seed "
+        f"figures of {counted(match.held_out, 'held-out start')} of each interval (seed "
         f"{match.held_out_seed}); searched with {match.trajectories} (seed {match.seed})"
     )
     return Report(
@@ -147,7 +147,7 @@ def _remarks(match: Match) -> Iterator[tuple[str, str]]:
 
 _HEAD = """\
 # Settings whose trajectories are published: the cheapest of each engine that keep all budgets of
-# the scene on {held_out} held-out starts of each interval. Found by
+# the scene on {held_out} of each interval. Found by
 # {command}
 # on {machine}. `found` has the figures of the held-out trajectories.
 
@@ -172,7 +172,9 @@ def matched_toml(match: Match, before: str = "") -> str:
         raise InputError(msg) from error
     tables |= {found.engine: _table(found) for found in match.engines}
     head = _HEAD.format(
-        held_out=match.held_out, command=" ".join(match.command.split()), machine=match.machine
+        held_out=counted(match.held_out, "held-out start"),
+        command=" ".join(match.command.split()),
+        machine=match.machine,
     )
     return head + tomli_w.dumps(tables)
 
