@@ -133,11 +133,13 @@ class Validation(msgspec.Struct, frozen=True):
     names: tuple[str, ...]
     """Rows and columns of `matrix_m`: engine results in order, then the reference."""
     matrix_m: tuple[tuple[float, ...], ...]
-    """Pairwise RMS particle distance at 1 s, worst over low and medium trajectories [m]."""
+    """Pairwise RMS particle distance at `matrix_s`, worst over low and medium trajectories [m]."""
     odd_one_out: str | None
     """The entry that stands apart from all other method families, if one does."""
     versions: dict[str, str]
     machine: str
+    matrix_s: float = 1.0
+    """1, or the last frame before it [s]."""
     ensembles: tuple[EnsembleResult, ...] = ()
     """Pairs that no longer agree at the end, with 20 trajectories or more."""
     fingerprint: str = ""

@@ -57,6 +57,19 @@ def test_the_program_validates_in_all_engines(program: CommandLine, here: Path) 
 _BOB = bob("length = 0.5", "noise = 0.1", "clock = { steps = 60 }")
 
 
+def test_a_short_scene_says_when_engines_are_furthest_apart(
+    run: CommandLine, in_process: None, here: Path
+) -> None:
+    del in_process
+    (here / "short.toml").write_text(bob("length = 0.5", "clock = { frame = 0.03, steps = 5 }"))
+    how = ("--engines", "mujoco", "--settings", "native", "--trajectories", "1")
+    ended = run("validate", "short.toml", "--json", "-", *how)
+
+    told = _decoded(ended.out)
+    assert told.matrix_s == pytest.approx(0.15)
+    assert "furthest apart at 0.15 s are" in " ".join(ended.err.split())
+
+
 @pytest.fixture
 def validate(run: CommandLine, in_process: None, here: Path) -> Callable[..., Validation]:
     """Give what `validate` says in JSON of a bob on a string, with more words."""

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.isolate import USUAL, Conduct
 from mbds_xsim.base.text import counted
 from mbds_xsim.checks import agreement
@@ -85,6 +86,7 @@ def validate_with_evidence(
         reference=checked,
         names=names,
         matrix_m=matrix,
+        matrix_s=_instant(reference.trajectory.time),
         odd_one_out=odd,
         versions=versions_of({result.engine: result.version for result in results}),
         machine=f"{platform.machine()}, {counted(os.cpu_count(), 'core')}, {platform.system()}",
@@ -164,6 +166,11 @@ def _vote(
     odd = agreement.odd_one_out(matrix, families, tolerance=allowed) if unique else ()
     told = ", ".join(names[k] for k in odd) or None
     return names, tuple(tuple(float(x) for x in line) for line in matrix), told
+
+
+def _instant(times: Array) -> float:
+    """Find when the vote holds them against each other [s]."""
+    return float(agreement.error_at(times[None], times, _ONE_SECOND)[0])
 
 
 def _others(rows: list[Judged]) -> list[Judged]:

@@ -89,7 +89,8 @@ def matrix(validation: Validation) -> Figure | None:
     colours = [of_engine.get(name, INK) for name in names]
     size = (1.7 + 0.62 * count, 1.2 + 0.42 * count)
     told = (
-        "RMS particle distance at 1 s between all pairs, worst of the low and medium trajectories"
+        f"RMS particle distance at {validation.matrix_s:.4g} s between all pairs, worst of the low "
+        "and medium trajectories"
     )
     return _figure(
         "distances between all pairs",

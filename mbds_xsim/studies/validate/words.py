@@ -82,7 +82,8 @@ def odd_one_out(validation: Validation) -> str:
     if not pairs:
         return "none, nothing to compare"
     distance, one, other = max(pairs)
-    return f"none; furthest apart at 1 s are {one} and {other}, {quantity.length(distance)}"
+    when = f"{validation.matrix_s:.4g} s"
+    return f"none; furthest apart at {when} are {one} and {other}, {quantity.length(distance)}"
 
 
 def conclusion(validation: Validation) -> str:
