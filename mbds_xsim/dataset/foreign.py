@@ -125,10 +125,10 @@ def read_foreign(path: Path, scene: Scene | None) -> Iterator[Foreign]:
     Raises:
         InputError: It cannot be read, or is no trajectory of the scene.
     """
+    refuse_other(path)
     if path.suffix not in _FORMATS:
         msg = f"{path}: got a file {path.suffix or 'without ending'}, allowed is .npz, .csv, .h5"
         raise InputError(msg)
-    refuse_other(path)
     try:
         with _FORMATS[path.suffix](path, scene) as opened:
             yield from _trajectories(opened, scene, path)
