@@ -275,9 +275,11 @@ class _Case:
         when = f"{lag:g} steps off the frames" if lag else "at the frames"
         single = bool(origin.single_precision)
         bits = ", in single precision" if single else ""
-        self.taken.append(f"method: of order {order}, velocities {when}{bits}")
-        family = "semi-implicit Euler"
-        return Method("told", family, order, velocity_lag=lag, single=single), step
+        method = Method("told", "semi-implicit Euler", order, velocity_lag=lag, single=single)
+        held = method.order_for(self.foreign.scene)
+        judged = f", judged as of order {held} (forces have kinks)" if held < order else ""
+        self.taken.append(f"method: of order {order}{judged}, velocities {when}{bits}")
+        return method, step
 
     def _inputs(self) -> list[Finding]:
         """Hold inputs of the file against those that seed and index give."""

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import h5py
+import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -21,11 +22,12 @@ from mbds_xsim.dataset.foreign import Provenance
 from mbds_xsim.dataset.points import Points, recover
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.simulate.timed import simulate
+from mbds_xsim.testing.joint_cases import JOINT_CASES
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -129,6 +131,20 @@ def test_an_unnamed_start_is_the_files_own(rod: Scene, swing: Arrays, audited: A
     assert found.verdict == "pass"
     assert {"start", "error at 1 s", "error growth-weighted"} == set(found.not_checked)
     assert "forces: those of the file" in found.taken
+
+
+def test_an_order_that_friction_in_joints_lowers_is_told(audited: Audit) -> None:
+    (brake,) = (case.scene for case in JOINT_CASES if case.name == "brake")
+    scene = msgspec.structs.replace(brake, clock=Clock(steps=5))
+    batch, motion = _run(scene)
+    arrays = _only(_arrays(scene, batch, motion), *(f"body/{key}" for key in STATE))
+    found = audited(scene, arrays, Provenance(method_order=4))
+    assert (
+        "method: of order 4, judged as of order 1 (forces have kinks), velocities at the frames"
+        in found.taken
+    )
+    (energy,) = (one for one in found.findings if one.check == "energy")
+    assert energy.budget == scene.budget.energy_first_order
 
 
 def test_forces_that_are_not_told_are_missed(rod: Scene, swing: Arrays, audited: Audit) -> None:
