@@ -111,7 +111,7 @@ def _json(metadata: dict[str, Any]) -> bytes:
 
 def _card(sets: Sequence[Dataset], joint: Path) -> str:
     attrs, scene = in_markdown(sets[0].attributes), sets[0].scene
-    noise = "with" if attrs["noise"] else "without"
+    noise = "with" if attrs["noise"] and scene.noise else "without"
     rest = sentence(in_markdown(scene.description))
     with open_hdf5(joint) as file:
         valid = np.asarray(file["valid_in_all"][()])
@@ -135,7 +135,7 @@ an ordinary user of the engine gets; the figures of the checks are stored all th
 {_truth(sets)}{rejected}
 ## Split
 
-By index, so the same in every file: the first 80 % train, then 10 % validation, 10 % test.
+{_split(sets)}
 
 | file | part | low | medium | high |
 | --- | --- | --- | --- | --- |
@@ -167,6 +167,17 @@ mbds-xsim {_each(sets, "mbds_xsim_version")}, numpy {_each(sets, "numpy_version"
 {attrs["layout_version"]}; SHA-256 of the scene {digest[:16]}…. `{CROISSANT}` has the files'
 checksums; who publishes the data adds `license`, `url`, `creator` and `datePublished` there.
 """
+
+
+def _split(sets: Sequence[Dataset]) -> str:
+    """Say what decides the part of a trajectory, and whether it has the same one in all files."""
+    parts = "the first 80 % train, then 10 % validation, 10 % test."
+    if len({data.attributes["count"] for data in sets}) == 1:
+        return f"By index, so the same in every file: {parts}"
+    return (
+        f"By index, of as many as were drawn for a file: {parts}\n"
+        "Files of other numbers have other parts: what one tests with, another may train on."
+    )
 
 
 def _each(sets: Sequence[Dataset], key: str) -> str:

@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import h5py
+import msgspec
 import numpy as np
 import pytest
 
 from mbds_xsim.dataset.card import CARD, CROISSANT
 from mbds_xsim.dataset.read import load_dataset
+from mbds_xsim.scene.scene import Scene
 from tests.dataset.conftest import Make
 
 FEW = 6
@@ -70,6 +72,26 @@ def test_data_that_no_engine_made_are_told_apart(make: Make, tmp_path: Path) -> 
         :3, list(data["check/name"]).index("error growth-weighted")
     ]
     assert np.all(own < 1e-9)
+
+
+def test_parts_that_differ_between_files_are_told(make: Make, tmp_path: Path) -> None:
+    make(tmp_path, trajectories=FEW)
+    card = tmp_path / "1pendulum" / CARD
+    assert "the same in every file: the first 80 %" in card.read_text("utf-8")
+
+    make(tmp_path, settings="native", trajectories=FEW + 4)
+    matched, native = (
+        load_dataset(tmp_path / "1pendulum" / f"mujoco-{one}.h5") for one in ("matched", "native")
+    )
+    tested = matched.index[matched.rows_of("test")]
+    assert np.isin(tested, native.index[native.rows_of("train")]).all()
+    assert "what one tests with, another may train on" in card.read_text("utf-8")
+
+
+def test_a_scene_without_noise_has_no_random_forces(make: Make, rod: Scene, tmp_path: Path) -> None:
+    make(tmp_path, scene=msgspec.structs.replace(rod, noise=0.0), trajectories=FEW)
+    text = (tmp_path / "1pendulum" / CARD).read_text("utf-8")
+    assert "those of seed 0, without random forces: " in text
 
 
 def test_what_a_publisher_added_stays(make: Make, tmp_path: Path) -> None:
