@@ -105,7 +105,7 @@ def _conclusion(diff: Diff) -> str:
     times = sum(bool(entry.timings) for entry in diff.entries)
     total = len(diff.entries) + diff.unchanged
     return (
-        f"of {total} compared, {len(diff.worse)} worse, {len(diff.better)} better, {changed} "
+        f"{len(diff.worse)} worse, {len(diff.better)} better; of {total} compared {changed} "
         f"changed, {times} with other times, {diff.unchanged} the same"
     )
 
