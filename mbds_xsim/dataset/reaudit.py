@@ -191,8 +191,8 @@ def _figures(data: Dataset, verdict: CheckTable) -> Iterator[str]:
 def making_of(data: Dataset) -> Making:
     """Give what a file says of how it was made.
 
-    It has the order that held for its scene: one above what steps of a fixed size have there, as
-    where friction stops joints, is of a method that chooses its steps.
+    The file has the order that the method reached in this scene. Friction, stops and saturated
+    servos lower that of fixed steps; a file with a higher one is of a method that adapts its steps.
     """
     attrs = data.attributes
     method = Method(

@@ -67,9 +67,8 @@ def test_bytes_are_those_that_generate_writes(
 def test_what_is_measured_can_be(measured: ShardCost) -> None:
     assert measured.published == 12
     assert measured.trajectory_s > 0
-    # How long it takes is not tested: nothing to speak of where the reference is stored already.
+    # Not how long: a pause of the process, as for its garbage, may fall into any of the runs.
     assert measured.audit_s is not None
-    assert measured.audit_s >= 0
     assert sum(measured.shares.values()) == pytest.approx(1.0)
     assert measured.shares["simulate_s"] > 0
 
