@@ -11,7 +11,8 @@ learned energy, as in `energy_models`, from poses and twists of bodies rather th
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import ClassVar
 
 import msgspec
@@ -33,9 +34,9 @@ from mbds_xsim.learn.rigid import TWIST, JointHold, Q, V, W, X
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import KnownInputs
 
-_TURN, _MOST_STEPS, _CENTRED = 0.4, 16, 1e-9
-"""Turn of a wheel in a Runge-Kutta step, which follows it within 1e-4 [rad]; the most steps
-of a frame; and how far off a body's centre a wheel's may be [m]."""
+_TURN, _MOST_STEPS, _CENTRED = 2.0, 16, 1e-9
+"""Turn of a wheel in a step, in which a force on its nodes changes its direction so far [rad]; the
+most steps of a frame; and how far off a body's centre a wheel's may be [m]."""
 
 
 class ImpulseSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -47,7 +48,7 @@ class ImpulseSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     layers: int = 3
     """Linear layers of each of them."""
     substeps: int = 1
-    """Runge-Kutta steps in a frame, at least: what rolls may need more (`_rolling_steps`)."""
+    """Steps in a frame, at least: what rolls may need more (`_rolling_steps`)."""
     recipe: Recipe = Recipe(rate=3e-3, batch=128, schedule=Cosine(), clip=1.0, skip=True)
 
 
@@ -73,17 +74,16 @@ class ImpulseModel(CorrectedModel):
 
     def smooth(self, state: Tensor, inputs: KnownInputs) -> tuple[list[Tensor], JointHold | None]:
         step, states = self.graph.frame_s / self.substeps, [state]
-        q, v = self.nodes.placed(state)
-        moving = torch.stack([q, self.dynamics.conjugate(v)], dim=1)
+        moving = torch.stack(self.nodes.placed(state), dim=1)
 
         def rate(at: Tensor) -> Tensor:
-            q, x = at.unbind(1)
-            return torch.stack(self.dynamics.derivative(q, x, inputs), dim=1)
+            q, v = at.unbind(1)
+            q_rate, x_rate = self.dynamics.derivative(q, self.dynamics.conjugate(v), inputs)
+            return torch.stack([q_rate, self.dynamics.velocity(x_rate)], dim=1)
 
         for _ in range(self.substeps):
-            moving = runge_kutta(rate, moving, step)
-            q, v = moving[:, 0], self.dynamics.velocity(moving[:, 1])
-            after = self.nodes.bodies(q, v, states[-1], step)
+            moving = self.nodes.corotating(states[-1]).step(rate, moving, step)
+            after = self.nodes.bodies(moving[:, 0], moving[:, 1], states[-1], step)
             twist = after[..., TWIST] * self.rigid.moves
             states.append(torch.cat([after[..., :7], twist], dim=-1))
         return states, self.rigid.hold(states[-1].detach())
@@ -101,7 +101,7 @@ class ImpulseModel(CorrectedModel):
 
 
 def _rolling_steps(graph: Graph, statistics: Statistics) -> int:
-    """Steps of a frame in which what rolls on the ground turns little, at twice its usual speed."""
+    """Steps of a frame that what rolls on the ground needs, at twice its usual speed."""
     mechanism = graph.mechanism
     centred = np.abs(mechanism.sphere_offset).max(axis=1, initial=0.0) <= _CENTRED
     if not centred.any():
@@ -113,12 +113,43 @@ def _rolling_steps(graph: Graph, statistics: Statistics) -> int:
     return min(_MOST_STEPS, max(1, math.ceil(turn / _TURN)))
 
 
+@dataclass(frozen=True, eq=False)
+class Corotating:
+    """Coordinates in which the nodes of a body turn about its centre of mass with the spin it has.
+
+    A Runge-Kutta step in them is one of Lawson's (SIAM Journal on Numerical Analysis 4, 1967): it
+    follows a steady spin exactly, however fast, and has to resolve no more than what changes it.
+    """
+
+    pivot: Tensor
+    """Node about which each turns, shape (node,)."""
+    spin: Tensor
+    """Of each node [rad/s], shape (batch, 1, node, 3)."""
+
+    def step(self, rate: Callable[[Tensor], Tensor], moving: Tensor, step: float) -> Tensor:
+        """Follow nodes and velocities (batch, 2, node, 3) with these rates for so long [s]."""
+
+        def seen(at: Tensor, time: float) -> Tensor:
+            at = self._turned(at, time)
+            arm = at - at[:, :, self.pivot]
+            return self._turned(rate(at) - torch.linalg.cross(self.spin.expand_as(arm), arm), -time)
+
+        return self._turned(runge_kutta(seen, moving, step), step)
+
+    def _turned(self, vectors: Tensor, time: float) -> Tensor:
+        centre = vectors[:, :, self.pivot]
+        turn = turning.matrix(turning.from_vector(time * self.spin))
+        return centre + (turn @ (vectors - centre)[..., None])[..., 0]
+
+
 class BodyNodes(nn.Module):
     """Bodies as the nodes of `mechanics_points`, and back."""
 
     carrier: Tensor
     carried: Tensor
     com: Tensor
+    pivot: Tensor
+    """Centre of mass that each free node belongs to, itself if it is one, shape (node,)."""
     tip: Tensor
     """Node of each tip, or a fixed one behind them, shape (tip,)."""
     body: Tensor
@@ -135,11 +166,15 @@ class BodyNodes(nn.Module):
         self.mechanics, bodies = mechanics, mechanics.points.bodies
         carrier, carried = mechanics.points.carrier
         count = np.array([len(body.tips) for body in bodies])
+        com = np.array([body.com for body in bodies])
+        pivot = com[carrier]
+        pivot[com] = com  # one body's may be another's tip
         keep(
             self,
             carrier=carrier,
             carried=carried,
-            com=np.array([body.com for body in bodies]),
+            com=com,
+            pivot=pivot,
             tip=np.concatenate([body.tips for body in bodies]),
             body=np.repeat(np.arange(len(bodies)), count),
             direction=np.concatenate([body.directions for body in bodies]),
@@ -153,6 +188,10 @@ class BodyNodes(nn.Module):
         arm = turning.rotate(own[..., Q], self.carried)
         moving = own[..., V] + torch.linalg.cross(own[..., W], arm)
         return self.mechanics.project(own[..., X] + arm, moving)
+
+    def corotating(self, state: Tensor) -> Corotating:
+        """Coordinates that turn with bodies in these states."""
+        return Corotating(self.pivot, state[:, None, self.carrier, W].detach())
 
     def bodies(self, q: Tensor, v: Tensor, before: Tensor, step: float) -> Tensor:
         """States of the bodies with these nodes and velocities, shape (batch, body, 13).

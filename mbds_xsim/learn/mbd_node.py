@@ -66,7 +66,7 @@ class MbdNode(BodyModel):
         inputs = KnownInputs(inputs.force.to(state), inputs.torque.to(state))
         for _ in range(self.substeps):
             state = runge_kutta(
-                lambda at: self.rate(at, inputs), state, self.graph.frame_s / self.substeps
+                lambda at, _: self.rate(at, inputs), state, self.graph.frame_s / self.substeps
             )
             turned = state[..., Q] / state[..., Q].norm(dim=-1, keepdim=True)
             state = torch.cat([state[..., X], turned, state[..., TWIST]], dim=-1)

@@ -126,16 +126,21 @@ class FlowModel(LearnedModel):
     def advance(self, state: Tensor, inputs: KnownInputs) -> Tensor:
         step = self.graph.frame_s / self.substeps
         for _ in range(self.substeps):
-            state = runge_kutta(lambda at: self.derivative(at, inputs), state, step)
+            state = runge_kutta(lambda at, _: self.derivative(at, inputs), state, step)
         return state
 
 
-def runge_kutta(derivative: Callable[[Tensor], Tensor], state: Tensor, step: float) -> Tensor:
-    """Take a step [s] of the classical method of fourth order."""
-    first = derivative(state)
-    second = derivative(state + 0.5 * step * first)
-    third = derivative(state + 0.5 * step * second)
-    fourth = derivative(state + step * third)
+def runge_kutta(
+    derivative: Callable[[Tensor, float], Tensor], state: Tensor, step: float
+) -> Tensor:
+    """Take a step [s] of the classical method of fourth order.
+
+    The derivative is given a state and the time since the step began [s].
+    """
+    first = derivative(state, 0.0)
+    second = derivative(state + 0.5 * step * first, 0.5 * step)
+    third = derivative(state + 0.5 * step * second, 0.5 * step)
+    fourth = derivative(state + step * third, step)
     return state + step / 6.0 * (first + 2.0 * (second + third) + fourth)
 
 
