@@ -253,6 +253,18 @@ def test_other_values_and_a_fresh_run_are_measured() -> None:
     assert (other.measured, fresh.measured) == (1, 1)
 
 
+def test_a_run_that_two_profiles_share_is_told_of_each() -> None:
+    for fresh in (True, False):  # measured, and kept
+        sweep = _sweep(
+            _BLIND, "dart", "semi-implicit-euler", values=(1e2,), counts=(10,),
+            profiles=("matched", "native"), conduct=Conduct(0, fresh=fresh),
+        )  # fmt: skip
+
+        assert [panel.profile for panel in sweep.panels] == ["matched", "native"]
+        assert [cell.profile for cell in sweep.cells] == ["matched", "native"]
+        assert len({cell.key for cell in sweep.cells}) == 1
+
+
 @pytest.fixture
 def faulty_engines(tmp_path: Path) -> Iterator[None]:
     with faulty(tmp_path / "packages", "aborting", "hanging"):

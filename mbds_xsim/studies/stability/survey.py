@@ -97,7 +97,7 @@ def survey(plan: SurveyPlan) -> Survey:
     runner = Runner(
         store=Store.of("stability", plan.study.name, MapCell),
         crashed=_crashed,
-        labels=("value", "source"),
+        labels=("value", "profile", "source"),
         lasts=_lasts,
         conduct=plan.conduct,
     )
