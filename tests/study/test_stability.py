@@ -326,6 +326,16 @@ def test_what_cannot_be_run_is_refused_with_the_choice() -> None:
         STUDIES["spin"].parse("-1")
 
 
+@pytest.mark.parametrize("name", ["chain-length", "loops", "links", "redundancy"])
+@pytest.mark.parametrize("text", ["2.5", "0", "1e12", "nan", "-2"])
+def test_what_is_counted_takes_whole_numbers(name: str, text: str) -> None:
+    study = STUDIES[name]
+
+    with pytest.raises(InputError, match=f"got '{text}', allowed is a whole number from [12] to"):
+        study.parse(text)
+    assert study.parse("3") == 3.0
+
+
 @pytest.mark.parametrize("study", STUDIES.values(), ids=list(STUDIES))
 def test_every_study_makes_a_scene_at_each_of_its_values(study: Study) -> None:
     for value in study.values:

@@ -22,6 +22,8 @@ FRAME = 0.1
 """Between recorded frames [s]."""
 COUNTS = (2, 5, 10, 20, 50, 100)
 """Steps a frame that are tried: 50 ms to 1 ms."""
+MOST = 1000
+"""Bodies, links or rungs that a scene is made of: more would take its memory."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,8 @@ class Study:
     """Index of the trajectory, which decides its interval."""
     known: bool = True
     """Whether the reference solution is cheap, so that wrong motion can be told."""
+    least: int = 0
+    """The fewest, where values are counts of something; 0: they are no counts."""
 
     @property
     def clock(self) -> Clock:
@@ -73,8 +77,10 @@ class Study:
             value = float(text)
         except ValueError:
             value = float("nan")
-        if not 0.0 <= value < float("inf"):
-            msg = f"--value: got {text!r}, allowed is a number from 0 as {self.quantity}"
+        allowed = f"a whole number from {self.least} to {MOST}" if self.least else "a number from 0"
+        counts = value.is_integer() and self.least <= value <= MOST
+        if not (counts if self.least else 0.0 <= value < float("inf")):
+            msg = f"--value: got {text!r}, allowed is {allowed} as {self.quantity}"
             raise InputError(msg)
         return value
 

@@ -77,7 +77,7 @@ _ROPE_TILT = (math.radians(60.0),) * 2
 
 
 def _rope(links: float) -> Scene:
-    count = max(1, round(links))
+    count = round(links)
     rod, mass = _ROPE_LENGTH / count, _MASS / count
     names = [f"link{k}" for k in range(1, count + 1)]
     inertia = _SLIM * mass * rod**2
@@ -98,17 +98,17 @@ def _rope(links: float) -> Scene:
 
 CHAIN_LENGTH = Study(
     "chain-length", "a rope of 2 m and 2 kg in ever more links on ball joints", "links", "",
-    (1.0, 4.0, 16.0, 32.0, 64.0, 128.0), _rope,
+    (1.0, 4.0, 16.0, 32.0, 64.0, 128.0), _rope, least=1,
 )  # fmt: skip
 
 
 def _ladder(rungs: float) -> Scene:
-    return load_scene(f"{max(1, round(rungs))}ladder")
+    return load_scene(f"{round(rungs)}ladder")
 
 
 LOOPS = Study(
     "loops", "rope ladders in the wind, one closed loop more with every rung", "rungs", "",
-    (1.0, 2.0, 3.0, 5.0, 8.0), _ladder,
+    (1.0, 2.0, 3.0, 5.0, 8.0), _ladder, least=1,
 )  # fmt: skip
 
 
@@ -119,12 +119,12 @@ LOOPS = Study(
 
 
 def _chain(links: float) -> Scene:
-    return load_scene(f"{max(1, round(links))}pendulum")
+    return load_scene(f"{round(links)}pendulum")
 
 
 LINKS = Study(
     "links", "the paper's pendulum, one rod of 0.5 m and 1 kg more with every link", "links", "",
-    (1.0, 2.0, 4.0, 6.0, 8.0, 12.0, 16.0), _chain,
+    (1.0, 2.0, 4.0, 6.0, 8.0, 12.0, 16.0), _chain, least=1,
 )  # fmt: skip
 
 
@@ -355,13 +355,13 @@ _RATE = 7.0  # [rad/s]
 
 
 def _parallel(count: float) -> Scene:
-    return _cranks(max(2, round(count)), _START, _RATE)
+    return _cranks(round(count), _START, _RATE)
 
 
 REDUNDANCY = Study(
     "redundancy",
     "cranks that turn over with one rod, four redundant constraints more with every crank",
-    "cranks", "", (2.0, 3.0, 4.0, 6.0, 8.0), _parallel,
+    "cranks", "", (2.0, 3.0, 4.0, 6.0, 8.0), _parallel, least=2,
 )  # fmt: skip
 
 
