@@ -195,6 +195,7 @@ def stability(
     if listed:
         print_blocks([listing(STUDIES.values())], to.console)
         return
+    to.check(out=out and out / "map.json")
     others = _outsiders(models)
     choice = Choice(()) if others and engines == "none" else Choice.parse(engines=engines)
     single = value is not None and step is not None

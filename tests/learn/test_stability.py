@@ -291,6 +291,27 @@ def test_values_that_hold_are_told_as_ranges(sweep: Survey) -> None:
     )
 
 
+def test_a_model_whose_process_ends_is_told_by_that(sweep: Survey) -> None:
+    model = sweep.panels[1]
+    crashed = msgspec.structs.replace(
+        model.cells[0][0], outcome="crashed", told="process", broke_s=None, ended_s=None
+    )
+    swept = msgspec.structs.replace(
+        sweep, panels=(msgspec.structs.replace(model, cells=((crashed,), *model.cells[1:])),)
+    )
+
+    (_, told), _ = words.holding(swept)
+
+    assert told.endswith("; at 0 m/s crashed, told by the process, by its end")
+
+
+def test_no_steps_are_said_to_be_tried_where_models_are_alone(sweep: Survey) -> None:
+    alone = msgspec.structs.replace(sweep, panels=sweep.panels[1:])
+
+    assert words.reading(sweep).startswith("in ms, of 20, 10 tried over 1 s; ")
+    assert words.reading(alone).startswith("in ms, over 1 s; ")
+
+
 def test_without_models_nothing_is_said_of_them() -> None:
     plan = SurveyPlan(
         STUDIES["swing"],

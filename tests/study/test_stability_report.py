@@ -157,6 +157,33 @@ def test_the_command_of_a_cell_runs_it_again(run: CommandLine, sweep: Survey) ->
     assert cell.reason in " ".join(run(*words).out.split())
 
 
+def test_the_command_of_a_cell_has_its_settings_and_all_digits(
+    run: CommandLine, sweep: Survey
+) -> None:
+    euler = next(c for c in sweep.cells if (c.method, c.profile) == ("Euler", "matched"))
+    cell = msgspec.structs.replace(euler, value=100.0625, step_s=0.1 / 7)
+
+    ended = run(*command_of(cell, sweep).split()[1:], "--json", "-")
+
+    assert ended.code == 0
+    (panel,) = json.loads(ended.out)["panels"]
+    assert panel["profile"] == "matched"
+    ((again,),) = panel["cells"]
+    assert (again["value"], again["step_s"]) == (100.0625, pytest.approx(0.1 / 7, rel=1e-11))
+
+
+def test_a_file_in_the_place_of_the_folder_is_refused_before_anything_runs(
+    run: CommandLine, here: Path
+) -> None:
+    (here / "maps").write_text("")
+
+    told = run("stability", "spin", "--engines", "mujoco", "--quick", "--out", "maps").refusal
+
+    assert "--out" in told
+    assert "maps" in told
+    assert "mujoco" not in told
+
+
 def test_a_folder_gets_every_file_of_a_study(run: CommandLine, here: Path) -> None:
     ended = run(
         "stability", "friction", "--engines", "mujoco", "--methods", "Euler", "--settings",

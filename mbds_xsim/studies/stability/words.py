@@ -14,7 +14,7 @@ from typing import Any
 
 from mbds_xsim.report import quantity
 from mbds_xsim.report.themed import GREY, INK
-from mbds_xsim.studies.stability import MapCell, Outcome, Panel, Survey, text_of
+from mbds_xsim.studies.stability import MapCell, Outcome, Panel, Survey, Value, text_of
 
 _WHO = {
     "engine": "the engine",
@@ -55,8 +55,10 @@ def milliseconds(step: float) -> str:
 def reading(sweep: Survey) -> str:
     """Explain the table of limits."""
     steps = ", ".join(map(milliseconds, sweep.steps_s))
+    # Trained models take no steps.
+    tried = "" if all(panel.learned for panel in sweep.panels) else f"of {steps} tried "
     return (
-        f"in ms, of {steps} tried over {sweep.duration_s:g} s; in brackets the largest one that is "
+        f"in ms, {tried}over {sweep.duration_s:g} s; in brackets the largest one that is "
         f"on course too; {quantity.NONE}: none"
     )
 
@@ -113,7 +115,8 @@ def _held(cells: Sequence[MapCell], sweep: Survey) -> str:
     beyond = next((cell for cell in cells if cell.failed), None)
     if beyond is None:
         return text
-    return f"{text}; at {text_of(beyond.value, sweep.unit)} {what_happened(beyond)}, told by nobody"
+    who = _WHO[beyond.told].partition(":")[0]
+    return f"{text}; at {text_of(beyond.value, sweep.unit)} {what_happened(beyond)}, told by {who}"
 
 
 def _runs(cells: Sequence[MapCell], holds: Callable[[MapCell], bool], sweep: Survey) -> str:
@@ -165,13 +168,17 @@ def command_of(cell: MapCell, sweep: Survey) -> str:
     if cell.source:
         return (
             f"mbds-xsim stability {sweep.study} --engines none --models {shlex.quote(cell.source)} "
-            f"--value {text_of(cell.value)}"
+            f"--value {_exactly(cell.value)}"
         )
-    profile = "" if cell.profile == "matched" else f" --settings {cell.profile}"
     return (
-        f"mbds-xsim stability {sweep.study} --engines {cell.engine} --methods {cell.method}"
-        f"{profile} --value {text_of(cell.value)} --step {cell.step_s:g}"
+        f"mbds-xsim stability {sweep.study} --engines {cell.engine} --methods {cell.method} "
+        f"--settings {cell.profile} --value {_exactly(cell.value)} --step {_exactly(cell.step_s)}"
     )
+
+
+def _exactly(value: Value) -> str:
+    """Write a value so that it is read as the same one, but for rounding."""
+    return value if isinstance(value, str) else f"{value:.12g}"
 
 
 def _figures(cell: MapCell) -> Iterator[str]:
