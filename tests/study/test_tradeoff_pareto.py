@@ -51,6 +51,14 @@ def test_a_detour_of_the_curve_does_not_hide_its_cheapest_crossing() -> None:
     assert cost_at(curve, 1e-3) == pytest.approx(10**-1.5)
 
 
+@pytest.mark.parametrize("curve", [[(0.01, 0.0), (1.0, 1e-2)], [(0.01, 1e-2), (1.0, 0.0)]])
+def test_an_error_of_exactly_0_has_a_cost_like_any_other(curve: list[tuple[float, float]]) -> None:
+    cost = cost_at(curve, 1e-3)
+
+    assert cost is not None
+    assert 0.01 <= cost <= 1.0
+
+
 @given(_CURVE, _POSITIVE, _POSITIVE)
 def test_more_accuracy_never_costs_less(
     curve: list[tuple[float, float] | None], one: float, other: float

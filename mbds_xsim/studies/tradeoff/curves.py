@@ -237,5 +237,6 @@ def _slope(pairs: Sequence[Pair | None]) -> float | None:
 
 
 def _crossing(one: Pair, other: Pair, error: float) -> float:
-    share = math.log(one[1] / error) / math.log(one[1] / max(other[1], 1e-300))
+    here, there = (max(pair[1], 1e-300) for pair in (one, other))  # an error may be exactly 0
+    share = math.log(here / error) / math.log(here / there)
     return float(one[0] ** (1.0 - share) * other[0] ** share)
