@@ -16,6 +16,7 @@ from mbds_xsim.report.files import link, results_json, rows_csv, write_reports
 from mbds_xsim.report.terminal import print_report
 from mbds_xsim.studies.tradeoff import Measurement, Point, Ratio, Tradeoff
 from mbds_xsim.studies.tradeoff import words as summary
+from mbds_xsim.studies.tradeoff.figures import charts_of
 from mbds_xsim.studies.tradeoff.present import present, to_png
 from tests.command_line import CommandLine
 from tests.results import curve, tradeoff
@@ -111,6 +112,17 @@ def test_words_say_how_far_the_error_goes(study: Tradeoff) -> None:
     assert "before the first impact (0.38 s" in summary.what_is_charted(impact)
     assert "the method's own run at 200 steps a frame, at 1 s" in summary.what_is_charted(at_once)
     assert "from its own limit" in summary.conclusion(at_once)
+
+
+def test_an_impact_after_the_error_is_taken_does_not_move_it(study: Tradeoff) -> None:
+    late = msgspec.structs.replace(study, reference_ends_s=1.2)
+
+    assert summary.what_is_charted(late) == summary.what_is_charted(study)
+    assert "error at 1 s" in [title.split(",")[0] for title in _titles(late)]
+
+
+def _titles(study: Tradeoff) -> list[str]:
+    return [chart.title(study) for chart in charts_of(study)]
 
 
 def test_reasons_that_differ_in_numbers_are_told_once(study: Tradeoff) -> None:

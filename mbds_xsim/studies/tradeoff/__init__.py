@@ -22,6 +22,8 @@ from mbds_xsim.simulate.simulator import NATIVE, EngineMethod, Options
 
 SCHEMA = "mbds-xsim/tradeoff/1"
 
+INSTANT = 1.0
+"""Time of the error that is charted, where the reference lasts so long [s]."""
 AT_ONCE = 64
 """Trajectories of a batch, of what does several at once."""
 BATCH = f"{AT_ONCE} at a time"
@@ -244,6 +246,11 @@ class Tradeoff(msgspec.Struct, frozen=True, kw_only=True):
     def error_budget_m(self) -> float:
         """Allowed error at the horizon [m]."""
         return self.budget["error_1s"] * self.length_m
+
+    @property
+    def cut_short(self) -> bool:
+        """Whether an impact ends the reference of a start before the error's usual time."""
+        return self.reference_ends_s is not None and self.reference_ends_s < INSTANT
 
 
 def read_tradeoff(path: Path) -> Tradeoff:

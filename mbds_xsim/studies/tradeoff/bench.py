@@ -27,10 +27,8 @@ from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.simulator import Signs, Simulated, Simulator
-from mbds_xsim.studies.tradeoff import SPAN, Measurement
+from mbds_xsim.studies.tradeoff import INSTANT, SPAN, Measurement
 
-INSTANT = 1.0
-"""Time of the error that is charted, where the reference lasts so long [s]."""
 LIMIT_COUNT = 2 * SPAN
 """Steps a frame that stand for a vanishing step."""
 

@@ -269,7 +269,7 @@ def _what(study: Tradeoff) -> str:
     """Name the charted error and its time."""
     if study.own_limit is not None:
         return f"distance to the own run at {study.own_limit} steps a frame"
-    if study.reference_ends_s is not None:
+    if study.cut_short:
         return "error at the first impact"
     return f"error at {study.horizon_s:g} s"
 

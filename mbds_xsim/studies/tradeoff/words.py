@@ -91,7 +91,7 @@ def _place_told(study: Tradeoff, curve: CurveResult, point: Point) -> str:
 def what_is_charted(study: Tradeoff) -> str:
     """Say what the error is and how far it goes."""
     starts = f"{len(study.trajectories)} medium start{'s' * (len(study.trajectories) > 1)}"
-    if study.reference_ends_s is None:
+    if not study.cut_short:
         return (
             f"RMS distance of the particles to the reference at {study.horizon_s:g} s, the worst "
             f"of {starts} (seed {study.seed})"
