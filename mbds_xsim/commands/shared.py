@@ -221,10 +221,15 @@ Device = Annotated[str, typer.Option(help="cpu or cuda.")]
 DeviceWorkers = Annotated[
     int | None, typer.Option(help="Processes at a time; left out, all cores, on cuda 1.", min=1)
 ]
+LONGEST = 1e7
+"""Of limits of time [s]: infinity is no number of JSON, and what was kept could not be read."""
 TimeLimit = Annotated[
     float,
     typer.Option(
-        "--limit", help="Longest that one piece of an engine's work may take [s].", min=1.0
+        "--limit",
+        help="Longest that one piece of an engine's work may take [s].",
+        min=1.0,
+        max=LONGEST,
     ),
 ]
 JsonFile = Annotated[

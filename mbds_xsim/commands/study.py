@@ -16,7 +16,9 @@ _Trajectories = Annotated[
 ]
 _HeldOut = Annotated[int, Option(help="Starts of each interval to verify with.", min=1, max=1000)]
 _Seed = Annotated[int, Option(help="Seed of the search; the next one verifies.", min=0)]
-_Limit = Annotated[float, Option(help="Longest rollout of a start [s].", min=0.1)]
+_Limit = Annotated[
+    float, Option(help="Longest rollout of a start [s].", min=0.1, max=shared.LONGEST)
+]
 _Options = Annotated[bool, Option("--options", help="Vary the engines' own options, too.")]
 _Out = Annotated[
     Path | None, Option(metavar="FILE", help="Write here, not where validate finds them.")

@@ -34,7 +34,12 @@ _Onto = Annotated[
 ]
 _Starts = Annotated[int, Option(help="Starts of the medium interval.", min=1, max=1000)]
 _StartLimit = Annotated[
-    float, Option(help="Longest rollout of one start [s]; slower points are only listed.", min=0.1)
+    float,
+    Option(
+        help="Longest rollout of one start [s]; slower points are only listed.",
+        min=0.1,
+        max=shared.LONGEST,
+    ),
 ]
 _Fresh = Annotated[bool, Option("--fresh", help="Measure again what was measured earlier.")]
 
@@ -156,7 +161,9 @@ _Settings = Annotated[str, Option(help="matched (all methods), native, or both: 
 _Value = Annotated[str | None, Option(help="Only this value; any number, or a name of the study.")]
 _Step = Annotated[float | None, Option(help="Only this step [s]; divides a frame of 0.1 s.")]
 _Quick = Annotated[bool, Option("--quick", help="Three values and three steps.")]
-_CellLimit = Annotated[float, Option(help="Longest that a cell may take [s].", min=1.0)]
+_CellLimit = Annotated[
+    float, Option(help="Longest that a cell may take [s].", min=1.0, max=shared.LONGEST)
+]
 _Out = Annotated[Path | None, Option(metavar="DIR", help="Write all files of every study there.")]
 
 
