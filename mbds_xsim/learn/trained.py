@@ -32,6 +32,8 @@ from mbds_xsim.simulate.choice import words_of
 _FACTS = ("train_engines", "variant", "training", "seed")
 _ALIKE = ("profile", "track", "settings", "drawn", "starts", "device")
 """Facts that trainings must share to differ in their engines alone."""
+_SPENT = ("wall_s", "cpu_s", "train_trajectories")
+"""Facts that are numbers, and that studies tell of."""
 _WAYS = ("each", "leave-one-out", "all", "by-interval")
 
 
@@ -139,9 +141,11 @@ def trained_model(path: Path) -> TrainedModel:
         split = None if drawn is None else (drawn["seed"], drawn["trajectories"])
         interval = facts.get("interval", "")
         ("", *INTERVALS).index(interval)
+        for key in _SPENT:
+            float(facts.get(key) or 0)
     except (ValueError, KeyError) as error:
         msg = (
-            f"{path}: its seed, steps, data, interval or drawn are not what mbds-xsim train "
+            f"{path}: its seed, steps, times, data, interval or drawn are not what mbds-xsim train "
             "writes; train it again"
         )
         raise InputError(msg) from error

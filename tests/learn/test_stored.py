@@ -149,8 +149,12 @@ def test_facts_that_make_no_sense_are_refused(key: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"seed": "x"}, {"data": "[1]"}, {"drawn": "{}"}, {"interval": "slow"}]
-)
+    "wrong",
+    [
+        {"seed": "x"}, {"data": "[1]"}, {"drawn": "{}"}, {"interval": "slow"}, {"cpu_s": "long"},
+        {"wall_s": "1 h"}, {"train_trajectories": "many"},
+    ],
+)  # fmt: skip
 def test_facts_of_another_form_are_refused(wrong: dict[str, str], tmp_path: Path) -> None:
     path = tmp_path / "model.pt"
     whole = model_file(path)
