@@ -17,16 +17,18 @@ from mbds_xsim.simulate.registry import load_scene
 __all__ = ["squared_error", "untrained"]
 
 
-def untrained(folder: Path, scene: str, training: str = "mujoco", seed: int = 0) -> Path:
+def untrained(
+    folder: Path, scene: str, training: str = "mujoco", seed: int = 0, variant: str = "native"
+) -> Path:
     """Write a small GNS where training would put it, with what training took."""
     statistics = Statistics.of_nothing()
     settings = GNSSettings(width=8, steps=1)
     with torch.random.fork_rng():
         torch.manual_seed(seed)
         model = GNS(Graph.of(load_scene(scene)), statistics, settings)
-    facts = {"model": "gns", "train_engines": training, "variant": "native", "training": training,
+    facts = {"model": "gns", "train_engines": training, "variant": variant, "training": training,
              "seed": str(seed), "wall_s": "12.5", "cpu_s": "12.0", "device": "cpu"}  # fmt: skip
-    path = folder / scene / "native" / "gns" / f"{training}-s{seed}.pt"
+    path = folder / scene / variant / "gns" / f"{training}-s{seed}.pt"
     save_model(path, model, "gns", settings, statistics, **facts)
     return path
 

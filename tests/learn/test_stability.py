@@ -254,6 +254,16 @@ def test_what_was_predicted_is_kept_until_the_model_is_another(
     assert (other.measured, other.kept) == (2, 0)
 
 
+def test_what_a_model_of_a_files_settings_predicted_is_kept(tmp_path: Path) -> None:
+    others = simulators_in([untrained(tmp_path, "2pendulum", variant="fine")])
+    plan = SurveyPlan(STUDIES["swing"], values=(0.0,), conduct=HERE, others=others)
+
+    first, again = survey(plan), survey(plan)
+
+    assert (first.measured, again.measured, again.kept) == (1, 0, 1)
+    assert again.cells[0].profile == again.panels[0].profile == "fine"
+
+
 def test_pages_tell_how_far_models_hold_and_how_to_run_a_cell_again(sweep: Survey) -> None:
     (name, told), _ = words.holding(sweep)
     cell = sweep.panels[1].cells[0][0]

@@ -13,7 +13,6 @@ from mbds_xsim.measure.runner import Keyed
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.scene.state import Batch
-from mbds_xsim.simulate.adapter import Profile
 from mbds_xsim.simulate.simulator import LEARNED, Options
 
 Value = float | str
@@ -125,8 +124,8 @@ class MapCell(Keyed, frozen=True, kw_only=True):
     method: str
     """Of a trained model what it was trained on, and its seed."""
     family: str
-    profile: Profile
-    """Of a trained model that of its data."""
+    profile: str
+    """matched or native; of a trained model that of its data, which may be a file's name."""
     options: Options
     step_s: float
     """Of a trained model its frame."""
@@ -184,7 +183,7 @@ class Panel(msgspec.Struct, frozen=True, kw_only=True):
     version: str
     method: str
     family: str
-    profile: Profile
+    profile: str
     cells: tuple[tuple[MapCell, ...], ...]
 
     @property
