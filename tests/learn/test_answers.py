@@ -13,7 +13,8 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.learn.particles import RolloutFigures
 from mbds_xsim.learn.shift.answers import answers_by_interval, answers_of
 from mbds_xsim.learn.shift.evaluation import Evaluation
-from mbds_xsim.learn.shift.gaps import UNKNOWN, Draws
+from mbds_xsim.learn.shift.gaps import LONELY, UNKNOWN, Draws
+from mbds_xsim.learn.shift.interaction import interactions_of
 from mbds_xsim.learn.trained import TrainedModel
 from tests.learn import evaluations as made
 
@@ -40,6 +41,33 @@ def test_a_model_whose_own_domain_is_not_tested_resolves_nothing() -> None:
     assert "2 because the model's own domain is not tested. By chance alone 0.1 of 2 " in told
     near = {pair: made.figures_of(np.zeros((made.COUNT, made.FRAMES))) for pair in apart}
     assert "this cannot be told" in _answer(dataclasses.replace(board, oracles=near))
+
+
+def _first_only(board: Evaluation) -> Evaluation:
+    """Keep the first seed and the first trajectory."""
+
+    def row(figures: RolloutFigures) -> RolloutFigures:
+        return RolloutFigures(*(values[:1] for values in vars(figures).values()))
+
+    return Evaluation(
+        dataclasses.replace(board.test, index=board.test.index[:1]),
+        board.frames,
+        {key: row(figures) for key, figures in board.figures.items() if key[0].seed == 0},
+        {key: row(figures) for key, figures in board.oracles.items()},
+    )
+
+
+def test_one_trajectory_tells_nothing_from_chance() -> None:
+    board = _first_only(made.evaluation(made.shifted, floor=100.0))
+    gaps, found = made.measured_gaps(board), interactions_of(Draws(board))
+    assert {why for gap in gaps for why in gap.why} == {LONELY}
+    assert {gap.ratio_low for gap in gaps} == {each.low for each in found} == {(None, None)}
+    assert not any(any(each.resolved) for each in found)
+    told = next(answers_of(Draws(board), gaps, made.FRAMES)).answer
+    assert "0 of 6 shifts from one engine's data to another's are resolved" in told
+    assert "6 because one trajectory gives no interval" in told
+    assert "gns 4 [no interval]" in _answer(board)
+    assert "this cannot be told" in _answer(board)
 
 
 def test_no_model_is_called_robust_where_no_shift_is_resolved() -> None:

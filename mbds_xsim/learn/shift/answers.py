@@ -19,6 +19,7 @@ from mbds_xsim.learn.shift.evaluation import Evaluation
 from mbds_xsim.learn.shift.gaps import (
     ALL,
     LEAVE_ONE_OUT,
+    LONELY,
     SINGLE,
     UNKNOWN,
     UNSURE,
@@ -101,6 +102,8 @@ def _resolved(gaps: Sequence[Gap], place: int, frame: int) -> Answer:
         f"less. Not resolved are {count[WEAK]} because the model's own error exceeds the engine "
         f"floor, {count[UNSURE]} because the interval of the difference contains 0"
     )
+    if count[LONELY]:
+        text += f", {count[LONELY]} because one trajectory gives no interval"
     if count[UNKNOWN]:
         text += f", {count[UNKNOWN]} because the model's own domain is not tested"
     tried = len(resolved) + count[UNSURE]
@@ -285,6 +288,8 @@ def _removal(
     native: Bounded, matched: Bounded, change: Bounded, gaps: dict[str, list[Gap]], place: int
 ) -> str:
     """Tell a shift that went from one that an interval of matched data is too wide to show."""
+    if np.isnan(native.low[place]):
+        return _UNTOLD
     if not native.low[place] > 1.0:
         return "native data show no shift that matched data could remove"
     if not any(gap.resolved[place] for gap in gaps["native"]):

@@ -32,6 +32,7 @@ SINGLE, LEAVE_ONE_OUT, ALL = "single", "leave-one-out", "all"
 
 WEAK = "own error exceeds the engine floor"
 UNSURE = "interval contains 0"
+LONELY = "one trajectory gives no interval"
 UNKNOWN = "own domain is not tested, so neither own error nor engine floor is known"
 """Why gaps tell nothing of a shift."""
 
@@ -40,6 +41,7 @@ DRAWS = 1000
 """Of the bootstrap."""
 _LEVEL = 0.95
 _SEED = 20240607
+_SEVERAL = 2  # trajectories: of one alone nothing tells what another would give
 _LEAST = 3  # models: two can only be in order or out of it
 
 
@@ -59,6 +61,8 @@ class Bounded:
 
     def text(self, place: int) -> str:
         """Write value and interval at a frame."""
+        if np.isnan(self.low[place]):
+            return f"{self.value[place]:.3g} [no interval]"
         return f"{self.value[place]:.3g} [{self.low[place]:.3g}, {self.high[place]:.3g}]"
 
     def verdict(self, place: int, less: str, more: str, same: str) -> str:
@@ -146,6 +150,8 @@ def why_unresolved(own: float, floor: float, low: float, high: float) -> str:
         return UNKNOWN
     if own > floor:
         return WEAK
+    if np.isnan(low):
+        return LONELY
     return "" if low > 0.0 or high < 0.0 else UNSURE
 
 
@@ -216,8 +222,11 @@ class Resampler:
     def means(self, errors: Array, runs: str) -> Array:
         """Give resampled means (draw, frame) of finite errors (seed, trajectory, frame).
 
-        Of the same name of runs the same seeds are drawn.
+        Of the same name of runs the same seeds are drawn. Not numbers of one trajectory alone: by
+        how much others would differ is not known.
         """
+        if errors.shape[1] < _SEVERAL:
+            return np.full((self._draws, errors.shape[2]), np.nan)
         rng = np.random.default_rng([self._seed, zlib.crc32(runs.encode())])
         seeds = _weights(rng, self._draws, len(errors))
         each = np.einsum("dt,stf->dsf", self._weights, errors, optimize=True)
