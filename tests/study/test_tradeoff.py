@@ -11,11 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
 
+from mbds_xsim import reference
 from mbds_xsim.base.isolate import HERE, Task
 from mbds_xsim.measure import runner
 from mbds_xsim.measure.runner import Store
+from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.simulate import registry, timed
 from mbds_xsim.simulate.adapter import Adapter
@@ -164,6 +167,23 @@ def test_steps_go_on_until_the_budget_is_kept_tenfold(
     assert [point.steps_per_frame for point in precise] == [1, 2, 4]
     assert len(coarse) > 3
     assert all(point.error_m > 0.1 * budget for point in coarse[2:-1])
+
+
+def test_a_row_says_when_the_error_of_its_own_start_was_taken() -> None:
+    cubli = registry.load_scene("simplecubli")
+    short = msgspec.structs.replace(cubli, clock=msgspec.structs.replace(cubli.clock, steps=40))
+    starts = draw_batch(short, [1, 4], seed=0)
+    known = reference.solve(short, starts)
+    ends = [failure.frame * short.clock.frame for failure in known.failures if failure]
+    truths = [bench.Truth(known[[row]], np.ones((1, starts.steps + 1))) for row in range(2)]
+    board = bench.StartBench(short, starts, truths, 0, 30.0, HERE)
+
+    cases = [board._case(bench.Job(EngineMethod("mujoco", "RK4"), 1, row)) for row in range(2)]
+
+    last = [pytest.approx(end - short.clock.frame) for end in ends]
+    assert [case.row.horizon_s for case in cases] == last
+    assert len({case.row.horizon_s for case in cases}) == 2
+    assert board.horizon == min(case.row.horizon_s for case in cases)
 
 
 def test_contact_without_a_unique_answer_ends_the_error_at_the_first_impact() -> None:

@@ -157,7 +157,7 @@ class StartBench:
         return Runner(
             store=Store.of("tradeoff", self.scene.name, Measurement),
             crashed=_crashed,
-            labels=("scene", "variation", "trajectory", "seed"),
+            labels=("scene", "variation", "trajectory", "seed", "horizon_s"),
             lasts=in_time,
             conduct=self.conduct,
             forecasts=False,
@@ -249,7 +249,7 @@ class StartBench:
             machine=machine(),
             limit_s=self.limit,
             kind="done",
-            horizon_s=self.horizon,
+            horizon_s=self.horizon if self.are_limits else self.truth_of(job.place).horizon,
         )
 
 
