@@ -17,7 +17,7 @@ import msgspec
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.frame import optional
-from mbds_xsim.learn.train import CurvePoint
+from mbds_xsim.learn.train import CurvePoint, End
 from mbds_xsim.report.themed import INK, LIGHT, engine_style, png
 from mbds_xsim.simulate import registry
 
@@ -34,7 +34,7 @@ class LearningCurve(msgspec.Struct, frozen=True):
     run: str
     most_steps: int
     """It may take."""
-    ended: str
+    ended: End
     """Why; empty while it goes on."""
     points: list[CurvePoint]
 

@@ -38,7 +38,8 @@ from mbds_xsim.learn.window import HISTORY, Motions, Sample
 
 _ANEW = "remove it to start anew"
 _KEPT = ("curve", "ended", "skipped", "wall_s", "cpu_s")  # of a training in its checkpoint
-_End = Literal["", "steps", "level", "diverged"]
+End = Literal["", "steps", "level", "diverged"]
+"""Why a training is over; empty while it goes on."""
 
 
 class CurvePoint(msgspec.Struct, frozen=True):
@@ -58,7 +59,7 @@ class Training:
 
     model: LearnedModel
     curve: list[CurvePoint] = field(default_factory=list)
-    ended: _End = ""
+    ended: End = ""
     """Why; "diverged" where losses stopped being numbers, from which step the curve tells."""
     skipped: int = 0
     """Steps that were not taken, because their gradient was no number."""
@@ -224,7 +225,7 @@ class _Loop:
             self._set_rate(_on_plateau(self.recipe.rate, self.schedule, curve))
         self.training.ended = self._end(loss)
 
-    def _end(self, loss: float) -> _End:
+    def _end(self, loss: float) -> End:
         training, profile = self.training, self.profile
         if not math.isfinite(loss):
             return "diverged"
@@ -289,7 +290,7 @@ class _Checkpoint(msgspec.Struct, frozen=True):
     adam: dict[str, Any]
     generator: Any
     curve: list[CurvePoint]
-    ended: _End
+    ended: End
     skipped: int
     wall_s: float
     cpu_s: float

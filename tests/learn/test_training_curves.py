@@ -1,6 +1,14 @@
 """The look of learning curves."""
 
-from mbds_xsim.learn.curves import looks
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.learn.curves import looks, read_curve
 
 
 def test_an_engine_looks_the_same_whichever_others_there_are() -> None:
@@ -22,3 +30,13 @@ def test_an_engine_whose_name_begins_as_another_s_has_its_own_colour() -> None:
     assert found["mujoco-warp"][0] == found["mujoco-warp-low"][0] != found["mujoco"][0]
     assert found["mujoco-low"][0] == found["mujoco"][0]
     assert found["mujoco-warp"][1] == found["mujoco"][1] == "-"
+
+
+def test_a_curve_that_ends_as_no_training_does_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "mujoco-s0.curve.json"
+    point = {"step": 1, "loss": 1.0, "error": 1.0, "rate": 1e-3}
+    curve = {"run": "a/mujoco-s0", "most_steps": 2, "ended": "soon", "points": [point]}
+    path.write_text(json.dumps(curve))
+
+    with pytest.raises(InputError, match="no learning curve, or a damaged one"):
+        read_curve(path)
