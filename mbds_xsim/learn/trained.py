@@ -110,9 +110,9 @@ class TrainedModel:
         """The word of `mbds-xsim train --on` that makes it."""
         if self.interval:
             return "by-interval"
-        if self.single:
-            return "each"
-        return "leave-one-out" if self.training.startswith("not-") else "all"
+        if self.training.startswith("not-"):  # of two engines, too, where it is the other alone
+            return "leave-one-out"
+        return "each" if self.single else "all"
 
     def load(self, scene: Scene) -> LearnedModel:
         """Read it, for data of a scene; InputError where it is of another."""

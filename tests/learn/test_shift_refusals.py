@@ -131,6 +131,15 @@ def test_other_training_data_are_refused(folder: Path) -> None:
         check_data([good, bad], paired)
 
 
+def test_one_of_two_engines_left_out_is_found_by_the_word_that_trained_it(folder: Path) -> None:
+    entry = find_models(folder / "models", SCENE)[0]
+    other = dataclasses.replace(entry, training="not-mujoco-native", engines=("exudyn",))
+
+    assert other.single
+    assert Selection.parse(None, "leave-one-out", None).has(other)
+    assert not Selection.parse(None, "each", None).has(other)
+
+
 def test_trainings_that_differ_in_more_than_their_engines_are_refused(folder: Path) -> None:
     entry = find_models(folder / "models", SCENE)[0]
 
