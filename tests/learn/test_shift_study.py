@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 import pytest
 import torch
+from matplotlib.figure import Figure
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import HERE, Conduct, Crash, Silent, Task
@@ -34,6 +35,7 @@ from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene
 from mbds_xsim.scene.state import Batch
 from mbds_xsim.simulate.registry import load_scene
+from mbds_xsim.studies.shift.figures import draw_curves
 from mbds_xsim.studies.shift.present import present, protocol
 from mbds_xsim.studies.shift.tables import nearness, tables
 from mbds_xsim.studies.shift.worth import costs_of
@@ -86,6 +88,29 @@ def test_the_protocol_names_what_the_models_were_trained_by_alone(shift: Shift) 
     (words,) = [part for part in protocol(shift).split("; ") if part.startswith("profile ")]
     (profile,) = {facts.profile for facts in shift.models if facts.engines}
     assert words == f"profile {profile}"
+
+
+def test_one_trajectory_is_told_as_one(shift: Shift) -> None:
+    one = msgspec.structs.replace(shift, index=shift.index[:1])
+
+    assert protocol(one).startswith("Tested on 1 trajectory that all ")
+
+
+def test_other_settings_of_an_engine_are_no_other_engine(shift: Shift) -> None:
+    """The band of a chart is that of the other engines."""
+    home = "mujoco-native"
+    (other,) = (
+        floor for floor in shift.floors
+        if (floor.kind, floor.test) == ("restarted engine", home) and floor.first != home
+    )  # fmt: skip
+    far = msgspec.structs.replace(other, first="mujoco-matched", curve=(1e6,) * len(other.curve))
+    both = msgspec.structs.replace(shift, floors=(*shift.floors, far))
+    axes = Figure().subplots()
+
+    draw_curves(axes, both, "gns", home)
+
+    (band,) = axes.collections
+    assert band.get_paths()[0].vertices[:, 1].max() == pytest.approx(max(filter(None, other.curve)))
 
 
 def test_what_data_cost_stands_beside_what_is_learned_from_them(folder: Path, shift: Shift) -> None:

@@ -224,7 +224,9 @@ def draw_curves(axes: Any, shift: Shift, model: str, test: str) -> None:
 def _draw_floors(axes: Any, shift: Shift, test: str, time: Sequence[float]) -> None:
     """Other engines, from the least to the greatest; noise; chaos."""
     floors = [floor for floor in shift.floors if floor.interval == INTERVALS[0]]
-    engines = [f.curve for f in floors if f.kind == RESTART and f.test == test and f.first != test]
+    restarts = [f for f in floors if (f.kind, f.test) == (RESTART, test)]
+    engine = test.rpartition("-")[0]  # which at other settings is none of the others
+    engines = [f.curve for f in restarts if f.first.rpartition("-")[0] != engine]
     if engines:
         each = list(zip(*map(_line, engines), strict=True))
         low, high = [min(values) for values in each], [max(values) for values in each]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from mbds_xsim.base.arrays import Array, Index
-from mbds_xsim.base.text import in_figure
+from mbds_xsim.base.text import counted, in_figure
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.learn.shift.study import SampleRollout, Samples
@@ -114,7 +114,8 @@ def protocol(shift: Shift) -> str:
     told = sorted({m.model for m in shift.models if m.bodies})
     bodies = f" ({', '.join(told)}: the bodies' states, too)" if told else ""
     return (
-        f"Tested on {len(shift.index)} trajectories that all {len(shift.domains)} domains (engines "
+        f"Tested on {counted(len(shift.index), 'trajectory')} that all {len(shift.domains)} domains "
+        "(engines "
         f"at given settings) share, from the same starts and inputs. A model is shown the first "
         f"{shift.history} frames of the test domain{bodies} and predicts the next {shift.horizon}, "
         f"of {shift.frame_s:g} s each. "
