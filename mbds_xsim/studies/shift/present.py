@@ -113,9 +113,9 @@ def protocol(shift: Shift) -> str:
     few = "" if len(seeds) >= _ENOUGH else ", too few to tell of other runs of the same trainings"
     told = sorted({m.model for m in shift.models if m.bodies})
     bodies = f" ({', '.join(told)}: the bodies' states, too)" if told else ""
+    tested = counted(len(shift.index), "trajectory")
     return (
-        f"Tested on {counted(len(shift.index), 'trajectory')} that all {len(shift.domains)} domains "
-        "(engines "
+        f"Tested on {tested} that all {len(shift.domains)} domains (engines "
         f"at given settings) share, from the same starts and inputs. A model is shown the first "
         f"{shift.history} frames of the test domain{bodies} and predicts the next {shift.horizon}, "
         f"of {shift.frame_s:g} s each. "
