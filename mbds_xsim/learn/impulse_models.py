@@ -42,7 +42,7 @@ most steps of a frame; and how far off a body's centre a wheel's may be [m]."""
 class ImpulseSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Hyper-parameters of energies with impulses."""
 
-    shape: EnergyShape = EnergyShape(width=16, bend=0.01)
+    shape: EnergyShape = EnergyShape(width=16, bend=0.001)
     width: int = 64
     """Of the contacts' networks."""
     layers: int = 3
