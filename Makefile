@@ -214,6 +214,8 @@ NETWORKS ?= gns+,hgnn+,lgnn+,sgnn+
 ON ?=
 $(factor-targets): STEPS = 200
 shift-balldrop-factors: STEPS = 500
+# Learned energies learn what the ground does later than the others: 200 steps are too few of them.
+shift-ballscroll-factors: STEPS = 400
 $(factor-targets): shift-%-factors: $(VENV)/ready
 	$(BIN)/mbds-xsim generate $* --trajectories 300 --out $(FACTORS) \
 		--settings $(subst $() ,$(comma),$(FACTORED:%=benchmarks/factors/%.toml))$(comma)native$(comma)matched \
