@@ -17,7 +17,6 @@ import msgspec
 
 from mbds_xsim.base.files import read_file, write_whole
 from mbds_xsim.learn.shift.result import Shift
-from mbds_xsim.simulate.adapter import Profile
 from mbds_xsim.studies.releases import present as releases
 from mbds_xsim.studies.releases.steps import History
 from mbds_xsim.studies.shift import present as shift
@@ -108,8 +107,8 @@ def sweep_of(table: str) -> Survey:
 def _panels(cells: list[MapCell]) -> list[Panel]:
     """Part the cells into panels: each begins at the first value.
 
-    A cell that is alike at matched and at native settings was run once and has the profile that
-    it was run for, in both panels. Native is the later one.
+    In stored tables a cell that is alike at matched and at native settings may have the profile
+    that it was run for, in both panels. Native is the later one.
     """
     parts: list[list[tuple[MapCell, ...]]] = []
     for value, row in itertools.groupby(cells, key=lambda cell: cell.value):
@@ -117,7 +116,7 @@ def _panels(cells: list[MapCell]) -> list[Panel]:
             parts.append([])
         parts[-1].append(tuple(row))
     names = [(part[0][0].engine, part[0][0].method) for part in parts]
-    profiles: list[Profile] = [part[0][0].profile for part in parts]
+    profiles = [part[0][0].profile for part in parts]
     for place, name in enumerate(names):
         if names.count(name) > 1:
             profiles[place] = "native" if name in names[:place] else "matched"

@@ -110,7 +110,8 @@ def test_other_settings_of_an_engine_are_no_other_engine(shift: Shift) -> None:
     draw_curves(axes, both, "gns", home)
 
     (band,) = axes.collections
-    assert band.get_paths()[0].vertices[:, 1].max() == pytest.approx(max(filter(None, other.curve)))
+    heights = np.asarray(band.get_paths()[0].vertices)[:, 1]
+    assert heights.max() == pytest.approx(max(filter(None, other.curve)))
 
 
 def test_what_data_cost_stands_beside_what_is_learned_from_them(folder: Path, shift: Shift) -> None:
