@@ -24,6 +24,7 @@ from mbds_xsim.learn.shift.domains import (
 )
 from mbds_xsim.learn.shift.evaluation import ENGINE, cells_of, chaos_floor, noise_floor
 from mbds_xsim.learn.shift.gaps import (
+    LONELY,
     UNKNOWN,
     Draws,
     Resampler,
@@ -86,7 +87,7 @@ def test_a_model_worse_than_the_engines_differ_resolves_nothing() -> None:
         (3.0, 2.0, 0.5, 1.0, "own error exceeds the engine floor"),
         (1.0, 2.0, -0.5, 1.0, "interval contains 0"),
         (1.0, 2.0, 0.0, 1.0, "interval contains 0"),
-        (1.0, 2.0, np.nan, np.nan, "interval contains 0"),
+        (1.0, 2.0, np.nan, np.nan, LONELY),
         (np.nan, 2.0, 0.5, 1.0, UNKNOWN),
         (1.0, np.nan, 0.5, 1.0, UNKNOWN),
     ],
