@@ -214,7 +214,7 @@ NETWORKS ?= gns+,hgnn+,lgnn+,sgnn+
 ON ?=
 $(factor-targets): STEPS = 200
 shift-balldrop-factors: STEPS = 500
-# Learned energies learn what the ground does later than the others: 200 steps are too few of them.
+# hgnn+ and lgnn+ learn contact only once they know the energy, which 200 steps are too few for.
 shift-ballscroll-factors: STEPS = 400
 $(factor-targets): shift-%-factors: $(VENV)/ready
 	$(BIN)/mbds-xsim generate $* --trajectories 300 --out $(FACTORS) \

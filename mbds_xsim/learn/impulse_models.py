@@ -35,8 +35,8 @@ from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import KnownInputs
 
 _TURN, _MOST_STEPS, _CENTRED = 2.0, 16, 1e-9
-"""Turn of a wheel in a step, in which a force on its nodes changes its direction so far [rad]; the
-most steps of a frame; and how far off a body's centre a wheel's may be [m]."""
+"""The furthest that a wheel turns in one step, since forces on its nodes change direction by as
+much [rad]; the most steps of a frame; and how far off a body's centre a wheel's may be [m]."""
 
 
 class ImpulseSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
