@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-import time
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 
 from benchmarks.four_bars import four_bars
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
+from mbds_xsim.scene import row_space
 from mbds_xsim.scene.constraints import (
     ConstraintRows,
     constraint_rows,
@@ -162,12 +163,13 @@ def test_degrees_of_freedom_of_trees(kinds: tuple[Kind, ...], expected: int) -> 
     assert degrees_of_freedom(mechanism) == expected
 
 
-def test_many_loops_are_counted_by_a_sparse_factorisation() -> None:
+def test_many_loops_are_counted_by_a_sparse_factorisation(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each four-bar has three rows too many: they are told from the others as few are."""
+    monkeypatch.setattr(row_space, "qr", None)
+    monkeypatch.setattr(csr_array, "toarray", None)
     loops = 300
     mechanism = Mechanism.of(four_bars(loops, 1.0))
     rows = 5 * len(mechanism.joints)
-    begin = time.process_time()
+
     assert degrees_of_freedom(mechanism) == 1
     assert 6 * mechanism.body_count - rows == 1 - 3 * loops
-    assert time.process_time() - begin < 2.0

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import importlib
 import re
-import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, cast
 
@@ -17,11 +18,12 @@ from mbds_xsim.measure import campaign, runner
 from mbds_xsim.measure.runner import Piece, Running
 from mbds_xsim.reference import cache, kernels
 from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
 from mbds_xsim.simulate import timed
 from mbds_xsim.simulate.adapter import Adapter, Settings
 from mbds_xsim.simulate.choice import Choice
-from mbds_xsim.simulate.registry import load_adapter, load_scene
+from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.simulate.timed import Work, checked, forewarnings, simulate
 from mbds_xsim.studies.validate import validate_with_evidence
 
@@ -56,16 +58,36 @@ def test_what_takes_minutes_is_announced_and_the_rest_is_not_even_tried() -> Non
     assert re.match(told, line)
 
 
-def test_an_estimate_is_near_what_the_steps_take() -> None:
-    settings = Settings("RK4", 1e-4)
-    with load_adapter("mujoco").open(_SCENE, settings) as run:
-        begin = time.process_time()
-        run.rollout(_START)
-        spent = (time.process_time() - begin) / 40_000
+class _Slow:
+    """An engine whose first rollout of a model takes long, and every later step as long."""
 
-    each = min(timed._seconds_a_step(_SCENE, _START, "mujoco", settings) for _ in range(3))
+    EACH, FIRST = 3e-5, 7.0
 
-    assert 0.25 * spent < each < 4.0 * spent
+    def __init__(self) -> None:
+        self.clock = 100.0
+        self.left = self.FIRST
+
+    @contextlib.contextmanager
+    def open(self, scene: Scene, settings: Settings) -> Iterator[_Slow]:
+        self.clock += 11.0
+        self.steps = scene.clock.frame / settings.step
+        yield self
+
+    def rollout(self, start: Batch) -> None:
+        self.clock += self.left + start.steps * self.steps * self.EACH
+        self.left = 0.0
+
+
+def test_an_estimate_is_of_the_steps_and_of_nothing_that_is_done_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    slow = _Slow()
+    monkeypatch.setattr(timed, "load_adapter", lambda _: slow)
+    monkeypatch.setattr(timed.time, "process_time", lambda: slow.clock)
+
+    each = timed._seconds_a_step(_SCENE, _START, "slow", Settings("RK4", 1e-4))
+
+    assert each == pytest.approx(_Slow.EACH, rel=1e-9)
 
 
 def test_what_is_under_way_is_named_the_oldest_first() -> None:
