@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from typer import Argument, Option
 
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Conduct
 from mbds_xsim.commands import shared
 
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from mbds_xsim.studies.tradeoff import Measurement, Tradeoff
 
 
+_STARTS = 3
+_LIMIT = 30.0  # [s]
 _Onto = Annotated[
     Path | None,
     Option(
@@ -51,9 +54,9 @@ def tradeoff(
     engines: shared.EngineNames = None,
     models: shared.ModelPlaces = None,
     onto: _Onto = None,
-    starts: _Starts = 3,
+    starts: _Starts = _STARTS,
     seed: shared.Seed = 0,
-    limit: _StartLimit = 30.0,
+    limit: _StartLimit = _LIMIT,
     fresh: _Fresh = False,
     cache: shared.CacheUse = True,
     workers: shared.WorkerCount = None,
@@ -74,8 +77,11 @@ def tradeoff(
 
     choice, console = Choice.parse(engines=engines, also=(REFERENCE,)), to.console
     loaded = [shared.scene_named(name) for name in scenes]
-    trained = _models(models, onto, loaded)
     asked = {"choice": choice, "starts": starts, "seed": seed, "limit": limit}
+    if onto is not None and (engines or (starts, seed, limit) != (_STARTS, 0, _LIMIT)):
+        msg = "--onto: the stored trade-off has engines, starts, seed and limit of its own"
+        raise InputError(f"{msg}; leave --engines, --starts, --seed and --limit out")
+    trained = _models(models, onto, loaded)
     studies, rows = [], []
     for scene in loaded:
         with StudyBar(console, workers or core_count(), scene.name) as meter:
@@ -124,8 +130,6 @@ def _models(
     places: list[Path] | None, onto: Path | None, scenes: list[Scene]
 ) -> list[TrainedModel]:
     """Find the models, and refuse them before engines are measured where there are none."""
-    from mbds_xsim.base.errors import InputError
-
     if onto is not None and (not places or len(scenes) != 1):
         msg = "--onto: models are put onto a stored trade-off; name one SCENE and --models"
         raise InputError(msg)
@@ -266,7 +270,6 @@ def _outsiders(places: list[Path] | None) -> tuple[Simulator, ...]:
 
 def _profiles(words: str) -> tuple[Profile, ...]:
     """Read the profiles from a user's words, each once."""
-    from mbds_xsim.base.errors import InputError
     from mbds_xsim.simulate.choice import as_profile, is_file
 
     if paths := [word for word in words.split(",") if is_file(word)]:

@@ -199,11 +199,21 @@ def build(
     """Make an untrained model: the same seed makes the same parameters.
 
     Of its track `native`, or the last, where none is named; errors are those of `track_of`.
+
+    Raises:
+        Unsupported: It cannot represent the scene, or fails on it and is another package's.
     """
     kind, track = load_model(name), track_of(name, track, "native")
     with torch.random.fork_rng():
         torch.manual_seed(seed)
-        return kind(graph, statistics, kind.tracks.get(track)).in_precision()
+        try:
+            return kind(graph, statistics, kind.tracks.get(track)).in_precision()
+        except Exception as error:
+            if isinstance(error, InputError) or kind.__module__.startswith("mbds_xsim."):
+                raise
+            told = " ".join(f"{type(error).__name__}: {error}".split())
+            msg = f"{kind.__module__}:{kind.__name__} fails on scene {graph.scene.name!r}: {told}"
+            raise Unsupported(msg) from error
 
 
 def refusal(name: str, graph: Graph, *, track: str | None = None) -> str:

@@ -75,11 +75,14 @@ class Training:
 
     @property
     def last_improvement(self) -> float:
-        """By how much the last fifth of the steps improved the best error, 0 to 1."""
+        """By how much the last fifth of the steps improved the best error, 0 to 1.
+
+        1 where no error was finite before: that is no level that was reached.
+        """
         before = [p.error for p in self.curve if p.step <= 0.8 * self.curve[-1].step]
         least = min(before, default=math.inf)
         if not math.isfinite(least):
-            return 1.0 if math.isfinite(self.best.error) else 0.0
+            return 1.0
         return 1.0 - self.best.error / least if least > 0 else 0.0
 
 

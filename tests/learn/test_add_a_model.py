@@ -10,7 +10,9 @@ from pathlib import Path
 import pytest
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.learn.model import load_model, model_names, trainable
+from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.model import load_model, model_names, refusal, trainable
+from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.testing.models import ModelContract
 from tests.command_line import CommandLine
 from tests.plugins import installed
@@ -70,3 +72,27 @@ def test_a_model_that_cannot_be_loaded_is_named_and_harms_no_other(
     assert says in str(refused.value)
     assert "\n" not in str(refused.value)
     sys.modules.pop("broken_model", None)
+
+
+_FAILS = """
+from mbds_xsim.learn.model import PointModel
+from mbds_xsim.learn.recipe import Recipe
+
+class Fails(PointModel):
+    tracks = {"lite": Recipe()}
+
+    def __init__(self, graph, statistics, settings):
+        raise KeyError("no such\\nbody")
+
+    def predict(self, history, inputs): ...
+    def loss(self, sample, generator): ...
+"""
+
+
+def test_a_model_that_fails_on_a_scene_cannot_represent_it(tmp_path: Path) -> None:
+    graph, folder = Graph.of(load_scene("2pendulum")), tmp_path / "fails"
+    with installed(folder, {"fails": _FAILS}, models={"fails": "fails:Fails"}):
+        told = refusal("fails", graph)
+    assert told.startswith("fails:Fails fails on scene '2pendulum': KeyError: ")
+    assert "\n" not in told
+    sys.modules.pop("fails", None)

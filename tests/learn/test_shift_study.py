@@ -432,7 +432,7 @@ def test_restarted_engines_keep_their_own_motion(shift: Shift) -> None:
 
 
 def test_models_that_are_not_there_are_said_so(shift: Shift) -> None:
-    none = "no trained model of it was given"
+    none = "no trained model of it was tested"
     assert shift.left_out == dict.fromkeys(set(trainable()) - {"gns"}, none)
     assert refusal("gns", Graph.of(load_scene("balldrop"))) == ""
     assert "contact" in refusal("hgnn", Graph.of(load_scene("balldrop")))

@@ -282,6 +282,8 @@ def test_the_command_puts_models_onto_a_stored_study(
         (["1pendulum", "--onto", "x.json"], "--onto"),
         (["1pendulum", "2pendulum", "--onto", "x.json", "--models", "{models}"], "--onto"),
         (["1pendulum", "--onto", "{text}", "--models", "{models}"], "no result of one scene"),
+        (["1pendulum", "--onto", "{text}", "--models", "{models}", "--starts", "5"], "leave --eng"),
+        (["1pendulum", "--onto", "{text}", "--models", "{models}", "--engines", "dart"], "leave "),
         (["1pendulum", "--models", "{text}"], "no trained model"),
         (["1pendulum", "--models", "{models}/nowhere"], "no trained model"),
         (["ballscroll", "--models", "{models}"], "no trained models of ballscroll: 2 trained on"),

@@ -209,6 +209,8 @@ def test_improvement_is_that_of_the_last_fifth(parts: tuple[Motions, Motions]) -
     errors = (8.0, 6.0, 5.0, 4.0, 3.0)
     curve = [CurvePoint(10 * k + 10, 1.0, error, 1e-3) for k, error in enumerate(errors)]
     assert Training(_model(parts[0]), curve).last_improvement == pytest.approx(0.25)
+    exploded = [CurvePoint(10 * k + 10, 1.0, math.inf, 1e-3) for k in range(5)]
+    assert Training(_model(parts[0]), exploded).last_improvement == 1.0
 
 
 def test_rates_follow_their_schedules(parts: tuple[Motions, Motions]) -> None:

@@ -241,7 +241,7 @@ def _left_out(evaluation: Evaluation) -> dict[str, str]:
         )
     for name in sorted(set(trainable()) - set(evaluation.models)):
         why = refusal(name, evaluation.test.graph)
-        reasons[name] = why or "no trained model of it was given"
+        reasons[name] = why or "no trained model of it was tested"
     return reasons
 
 
