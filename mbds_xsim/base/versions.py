@@ -14,5 +14,5 @@ PHYSICS = 3
 CHECKS = 16
 """Figures and verdicts of checks on a trajectory, and what studies derive from them."""
 
-MODELS = 4
+MODELS = 5
 """Predictions of learned models, and figures of them."""

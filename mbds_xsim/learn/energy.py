@@ -23,7 +23,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from mbds_xsim.learn.layers import keep, mlp
+from mbds_xsim.learn.layers import keep, mlp, silence
 from mbds_xsim.learn.mechanics import Mechanics
 from mbds_xsim.learn.mechanics_points import distinct, kinds_of
 from mbds_xsim.scene.sampling import noise_components
@@ -148,6 +148,12 @@ class Potential(nn.Module):
         # A function of distances that nothing changes has a slope along the constraints alone,
         # whose forces take it up: it moves nothing.
         self.of_distances = OfDistances(mechanics, shape) if mechanics.mechanism.springs else None
+
+    def silence(self) -> None:
+        """Begin with next to no force, which would first have to be unlearned."""
+        of_distances = self.of_distances
+        springs = [] if of_distances is None else [of_distances.of_edge, of_distances.of_node]
+        silence(self.of_place, nn.Sequential(self.slope), *springs)
 
     def forward(self, x: Tensor) -> Tensor:
         """Give V, shape (batch,), at all nodes (batch, all nodes, 3)."""

@@ -64,6 +64,7 @@ class ImpulseModel(CorrectedModel):
         self.substeps = max(settings.substeps, _rolling_steps(graph, statistics))
         mechanics = Mechanics(graph.scene)
         energy = EnergyNetwork(mechanics, settings.shape)
+        energy.of_place.silence()
         self.dynamics = self.kind(energy, Drag(energy, settings.shape))
         self.nodes = BodyNodes(mechanics)
         seen = DIMENSION * BodyViewer.CONTACT + BodyViewer.CONTACT_SCALARS
