@@ -128,6 +128,21 @@ def test_what_rolls_fast_is_followed_in_few_steps() -> None:
 
 
 @pytest.mark.parametrize("name", ["hgnn+", "lgnn+"])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_learned_energies_begin_without_a_force(name: str, seed: int) -> None:
+    """Balls in flight keep their velocities, but for a fraction of what gravity would change."""
+    motions = motions_of(load_model(name), load_scene("balldrop"))
+    model = build(name, motions.graph, Statistics.of(motions), seed=seed)
+    sample = motions.sample(torch.arange(len(motions)), HISTORY - 1, 1)
+    state = model.begin(sample.start)
+    with torch.no_grad():
+        smooth, _ = model.predict(state, sample.inputs.at(0))
+    change = float((smooth[..., 7:10] - state[..., 7:10]).norm(dim=-1).max())
+    gravity = float(motions.graph.gravity.norm())
+    assert change < 0.3 * gravity * motions.graph.frame_s
+
+
+@pytest.mark.parametrize("name", ["hgnn+", "lgnn+"])
 def test_learned_energies_are_followed_to_fourth_order(name: str) -> None:
     """A cube with three driven wheels, whose centres are tips of the cube's."""
     motions = motions_of(load_model(name), load_scene("simplecubli"))
