@@ -98,6 +98,22 @@ def test_all_figures_count_from_the_first_contact(monkeypatch: pytest.MonkeyPatc
     np.testing.assert_allclose(errors[0], 0.1 * there)
 
 
+def test_what_a_model_notices_is_counted_from_the_first_contact(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Engines that are alike in flight part by more than the model errs once balls touch."""
+    apart = np.where(np.arange(_LONG) < 12, 0.1, 3.0) + np.zeros((COUNT, 1))
+    board = evaluation(lambda *_: np.ones((COUNT, _LONG)), floor=0.0)
+    oracles = {pair: figures_of(apart) for pair in board.oracles}
+    board = dataclasses.replace(board, frames=(1, 10, _LONG), oracles=oracles)
+    monkeypatch.setattr(contact, "first_contact", lambda *_: np.full(COUNT, 11))
+    later = contact.from_contact(board)
+    assert later is not None
+    for each, noticed in ((board, (False, False, True)), (later, (False, True))):
+        found = interactions_of(Draws(each))
+        assert {one.noticed for one in found} == {noticed}
+
+
 def test_changes_stand_side_by_side_in_one_sentence() -> None:
     """The answer says where frames are counted from."""
     found = interactions_of(Draws(evaluation(lambda i, j, _: _loss(i, j), floor=0.0)))

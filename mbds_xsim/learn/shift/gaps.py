@@ -158,7 +158,7 @@ def why_unresolved(own: float, floor: float, low: float, high: float) -> str:
 def _gap(draws: Draws, kind: str, training: TrainedModel, target: TrainedModel) -> Gap:
     test, evaluation = target.domains[0], draws.evaluation
     unknown = np.full((1, max(evaluation.frames)), np.nan)
-    own, floor = _own_and_floor(draws, training, test)
+    own, floor = own_and_floor(draws, training, test)
     ratio = draws.bounded(lambda look: look(training, test) / look(target, test))
     difference = draws.bounded(lambda look: look(training, test) - look(target, test))
     bounds = zip(own, floor, difference.low, difference.high, strict=True)
@@ -191,7 +191,7 @@ def _gap(draws: Draws, kind: str, training: TrainedModel, target: TrainedModel) 
     )
 
 
-def _own_and_floor(draws: Draws, training: TrainedModel, test: str) -> tuple[Array, Array]:
+def own_and_floor(draws: Draws, training: TrainedModel, test: str) -> tuple[Array, Array]:
     """R_ii and D_ij of the engine i of the training from which √R_ij ≤ √R_ii + √D_ij says most.
 
     Both are NaN where no other domain of the training is tested.

@@ -24,11 +24,12 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import TypeVar
 
+import msgspec
 import numpy as np
 from scipy.stats import false_discovery_control, norm
 
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.learn.shift.gaps import Bounded, Draws, Look, trainings_of
+from mbds_xsim.learn.shift.gaps import Bounded, Draws, Look, own_and_floor, trainings_of
 from mbds_xsim.learn.shift.result import Answer, Interaction, PairRatio, values
 from mbds_xsim.learn.trained import TrainedModel
 
@@ -53,7 +54,19 @@ def interactions_of(draws: Draws) -> tuple[Interaction, ...]:
 
     Each pair of a model that was trained on both, on each alone.
     """
-    return compared(draws, list(_pairs(draws)), interaction, Interaction)
+    pairs = list(_pairs(draws))
+    found = compared(draws, pairs, interaction, Interaction)
+    return tuple(
+        msgspec.structs.replace(each, noticed=_noticed(draws, *pair))
+        for each, pair in zip(found, pairs, strict=True)
+    )
+
+
+def _noticed(draws: Draws, first: TrainedModel, second: TrainedModel) -> tuple[bool, ...]:
+    """Whether one of two trainings, each on one domain, errs less there than both are apart."""
+    ways = ((first, second.domains[0]), (second, first.domains[0]))
+    errors = [own_and_floor(draws, *way) for way in ways]
+    return tuple(np.any([own < floor for own, floor in errors], axis=0).tolist())
 
 
 def compared(

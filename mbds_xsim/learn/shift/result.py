@@ -154,6 +154,9 @@ class Interaction(PairRatio, frozen=True):
     of trainings and how hard the domains are cancel in it; 1 is no loss.
     """
 
+    noticed: tuple[bool, ...] = ()
+    """Whether the domains are further apart than the model errs where it learned."""
+
 
 class Harm(PairRatio, frozen=True):
     """What the error of its data costs a model: its error on the truth over the least to be had.

@@ -13,19 +13,25 @@ from mbds_xsim.report.quantity import NONE, number
 
 def change_tables(shift: Shift, place: int) -> Iterator[Table]:
     """From the last known frame on, and from the first contact on."""
-    when, seen = f"at t = {shift.frames[place]}", _noticed(shift, place)
-    yield survivors(shift.interactions, place, when, seen)
-    yield _pairs(shift.interactions, place, when)
+    when, found = f"at t = {shift.frames[place]}", shift.interactions
+    yield survivors(found, place, when, _noticed(shift, found, place))
+    yield _pairs(found, place, when)
     if shift.after_contact:
         frames = [frame for frame in shift.contact_frames if frame <= shift.frames[place]]
         taken = counted(shift.contact_trajectories, "trajectory")
         when = f"{frames[-1]} frames after the first contact ({taken})"
-        yield survivors(shift.after_contact, len(frames) - 1, when, seen)
-        yield _pairs(shift.after_contact, len(frames) - 1, when)
+        place, found = len(frames) - 1, shift.after_contact
+        yield survivors(found, place, when, _noticed(shift, found, place))
+        yield _pairs(found, place, when)
 
 
-def _noticed(shift: Shift, place: int) -> set[tuple[str, frozenset[str]]]:
+def _noticed(
+    shift: Shift, found: Sequence[Interaction], place: int
+) -> set[tuple[str, frozenset[str]]]:
     """Models and pairs of domains that are further apart than the model errs where it learned."""
+    if all(each.noticed for each in found):
+        return {(e.model, frozenset((e.first, e.second))) for e in found if e.noticed[place]}
+    place = shift.frames.index(shift.at)  # earlier results know it of no other frames
     return {
         (gap.model, frozenset((gap.training, gap.test)))
         for gap in shift.gaps
