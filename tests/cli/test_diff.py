@@ -301,6 +301,15 @@ def test_markdown_has_it_all(compare: CommandLine, here: Path) -> None:
     assert "- **worse: mujoco matched: gap no longer keeps its budget**" in text
 
 
+def test_the_command_that_is_told_compares_again(run: CommandLine, here: Path) -> None:
+    (here / "old one.json").write_text(json.dumps(_match()))
+    (here / "new.json").write_text(json.dumps(_match()))
+
+    run("diff", "old one.json", "new.json", "--factor", "3", "--markdown", "diff.md")
+
+    assert "`mbds-xsim diff 'old one.json' new.json --factor 3.0`" in (here / "diff.md").read_text()
+
+
 _FILES: dict[str, tuple[bytes, str]] = {
     "missing": (b"", "cannot read new.json: No such file"),
     "empty": (b" ", "is not JSON, or was cut short"),

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator
 
 from mbds_xsim.report import blocks, quantity
 from mbds_xsim.studies.diff import Value
-from mbds_xsim.studies.diff.compare import Change, Comparison, Diff, EntryDiff, FigureChange
+from mbds_xsim.studies.diff.compare import (
+    FACTOR,
+    RTOL,
+    Change,
+    Comparison,
+    Diff,
+    EntryDiff,
+    FigureChange,
+)
 
 _HEADINGS = ("entry", "what", "before", "now", "change")
 _COLUMNS = tuple(blocks.Column(heading, words=heading != "change") for heading in _HEADINGS)
@@ -22,9 +31,19 @@ def present(comparison: Comparison) -> Iterator[blocks.Report]:
             what="worse" if diff.worse else "nothing worse",
             conclusion=_conclusion(diff),
             blocks=tuple(_blocks(diff, comparison)),
-            command=f"mbds-xsim diff {comparison.old} {comparison.new}",
+            command=_command(comparison),
             verdict="fail" if diff.worse else "pass",
         )
+
+
+def _command(comparison: Comparison) -> str:
+    given = (
+        ("--rtol", comparison.rtol, RTOL),
+        ("--factor", comparison.factor, FACTOR),
+    )
+    options = (word for name, value, usual in given if value != usual for word in (name, value))
+    words = ("mbds-xsim", "diff", comparison.old, comparison.new, *options)
+    return shlex.join(map(str, words))
 
 
 def remarks_of(comparison: Comparison) -> blocks.Remarks:
