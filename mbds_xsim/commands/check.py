@@ -108,13 +108,12 @@ def diff(
         mbds-xsim diff reports/3ladder.json new.json
         mbds-xsim diff before.json after.json --markdown changes.md
     """
-    from mbds_xsim.report.terminal import print_blocks, print_report
+    from mbds_xsim.report.terminal import print_report
     from mbds_xsim.studies.diff.compare import compare_files
-    from mbds_xsim.studies.diff.present import present, remarks_of
+    from mbds_xsim.studies.diff.present import present
 
     comparison = compare_files(old, new, rtol=rtol, factor=factor)
     reports = list(present(comparison))
-    print_blocks([remarks_of(comparison)], to.console)
     for report in reports:
         print_report(report, to.console)
     to.give(reports, "", shared.encoded(comparison))

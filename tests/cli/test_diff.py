@@ -286,10 +286,12 @@ def test_lists_are_compared_scene_by_scene(run: CommandLine, here: Path) -> None
     (here / "old.json").write_text(json.dumps([one, other]))
     (here / "new.json").write_text(json.dumps(other))
 
-    ended = run("diff", "old.json", "new.json")
+    ended = run("diff", "old.json", "new.json", "--json", "diff.json", "--markdown", "diff.md")
 
     assert ended.code == 0
     assert "scenes only in the old one: pair" in ended.out
+    assert "- scenes only in the old one: pair\n" in (here / "diff.md").read_text()
+    assert json.loads((here / "diff.json").read_text())["verdict"] == "changed"
 
 
 def test_markdown_has_it_all(compare: CommandLine, here: Path) -> None:

@@ -135,6 +135,7 @@ def compare_files(
         msg = f"{old} is {schema} and {new} is {other_schema}; give two of the same"
         raise InputError(msg)
     both = [name for name in after if name in before]
+    alone = [name for name in (*before, *after) if name not in both]
     if not both:
         msg = f"{old} is about {_listed(before)} and {new} about {_listed(after)}; give two of one"
         raise InputError(msg)
@@ -146,7 +147,7 @@ def compare_files(
         new=str(new),
         rtol=rtol,
         factor=factor,
-        verdict=_verdict(scenes),
+        verdict=_verdict(scenes, alone),
         scenes=scenes,
         scenes_only_old=tuple(name for name in before if name not in after),
         scenes_only_new=tuple(name for name in after if name not in before),
@@ -157,14 +158,14 @@ def _listed(views: Mapping[str, View]) -> str:
     return ", ".join(views)
 
 
-def _verdict(scenes: tuple[Diff, ...]) -> Literal["worse", "changed", "same"]:
+def _verdict(scenes: tuple[Diff, ...], alone: list[str]) -> Literal["worse", "changed", "same"]:
     if any(diff.worse for diff in scenes):
         return "worse"
     changed = any(
         diff.only_old or diff.only_new or any(entry.changed for entry in diff.entries)
         for diff in scenes
     )
-    return "changed" if changed else "same"
+    return "changed" if changed or alone else "same"
 
 
 def _diff(old: View, new: View, rtol: float, factor: float) -> Diff:

@@ -26,11 +26,12 @@ _MOST_FIGURES, _MOST_TIMES = 40, 12
 def present(comparison: Comparison) -> Iterator[blocks.Report]:
     """Say of each scene what changed, and whether anything is worse."""
     for diff in comparison.scenes:
+        first = (_scenes_apart(comparison),) if diff is comparison.scenes[0] else ()
         yield blocks.Report(
             title=diff.scene,
             what="worse" if diff.worse else "nothing worse",
             conclusion=_conclusion(diff),
-            blocks=tuple(_blocks(diff, comparison)),
+            blocks=(*first, *_blocks(diff, comparison)),
             command=_command(comparison),
             verdict="fail" if diff.worse else "pass",
         )
@@ -46,7 +47,7 @@ def _command(comparison: Comparison) -> str:
     return shlex.join(map(str, words))
 
 
-def remarks_of(comparison: Comparison) -> blocks.Remarks:
+def _scenes_apart(comparison: Comparison) -> blocks.Remarks:
     """Name the scenes that only one of the results has."""
     sides = (("old", comparison.scenes_only_old), ("new", comparison.scenes_only_new))
     return blocks.Remarks.of(
