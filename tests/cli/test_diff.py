@@ -324,6 +324,10 @@ _FILES: dict[str, tuple[bytes, str]] = {
     "a schema of later": (b'{"schema": "mbds-xsim/validate/2"}', "schema 'mbds-xsim/validate/2'"),
     "a schema of no text": (b'{"schema": [1]}', "schema [1]"),
     "hollow": (b'{"schema": "mbds-xsim/validate/1"}', "missing required field `scene`"),
+    "a number beyond all": (
+        b'{"schema": "mbds-xsim/audit/1", "gap_m": 1' + b"0" * 400 + b"}",
+        "is not what mbds-xsim/audit/1 stands for: int too large",
+    ),
     "another command's": (json.dumps(_match()).encode(), "give two of the same"),
 }
 

@@ -50,7 +50,7 @@ def read_views(path: Path) -> tuple[str, dict[str, View]]:
     try:
         views = list(map(READERS[schema], parts)) if schema in READERS else [plain_view(parts)]
         return schema, _named((view.scene, view) for view in views)
-    except (msgspec.ValidationError, InputError) as error:
+    except (msgspec.ValidationError, InputError, OverflowError) as error:
         msg = f"{path}: is not what {schema} stands for: {error}"
         raise InputError(msg) from error
 
