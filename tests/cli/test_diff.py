@@ -408,3 +408,17 @@ def test_results_of_any_command_are_compared(compare: CommandLine) -> None:
     assert entry["reasons_new"] == ["gap: 1 mm, allowed 0.1 mm"]
     assert [one["name"] for one in scene["only_old"]] == ["cases trajectory 2"]
     assert compare(_audit(), lambda _: None)[1]["verdict"] == "same"
+
+
+def test_flags_are_words_and_only_times_are_in_seconds(compare: CommandLine) -> None:
+    record = {"passed": True, "closed": True, "bytes": 1000, "wall_s": 1.0}
+    told = {"schema": "mbds-xsim/audit/1", "cases": [record]}
+
+    _, made = compare(
+        told, lambda new: new["cases"][0].update(passed=False, bytes=5000, wall_s=9.0)
+    )
+
+    (entry,) = made["scenes"][0]["entries"]
+    assert entry["settings"] == [{"what": "passed", "old": True, "new": False}]
+    assert entry["figures"] == []
+    assert {one["what"]: one["unit"] for one in entry["timings"]} == {"bytes": "1", "wall_s": "s"}

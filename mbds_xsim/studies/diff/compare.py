@@ -21,6 +21,7 @@ FACTOR = 1.5
 """Factor between two times up to which they are the same."""
 
 _ROUNDING = 1e-14  # figures that differ by less are the same, whatever their unit
+_NO_TIME = re.compile(r"core|rate|bytes|_mb\b")  # beside times, what else the machine decides
 _NUMBER = re.compile(r"\d[\d.]*(e[+-]?\d+)?( ?[mµn]?[ms]\b)?")
 
 
@@ -280,7 +281,8 @@ def _timing_changes(
     for what in dict.fromkeys((*old, *new)):
         ratio = _ratio(old.get(what), new.get(what))
         if ratio is not None and not 1.0 / factor <= ratio <= factor:
-            yield FigureChange(what, "s", old.get(what), new.get(what), ratio)
+            unit = "1" if _NO_TIME.search(what) else "s"
+            yield FigureChange(what, unit, old.get(what), new.get(what), ratio)
 
 
 def _same(one: float | None, other: float | None, rtol: float, scale: float) -> bool:

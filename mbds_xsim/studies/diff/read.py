@@ -370,7 +370,9 @@ def _entry(own: Mapping[str, Any]) -> Entry:
     leaves = dict(_leaves({key: own[key] for key in own if key not in _REASONS}))
     passed = own.get("passed", own.get("ok"))
     failed = passed is False or own.get("verdict") == "fail"
-    numbers = {k: v for k, v in leaves.items() if isinstance(v, int | float) and v is not passed}
+    numbers = {
+        k: v for k, v in leaves.items() if isinstance(v, int | float) and not isinstance(v, bool)
+    }
     return Entry(
         verdict=str(own.get("verdict", "" if passed is None else "pass" if passed else "fail")),
         rank=FAILING * failed if passed is not None or "verdict" in own else None,
