@@ -50,13 +50,14 @@ def match(
     from mbds_xsim.report.terminal import StudyBar, print_report
     from mbds_xsim.scene.sampling import Starts
     from mbds_xsim.simulate.choice import Choice
-    from mbds_xsim.studies.match import matched_toml, present
+    from mbds_xsim.studies.match import matched_toml, present, settings_there
     from mbds_xsim.studies.match import search as study
 
     choice, console = Choice.parse(engines=engines), to.console
     targets = _targets(scenes, choice.engines, out)
     for target in targets:
         to.check(out=target)
+        settings_there(target)
     found = []
     for name, target in zip(scenes, targets, strict=True):
         scene = shared.scene_named(name)
@@ -72,8 +73,7 @@ def match(
                 command=shared.command_line(),
             )
         print_report(present(result), console)
-        before = target.read_text("utf-8") if target.is_file() else ""
-        write_whole(target, matched_toml(result, before).encode())
+        write_whole(target, matched_toml(result, settings_there(target)).encode())
         console.print(f"written: {target}", highlight=False)
         found.append(result)
     reports = [present(result) for result in found]

@@ -241,6 +241,24 @@ def test_bad_input_is_one_line(words: list[str], said: str, run: CommandLine, he
     assert not list(here.glob("*.toml"))
 
 
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"[dart", "cannot be read"),
+        (b"\xff", "--out: a.toml is there and cannot be read"),
+        (b"name = 'a'\nlength = 0.5\n[[bodies]]\n", "no file of settings: it has 'length'"),
+    ],
+)
+def test_what_is_no_file_of_settings_is_refused_before_the_search(
+    content: bytes, said: str, run: CommandLine, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (here / "a.toml").write_bytes(content)
+    monkeypatch.setattr(study, "match", lambda *_, **__: pytest.fail("it is searched"))
+
+    assert said in run("match", "5pendulum", "--engines", "mujoco", "--out", "a.toml").refusal
+    assert (here / "a.toml").read_bytes() == content
+
+
 def test_settings_of_another_packages_engine_stand_in_its_own_package(
     run: CommandLine, tmp_path: Path
 ) -> None:

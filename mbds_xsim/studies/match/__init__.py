@@ -12,6 +12,7 @@ import msgspec
 import tomli_w
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.files import read_file
 from mbds_xsim.base.text import counted
 from mbds_xsim.measure.result import FIGURES
 from mbds_xsim.report import quantity
@@ -159,17 +160,41 @@ def stored_path(scene: str) -> Path:
     return Path(str(files("mbds_xsim_scenes"))) / "matched" / f"{scene}.toml"
 
 
+def settings_there(path: Path) -> str:
+    """Read the file that settings are to be written to; "" where there is none.
+
+    Raises:
+        InputError: It is no file of settings, and would be lost.
+    """
+    try:
+        text = read_file(path).decode() if path.is_file() else ""
+    except (OSError, UnicodeDecodeError) as error:
+        msg = f"--out: {path} is there and cannot be read ({error}); name another file"
+        raise InputError(msg) from error
+    _tables_of(text)
+    return text
+
+
+def _tables_of(text: str) -> dict[str, Any]:
+    try:
+        tables: dict[str, Any] = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        msg = f"the settings that are there cannot be read ({error}); name another file with --out"
+        raise InputError(msg) from error
+    for key, table in tables.items():
+        if key != "name" and not (isinstance(table, dict) and "method" in table):
+            msg = f"what is there is no file of settings: it has {key!r}; name another with --out"
+            raise InputError(msg)
+    return tables
+
+
 def matched_toml(match: Match, before: str = "") -> str:
     """Give the file; engines that were not searched keep what the file had before.
 
     Raises:
         InputError: What was there before cannot be read.
     """
-    try:
-        tables: dict[str, Any] = tomllib.loads(before)
-    except tomllib.TOMLDecodeError as error:
-        msg = f"the settings that are there cannot be read ({error}); name another file with --out"
-        raise InputError(msg) from error
+    tables = _tables_of(before)
     tables |= {found.engine: _table(found) for found in match.engines}
     head = _HEAD.format(
         held_out=counted(match.held_out, "held-out start"),
