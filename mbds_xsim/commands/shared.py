@@ -275,12 +275,13 @@ class Outputs:
         files = {option: path for option, path in named.items() if path is not None}
         if str(files.get("json")) == "-":
             del files["json"]
+        taken: dict[Path, str] = {}
         for option, path in files.items():
             check_writable(path, f"--{option}")
-        if len({path.absolute() for path in files.values()}) < len(files):
-            options = " and ".join(f"--{option}" for option in files)
-            msg = f"{options} both name {path}; give two files"
-            raise InputError(msg)
+            other = taken.setdefault(path.absolute(), option)
+            if other != option:
+                msg = f"--{other} and --{option} both name {path}; give two files"
+                raise InputError(msg)
 
     def answer(self, blocks: Iterable[Block], result: object, name: str = "") -> None:
         """Print what a command says, and write its result where `--json` says."""

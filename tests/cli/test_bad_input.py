@@ -97,6 +97,10 @@ _WORDS: dict[str, tuple[str, list[str]]] = {
     "no place to write to": ("validate 2pendulum --html /proc/x", ["--html: cannot write /proc/x"]),
     "a page to standard output": ("validate 2pendulum --html -", ["--html: got -", "--json alone"]),
     "one file for two": ("validate 2pendulum --json x --html x", ["--json and --html both name x"]),
+    "one file for two of three": (
+        "validate 2pendulum --json x --html x --markdown y",
+        ["mbds-xsim: --json and --html both name x; give two files"],
+    ),
 }
 
 
