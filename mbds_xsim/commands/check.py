@@ -265,7 +265,7 @@ def show(
         mbds-xsim show 5pendulum --native mujoco > pendulum.xml
         mbds-xsim show 5pendulum --start 2 --native dart | python
     """
-    from mbds_xsim.report.catalogue import native_text, scene_row
+    from mbds_xsim.report.catalogue import scene_row
     from mbds_xsim.scene.file import write_scene
 
     if sum(map(bool, (toml, native, to.json))) > 1:
@@ -274,27 +274,39 @@ def show(
     if start is not None and png is None and native is None:
         msg = f"--start: got {start}, which says what is drawn or given; add --png or --native"
         raise InputError(msg)
+    if settings != "matched" and native is None:
+        msg = f"--settings: got {settings}, which says what an engine is given; add --native"
+        raise InputError(msg)
     to.check(png=png)
     loaded = shared.scene_named(scene)
+    given = None if native is None else _given(loaded, native, settings, start)
     if png is not None:
         from mbds_xsim.report.draw import draw_scene
 
         draw_scene(loaded, png, start=start)
-    if native is not None:
-        from mbds_xsim.measure.quick import searched
-        from mbds_xsim.simulate.choice import Choice
-
-        console = shared.console_for(Path("-"))
-        choice = Choice.parse(engines=native, profiles=settings)
-        with shared.progress_on(console) as progress:
-            choice = searched(loaded, choice, Conduct(meter=progress))
-        (contender,), _ = choice.contenders(loaded)
-        print(native_text(loaded, native, contender.settings, start))
+    if given is not None:
+        print(given)
     elif toml:
         print(write_scene(loaded), end="")
     else:
         row = scene_row(loaded)
         to.answer(_about_scene(loaded, row), row)
+
+
+def _given(scene: Scene, native: str, settings: str, start: int | None) -> str:
+    """Give exactly what an engine is given at its settings."""
+    from mbds_xsim.measure.quick import searched
+    from mbds_xsim.report.catalogue import native_text
+    from mbds_xsim.simulate.choice import Choice
+
+    choice = Choice.parse(engines=native, profiles=settings)
+    if len(choice.engines) * len(choice.profiles) > 1:
+        msg = "show gives one engine's model at one of its settings"
+        raise InputError(f"{msg}; got --native {native} --settings {settings}")
+    with shared.progress_on(shared.console_for(Path("-"))) as progress:
+        choice = searched(scene, choice, Conduct(meter=progress))
+    (contender,), _ = choice.contenders(scene)
+    return native_text(scene, contender.engine, contender.settings, start)
 
 
 def _about_engine(row: EngineRow) -> Iterator[Block]:
@@ -336,7 +348,7 @@ def _about_scenes(rows: list[SceneRow]) -> Iterator[Block]:
 
 def _about_scene(scene: Scene, row: SceneRow) -> Iterator[Block]:
     """Say what a scene is, what it needs and how its starts are drawn."""
-    from mbds_xsim.report.catalogue import told_budgets
+    from mbds_xsim.report.catalogue import told_budgets, told_term
     from mbds_xsim.scene.mechanism import Mechanism
 
     mechanism, clock = Mechanism.of(scene), scene.clock
@@ -356,39 +368,4 @@ def _about_scene(scene: Scene, row: SceneRow) -> Iterator[Block]:
     )
     yield Text(f"budgets: {told_budgets(scene)}")
     yield Text(f"needs: {', '.join(row.needs) or 'nothing'}")
-    yield from (Text(f"draws {_term(term)}") for term in scene.sampling)
-
-
-def _term(term: object) -> str:
-    fields = {key: getattr(term, key) for key in term.__struct_fields__}  # type: ignore[attr-defined]
-    parts = [f"{key}: {_shown(value)}" for key, value in fields.items() if not _nothing(value)]
-    kind = term.__struct_config__.tag  # type: ignore[attr-defined]
-    return f"{kind} ({'; '.join(parts)})"
-
-
-def _nothing(value: object) -> bool:
-    """Whether a value switches nothing on, or a vector or range is zero all over."""
-    return value is False or (isinstance(value, tuple) and not any(v != 0.0 for v in _flat(value)))
-
-
-def _flat(value: object) -> list[object]:
-    return [w for v in value for w in _flat(v)] if isinstance(value, tuple) else [value]
-
-
-def _shown(value: object) -> str:
-    """Give ranges, by interval and by component, in few words."""
-    from mbds_xsim.scene.sampling_terms import INTERVALS, Levels
-
-    if isinstance(value, Levels):
-        return ", ".join(f"{name} {_shown(getattr(value, name))}" for name in INTERVALS)
-    if isinstance(value, float):
-        return f"{value:g}"
-    if not isinstance(value, tuple):
-        return str(value)
-    if len(value) > 6:
-        return f"{value[0]} … {value[-1]}"
-    if isinstance(value[0], tuple | Levels):
-        spans = zip("xyz", value, strict=True)
-        return ", ".join(f"{name} {_shown(span)}" for name, span in spans if not _nothing(span))
-    inner = ", ".join(map(_shown, value))
-    return inner if isinstance(value[0], str) else f"[{inner}]"
+    yield from (Text(f"draws {told_term(term)}") for term in scene.sampling)

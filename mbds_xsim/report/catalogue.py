@@ -17,6 +17,7 @@ from mbds_xsim.scene.budget import Budget
 from mbds_xsim.scene.constraints import degrees_of_freedom
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.sampling_terms import INTERVALS, Levels
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Settings
@@ -167,6 +168,40 @@ def told_budgets(scene: Scene) -> str:
     other = ", ".join(f"{key} {value:g}" for key, value in own.items() if value != usual[key])
     error = quantity.length(scene.budget.error_1s * scene.length)
     return f"error at 1 s {error}; {other or 'all as usual'}"
+
+
+def told_term(term: object) -> str:
+    """Say what is drawn of a scene's starts and inputs, without what is zero."""
+    fields = {key: getattr(term, key) for key in term.__struct_fields__}  # type: ignore[attr-defined]
+    parts = [f"{key}: {_shown(value)}" for key, value in fields.items() if not _nothing(value)]
+    kind = term.__struct_config__.tag  # type: ignore[attr-defined]
+    return f"{kind} ({'; '.join(parts)})"
+
+
+def _nothing(value: object) -> bool:
+    """Whether a value switches nothing on, or a vector or range is zero all over."""
+    return value is False or (isinstance(value, tuple) and not any(v != 0.0 for v in _flat(value)))
+
+
+def _flat(value: object) -> list[object]:
+    return [w for v in value for w in _flat(v)] if isinstance(value, tuple) else [value]
+
+
+def _shown(value: object) -> str:
+    """Give ranges, by interval and by component, in few words."""
+    if isinstance(value, Levels):
+        return ", ".join(f"{name} {_shown(getattr(value, name))}" for name in INTERVALS)
+    if isinstance(value, float):
+        return f"{value:g}"
+    if not isinstance(value, tuple):
+        return str(value)
+    if len(value) > 6:
+        return f"{value[0]} … {value[-1]}"
+    if isinstance(value[0], tuple | Levels):
+        spans = zip("xyz", value, strict=True)
+        return ", ".join(f"{name} {_shown(span)}" for name, span in spans if not _nothing(span))
+    inner = ", ".join(map(_shown, value))
+    return inner if isinstance(value[0], str) else f"[{inner}]"
 
 
 def native_text(scene: Scene, engine: str, settings: Settings, start: int | None = None) -> str:

@@ -83,6 +83,18 @@ _WORDS: dict[str, tuple[str, list[str]]] = {
         "show 2pendulum --native mujoco --settings fast",
         ["no settings profile is called 'fast'", "matched, native"],
     ),
+    "settings that nothing is given at": (
+        "show 2pendulum --settings none.toml",
+        ["--settings: got none.toml", "add --native"],
+    ),
+    "two engines to show": (
+        "show 2pendulum --native mujoco,dart",
+        ["one engine's model", "got --native mujoco,dart"],
+    ),
+    "two profiles to show": (
+        "show 2pendulum --native mujoco --settings native,matched",
+        ["one of its settings", "--settings native,matched"],
+    ),
     "step that does not divide the frame": (
         "validate 2pendulum --engines mujoco --step 0.003",
         ["step: got 0.003 s", "0.02 s divided by a whole number"],
