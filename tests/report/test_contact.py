@@ -290,6 +290,7 @@ def test_distributions_are_on_the_page(case: Case) -> None:
 
     page = written(dataclasses.replace(case, validation=validation))
 
+    assert "1 pair, 1 told apart with p below 0.01" in page
     (row,) = re.findall(r"<tr><td[^>]*>dart native and mujoco native.*?</tr>", page)
     assert "0.012" in row
     assert "5.0e-04" in row

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from mbds_xsim.base.text import counted
 from mbds_xsim.measure.result import EngineResult, Evidence, FindingResult, Validation
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import (
@@ -156,7 +157,7 @@ def _distributions(validation: Validation) -> Iterator[Block]:
         ]
         for pair in validation.ensembles
     ]
-    title = f"{len(rows)} pairs, {apart} of them told apart with p below 0.01"
+    title = f"{counted(len(rows), 'pair')}, {apart} told apart with p below 0.01"
     yield Section(title, (table_of(columns, rows),), folded=True, opened=len(rows) <= _FEW)
 
 
