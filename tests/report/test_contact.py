@@ -294,3 +294,16 @@ def test_distributions_are_on_the_page(case: Case) -> None:
     (row,) = re.findall(r"<tr><td[^>]*>dart native and mujoco native.*?</tr>", page)
     assert "0.012" in row
     assert "5.0e-04" in row
+
+
+@pytest.mark.parametrize(("slower", "marked"), [(1.0, True), (0.1, False)])
+def test_a_budget_at_1_s_is_told_of_where_it_is_drawn(
+    case: Case, slower: float, marked: bool
+) -> None:
+    time = slower * case.evidence.reference.time
+    reference = dataclasses.replace(case.evidence.reference, time=time)
+    evidence = dataclasses.replace(case.evidence, reference=reference)
+
+    told = words.growth_words(case.validation, evidence, known=True)
+
+    assert ("triangle" in told) is marked

@@ -131,7 +131,7 @@ def _agreement(validation: Validation, evidence: Evidence) -> Section:
     matrix = figures.matrix(validation)
     shown = (*growth, *([matrix] if matrix is not None else []))
     blocks: list[Block] = [
-        Text(words.growth_words(validation, known=bool(growth))),
+        Text(words.growth_words(validation, evidence, known=bool(growth))),
         FigureGroup(shown),
     ]
     if validation.ensembles:

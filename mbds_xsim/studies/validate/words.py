@@ -134,7 +134,7 @@ def contact_words(validation: Validation, evidence: Evidence) -> str:
     )
 
 
-def growth_words(validation: Validation, *, known: bool) -> str:
+def growth_words(validation: Validation, evidence: Evidence, *, known: bool) -> str:
     """Say how to read the plots of errors, or why there are none."""
     if not known:
         return (
@@ -147,12 +147,14 @@ def growth_words(validation: Validation, *, known: bool) -> str:
         if ends(validation)
         else ""
     )
+    whole = evidence.reference.time[-1] >= 1.0
+    letters = "The triangle is the budget at 1 s; letters" if whole else "Letters"
     return (
         "RMS distance of the particles to the reference, the worst of each interval's "
         "trajectories. The grey area is what the budget allows once the scene's own sensitivity is "
         "counted: it grows as a disturbance of the start grows, and ends where that is a "
-        "hundredfold and the error is chaos rather than a fault. The triangle is the budget at "
-        f"1 s; letters are engines' initials, dashed lines native settings.{hatched}"
+        f"hundredfold and the error is chaos rather than a fault. {letters} are engines' initials, "
+        f"dashed lines native settings.{hatched}"
     )
 
 
