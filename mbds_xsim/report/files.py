@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import msgspec
 
@@ -49,10 +50,11 @@ def write_if(path: Path | None, content: Callable[[], bytes]) -> None:
 
 
 def link(picture: Path | None, page: Path | None) -> str:
-    """Name a picture from the folder of a page; "" where there is none."""
+    """Give the address of a picture from the folder of a page; "" where there is none."""
     if picture is None or page is None:
         return ""
-    return Path(os.path.relpath(picture, page.parent)).as_posix()
+    # Blanks and brackets would end a link of Markdown.
+    return quote(os.fsencode(Path(os.path.relpath(picture, page.parent)).as_posix()))
 
 
 def results_json(results: Sequence[msgspec.Struct]) -> bytes:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from mbds_xsim.report.files import to_markdown
+from pathlib import Path
+
+from mbds_xsim.report.files import link, to_markdown
 from mbds_xsim.studies.validate.present import present
 
 from .conftest import Case
@@ -27,3 +29,8 @@ def test_failures_and_the_command_are_told(case: Case) -> None:
         for reason in result.reasons:
             assert reason in text
     assert case.validation.command in text
+
+
+def test_a_picture_is_linked_whatever_its_name_is() -> None:
+    assert link(Path("my pictures/a (2).png"), Path("a.md")) == "my%20pictures/a%20%282%29.png"
+    assert link(Path("a.png"), Path("pages/a.md")) == "../a.png"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import textwrap
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TypeAlias
 from mbds_xsim.base.text import in_markdown
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Cell
-from mbds_xsim.report.files import table_text
+from mbds_xsim.report.files import link, table_text
 from mbds_xsim.simulate.claims import ContactLaw
 from mbds_xsim.studies.contact import FRICTION, RADIUS, RESTITUTION
 from mbds_xsim.studies.contact.friction import PUSHES
@@ -216,8 +215,8 @@ def contact_page(study: ContactStudy, figures: dict[str, Path], folder: Path) ->
 
 
 def _picture(name: str, path: Path, folder: Path) -> str:
-    link = Path(os.path.relpath(path.absolute(), folder.absolute())).as_posix()
-    return f"\n![{name} of each engine, native and matched]({link})\n"
+    address = link(path, folder / "page")
+    return f"\n![{name} of each engine, native and matched]({address})\n"
 
 
 def _summary(study: ContactStudy) -> Iterator[str]:
