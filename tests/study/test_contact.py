@@ -184,6 +184,23 @@ def test_a_part_that_fails_is_told_and_takes_nothing_with_it(
     assert f"- mujoco `native`, all of arithmetic: {missing.reason}" in page
 
 
+def test_one_start_that_is_seen_is_drawn_and_what_an_engine_raises_stays_on_its_line(
+    tmp_path: Path,
+) -> None:
+    at = {"restitution": 0.5, "speed": 1.0}
+    alone = ContactFigure("mujoco", "native", "restitution", "1", 0.5, at)
+    lost = present.Missing("mujoco", "native", "rest", "first\n# <b>second</b>")
+    study = present.ContactStudy(
+        {"mujoco": "1"}, ("native",), {}, (alone,), (lost,), "mbds-xsim contact", "a machine", 1.0
+    )
+    files = {name: tmp_path / f"{name}.png" for name in ("restitution", "friction")}
+
+    present.draw_study(study, files)
+
+    assert all(path.read_bytes()[:4] == b"\x89PNG" for path in files.values())
+    assert "all of rest: first # &lt;b>second&lt;/b>\n" in contact_page(study, {}, Path())
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

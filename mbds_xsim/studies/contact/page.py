@@ -240,6 +240,7 @@ def words_of(engine: str, law: ContactLaw) -> str:
 
 def _missing(study: ContactStudy) -> Iterator[str]:
     """Say why cells are empty, and where trajectories ended early."""
+    study = in_markdown(study)
     lines = [f"- {m.engine} `{m.profile}`, all of {m.part}: {m.reason}" for m in study.missing]
     early: dict[str, list[str]] = {}
     for m in study.figures:

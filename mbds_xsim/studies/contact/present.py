@@ -355,7 +355,8 @@ def _rebounds(axes: Any, study: ContactStudy, profile: Profile, asked: float) ->
     axes.axhline(asked, **_ASKED)
     for found, look in _curves(study, profile, "restitution", restitution=asked):
         speeds = [m.at["speed"] for m in found]
-        lows, highs = [m.low for m in found], [m.high for m in found]
+        lows = [m.value if m.low is None else m.low for m in found]
+        highs = [m.value if m.high is None else m.high for m in found]
         axes.fill_between(speeds, lows, highs, color=look["color"], alpha=0.15, linewidth=0)
         axes.plot(speeds, [m.value for m in found], linewidth=1.2, **look)
     axes.set_xscale("log")
