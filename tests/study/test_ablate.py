@@ -248,7 +248,9 @@ def test_one_is_told_as_one() -> None:
     )
 
 
-def _judged(change: float, frames: int, apart: float) -> WeakenedEffect:
+def _judged(
+    change: float, frames: int, apart: float, lost_from: int = 11, lost: str = ""
+) -> WeakenedEffect:
     """Judge a constant change on one start of 1 s that is compared over some frames."""
     time = np.linspace(0.0, 1.0, 11)
     window = Window(
@@ -260,7 +262,8 @@ def _judged(change: float, frames: int, apart: float) -> WeakenedEffect:
         ends="" if frames == 11 else "chaos",
     )
     floor = Floor(apart if frames == 11 else None, apart, 1e-3, 1e-3)
-    return row_of(_effect("noise"), 0.0, np.full((1, 11), change), window, floor, "")
+    changes = np.where(np.arange(11) < lost_from, change, np.nan)[None]
+    return row_of(_effect("noise"), 0.0, changes, window, floor, lost)
 
 
 @pytest.mark.parametrize(
@@ -279,6 +282,20 @@ def test_the_verdict_follows_the_larger_of_disagreement_and_budget(
     change: float, frames: int, apart: float, verdict: str
 ) -> None:
     assert _judged(change, frames, apart).verdict == verdict
+
+
+@pytest.mark.parametrize(
+    ("change", "lost_from", "verdict"),
+    [(5e-4, 11, "not needed"), (5e-4, 4, "not resolvable"), (2e-3, 4, "needed")],
+)
+def test_what_is_lost_without_an_effect_does_not_tell_that_it_is_not_needed(
+    change: float, lost_from: int, verdict: str
+) -> None:
+    row = _judged(change, 11, 1e-4, lost_from, "1 of 1 starts: it blew up")
+
+    assert row.verdict == verdict
+    assert row.sentence.endswith("; 1 of 1 starts: it blew up")
+    assert ("until what is left without it ends" in row.sentence) is (verdict == "not resolvable")
 
 
 @pytest.mark.usefixtures("in_process")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal
 
@@ -26,8 +26,8 @@ SCHEMA = "mbds-xsim/ablate/1"
 
 Need = Literal["needed", "not needed", "not resolvable", "not possible"]
 """The change is above the floor, or where engines have parted clearly above their distance; below
-the floor; not to be told, as motions can be compared for less than 1 s; there is no such scene,
-start or simulation."""
+the floor; not to be told, as motions can be compared, or last, for less than 1 s; there is no such
+scene, start or simulation."""
 
 
 class Floor(msgspec.Struct, frozen=True):
@@ -255,14 +255,19 @@ def row_of(
     apart = max(
         _over(worst, floor.disagreement_m), _over(worst_one or 0.0, floor.disagreement_1s_m)
     )
-    beyond = window.beyond(change)
-    verdict = _verdict(excess, beyond, window)
+    beyond, seen = window.beyond(change), np.isfinite(change)
+    seen[:, 0] = True
+    known = replace(window, judged=window.judged & seen)
+    verdict = _verdict(excess, beyond, known)
+    told = _sentence(verdict, excess, apart, beyond, window)
+    if verdict == "not resolvable" and window.reaches:
+        told = f"{_share(excess)} until what is left without it ends"
     return WeakenedEffect(
         effect=effect.name,
         factor=factor,
         left=effect.dropped,
         verdict=verdict,
-        sentence="; ".join(filter(None, (_sentence(verdict, excess, apart, beyond, window), lost))),
+        sentence="; ".join(filter(None, (told, lost))),
         change_1s_m=worst_one,
         change_1s_median_m=float(np.median(at_one)) if at_one.size else None,
         change_m=worst,
@@ -292,11 +297,15 @@ def _verdict(excess: float, beyond: float, window: Window) -> Need:
 def _sentence(verdict: Need, excess: float, apart: float, beyond: float, window: Window) -> str:
     if excess > 1.0:
         return f"motion changes by {_told(excess)} × the floor"
-    share = f"{_told(excess)} of the floor" if excess else "no change"
+    share = _share(excess)
     if not window.reaches:
         past = f"{share} until {window.ends}; {_told(beyond)} × their distance at 1 s"
         return past if verdict == "needed" else f"{past}, clear is {_CLEARLY:g} ×"
     return f"{share}, though {_told(apart)} × what engines differ by" if apart > 1.0 else share
+
+
+def _share(excess: float) -> str:
+    return f"{_told(excess)} of the floor" if excess else "no change"
 
 
 def _told(ratio: float) -> str:
