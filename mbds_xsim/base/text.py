@@ -62,10 +62,14 @@ _BLOCK = re.compile(r"#+ |[+-] |>|[=~-]{3}")  # at the start of a paragraph
 _COMMANDS = re.compile(r"(\w+_)?command")
 
 
+def in_utf8(text: str) -> str:
+    """Escape what cannot be written into a file: bytes of a file's name that are no UTF-8."""
+    return text.encode("utf-8", "backslashreplace").decode()
+
+
 def printable(text: str) -> str:
     """Replace what a terminal would obey or hide by `�`."""
-    whole = text.encode("utf-8", "backslashreplace").decode()  # names of files may be no UTF-8
-    return _UNPRINTABLE.sub("�", whole)
+    return _UNPRINTABLE.sub("�", in_utf8(text))
 
 
 def on_a_line(text: str) -> str:

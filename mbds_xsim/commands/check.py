@@ -11,7 +11,7 @@ from typer import Argument, Exit, Option
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import LIMIT, Conduct
-from mbds_xsim.base.text import counted
+from mbds_xsim.base.text import counted, in_utf8
 from mbds_xsim.commands import shared
 from mbds_xsim.report.blocks import Block, Remark, Remarks, Text, table_of
 
@@ -174,7 +174,8 @@ def export_model(
     to.check(out=out)
     written = write_model(shared.scene_named(scene), kind)
     write_whole(out, written.text.encode())
-    result = {"scene": scene, "format": kind, "file": str(out), "fates": written.fates}
+    file = in_utf8(str(out))
+    result = {"scene": in_utf8(scene), "format": kind, "file": file, "fates": written.fates}
     to.answer(loss_blocks(written), result, "export-model")
 
 

@@ -21,6 +21,7 @@ from typer import BadParameter
 from typer.core import TyperCommand, TyperGroup
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.text import in_utf8
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -271,10 +272,9 @@ class Outputs:
         """Refuse files that cannot be written, of these and others, before long work."""
         from mbds_xsim.base.files import check_writable
 
-        named = {**vars(self), "opened": None, **others}
+        json = None if str(self.json) == "-" else self.json
+        named = {**vars(self), "json": json, "opened": None, **others}
         files = {option: path for option, path in named.items() if path is not None}
-        if str(files.get("json")) == "-":
-            del files["json"]
         taken: dict[Path, str] = {}
         for option, path in files.items():
             check_writable(path, f"--{option}")
@@ -329,13 +329,11 @@ def command_line() -> str:
     kept = []
     for word in words:
         name, joined, _ = word.partition("=")
-        if name == "--open":
-            continue
-        if name not in _WRITES:
+        if name not in (*_WRITES, "--open"):
             kept.append(word)
-        elif not joined:
+        elif name != "--open" and not joined:
             next(words, None)
-    return shlex.join(["mbds-xsim", *kept])
+    return in_utf8(shlex.join(["mbds-xsim", *kept]))
 
 
 def check_torch(command: str) -> None:

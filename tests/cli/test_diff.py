@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 import json
+import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from mbds_xsim.commands.shared import command_line
 from mbds_xsim.report.files import results_json
 from mbds_xsim.studies.diff.read import READERS
 from mbds_xsim.studies.tradeoff import Point, Ratio
@@ -422,3 +425,19 @@ def test_flags_are_words_and_only_times_are_in_seconds(compare: CommandLine) -> 
     assert entry["settings"] == [{"what": "passed", "old": True, "new": False}]
     assert entry["figures"] == []
     assert {one["what"]: one["unit"] for one in entry["timings"]} == {"bytes": "1", "wall_s": "s"}
+
+
+def test_names_of_files_that_are_no_utf_8_are_told(run: CommandLine, here: Path) -> None:
+    name = os.fsdecode(b"\xff.json")
+    (here / name).write_text(json.dumps(_match()))
+
+    ended = run("diff", name, name, "--json", "diff.json", "--markdown", "diff.md")
+
+    assert ended.code == 0
+    assert json.loads((here / "diff.json").read_text())["old"] == "\\udcff.json"
+
+
+def test_a_command_with_such_a_name_can_be_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["mbds-xsim", "validate", os.fsdecode(b"\xff.toml")])
+
+    assert command_line().encode() == b"mbds-xsim validate '\\udcff.toml'"

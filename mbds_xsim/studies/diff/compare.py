@@ -11,6 +11,7 @@ from typing import Literal
 import msgspec
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.text import in_utf8
 from mbds_xsim.studies.diff import FAILING, Entry, PhysicalFigure, Value, View
 from mbds_xsim.studies.diff.read import read_views
 
@@ -144,8 +145,8 @@ def compare_files(
     return Comparison(
         schema=SCHEMA,
         compared=schema,
-        old=str(old),
-        new=str(new),
+        old=in_utf8(str(old)),
+        new=in_utf8(str(new)),
         rtol=rtol,
         factor=factor,
         verdict=_verdict(scenes, alone),
