@@ -133,6 +133,7 @@ def test_learned_energies_begin_without_a_force(name: str, seed: int) -> None:
     """Balls in flight keep their velocities, but for a fraction of what gravity would change."""
     motions = motions_of(load_model(name), load_scene("balldrop"))
     model = build(name, motions.graph, Statistics.of(motions), seed=seed)
+    assert isinstance(model, ImpulseModel)
     sample = motions.sample(torch.arange(len(motions)), HISTORY - 1, 1)
     state = model.begin(sample.start)
     with torch.no_grad():

@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import importlib
 import re
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, cast
@@ -83,7 +84,7 @@ def test_an_estimate_is_of_the_steps_and_of_nothing_that_is_done_once(
 ) -> None:
     slow = _Slow()
     monkeypatch.setattr(timed, "load_adapter", lambda _: slow)
-    monkeypatch.setattr(timed.time, "process_time", lambda: slow.clock)
+    monkeypatch.setattr(time, "process_time", lambda: slow.clock)
 
     each = timed._seconds_a_step(_SCENE, _START, "slow", Settings("RK4", 1e-4))
 
