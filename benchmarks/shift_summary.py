@@ -32,8 +32,8 @@ _HEAD = """\
 
 **What do learned models inherit from the engine whose data taught them? Its settings, and almost
 nothing of the engine.** At one step, without damping and with hard contact MuJoCo, PyBullet and
-DART are nearly the same to a model; what costs is a coarser step, PyBullet's damping and MuJoCo's
-soft contact.
+DART are nearly the same to most models; what costs is a coarser step, PyBullet's damping and
+MuJoCo's soft contact.
 
 Each figure says how many times the squared error ten predicted frames ahead (t = 10, 0.2 s) grows
 when the test data differ from the training data in one respect; 1 is no loss, brackets are 95 %
