@@ -166,7 +166,7 @@ def test_without_a_unique_solution_an_engine_is_the_judge() -> None:
     ablation = _ablate(scene, "mujoco,dart")
     assert ablation.judge.startswith(("mujoco", "dart"))
     assert _row(ablation, "friction", 0.0).verdict == "needed"
-    assert _row(ablation, "speed of wheels", 0.0).verdict == "needed"
+    assert _row(ablation, "hinge rates", 0.0).verdict == "needed"
 
 
 @pytest.mark.parametrize("name", registry.PAPER_SCENES)
@@ -219,7 +219,7 @@ _TOUCHES = {
     "drives": {"torque"},
     "start velocity": {"velocity", "angular_velocity"},
     "start spin": {"velocity", "angular_velocity"},
-    "speed of wheels": {"velocity", "angular_velocity"},
+    "hinge rates": {"velocity", "angular_velocity"},
 }
 
 

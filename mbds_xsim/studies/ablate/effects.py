@@ -299,7 +299,7 @@ EFFECTS = (
                 "sampling.throw:angular_velocity",
                 "sampling.roll:share",
             ),
-            ("speed of wheels", "wheels start at rest", "sampling.hinge_rate:rate"),
+            ("hinge rates", "hinges start at rest", "sampling.hinge_rate:rate"),
         )
     ),
 )
