@@ -136,7 +136,8 @@ class Method:
     loop_velocity_order: int | None = None
     """Order of the velocities there, if it is lower than that of the positions."""
     velocity_lag: float = 0.0
-    """Recorded velocities belong to (frame time + lag · step): −½ for a leapfrog's."""
+    """Recorded velocities belong to (frame time + lag · step): −½ for a leapfrog's. In contact it
+    may be less, where an adapter divides steps."""
     own: bool = True
     """Whether the engine itself steps. What the toolkit steps is never matched by a search: it
     says nothing about the engine's stepping."""
