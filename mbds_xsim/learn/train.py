@@ -38,6 +38,7 @@ from mbds_xsim.learn.window import HISTORY, Motions, Sample
 
 _ANEW = "remove it to start anew"
 _KEPT = ("curve", "ended", "skipped", "wall_s", "cpu_s")  # of a training in its checkpoint
+_LINE = 80  # characters of what differs, which a message has room for
 End = Literal["", "steps", "level", "diverged"]
 """Why a training is over; empty while it goes on."""
 
@@ -303,13 +304,26 @@ def check_identity(
     path: Path, what: str, stated: Mapping[str, str], own: Mapping[str, str]
 ) -> None:
     """Raise InputError where a file is of another run, saying what differs."""
-    differing = [key for key in own if stated.get(key) != own[key]]
+    differing = [
+        key + _how(stated.get(key, ""), own[key]) for key in own if stated.get(key) != own[key]
+    ]
     if differing:
         msg = (
             f"{path}: {what} of another {', '.join(differing)}; name another place, or remove it "
             "to start anew"
         )
         raise InputError(msg)
+
+
+def _how(stated: str, own: str) -> str:
+    """Say which few entries of two JSON objects differ; nothing of other texts."""
+    try:
+        was, now = (msgspec.json.decode(text, type=dict[str, Any]) for text in (stated, own))
+    except msgspec.DecodeError:
+        return ""
+    entries = [f"{key} {was.get(key)}, now {now[key]}" for key in now if was.get(key) != now[key]]
+    said = "; ".join(entries)
+    return f" ({said})" if 0 < len(said) <= _LINE else ""
 
 
 def read_identity(path: Path) -> dict[str, str]:

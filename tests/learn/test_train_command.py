@@ -227,7 +227,7 @@ def test_another_run_in_its_place_is_refused(ask: Ask) -> None:
     plan = planned(dataclasses.replace(ask(), profile=longer), only=True)
     assert list(plan.blocked) == [run.name for run in plan.runs]
     assert "a model of another profile" in next(iter(plan.blocked.values()))
-    with pytest.raises(InputError, match=r"all-s0.pt: a model of another profile; name another"):
+    with pytest.raises(InputError, match=r"of another profile \(steps 12, now 16\); name another"):
         planned(dataclasses.replace(ask(), profile=longer))
     with pytest.raises(InputError, match=r"a model of another track, settings;"):
         planned(dataclasses.replace(ask(), track="native"))
