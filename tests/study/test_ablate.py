@@ -249,10 +249,15 @@ def test_one_is_told_as_one() -> None:
 
 
 def _judged(
-    change: float, frames: int, apart: float, lost_from: int = 11, lost: str = ""
+    change: float,
+    frames: int,
+    apart: float,
+    lost_from: int = 11,
+    lost: str = "",
+    end: float = 1.0,
 ) -> WeakenedEffect:
-    """Judge a constant change on one start of 1 s that is compared over some frames."""
-    time = np.linspace(0.0, 1.0, 11)
+    """Judge a constant change on one start, mostly of 1 s, that is compared over some frames."""
+    time = np.linspace(0.0, end, 11)
     window = Window(
         judged=(np.arange(11) < frames)[None],
         weight=np.ones((1, 11)),
@@ -282,6 +287,11 @@ def test_the_verdict_follows_the_larger_of_disagreement_and_budget(
     change: float, frames: int, apart: float, verdict: str
 ) -> None:
     assert _judged(change, frames, apart).verdict == verdict
+
+
+@pytest.mark.parametrize(("end", "told"), [(1.0, "at 1 s"), (2.0, "at 1 s"), (0.4, "at 0.4 s")])
+def test_a_scene_that_ends_before_1_s_has_no_distance_there(end: float, told: str) -> None:
+    assert f"their distance {told}, clear is" in _judged(5e-4, 4, 3e-4, end=end).sentence
 
 
 @pytest.mark.parametrize(

@@ -299,7 +299,8 @@ def _sentence(verdict: Need, excess: float, apart: float, beyond: float, window:
         return f"motion changes by {_told(excess)} × the floor"
     share = _share(excess)
     if not window.reaches:
-        past = f"{share} until {window.ends}; {_told(beyond)} × their distance at 1 s"
+        instant = min(_INSTANT, float(window.time[-1]))
+        past = f"{share} until {window.ends}; {_told(beyond)} × their distance at {instant:g} s"
         return past if verdict == "needed" else f"{past}, clear is {_CLEARLY:g} ×"
     return f"{share}, though {_told(apart)} × what engines differ by" if apart > 1.0 else share
 
