@@ -13,9 +13,11 @@ import msgspec
 import pytest
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import Conduct
 from mbds_xsim.report.files import to_html, to_markdown
 from mbds_xsim.simulate.registry import PAPER_SCENES, load_adapter
-from mbds_xsim.studies.releases import ReleaseStudy
+from mbds_xsim.studies import releases
+from mbds_xsim.studies.releases import ReleaseStudy, environments
 from mbds_xsim.studies.releases.environments import installed, releases_of
 from mbds_xsim.studies.releases.present import present, to_png
 from mbds_xsim.studies.releases.steps import (
@@ -135,7 +137,7 @@ def test_what_was_measured_is_not_measured_again(toys: Path, toy_history: Histor
 @pytest.mark.usefixtures("toys")
 def test_only_the_newest_or_those_since_one_are_listed() -> None:
     assert releases_of("toyengine") == list(_RELEASES)
-    assert releases_of("toyengine", "1.2") == ["1.2", "2.0"]
+    assert releases_of("toyengine", "1.2") == releases_of("toyengine", "1.2.0") == ["1.2", "2.0"]
     assert releases_of("toyengine", "1.0", 1) == ["2.0"]
     with pytest.raises(InputError, match=r"got 3\.0, the index has toyengine 1\.0 to 2\.0"):
         releases_of("toyengine", "3.0")
@@ -165,12 +167,36 @@ def test_the_command_ends_with_1_where_the_newest_release_is_worse(run: CommandL
     [
         (["toyengin"], "toyengine"),
         (["toyengine", "--since", "7"], "--since: got 7"),
+        (["toyengine", "--since", "latest"], "--since: got latest"),
+        (["toyengine", "toyengine", "--since", "7"], "--since: got 7"),
         (["toyengine", "mujoco", "--since", "1.0"], "name one ENGINE"),
     ],
 )
 @pytest.mark.usefixtures("toys")
 def test_a_slip_is_one_line(run: CommandLine, words: list[str], told: str) -> None:
     assert told in run("releases", *words).refusal
+
+
+def test_what_could_not_be_installed_is_tried_again_where_that_is_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path))
+    monkeypatch.setattr(environments, "_install", lambda *_: "no network")
+    assert installed("toyengine", "1.0") == "no network"
+    monkeypatch.setattr(environments, "_install", lambda *_: "")
+    assert installed("toyengine", "1.0") == "no network"
+    place = installed("toyengine", "1.0", fresh=True)
+    assert place == installed("toyengine", "1.0") == tmp_path / "releases" / "toyengine-1.0"
+
+
+@pytest.mark.usefixtures("toys")
+@pytest.mark.parametrize("fresh", [False, True])
+def test_the_study_asks_for_it_where_it_measures_again(
+    fresh: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(releases, "installed", lambda *_, fresh: f"fresh is {fresh}")
+    study = ReleaseStudy("toyengine", Conduct(fresh=fresh), scenes=())
+    assert study._release("7.0") == f"fresh is {fresh}"
 
 
 def _row(release: str, name: str = "tumbling, RK4", **figures: Any) -> ReleaseRow:

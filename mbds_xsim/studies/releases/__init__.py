@@ -132,7 +132,7 @@ class ReleaseStudy:
         """Give the rows of a release, or why there are none."""
         cases = [*self._ladder(version), *self._played(version), *self._bounces(version)]
         if self._runner.missing(cases):
-            place = installed(self.adapter.package, version)
+            place = installed(self.adapter.package, version, fresh=self.conduct.fresh)
             if isinstance(place, str):
                 return place
             driven = [Task(drive, (self.engine, version, place), _LIMIT)]

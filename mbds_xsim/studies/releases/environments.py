@@ -24,7 +24,7 @@ from mbds_xsim.reference.cache import directory
 
 _LONGEST = 1800.0  # that the installation of a release may take; some are compiled [s]
 _REFUSED = "not-installed"
-"""Name of the file that says why there is no folder; where it is removed, it is tried again."""
+"""Name of the file that says why there is no folder."""
 
 
 def releases_of(package: str, since: str = "", last: int | None = None) -> list[str]:
@@ -40,18 +40,24 @@ def releases_of(package: str, since: str = "", last: int | None = None) -> list[
         msg = f"the index has no releases of {package}: {answer}"
         raise InputError(msg)
     known = sorted(json.loads(answer.stdout)["versions"], key=_numbers)
-    found = [version for version in known if _numbers(version) >= _numbers(since)]
-    if not found:
+    least = _numbers(since)
+    found = [version for version in known if _numbers(version) >= least]
+    if not found or (since and not least):
         msg = f"--since: got {since}, the index has {package} {known[0]} to {known[-1]}"
         raise InputError(msg)
     return found[-last:] if last else found
 
 
-def installed(package: str, version: str) -> Path | str:
-    """Give the folder of a release, installing it if need be; or why it cannot be installed."""
+def installed(package: str, version: str, *, fresh: bool = False) -> Path | str:
+    """Give the folder of a release, installing it if need be; or why it cannot be installed.
+
+    What could not be is tried again where that is asked for: the network may have been at fault.
+    """
     folder = directory() / "releases" / f"{package}-{version}"
+    reason = folder / _REFUSED
+    if fresh and reason.is_file():
+        shutil.rmtree(folder)
     if folder.is_dir():
-        reason = folder / _REFUSED
         return reason.read_text("utf-8") if reason.is_file() else folder
     folder.parent.mkdir(parents=True, exist_ok=True)
     part = Path(tempfile.mkdtemp(dir=folder.parent, prefix=".part-"))
@@ -108,4 +114,5 @@ def _pip(*words: str) -> subprocess.CompletedProcess[str] | str:
 
 
 def _numbers(version: str) -> list[int]:
-    return [int(number) for number in re.findall(r"\d+", version)]
+    """Give what versions are compared by: 3.7 is 3.7.0."""
+    return [int(number) for number in re.findall(r"\d+", re.sub(r"(\.0+)+$", "", version))]
