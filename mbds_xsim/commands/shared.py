@@ -189,12 +189,20 @@ SceneName = Annotated[
         autocompletion=_complete_scene,
     ),
 ]
+
+
+def each_once(names: list[str] | None) -> list[str] | None:
+    """Let what is named twice count once."""
+    return names and list(dict.fromkeys(names))
+
+
 SceneNames = Annotated[
     list[str],
     typer.Argument(
         metavar="SCENE…",
         help="Built-in names, families with a size, or files.",
         autocompletion=_complete_scene,
+        callback=each_once,
     ),
 ]
 EngineNames = Annotated[
@@ -323,13 +331,16 @@ class Outputs:
             write_json(result, self.json)
 
 
-def command_line() -> str:
-    """Give what was typed, without where results go: these say nothing about them."""
+def command_line(*told: str) -> str:
+    """Give what was typed, without where results go: these say nothing about them.
+
+    Options that are `told` are kept: without them another file would be written.
+    """
     words = iter(sys.argv[1:])
     kept = []
     for word in words:
         name, joined, _ = word.partition("=")
-        if name not in (*_WRITES, "--open"):
+        if name in told or name not in (*_WRITES, "--open"):
             kept.append(word)
         elif name != "--open" and not joined:
             next(words, None)

@@ -70,7 +70,7 @@ def match(
                 limit=limit,
                 options=options,
                 conduct=Conduct(workers, cache, meter=meter),
-                command=shared.command_line(),
+                command=shared.command_line("--out"),
             )
         print_report(present(result), console)
         write_whole(target, matched_toml(result, settings_there(target)).encode())
@@ -206,14 +206,17 @@ def _figure_files(folder: Path) -> dict[str, Path]:
 @shared.command("study", writes="json csv html opened png markdown")
 def releases(
     to: shared.Outputs,
-    engines: Annotated[list[str], Argument(metavar="ENGINE…", help="Names of engines.")],
+    engines: Annotated[
+        list[str],
+        Argument(metavar="ENGINE…", help="Names of engines.", callback=shared.each_once),
+    ],
     since: Annotated[
         str,
         Option(metavar="VERSION", help="The first release of one engine; else from what we know."),
     ] = "",
     last: Annotated[int | None, Option(help="Only so many releases, the newest.", min=1)] = None,
     fresh: Annotated[
-        bool, Option("--fresh", help="Measure again what was measured earlier.")
+        bool, Option("--fresh", help="Install and measure again what was or failed earlier.")
     ] = False,
     cache: shared.CacheUse = True,
     workers: shared.WorkerCount = None,

@@ -151,7 +151,12 @@ _ENDS = {"csv": ".csv", "png": ".png", "html": ".html", "markdown": ".md", "json
 
 
 _Studies = Annotated[
-    list[str] | None, Argument(metavar="[STUDY…]", help="Names of --list; all when left out.")
+    list[str] | None,
+    Argument(
+        metavar="[STUDY…]",
+        help="Names of --list; all when left out.",
+        callback=shared.each_once,
+    ),
 ]
 _Listed = Annotated[bool, Option("--list", help="Name the studies, and end.")]
 _Engines = Annotated[

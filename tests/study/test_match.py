@@ -259,6 +259,20 @@ def test_what_is_no_file_of_settings_is_refused_before_the_search(
     assert (here / "a.toml").read_bytes() == content
 
 
+def test_what_is_stored_writes_the_same_file_again_and_scenes_count_once(
+    run: CommandLine, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ["match", "5pendulum", "5pendulum", "--engines", "mujoco", "--out", "a.toml"]
+    monkeypatch.setattr("sys.argv", ["mbds-xsim", *words, "--html=a.html"])
+
+    def told(scene: Scene, *, command: str, **_: object) -> None:
+        raise InputError(f"{scene.name}: {command}")
+
+    monkeypatch.setattr(study, "match", told)
+    assert run(*words).refusal.strip().endswith(f"5pendulum: mbds-xsim {' '.join(words)}")
+    assert not list(here.iterdir())
+
+
 def test_settings_of_another_packages_engine_stand_in_its_own_package(
     run: CommandLine, tmp_path: Path
 ) -> None:
