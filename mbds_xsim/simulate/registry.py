@@ -30,6 +30,7 @@ from mbds_xsim.base.errors import (
     check_name,
 )
 from mbds_xsim.base.isolate import Crash, Task, in_worker, run_tasks
+from mbds_xsim.base.text import in_utf8
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings, version_of
 from mbds_xsim.simulate.claims import ContactScales, check_claims
@@ -189,6 +190,8 @@ def read_model(
     check_name("format of models", suffix, sorted(readers))
     if not path.is_file():
         raise InputError(f"{path}: cannot be read (no such file); give the path of a model")
+    if in_utf8(str(path.absolute())) != str(path.absolute()):
+        raise InputError(f"{path}: got a path that is not UTF-8, which readers need; rename it")
     inside = (folder or path.parent).absolute()
     question = (readers[suffix], path.absolute(), inside, floating, ground)
     (answer,) = run_tasks([Task(_read, question, _READING)], workers=1)

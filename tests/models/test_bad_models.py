@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -146,3 +147,14 @@ def test_an_import_is_a_scene_file_and_a_report(run: CommandLine, here: Path) ->
     lost = sum(fate["moves"] and fate["outcome"] == "dropped" for fate in told["fates"])
     kept = "all that bears on the motion is kept"
     assert (f"{lost} of what bears" if lost else kept) in shown.err
+
+
+@pytest.mark.parametrize("ending", ["xml", "urdf", "sdf", "usda"])
+def test_a_name_that_is_not_utf8_is_refused(ending: str, run: CommandLine, here: Path) -> None:
+    """Readers take no such name, and a scene file could not tell it."""
+    model = here / f"{os.fsdecode(bytes([255]))}.{ending}"
+    model.write_text(_MJCF.format(_BODY, ""))
+    ended = run("import", str(model), "--out", "scene.toml")
+
+    assert "got a path that is not UTF-8" in ended.refusal
+    assert list(here.iterdir()) == [model]
