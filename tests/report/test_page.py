@@ -212,6 +212,22 @@ def test_a_reference_that_ends_early_leaves_engines_in_view(case: Case) -> None:
     assert [entry["shown"] for entry in packed["entries"]] == [[30] * 3, [101] * 3]
 
 
+def test_a_blow_up_without_a_reference_leaves_numbers_of_json(case: Case) -> None:
+    reference, motion = case.evidence.reference, case.evidence.trajectories[1]
+    assert motion is not None
+    gone = dataclasses.replace(reference, position=np.full_like(reference.position, np.nan))
+    flown = dataclasses.replace(motion, position=motion.position.copy())
+    flown.position[:, 40:] = 1e200
+    evidence = dataclasses.replace(
+        case.evidence, reference=gone, trajectories=(flown,), errors=(None,)
+    )
+
+    packed = pack(evidence, ("x",), (themed.Style(0, False),))
+
+    json.dumps(packed, allow_nan=False)
+    assert packed["entries"][1]["shown"] == [40] * 3
+
+
 def test_a_large_scene_is_thinned_to_the_limit(case: Case) -> None:
     style = (themed.Style(0, False),) * len(case.evidence.trajectories)
     names = tuple(f"n{k}" for k in range(len(style)))

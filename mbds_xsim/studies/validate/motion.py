@@ -26,6 +26,8 @@ from mbds_xsim.scene.state import Batch, Trajectory
 _BYTES = 3_000_000
 """What the positions may take before base64."""
 _LARGEST_STRIDE = 4
+_FARTHEST = 1e150
+"""Squares of larger positions are infinite, which is no number of JSON [m]."""
 _LEAST = 0.05
 """Of the impulse of gravity: a smaller one of the ground is the rounding of a flight."""
 
@@ -80,7 +82,7 @@ def _base(motions: list[Array]) -> Array:
 
 
 def _finite(positions: Array) -> Mask:
-    return np.asarray(np.isfinite(positions).all(axis=(-1, -2)))
+    return np.asarray((np.abs(positions) < _FARTHEST).all(axis=(-1, -2)))
 
 
 def _scenery(evidence: Evidence, bones: Skeleton, count: int) -> dict[str, Any]:
