@@ -62,6 +62,11 @@ _BLOCK = re.compile(r"#+ |[+-] |>|[=~-]{3}")  # at the start of a paragraph
 _COMMANDS = re.compile(r"(\w+_)?command")
 
 
+def each_once(names: list[str] | None) -> list[str] | None:
+    """Let what is named twice count once."""
+    return names and list(dict.fromkeys(names))
+
+
 def in_utf8(text: str) -> str:
     """Escape what cannot be written into a file: bytes of a file's name that are no UTF-8."""
     return text.encode("utf-8", "backslashreplace").decode()

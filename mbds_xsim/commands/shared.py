@@ -21,7 +21,7 @@ from typer import BadParameter
 from typer.core import TyperCommand, TyperGroup
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.text import in_utf8
+from mbds_xsim.base.text import each_once, in_utf8
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -189,13 +189,6 @@ SceneName = Annotated[
         autocompletion=_complete_scene,
     ),
 ]
-
-
-def each_once(names: list[str] | None) -> list[str] | None:
-    """Let what is named twice count once."""
-    return names and list(dict.fromkeys(names))
-
-
 SceneNames = Annotated[
     list[str],
     typer.Argument(
@@ -332,10 +325,7 @@ class Outputs:
 
 
 def command_line(*told: str) -> str:
-    """Give what was typed, without where results go: these say nothing about them.
-
-    Options that are `told` are kept: without them another file would be written.
-    """
+    """Give what was typed, without where results go, which says nothing about them, or `told`."""
     words = iter(sys.argv[1:])
     kept = []
     for word in words:

@@ -9,6 +9,7 @@ from typer import Argument, Exit, Option
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import LIMIT, Conduct
+from mbds_xsim.base.text import each_once
 from mbds_xsim.commands import shared
 
 _Trajectories = Annotated[
@@ -208,7 +209,7 @@ def releases(
     to: shared.Outputs,
     engines: Annotated[
         list[str],
-        Argument(metavar="ENGINE…", help="Names of engines.", callback=shared.each_once),
+        Argument(metavar="ENGINE…", help="Names of engines.", callback=each_once),
     ],
     since: Annotated[
         str,

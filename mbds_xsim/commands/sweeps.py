@@ -10,6 +10,7 @@ from typer import Argument, Option
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Conduct
+from mbds_xsim.base.text import each_once
 from mbds_xsim.commands import shared
 
 if TYPE_CHECKING:
@@ -155,7 +156,7 @@ _Studies = Annotated[
     Argument(
         metavar="[STUDY…]",
         help="Names of --list; all when left out.",
-        callback=shared.each_once,
+        callback=each_once,
     ),
 ]
 _Listed = Annotated[bool, Option("--list", help="Name the studies, and end.")]
