@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -11,6 +12,9 @@ from mbds_xsim.learn.curves import looks
 from mbds_xsim.report import themed
 from mbds_xsim.simulate import registry
 from mbds_xsim.studies.stability.words import LOOKS
+from mbds_xsim.studies.validate.figures import styles
+
+from .conftest import Case
 
 _KINDS = {
     "engines": themed.ENGINES,
@@ -54,6 +58,23 @@ def test_an_engine_keeps_its_colour_whoever_is_beside_it() -> None:
     assert looks(["mujoco"])["mujoco"] == (themed.ENGINES[place], "-")
     assert looks(["all", "dart", "mujoco"])["mujoco"] == (themed.ENGINES[place], "-")
     assert looks(["all"])["all"][0] not in themed.LIGHT
+
+
+@pytest.mark.parametrize(
+    ("profiles", "dashed"),
+    [
+        (("matched", "native"), [False, True]),
+        (("native", "matched"), [True, False]),
+        (("native",), [True]),
+        (("fine", "coarse"), [False, True]),
+    ],
+)
+def test_two_settings_of_an_engine_differ_by_the_line(
+    one_engine: Case, profiles: tuple[str, ...], dashed: list[bool]
+) -> None:
+    (result,) = one_engine.validation.engines
+    shown = styles(msgspec.structs.replace(result, profile=profile) for profile in profiles)
+    assert [style.dashed for style in shown] == dashed
 
 
 def test_a_model_keeps_its_colour() -> None:

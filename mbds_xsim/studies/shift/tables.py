@@ -323,15 +323,15 @@ def _quality(shift: Shift, place: int) -> Table:
         lambda cell: cell.valid_s,
         lambda cell: cell.energy[place],
         lambda cell: cell.gap[place],
-        lambda cell: cell.diverged[-1] / max(cell.known[-1], 1),
+        lambda cell: _over(cell.diverged[-1], cell.known[-1]),
     )
     homes = _at_home(shift, [(pick, INTERVALS[0]) for pick in picks])
     return titled(
         "What else rollouts keep, each training at home",
         f"Valid prediction time: until the error first exceeds {shift.lost:g} of the scene's "
         f"length ({shift.length_m:.3g} m), median, at most {shift.horizon * shift.frame_s:.3g} s. "
-        f"Energy error and constraint gap: medians at t = {shift.frames[place]}. Diverged: share "
-        "of trajectories over the whole horizon",
+        f"Energy error and constraint gap: medians at t = {shift.frames[place]}. Diverged: share, "
+        f"by t = {shift.frames[-1]}, of the trajectories whose truth is known there",
         ("", "valid [s]", "energy error", "constraint gap [m]", "diverged"),
         ((label, *map(number, figures)) for label, _, figures in homes),
     )

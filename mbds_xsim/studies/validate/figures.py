@@ -28,10 +28,13 @@ _AGREEMENT = 0.01
 
 
 def styles(results: Iterable[EngineResult]) -> tuple[Style, ...]:
-    """Give the results of engines their styles."""
+    """Give the results of engines their styles, dashed but for an engine's first own settings."""
     listed = list(results)
     others = [result.engine for result in listed]
-    return tuple(engine_style(r.engine, others, dashed=r.profile == "native") for r in listed)
+    first = {r.engine: r.profile for r in reversed(listed) if r.profile != "native"}
+    return tuple(
+        engine_style(r.engine, others, dashed=r.profile != first.get(r.engine)) for r in listed
+    )
 
 
 def error_growth(validation: Validation, evidence: Evidence) -> list[Figure]:

@@ -154,7 +154,7 @@ def growth_words(validation: Validation, evidence: Evidence, *, known: bool) -> 
         "trajectories. The grey area is what the budget allows once the scene's own sensitivity is "
         "counted: it grows as a disturbance of the start grows, and ends where that is a "
         f"hundredfold and the error is chaos rather than a fault. {letters} are engines' initials, "
-        f"dashed lines native settings.{hatched}"
+        f"dashed lines native settings, or an engine's second ones.{hatched}"
     )
 
 
