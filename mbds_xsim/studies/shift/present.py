@@ -267,7 +267,8 @@ def _draw_block(figure: Any, shift: Shift, shape: tuple[int, int]) -> None:
 
 _ROOM = 0.6  # half a side of a picture, of the truth's extent
 _SHOTS = 5  # frames of a picture
-_PICTURE = (11.0, 2.1, 0.6)  # width, height a trajectory, height of the legend [in]
+_PICTURE = (11.0, 2.1, 0.4)  # width, height a trajectory, and of titles [in]
+_LEGEND = 0.2, 3  # height of a row of the legend [in], and its columns
 
 
 def name_of(sample: SampleRollout) -> str:
@@ -306,8 +307,9 @@ def pack(samples: Samples) -> dict[str, Any]:
 
 def picture_size(samples: Samples) -> tuple[float, float]:
     """Width and height of a picture [in]."""
-    width, each, legend = _PICTURE
-    return width, each * len(samples.index) + legend
+    (width, each, titles), (height, columns) = _PICTURE, _LEGEND
+    rows = math.ceil((1 + len(samples.models)) / columns)
+    return width, each * len(samples.index) + titles + height * rows
 
 
 def samples_png(studies: Sequence[Samples]) -> bytes:
@@ -352,7 +354,7 @@ def draw_samples(figure: Any, samples: Samples) -> None:
         charts[row, 0].set_ylabel(f"trajectory {number}: z [m]")
     figure.legend(
         *charts[0, 0].get_legend_handles_labels(),
-        loc="outside lower center", ncols=3, fontsize=8, frameon=False,
+        loc="outside lower center", ncols=_LEGEND[1], fontsize=8, frameon=False,
     )  # fmt: skip
 
 
