@@ -325,7 +325,7 @@ class Outputs:
 
 
 def command_line(*told: str) -> str:
-    """Give what was typed, without where results go, which says nothing about them, or `told`."""
+    """Give what was typed; of options that say where results go only those that are `told`."""
     words = iter(sys.argv[1:])
     kept = []
     for word in words:

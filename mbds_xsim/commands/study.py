@@ -217,7 +217,7 @@ def releases(
     ] = "",
     last: Annotated[int | None, Option(help="Only so many releases, the newest.", min=1)] = None,
     fresh: Annotated[
-        bool, Option("--fresh", help="Install and measure again what was or failed earlier.")
+        bool, Option("--fresh", help="Measure anew, and try again what could not be installed.")
     ] = False,
     cache: shared.CacheUse = True,
     workers: shared.WorkerCount = None,

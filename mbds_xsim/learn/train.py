@@ -305,7 +305,9 @@ def check_identity(
 ) -> None:
     """Raise InputError where a file is of another run, saying what differs."""
     differing = [
-        key + _how(stated.get(key, ""), own[key]) for key in own if stated.get(key) != own[key]
+        key + _entries_apart(stated.get(key, ""), own[key])
+        for key in own
+        if stated.get(key) != own[key]
     ]
     if differing:
         msg = (
@@ -315,7 +317,7 @@ def check_identity(
         raise InputError(msg)
 
 
-def _how(stated: str, own: str) -> str:
+def _entries_apart(stated: str, own: str) -> str:
     """Say which few entries of two JSON objects differ; nothing of other texts."""
     try:
         was, now = (msgspec.json.decode(text, type=dict[str, Any]) for text in (stated, own))

@@ -28,7 +28,7 @@ _AGREEMENT = 0.01
 
 
 def styles(results: Iterable[EngineResult]) -> tuple[Style, ...]:
-    """Give the results of engines their styles, dashed but for an engine's first own settings."""
+    """Give results their styles, dashed except for each engine's first that is not native."""
     listed = list(results)
     others = [result.engine for result in listed]
     first = {r.engine: r.profile for r in reversed(listed) if r.profile != "native"}
