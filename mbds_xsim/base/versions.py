@@ -11,7 +11,7 @@ from __future__ import annotations
 PHYSICS = 3
 """Starts, inputs and reference solutions of a scene."""
 
-CHECKS = 16
+CHECKS = 17
 """Figures and verdicts of checks on a trajectory, and what studies derive from them."""
 
 MODELS = 5

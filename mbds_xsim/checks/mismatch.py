@@ -48,7 +48,7 @@ class Mismatch:
     left: Array
     """[m/s]"""
     velocity: Array
-    """At the beginning of the step [m/s]."""
+    """At the beginnings of all steps, then at their ends [m/s], shape (trajectory, 2 step, …)."""
     acceleration: Array
     """Mean over the step [m/s²]."""
     rate_acceleration: Array
@@ -115,7 +115,7 @@ def mismatch_of(
         points=points,
         frame=first + 1,
         left=(end.position - begin.position) / frame - quintic,
-        velocity=begin.velocity,
+        velocity=np.concatenate([begin.velocity, end.velocity], axis=1),
         acceleration=(begin.acceleration + end.acceleration) / 2,
         rate_acceleration=(begin.rate_acceleration + end.rate_acceleration) / 2,
         unclear=flow.moment * jerk,

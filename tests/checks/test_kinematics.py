@@ -212,6 +212,22 @@ def test_a_motion_without_acceleration_has_no_lag() -> None:
     assert not speeds.passed.any()
 
 
+@pytest.mark.parametrize("frames", [1, 2])
+def test_frames_that_follow_rest_are_held_to_the_speed_they_reach(frames: int) -> None:
+    """A stone that is let go: where each step looked at begins, it stands."""
+    body = Body("stone", inertia=Inertia(1.0, (0.1, 0.1, 0.1)), position=(0.0, 0.0, 1.0))
+    scene = Scene("stone", (body,), 1.0, clock=Clock(0.02, frames))
+    batch = draw_batch(scene, [0])
+    exact = reference.solve(scene, batch, cache=False)
+
+    speeds, _ = _both(Record(scene, batch, exact, METHODS["rk4"], 1e-4))
+
+    assert speeds.passed.all()
+    slow = dataclasses.replace(exact, velocity=0.9 * exact.velocity)
+    speeds, _ = _both(Record(scene, batch, slow, METHODS["rk4"], 1e-4))
+    assert 0.01 < speeds.figure[0] < 0.1
+
+
 def test_rates_that_change_by_rounding_alone_have_no_lag() -> None:
     """A cart with a wheel that is out of true by 1e-20 m."""
     inertia = Inertia(1.0, (0.1, 0.1, 0.2))
