@@ -43,7 +43,8 @@ def train(folder: Path, training: str, engines: tuple[str, ...], seed: int, **mo
         model = GNS(motions.graph, statistics, settings)
     facts = {
         "train_engines": ",".join(engines), "variant": "native", "training": training,
-        "seed": str(seed), "profile": "tiny", "ended": "steps", **more,
+        "seed": str(seed), "profile": "tiny", "ended": "steps",
+        "train_trajectories": str(len(motions)), **more,
     }  # fmt: skip
     path = folder / "models" / SCENE / "native" / "gns" / f"{training}-s{seed}.pt"
     save_model(path, model, "gns", settings, statistics, **facts)

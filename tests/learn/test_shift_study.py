@@ -87,13 +87,18 @@ def test_the_protocol_names_what_the_models_were_trained_by_alone(shift: Shift) 
     """Models that learn nothing have no profile."""
     (words,) = [part for part in protocol(shift).split("; ") if part.startswith("profile ")]
     (profile,) = {facts.profile for facts in shift.models if facts.engines}
-    assert words == f"profile {profile}"
+    counts = {len(facts.engines): facts.trajectories for facts in shift.models}
+    assert words == f"profile {profile}, trained on {counts[1]} (native) trajectories"
+    assert counts[2] == 2 * counts[1] > 0
 
 
 def test_one_trajectory_is_told_as_one(shift: Shift) -> None:
-    one = msgspec.structs.replace(shift, index=shift.index[:1])
+    """And of which starts, where some are missing."""
+    one = msgspec.structs.replace(shift, index=(7,))
+    two = msgspec.structs.replace(shift, index=(8, 6))
 
-    assert protocol(one).startswith("Tested on 1 trajectory that all ")
+    assert protocol(one).startswith("Tested on 1 trajectory of medium starts alone that all ")
+    assert protocol(two).startswith("Tested on 2 trajectories of low and high starts alone that ")
 
 
 def test_other_settings_of_an_engine_are_no_other_engine(shift: Shift) -> None:

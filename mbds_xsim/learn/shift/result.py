@@ -50,6 +50,8 @@ class TrainedFacts(msgspec.Struct, frozen=True, omit_defaults=True):
     """Whether it starts from the bodies' states, not from the particles' positions alone."""
     to_floor_s: float | None = None
     """Processor time of its training until it was as near its engine as the nearest other one."""
+    trajectories: int = 0
+    """That it was trained on; 0 where not stated."""
 
 
 class ErrorCell(msgspec.Struct, frozen=True):

@@ -212,7 +212,9 @@ def _changes(
 
 def _facts(evaluation: Evaluation, model: TrainedModel) -> TrainedFacts:
     facts = msgspec.convert(model, TrainedFacts, from_attributes=True)
-    return msgspec.structs.replace(facts, to_floor_s=seconds_to_floor(evaluation, model))
+    count = int(float(model.facts.get("train_trajectories") or 0))
+    seconds = seconds_to_floor(evaluation, model)
+    return msgspec.structs.replace(facts, to_floor_s=seconds, trajectories=count)
 
 
 def _frame_of(frames: tuple[int, ...], chosen: int | None) -> int:

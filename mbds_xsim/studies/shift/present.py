@@ -110,10 +110,14 @@ def protocol(shift: Shift) -> str:
     steps = sorted({m.steps for m in shift.models if m.steps})
     ends = sorted({*steps[:1], *steps[-1:]})
     budget = f", {' to '.join(map(str, ends))} steps" if ends else ""
+    budget += _learned_from(shift)
     few = "" if len(seeds) >= _ENOUGH else ", too few to tell of other runs of the same trainings"
     told = sorted({m.model for m in shift.models if m.bodies})
     bodies = f" ({', '.join(told)}: the bodies' states, too)" if told else ""
     tested = counted(len(shift.index), "trajectory")
+    starts = {k % len(INTERVALS) for k in shift.index}
+    if len(starts) < len(INTERVALS):
+        tested += f" of {' and '.join(INTERVALS[k] for k in sorted(starts))} starts alone"
     return (
         f"Tested on {tested} that all {len(shift.domains)} domains (engines "
         f"at given settings) share, from the same starts and inputs. A model is shown the first "
@@ -123,6 +127,17 @@ def protocol(shift: Shift) -> str:
         f"profile {profiles}{budget}; random forces {'act' if shift.noise else 'do not act'} and "
         "are never told to a model"
     )
+
+
+def _learned_from(shift: Shift) -> str:
+    """Say from how many trajectories trainings on one engine learned; data sets differ in them."""
+    variants = dict[int, list[str]]()
+    for facts in shift.models:
+        variant = facts.training.rpartition("-")[2]
+        if len(facts.engines) == 1 and not facts.interval and facts.trajectories:
+            variants.setdefault(facts.trajectories, []).append(variant)
+    each = [f"{n} ({', '.join(sorted({*variants[n]}))})" for n in sorted(variants, reverse=True)]
+    return f", trained on {' and '.join(each)} trajectories" if each else ""
 
 
 def _change(shift: Shift) -> Section:
