@@ -21,7 +21,7 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.balances import groups_of
 from mbds_xsim.checks.finding import Figures, check
-from mbds_xsim.checks.flights import numbers
+from mbds_xsim.checks.flights import numbers, usual
 from mbds_xsim.checks.forced import Forced, forced
 from mbds_xsim.checks.ground import Push, pushes_of, responses
 from mbds_xsim.checks.record import Record
@@ -200,7 +200,9 @@ def _residual(
     own = min(_METHOD * share**2, _BEND)
     change = _second_differences(gained)
     change = _with_ends(_window(np.maximum(change[:, 1:], change[:, :-1])))
-    bend = (_BEND + own) * (change if swung is None else np.maximum(change, _SWING * swung))
+    if swung is not None:
+        change = np.maximum(change, np.maximum(_SWING * swung, _unresolved(swung, gained)))
+    bend = (_BEND + own) * change
     if record.lag:
         left = left + record.lag / record.frame * gained
         fastest = _window(rotation.norm(gained).max(axis=2, keepdims=True))
@@ -217,6 +219,16 @@ def _residual(
         np.maximum(floor, _TINY),
         share,
     )
+
+
+def _unresolved(swung: Array, gained: Array) -> Array:
+    """What frames too far apart hide of velocities, shape (trajectory, 1, body).
+
+    Accelerations that change by as much as they are may be equal by chance at both ends of a frame:
+    each may hide what they change by at most.
+    """
+    gain = usual(swung) / np.maximum(usual(rotation.norm(gained)), _TINY)
+    return swung.max(axis=1, keepdims=True) * np.minimum(1.0, gain) ** 2
 
 
 @functools.lru_cache(maxsize=1)

@@ -23,3 +23,9 @@ def summed(values: Array, flights: Mask) -> Array:
 def numbers(values: Array) -> Array:
     """Let what is unknown be 0."""
     return values if np.isfinite(values).all() else np.nan_to_num(values)
+
+
+def usual(values: Array) -> Array:
+    """Median over the steps that are known, 0 of none, shape (trajectory, 1, …)."""
+    some = np.isfinite(values).any(axis=1, keepdims=True)
+    return np.asarray(np.nanmedian(np.where(some, values, 0.0), axis=1, keepdims=True))

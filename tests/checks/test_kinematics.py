@@ -174,6 +174,20 @@ def test_what_frames_do_not_resolve_is_no_mismatch(turns: float) -> None:
     assert (speeds.passed & lag.passed).all() == (turns > 1)
 
 
+@pytest.mark.parametrize(
+    ("name", "frame"), [("2pendulum", 0.5), ("2ladder", 0.1), ("3ladder", 0.3)]
+)
+def test_frames_too_far_apart_to_show_the_motion_raise_no_alarm(name: str, frame: float) -> None:
+    """What two formulas add is alike by chance in some of these frames, and tells nothing there."""
+    scene = msgspec.structs.replace(load_scene(name), clock=Clock(frame, int(6.0 / frame)))
+    batch = draw_batch(scene, range(6), noise=False)
+    exact = reference.solve(scene, batch, cache=False)
+    record = Record(scene, batch, exact, METHODS["rk4"], 1e-3)
+
+    assert kinematics.finding(record).passed.all()
+    assert displacement.finding(record).passed.all()
+
+
 def test_a_body_is_resolved_no_better_than_those_it_hangs_with() -> None:
     """At frame 113 the quintic happens to add little for the first link, and errs all the same."""
     scene = load_scene("6pendulum")

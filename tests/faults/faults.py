@@ -269,7 +269,7 @@ RECORDED = (
         recorded.exchanged((1, 4), fields=("angular_velocity",))),
     _fault("orientation that is no unit quaternion", "ballscroll", "mujoco", "finite",
         recorded.each("orientation", lambda values, _: (1.0 + 1e-6) * values)),
-    _fault("angular velocity in degrees, of one body", "balldrop", "exudyn", "kinematics",
+    _fault("angular velocity in degrees, of one body", "balldrop", "exudyn", "displacement",
         recorded.each("angular_velocity", lambda values, _: np.degrees(values))),
 )  # fmt: skip
 
