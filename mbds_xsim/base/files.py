@@ -15,7 +15,7 @@ import socket
 import tempfile
 import zlib
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
@@ -154,7 +154,8 @@ def put(path: Path, *pieces: bytes | memoryview) -> None:
         )
         raise InputError(msg) from error
     finally:
-        part.unlink(missing_ok=True)
+        with suppress(OSError):  # where a file stands in place of the folder there is no part
+            part.unlink()
 
 
 @contextmanager

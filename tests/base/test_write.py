@@ -51,3 +51,10 @@ def test_what_does_not_read_back_is_no_file(
     with pytest.raises(InputError, match="does not read back; check the disk"):
         put(tmp_path / "data", b"one", b" ", b"file")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_file_in_place_of_the_folder_is_told_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "data").touch()
+
+    with pytest.raises(InputError, match=r"^cannot write .*0\.h5: Not a directory; "):
+        put(tmp_path / "data" / "mujoco" / "0.h5", b"content")
