@@ -296,7 +296,9 @@ def _check_target(data: Dataset, out: Path, form: Form, numbers: Sequence[int] |
         chosen = data.index if numbers is None else numbers
         names = {_csv_name(int(number)) for number in chosen}
     else:
-        names = {f"{shard.stem}.npz" for shard in data.files}
+        ends = np.cumsum([part.rows for part in data.parts])
+        rows = np.flatnonzero(np.isin(data.index, data.index if numbers is None else numbers))
+        names = {f"{data.files[k].stem}.npz" for k in np.searchsorted(ends, rows, side="right")}
     there = {file.name for file in folder.iterdir()} if folder.is_dir() else set()
     strange = sorted(there - names - {_README, _SCENE})
     if strange:

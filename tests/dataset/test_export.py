@@ -117,6 +117,9 @@ def test_bad_requests_are_one_line(whole: Path, tmp_path: Path) -> None:
     _exported(whole, tmp_path, "csv", [3])
     with pytest.raises(InputError, match=r"holds 0000000003\.csv, which is not of this export"):
         _exported(whole, tmp_path, "csv", [4])
+    _exported(whole, tmp_path / "all", "npz")
+    with pytest.raises(InputError, match=r"holds 0000000016\.npz, which is not of this export"):
+        _exported(whole, tmp_path / "all", "npz", [3])
 
 
 def test_damaged_data_are_not_exported(make: Make, tmp_path: Path) -> None:
