@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.files import put
+from mbds_xsim.base.files import put, tidied
 from mbds_xsim.base.isolate import Meter
 from mbds_xsim.base.text import in_markdown, on_a_line
 from mbds_xsim.dataset.layout import FIELDS, MOTION, SPLITS, attribute
@@ -249,9 +249,10 @@ def export(
     """
     sets = {file: load_dataset(file) for file in joined_files(path, engines)}
     absent = {str(file): _absent(data, numbers) for file, data in sets.items()}
-    for data in sets.values():
-        _check_target(data, out, form, numbers)
-        data.check()  # the form has no checksums by which one could find out later
+    with tidied(_folder(data, out) for data in sets.values()):  # after a run that was killed
+        for data in sets.values():
+            _check_target(data, out, form, numbers)
+            data.check()  # the form has no checksums by which one could find out later
     progress.begin(sum(len(data.files) for data in sets.values()))
     files = count = size = 0
     for data in sets.values():

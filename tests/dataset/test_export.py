@@ -122,6 +122,14 @@ def test_bad_requests_are_one_line(whole: Path, tmp_path: Path) -> None:
         _exported(whole, tmp_path / "all", "npz", [3])
 
 
+def test_an_export_goes_on_after_it_was_killed(whole: Path, tmp_path: Path) -> None:
+    folder = _exported(whole, tmp_path, "csv", [3])
+    (folder / ".0000000003.csv.host-1.part").write_bytes(b"# seed")
+    _exported(whole, tmp_path, "csv", [3])
+    there = {file.name for file in folder.iterdir()}
+    assert there == {"README.md", "scene.toml", "0000000003.csv"}
+
+
 def test_damaged_data_are_not_exported(make: Make, tmp_path: Path) -> None:
     make(tmp_path / "data", trajectories=4)
     with h5py.File(tmp_path / "data" / SET / "0000000000.h5", "r+") as file:
