@@ -46,6 +46,7 @@ _TRAJECTORY_TIMEOUT = 600.0  # [s]
 _TRIES = 2
 _FEW = 5
 _INTERVAL = 0.3  # between two looks at the logs [s]
+_LARGEST_SEED = 2**63 - 1
 
 
 @dataclass(frozen=True)
@@ -103,6 +104,9 @@ def generate(
     begin, progress = time.perf_counter(), progress or Silent()
     if request.trajectories < 1:
         msg = f"--trajectories: got {request.trajectories}, allowed is 1 or more"
+        raise InputError(msg)
+    if request.seed > _LARGEST_SEED:
+        msg = f"--seed: got {request.seed}, allowed is 0 to {_LARGEST_SEED}, which a file can store"
         raise InputError(msg)
     if not all(scene.contacts for scene in request.scenes):
         compile_once(progress.notice, workers=workers, kernels=[REFERENCE, CHECKS])

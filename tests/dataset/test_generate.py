@@ -16,6 +16,7 @@ from mbds_xsim.checks import audit
 from mbds_xsim.dataset import gate, shard
 from mbds_xsim.dataset.gate import COLUMNS
 from mbds_xsim.dataset.layout import rejected_folder, split_of
+from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.dataset.variant import Item, Variant
 from mbds_xsim.scene.file import write_scene
 from mbds_xsim.scene.sampling import draw_batch
@@ -125,6 +126,14 @@ def test_copies_are_not_published(make: Make, rod: Scene, tmp_path: Path) -> Non
     assert not list(tmp_path.iterdir())
     make(tmp_path / "noise", scene=still, trajectories=2)
     make(tmp_path / "one", scene=still, trajectories=1, noise=False)
+
+
+def test_a_seed_that_no_file_can_store_is_refused(make: Make, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=rf"--seed: got {2**63}, allowed is 0 to {2**63 - 1}"):
+        make(tmp_path / "out", trajectories=3, seed=2**63)
+    assert not (tmp_path / "out").exists()
+    make(tmp_path / "out", trajectories=3, seed=2**63 - 1)
+    assert load_dataset(tmp_path / "out" / FILE).attributes["seed"] == 2**63 - 1
 
 
 def test_one_start_an_interval_makes_copies_of_the_fourth(
