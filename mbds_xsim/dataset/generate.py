@@ -47,6 +47,7 @@ _TRIES = 2
 _FEW = 5
 _INTERVAL = 0.3  # between two looks at the logs [s]
 _LARGEST_SEED = 2**63 - 1
+_MOST = 1_000_000_000  # trajectories; to list the shards of many more takes hours and the memory
 
 
 @dataclass(frozen=True)
@@ -102,8 +103,8 @@ def generate(
         InputError: Nothing can be made as asked, or the folder holds or gets something else.
     """
     begin, progress = time.perf_counter(), progress or Silent()
-    if request.trajectories < 1:
-        msg = f"--trajectories: got {request.trajectories}, allowed is 1 or more"
+    if not 1 <= request.trajectories <= _MOST:
+        msg = f"--trajectories: got {request.trajectories}, allowed is 1 to {_MOST}"
         raise InputError(msg)
     if request.seed > _LARGEST_SEED:
         msg = f"--seed: got {request.seed}, allowed is 0 to {_LARGEST_SEED}, which a file can store"

@@ -136,6 +136,13 @@ def test_a_seed_that_no_file_can_store_is_refused(make: Make, tmp_path: Path) ->
     assert load_dataset(tmp_path / "out" / FILE).attributes["seed"] == 2**63 - 1
 
 
+@pytest.mark.parametrize("count", [0, 10**20])
+def test_a_count_that_cannot_be_made_is_refused(count: int, make: Make, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=rf"--trajectories: got {count}, allowed is 1 to 10+$"):
+        make(tmp_path / "out", trajectories=count)
+    assert not (tmp_path / "out").exists()
+
+
 def test_one_start_an_interval_makes_copies_of_the_fourth(
     make: Make, rod: Scene, tmp_path: Path
 ) -> None:
