@@ -269,8 +269,8 @@ def _read(path: Path) -> tuple[str, dict[str, Matched]]:
         raise InputError(msg) from error
     if not isinstance(name, str) or not _NAME.fullmatch(name) or name == _NATIVE:
         msg = (
-            f"--settings {path}: name: got {name!r}, allowed are small letters, digits and _, a "
-            f"letter first, and not {_NATIVE}"
+            f"--settings {path}: name: got {name!r}, allowed are up to 40 small letters, digits "
+            f"and _, a letter first, and not {_NATIVE}"
         )
         raise InputError(msg)
     for engine, entry in found.items():

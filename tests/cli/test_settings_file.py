@@ -133,8 +133,9 @@ def test_a_variant_has_the_engines_of_its_file_alone(here: Path) -> None:
         Choice.parse(engines="mujoco", profiles="undamped.toml")
 
 
-@pytest.mark.parametrize("name", ["native", "two-words", "Undamped", "3", ""])
+@pytest.mark.parametrize("name", ["native", "two-words", "Undamped", "3", "", "a" * 41])
 def test_a_variant_has_a_name_that_files_can_have(name: str, here: Path) -> None:
     (here / "own.toml").write_text(_UNDAMPED.replace('"undamped"', f'"{name}"'))
-    with pytest.raises(InputError, match=rf"^--settings own.toml: name: got '{name}', allowed are"):
+    line = rf"^--settings own.toml: name: got '{name}', allowed are up to 40 small letters"
+    with pytest.raises(InputError, match=line):
         Choice.parse(profiles="own.toml")
