@@ -165,15 +165,16 @@ def read_csv(
 def _column(rows: list[list[str]], place: int, name: str, path: Path) -> tuple[Array, float]:
     """Give the numbers of a column, and half a unit of the last digit that is written."""
     texts = [row[place].strip() if place < len(row) else "" for row in rows]
-    decimals = []
+    decimals, read = [], []
     for frame, text in enumerate(texts):
         try:
             decimals.append(Decimal(text).as_tuple().exponent)
-        except ArithmeticError:
+            read.append(float(text))  # a signalling NaN is a Decimal alone
+        except (ArithmeticError, ValueError):
             msg = f"{path}: frame {frame}, column {name}: got {text!r}, allowed is a number"
             raise InputError(msg) from None
     last = min((digit for digit in decimals if isinstance(digit, int)), default=0)
-    numbers = np.array([float(text) for text in texts])
+    numbers = np.array(read)
     return numbers, max(0.5 * 10.0**last, _coarse(numbers))
 
 
