@@ -293,8 +293,12 @@ def _checked(
 
 
 def _clock(time: Array, scene: Scene, source: str) -> Clock:
-    if time.ndim != 1 or len(time) < 2 or not np.isfinite(time).all():
+    if time.ndim != 1 or len(time) < 2:
         msg = f"{source}: time: got shape {time.shape}, allowed is one number a frame, 2 or more"
+        raise InputError(msg)
+    if not np.isfinite(time).all():
+        k = int(np.isfinite(time).argmin())
+        msg = f"{source}: time: got {time[k]} in frame {k}; allowed are finite numbers"
         raise InputError(msg)
     steps = np.diff(time)
     usual = float(np.median(steps))

@@ -250,6 +250,7 @@ def _changed(rows: list[list[str]], line: int, column: int, text: str) -> list[l
         (lambda rows: _changed(rows, 3, 1, "x"), "frame 2, column p0_x: got 'x'"),
         (lambda rows: _changed(rows, 3, 1, "snan"), "frame 2, column p0_x: got 'snan'"),
         (lambda rows: _changed(rows, 3, 0, "0.045"), "time is not uniform: frame"),
+        (lambda rows: _changed(rows, 3, 0, "inf"), "time: got inf in frame 2; allowed are finite"),
         (lambda rows: rows[:2], "got 1 frames"),
         (lambda rows: rows[:1] + rows[1::2], "got 5 steps of 0.04 s"),
         (lambda rows: [*rows, ["0.22", *rows[-1][1:]]], "got 11 steps of 0.02 s"),
