@@ -255,7 +255,8 @@ def _workspace(tree: Tree) -> Workspace:
 
 
 def _lane(tree: Tree) -> Lane:
-    size, idle = -(-tree.size // BLOCK) * BLOCK, lines(1)
+    # A block at least, which is written to even where nothing can move.
+    size, idle = max(1, -(-tree.size // BLOCK)) * BLOCK, lines(1)
     idle[:] = -1.0
     whole = [np.zeros(LANES, dtype=np.int64) for _ in range(2)]
     return Lane(

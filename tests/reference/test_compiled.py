@@ -14,13 +14,13 @@ from mbds_xsim.reference import compiled, dop853, marching
 from mbds_xsim.reference.elimination import with_short_loops
 from mbds_xsim.reference.equations import dynamics_of
 from mbds_xsim.reference.marching import Marched, Problem
-from mbds_xsim.reference.solution import start_states
+from mbds_xsim.reference.solution import solve, start_states
 from mbds_xsim.reference.tree import tree_of, with_rows
 from mbds_xsim.scene.coupling import Coupling
 from mbds_xsim.scene.joint_space import to_bodies, to_links
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Scene, SpringDamper
+from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene, SpringDamper
 from mbds_xsim.scene.state import Batch
 from mbds_xsim.simulate.registry import load_scene
 from tests.random_scenes import Kind, random_links, random_tree
@@ -256,3 +256,25 @@ def test_the_coefficients_of_the_method_are_those_of_scipy() -> None:
         (dop853.E3, DOP853.E3[:count]),
     ):
         assert np.array_equal(own, theirs)
+
+
+def test_what_cannot_move_writes_nothing_beside_its_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
+    beyond: list[Array] = []
+    lines = compiled.lines
+
+    def guarded(count: int) -> Array:
+        whole, kept = lines(count + 64), max(count, 1)
+        whole[kept:] = 7.0
+        beyond.append(whole[kept:])
+        return whole[:kept]
+
+    monkeypatch.setattr(compiled, "lines", guarded)
+    joint = Joint(name="weld", kind="fixed", parent="world", child="post", anchor=(0.0, 0.0, 0.0))
+    body = Body(name="post", inertia=Inertia(mass=1.0, moments=(1.0, 1.0, 1.0)))
+    scene = Scene(name="post", length=1.0, bodies=(body,), joints=(joint,), clock=Clock(steps=3))
+    batch = draw_batch(scene, [0])
+    motion = solve(scene, batch, cache=False)
+
+    assert all((rows == 7.0).all() for rows in beyond)
+    assert (motion.position == batch.position[:, None]).all()
+    assert not motion.velocity.any()
