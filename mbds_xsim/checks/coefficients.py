@@ -26,7 +26,6 @@ from mbds_xsim.checks.finding import Figures, check
 from mbds_xsim.checks.flights import numbers
 from mbds_xsim.checks.integrity import pair_distance, pair_rate
 from mbds_xsim.checks.joint_work import delayed_springs, losses
-from mbds_xsim.checks.mismatch import steady
 from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.joint_space import joint_rate
 
@@ -180,7 +179,7 @@ def _parts(
     energy = every.by_body
     change = np.diff(energy, axis=1)
     moving, lifted = change[..., :bodies], change[..., bodies:]
-    faint = _FAINT * energy[..., :bodies].sum(axis=-1).max(axis=1, keepdims=True)
+    faint = _FAINT * every.scale[:, None]
     gravity = lifted.sum(axis=-1)
     late = _LATE * (record.step or 0.0) / record.frame if record.order == 1 else 0.0
     exchanged = np.concatenate([energy, every.others, losses(record)[0][..., None]], axis=-1)
@@ -216,8 +215,7 @@ def _left(record: Record) -> Array:
     left = np.diff(energy, axis=1)
     if record.lag:
         left = left - record.lag * _power_gained(record)
-    seen = record.flying() & steady(record.mechanism, record.world, record.torque)
-    return np.where(seen, left, np.nan)
+    return np.where(record.flying() & record.steady, left, np.nan)
 
 
 def _power_gained(record: Record) -> Array:

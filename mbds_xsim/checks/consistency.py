@@ -32,7 +32,6 @@ from mbds_xsim.checks.extrapolation import (
     running,
 )
 from mbds_xsim.checks.finding import Finding
-from mbds_xsim.checks.mismatch import steady
 from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
@@ -126,9 +125,8 @@ class Consistency:
     def _bumps(self) -> Mask:
         """Steps in which a joint may stick or run into a stop, or a servo saturate."""
         record = Record(self.scene, self.batch, self.reference)
-        smooth = steady(record.mechanism, record.world, record.torque)
         clear = clear_of_stops(record.mechanism, record.world, record.frame, None)
-        return np.asarray(~(clear & smooth))
+        return np.asarray(~(clear & record.steady))
 
     def _late(self, values: Array) -> Array:
         """Say what bumps up to each frame leave open, as runs may agree on the wrong instant.

@@ -20,6 +20,8 @@ _NOISE = 1e-4  # of the largest speed; solvers' tolerances leave up to 4e-5
 _LAG = 0.1  # of a step: a fifth of the half step that must be seen
 _METHOD = 5.0  # errors of order 2 are up to so many times step² · jerk (measured: 4.1)
 _ERRORS = 3.0  # standard errors
+_REST = 1e-3  # of the speed that gravity adds in a frame: what never is faster is at rest
+_FAINT = 1e-12  # of gravity: smaller accelerations are rounding, and tell no lag
 
 
 @check("kinematics", _NOISE)
@@ -41,6 +43,7 @@ def kinematics(record: Record) -> Figures | None:
     rounded = rounding.stepped(record.method, steps) * record.scene.length / record.frame
     whole, each = (
         _beyond(measure, mismatch, jerk, blur + rounded, step, order)
+        / _largest(measure(mismatch.velocity), record)
         for measure, jerk, blur in (
             (points.rms, mismatch.jerk, mismatch.blur),
             (points.each, mismatch.jerk_each, mismatch.blur_each),
@@ -49,10 +52,10 @@ def kinematics(record: Record) -> Figures | None:
     bodies = record.scene.bodies
     series = np.full((*record.finite.shape, 1 + len(bodies)), np.nan)
     series[:, mismatch.frame] = np.concatenate([whole[..., None], each], axis=-1)
-    speed = _largest(points.rms(mismatch.velocity))
-    resolved = np.median(np.nan_to_num(mismatch.blur / speed[:, None]))
-    if record.mechanism.has_impacts:
-        series[:, 0] = 0.0  # not every trajectory flies
+    speed = _largest(points.rms(mismatch.velocity), record)
+    resolved = np.median(np.nan_to_num(mismatch.blur / speed))
+    if _skips(record):
+        series[:, 0] = 0.0
     note = f"frames resolve {resolved:.1g} of the largest speed"
     return Figures(series, ["", *(body.name for body in bodies)], note)
 
@@ -65,7 +68,7 @@ def _beyond(
     step: float,
     order: int,
 ) -> Array:
-    """What is left over the largest speed, in one measure.
+    """What is left [m/s], in one measure.
 
     Taken off is the blur, and a method's error of order 2, or higher in the rate at which
     accelerations change. Methods of order 1 follow a flow of their own to second order.
@@ -73,9 +76,7 @@ def _beyond(
     pull = np.maximum(measure(mismatch.acceleration), np.finfo(float).tiny)
     rate = np.minimum(step * jerk / pull, 1.0)
     own = _METHOD * step**2 * jerk * rate ** max(order - 2, 0)
-    left = np.maximum(measure(mismatch.left) - blur - own, 0.0)
-    speeds = measure(mismatch.velocity)
-    return left / _largest(speeds.reshape(len(speeds), -1)).reshape(-1, *(1,) * (left.ndim - 1))
+    return np.asarray(np.maximum(measure(mismatch.left) - blur - own, 0.0))
 
 
 def _started(record: Record, mismatch: Mismatch) -> Array:
@@ -104,20 +105,26 @@ def velocity_lag(record: Record) -> Figures | None:
     mismatch = _mismatch(record)
     if mismatch is None:
         return None
+    faint = mismatch.unclear + _FAINT * record.usual_pull
+    mismatch = dataclasses.replace(mismatch, unclear=faint)
     lag, uncertainty = _slope(mismatch, _LAG * _step(record))
-    if record.mechanism.has_impacts:
+    if _skips(record):
         lag = np.nan_to_num(lag)
     note = f"known to {np.max(uncertainty):.1g} s"
     return Figures(record.at_end(np.abs(lag)[:, None]), note=note, uncertainty=uncertainty)
 
 
 def _mismatch(record: Record) -> Mismatch | None:
-    """None where no step is clear of contact; most scenes have none."""
-    if record.steps < 1 or (
-        record.mechanism.has_impacts and not np.isfinite(record.mismatch.blur).any()
-    ):
+    """None where no step is clear of contact and friction; most scenes have none."""
+    if record.steps < 1 or (_skips(record) and not np.isfinite(record.mismatch.blur).any()):
         return None
     return record.mismatch
+
+
+def _skips(record: Record) -> bool:
+    """Whether not every step is looked at, and of some trajectories none."""
+    mechanism = record.mechanism
+    return bool(mechanism.has_impacts or mechanism.frictional or mechanism.drives)
 
 
 def _step(record: Record) -> float:
@@ -166,9 +173,11 @@ def _each(values: Array) -> Array:
     return values[:, None, None, None, None]
 
 
-def _largest(speeds: Array) -> Array:
-    """Largest over the steps, never zero, shape (trajectory,)."""
-    return np.maximum(np.nanmax(speeds, axis=1, initial=0.0), np.finfo(float).tiny)
+def _largest(speeds: Array, record: Record) -> Array:
+    """Largest of each trajectory, that of rest at least, shape (trajectory, 1, …)."""
+    rest = _REST * record.frame * record.usual_pull
+    axes = tuple(range(1, speeds.ndim))
+    return np.maximum(np.nanmax(speeds, axis=axes, keepdims=True, initial=0.0), rest)
 
 
 def unexplained_by_loops(

@@ -22,7 +22,6 @@ from mbds_xsim.checks.flights import usual
 from mbds_xsim.scene.joint_space import (
     BodyStates,
     joint_coordinate,
-    joint_rate,
     to_bodies,
     to_links,
 )
@@ -32,7 +31,6 @@ EVERY_SECOND = (0, 2)
 """First step, and every how many: these take in every frame once."""
 
 MOMENT = 5e-4  # of the interval of the frames: jerks are differences of accelerations over it
-_STEADY = 0.02  # of the largest rate: below it a joint with dry friction may stop within a step
 _FACTOR = 8.0  # errors of the quintic are up to so many times their estimate (measured: 7.3)
 
 
@@ -292,31 +290,6 @@ class Flow:
         for name, values in vars(filled).items():
             values[known] = getattr(found, name)
         return filled
-
-
-def steady(mechanism: Mechanism, world: BodyStates, torque: Array) -> Mask:
-    """Tell in which steps no force has a jump or kink, (trajectory, step).
-
-    No dry friction of a joint changes its sense, and no servo saturates or lets go.
-
-    Args:
-        mechanism: Whose motion.
-        world: Recorded states, with the world.
-        torque: [N·m], with the pushes of drives, shape (trajectory, step, hinge + drive).
-    """
-    found = np.ones(world.position[:, 1:, 0, 0].shape, dtype=bool)
-    for joint in mechanism.frictional:
-        rate = joint_rate(joint, world)
-        least = _STEADY * np.nanmax(np.abs(rate), axis=1, keepdims=True, initial=0.0)
-        begin, end = rate[:, :-1], rate[:, 1:]
-        found &= np.minimum(end * np.sign(begin), np.abs(begin)) > least
-    for k, drive in enumerate(mechanism.drives, len(mechanism.hinges)):
-        angle = np.unwrap(joint_coordinate(drive.joint, world.position, world.native), axis=1)
-        rate, push = joint_rate(drive.joint, world), torque[..., : angle.shape[1] - 1, k]
-        ends = (drive.wanted(push, angle[:, s], rate[:, s]) for s in (slice(-1), slice(1, None)))
-        begin, end = (np.sign(u) * (np.abs(u) > drive.limit) for u in ends)
-        found &= begin == end
-    return found
 
 
 def known_states(states: BodyStates) -> Mask:

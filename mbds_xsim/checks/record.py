@@ -12,7 +12,7 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.coordinates import clear_of_stops
-from mbds_xsim.checks.mismatch import EVERY_SECOND, Mismatch, mismatch_of, steady
+from mbds_xsim.checks.mismatch import EVERY_SECOND, Mismatch, mismatch_of
 from mbds_xsim.checks.spheres import (
     Neighbours,
     Spheres,
@@ -21,7 +21,7 @@ from mbds_xsim.checks.spheres import (
     out_of_reach,
     spheres_of,
 )
-from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.joint_space import BodyStates, joint_coordinate, joint_rate
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Ground, Scene
 from mbds_xsim.scene.servo import with_pushes
@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from mbds_xsim.checks.motion_kernel import FlatMotion
 
 _EARTH = 9.81
+_STEADY = 0.02  # of the largest rate: below it a joint with dry friction may stop within a step
+_CREEP = 1e-6  # of √(g · length): so slowly soft friction lets go what it holds (measured: 5e-8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,6 +194,31 @@ class Record:
         return found
 
     @functools.cached_property
+    def steady(self) -> Mask:
+        """Steps in which no force of a joint has a jump or kink, (trajectory, step).
+
+        No dry friction holds a joint or changes its sense, and no servo saturates or lets go.
+        """
+        world, length = self.world, self.scene.length
+        found = np.ones(world.position[:, 1:, 0, 0].shape, dtype=bool)
+        creep = _CREEP * np.sqrt(self.usual_pull * length)
+        for joint in self.mechanism.frictional:
+            rate = joint_rate(joint, world)
+            least = _STEADY * np.nanmax(np.abs(rate), axis=1, keepdims=True, initial=0.0)
+            least = np.maximum(least, creep / (length if joint.kind == "hinge" else 1.0))
+            begin, end = rate[:, :-1], rate[:, 1:]
+            found &= np.minimum(end * np.sign(begin), np.abs(begin)) > least
+        for k, drive in enumerate(self.mechanism.drives, len(self.mechanism.hinges)):
+            angle = np.unwrap(joint_coordinate(drive.joint, world.position, world.native), axis=1)
+            rate, push = joint_rate(drive.joint, world), self.torque[..., : self.steps, k]
+            ends = (
+                drive.wanted(push, angle[:, s], rate[:, s]) for s in (slice(-1), slice(1, None))
+            )
+            begin, end = (np.sign(u) * (np.abs(u) > drive.limit) for u in ends)
+            found &= begin == end
+        return found
+
+    @functools.cached_property
     def mismatch(self) -> Mismatch:
         """What positions do between frames that velocities do not tell, outside contact."""
         return mismatch_of(
@@ -199,7 +226,7 @@ class Record:
             self.bodies,
             self.batch.force,
             self.torque,
-            self.flying() & steady(self.mechanism, self.world, self.torque),
+            self.flying() & self.steady,
             frame=self.frame,
             lag=self.lag,
             steps=self.steps_compared,

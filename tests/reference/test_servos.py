@@ -9,7 +9,6 @@ import pytest
 from mbds_xsim.base.errors import SceneError
 from mbds_xsim.checks import Record
 from mbds_xsim.checks.conservation import energy_balance, energy_of
-from mbds_xsim.checks.mismatch import steady
 from mbds_xsim.reference.solution import confirmed, solve
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
@@ -54,9 +53,8 @@ def test_the_balance_of_energy_takes_the_saturated_effort(case: Case) -> None:
 def test_the_step_in_which_a_servo_lets_go_is_not_smooth() -> None:
     (case,) = (case for case in SERVO_CASES if case.name == "servo that lets go")
     record = _record(case.scene)
-    smooth = steady(record.mechanism, record.world, record.torque)
 
-    assert np.flatnonzero(~smooth[0]).tolist() == [23]  # 277/600 s are 23.1 frames
+    assert np.flatnonzero(~record.steady[0]).tolist() == [23]  # 277/600 s are 23.1 frames
 
 
 def test_a_limit_that_is_never_reached_changes_nothing() -> None:
