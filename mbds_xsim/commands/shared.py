@@ -6,6 +6,7 @@ Every command imports what it needs when it runs: `--help` stays quick.
 from __future__ import annotations
 
 import inspect
+import os
 import re
 import shlex
 import sys
@@ -21,7 +22,7 @@ from typer import BadParameter
 from typer.core import TyperCommand, TyperGroup
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.text import each_once, in_utf8
+from mbds_xsim.base.text import each_once, in_json, in_utf8
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -270,15 +271,18 @@ class Outputs:
         return self.html is not None or self.opened
 
     def check(self, **others: Path | None) -> None:
-        """Refuse files that cannot be written, of these and others, before long work."""
+        """Refuse files that cannot be written, or that the command reads, before long work."""
         from mbds_xsim.base.files import check_writable
 
-        json = None if str(self.json) == "-" else self.json
-        named = {**vars(self), "json": json, "opened": None, **others}
-        files = {option: path for option, path in named.items() if path is not None}
+        words = (re.split("[=,]", word) for word in shlex.split(command_line()))
+        read = {os.path.realpath(part) for parts in words for part in parts}
+        named = {**vars(self), "opened": None, **others}
+        files = {k: v for k, v in named.items() if v and (k, str(v)) != ("json", "-")}
         taken: dict[Path, str] = {}
         for option, path in files.items():
             check_writable(path, f"--{option}")
+            if path.is_file() and os.path.realpath(path) in read:
+                raise InputError(f"--{option}: the command reads {path}; name another file")
             other = taken.setdefault(path.absolute(), option)
             if other != option:
                 msg = f"--{other} and --{option} both name {path}; give two files"
@@ -378,16 +382,12 @@ def progress_on(console: Console) -> ProgressBar:
 
 def write_json(text: bytes, path: Path | None) -> None:
     """Write where `--json` says, whole or not at all."""
-    if path is None:
-        return
     if str(path) == "-":
-        from mbds_xsim.base.text import in_json
-
         print(in_json(text.decode()))
-        return
-    from mbds_xsim.base.files import write_whole
+    elif path is not None:
+        from mbds_xsim.base.files import write_whole
 
-    write_whole(path, text + b"\n")
+        write_whole(path, text + b"\n")
 
 
 def encoded(value: object, command: str = "") -> bytes:

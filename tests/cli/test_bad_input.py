@@ -113,6 +113,14 @@ _WORDS: dict[str, tuple[str, list[str]]] = {
         "validate 2pendulum --json x --html x --markdown y",
         ["mbds-xsim: --json and --html both name x; give two files"],
     ),
+    "a scene as its own picture": (
+        "show scene.toml --png scene.toml",
+        ["--png: the command reads scene.toml; name another"],
+    ),
+    "settings as results": (
+        "validate 2pendulum --settings=native,scene.toml --json=./scene.toml",
+        ["--json: the command reads scene.toml; name another file"],
+    ),
 }
 
 
@@ -126,6 +134,7 @@ def test_wrong_words_get_one_line(
 
     _assert_one_line(ended, expected)
     assert [path.name for path in here.iterdir()] == ["scene.toml"]
+    assert (here / "scene.toml").read_text() == ""
 
 
 @pytest.mark.parametrize(
