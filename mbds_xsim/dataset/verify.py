@@ -161,8 +161,10 @@ def _loose(shards: list[Path], joined: list[Path]) -> set[str]:
     """Shards that no joined file names, as an interrupted run leaves them."""
     named: set[Path] = set()
     for file in joined:
+        parts = [*file.with_suffix("").glob(f"*{SUFFIX}")]  # of one that lacks some, the others
         with suppress(InputError):
-            named |= {part.resolve() for part in load_dataset(file).files}
+            parts = [*load_dataset(file).files]
+        named |= {part.resolve() for part in parts}
     return {str(shard.resolve()) for shard in shards if shard.resolve() not in named}
 
 

@@ -334,16 +334,15 @@ def test_shards_of_an_unfinished_run_are_told(copy: Path) -> None:
     assert "not joined yet: run mbds-xsim generate again to finish the set" in report.notes
 
 
-@pytest.mark.parametrize(
-    ("content", "says"),
-    [
-        (b"", "cannot be read"),
-        (b"text", "cannot be read"),
-    ],
-)
-def test_what_is_no_data_file_is_found(content: bytes, says: str, copy: Path) -> None:
+def test_beside_a_shard_that_is_missing_no_other_is_unfinished(copy: Path) -> None:
+    (copy / SHARD).rename((copy / SHARD).with_name("0000000016.h5"))
+    assert not any("joined" in line for report in _verify(copy).files for line in report.notes)
+
+
+@pytest.mark.parametrize("content", [b"", b"text"])
+def test_what_is_no_data_file_is_found(content: bytes, copy: Path) -> None:
     (copy / SHARD).write_bytes(content)
-    assert any(problem.startswith(says) for problem in _problems(_verify(copy / SHARD)))
+    assert any(problem.startswith("cannot be read") for problem in _problems(_verify(copy / SHARD)))
     assert not _verify(copy).sound
 
 
