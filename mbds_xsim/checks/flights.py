@@ -26,6 +26,7 @@ def numbers(values: Array) -> Array:
 
 
 def usual(values: Array) -> Array:
-    """Median over the steps that are known, 0 of none, shape (trajectory, 1, …)."""
-    some = np.isfinite(values).any(axis=1, keepdims=True)
-    return np.asarray(np.nanmedian(np.where(some, values, 0.0), axis=1, keepdims=True))
+    """Lower median over the steps that are known, 0 of none, shape (trajectory, 1, …)."""
+    # Sorting puts what is unknown last; numpy's nanmedian takes ten times as long.
+    last = np.isfinite(values).sum(axis=1, keepdims=True) - 1
+    return numbers(np.take_along_axis(np.sort(values, axis=1), np.maximum(last, 0) // 2, axis=1))
