@@ -115,7 +115,7 @@ def velocity_lag(record: Record) -> Figures | None:
 
 
 def _mismatch(record: Record) -> Mismatch | None:
-    """None where no step is clear of contact and friction; most scenes have none."""
+    """None where contact, friction or servos leave no step to look at."""
     if record.steps < 1 or (_skips(record) and not np.isfinite(record.mismatch.blur).any()):
         return None
     return record.mismatch

@@ -15,15 +15,13 @@ import pytest
 from numpy.typing import NDArray
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.dataset import foreign
 from mbds_xsim.dataset.audit import Audited, audit_file
 from mbds_xsim.dataset.export import groups
 from mbds_xsim.dataset.foreign import Provenance
 from mbds_xsim.dataset.points import Points, recover
-from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Clock, Scene
-from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.scene.state import STATES, Batch, Trajectory
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.simulate.timed import simulate
@@ -33,7 +31,6 @@ Arrays = dict[str, NDArray[Any]]
 
 INDEX = (3, 4)
 NAMED = Provenance(index=INDEX, seed=7)
-STATE = ("position", "orientation", "velocity", "angular_velocity")
 
 
 def _run(scene: Scene) -> tuple[Batch, Trajectory]:
@@ -45,7 +42,7 @@ def _run(scene: Scene) -> tuple[Batch, Trajectory]:
 def _arrays(scene: Scene, batch: Batch, motion: Trajectory) -> Arrays:
     position, velocity = Points.of(scene).motion(motion)
     found: Arrays = {"time": motion.time, "position": position, "velocity": velocity}
-    found |= {f"body/{key}": getattr(motion, key) for key in STATE}
+    found |= {f"body/{key}": getattr(motion, key) for key in STATES}
     return found | {"input/force": batch.force, "input/torque": batch.torque}
 
 
@@ -137,7 +134,7 @@ def test_an_order_that_friction_in_joints_lowers_is_told(audited: Audit) -> None
     (brake,) = (case.scene for case in JOINT_CASES if case.name == "brake")
     scene = msgspec.structs.replace(brake, clock=Clock(steps=5))
     batch, motion = _run(scene)
-    arrays = _only(_arrays(scene, batch, motion), *(f"body/{key}" for key in STATE))
+    arrays = _only(_arrays(scene, batch, motion), *(f"body/{key}" for key in STATES))
     found = audited(scene, arrays, Provenance(method_order=4))
     assert (
         "method: of order 4, judged as of order 1 (forces have kinks), velocities at the frames"
@@ -149,7 +146,7 @@ def test_an_order_that_friction_in_joints_lowers_is_told(audited: Audit) -> None
 
 def test_forces_that_are_not_told_are_missed(rod: Scene, swing: Arrays, audited: Audit) -> None:
     """Noise that acted but is not in the file must not pass as physics."""
-    states = _only(swing, *(f"body/{key}" for key in STATE))
+    states = _only(swing, *(f"body/{key}" for key in STATES))
     found = audited(rod, states, Provenance())
     assert "forces: none but what the scene lists" in found.taken
     energy = {finding.check: finding.figure for finding in found.findings}["energy"]
@@ -183,7 +180,7 @@ def test_particles_of_a_disc_tell_all(drop: tuple[Scene, Arrays], audited: Audit
     assert {"start", "energy", "friction", "restitution", "rigidity"} <= _checks(found)
     assert any("fitted" in line for line in found.taken)
     fit = recover(scene, arrays["position"], arrays["velocity"])
-    for key in STATE[:1] + STATE[2:]:
+    for key in STATES[:1] + STATES[2:]:
         np.testing.assert_allclose(getattr(fit, key), arrays[f"body/{key}"], atol=1e-9)
     facing = np.abs(np.sum(fit.orientation * arrays["body/orientation"], axis=-1))
     np.testing.assert_allclose(facing, 1.0, atol=1e-12)
@@ -323,61 +320,6 @@ def test_a_data_set_can_be_audited_too(whole: Path) -> None:
     found = audit_file(shard, None, Provenance())
     assert (found.verdict, found.trajectories) == ("pass", 16)
     assert any("seed 0, index 16 … 31" in line for line in found.taken)
-
-
-@pytest.mark.parametrize("form", ["h5", "npz", "compressed", "by columns"])
-def test_pieces_of_a_file_are_as_the_whole(
-    form: str, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Whatever is held in memory at a time."""
-    path = whole / "1pendulum" / "mujoco-matched" / "0000000016.h5"
-    told = Provenance(index=tuple(range(16, 32)), seed=0, method_order=4, step_s=0.005)
-    scene = load_dataset(path).scene
-    if form != "h5":
-        with h5py.File(path) as file:
-            arrays = {name: file[name][()] for name in ("time", "position", "velocity")}
-            arrays |= {f"body/{key}": file[f"body/{key}"][()] for key in STATE}
-        if form == "by columns":
-            arrays = {name: np.asfortranarray(values) for name, values in arrays.items()}
-        path = tmp_path / "it.npz"
-        (np.savez_compressed if form == "compressed" else np.savez)(path, **arrays)
-    at_once = audit_file(path, scene, told)
-    # Of fewer trajectories than are compared with the reference.
-    monkeypatch.setattr(foreign, "_AT_ONCE", 2 * 11)
-    pieces = audit_file(path, scene, told)
-    assert [len(finding.figures) for finding in pieces.findings] == [
-        len(finding.figures) for finding in at_once.findings
-    ]
-    for one, other in zip(pieces.findings, at_once.findings, strict=True):
-        assert (one.check, one.passed) == (other.check, other.passed)
-        figures, others = (np.array(f.figures, dtype=np.float64) for f in (one, other))
-        np.testing.assert_allclose(figures, others, rtol=1e-9)
-        assert one.figure == pytest.approx(other.figure, rel=1e-9)
-        assert one.trajectory == other.trajectory or abs(one.figure) < 1e-15  # rounding
-        assert one.note == ""  # a piece's would not be true of all
-    assert any(finding.note for finding in at_once.findings)
-    assert pieces.taken == at_once.taken
-    assert (pieces.trajectories, pieces.verdict) == (16, at_once.verdict)
-
-
-def test_a_bad_trajectory_is_found_in_any_piece(
-    rod: Scene, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = whole / "1pendulum" / "mujoco-matched" / "0000000016.h5"
-    with h5py.File(path) as file:
-        arrays = {f"body/{key}": file[f"body/{key}"][()] for key in STATE}
-        arrays["time"] = file["time"][()]
-    arrays["body/position"][5, 4] += 0.01
-    np.savez(tmp_path / "it.npz", **arrays)
-    monkeypatch.setattr(foreign, "_AT_ONCE", 7 * 11)
-    told = Provenance(index=tuple(range(16, 32)), seed=0)
-    found = audit_file(tmp_path / "it.npz", rod, told)
-    assert found.verdict == "fail"
-    assert any(line.startswith("gap") and "trajectory 21" in line for line in found.reasons)
-    arrays["body/position"][6, 4] = np.nan
-    np.savez(tmp_path / "it.npz", **arrays)
-    with pytest.raises(InputError, match="in trajectory 6, frame 4"):
-        audit_file(tmp_path / "it.npz", rod, told)
 
 
 def test_what_is_no_trajectory_at_all_is_one_line(tmp_path: Path) -> None:
