@@ -5,10 +5,12 @@ What takes time to import is imported by `main`, when an interruption is already
 
 from __future__ import annotations
 
+import _thread
 import io
 import os
 import signal
 import sys
+import threading
 from importlib import import_module
 from types import FrameType
 
@@ -29,6 +31,7 @@ def main() -> None:
     import_module("mbds_xsim.commands")
     for number in ends:
         signal.signal(number, signal.default_int_handler)
+    sys.unraisablehook = _interrupt_again
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
@@ -62,6 +65,14 @@ def _end_at_once(_number: int, _frame: FrameType | None) -> None:
     """Nothing is begun: an exception in the midst of an import would only leave a traceback."""
     os.write(sys.stderr.fileno(), b"mbds-xsim: interrupted\n")
     os._exit(_INTERRUPTED)
+
+
+def _interrupt_again(lost: sys.UnraisableHookArgs) -> None:
+    """An interruption that comes while an object is being freed is dropped by Python: repeat it."""
+    if issubclass(lost.exc_type, KeyboardInterrupt):
+        threading.Timer(0.01, _thread.interrupt_main).start()
+    else:
+        sys.__unraisablehook__(lost)
 
 
 def _usage(error: Exception) -> str:

@@ -149,8 +149,8 @@ def put(path: Path, *pieces: bytes | memoryview) -> None:
         _flush_folder(path.parent)
     except OSError as error:
         msg = (
-            f"cannot write {path}: {error.strerror or error}; what is finished is kept, run the "
-            "same command again to go on"
+            f"cannot write {path}: {error.strerror or error}; once that is mended, run the "
+            "same command again: what is finished is kept"
         )
         raise InputError(msg) from error
     finally:

@@ -154,7 +154,7 @@ def _with_outputs(function: F, names: list[str]) -> Callable[..., None]:
 
     def run(**words: Any) -> None:
         to = Outputs(**{name: words.pop(name) for name in names})
-        to.check()
+        to.check(folder=words.get("out"))
         function(**words, to=to)
 
     outputs = inspect.signature(Outputs, eval_str=True).parameters
@@ -270,7 +270,7 @@ class Outputs:
         """Whether a page is asked for."""
         return self.html is not None or self.opened
 
-    def check(self, **others: Path | None) -> None:
+    def check(self, folder: Path | None = None, **others: Path | None) -> None:
         """Refuse files that cannot be written, or that the command reads, before long work."""
         from mbds_xsim.base.files import check_writable
 
@@ -278,14 +278,14 @@ class Outputs:
         read = {os.path.realpath(part) for parts in words for part in parts}
         named = {**vars(self), "opened": None, **others}
         files = {k: v for k, v in named.items() if v and (k, str(v)) != ("json", "-")}
-        taken: dict[Path, str] = {}
+        taken = {folder.absolute(): "out"} if folder else {}
         for option, path in files.items():
             check_writable(path, f"--{option}")
             if path.is_file() and os.path.realpath(path) in read:
                 raise InputError(f"--{option}: the command reads {path}; name another file")
             other = taken.setdefault(path.absolute(), option)
             if other != option:
-                msg = f"--{other} and --{option} both name {path}; give two files"
+                msg = f"--{other} and --{option} both name {path}; name two places"
                 raise InputError(msg)
 
     def answer(self, blocks: Iterable[Block], result: object, name: str = "") -> None:

@@ -111,7 +111,11 @@ _WORDS: dict[str, tuple[str, list[str]]] = {
     "one file for two": ("validate 2pendulum --json x --html x", ["--json and --html both name x"]),
     "one file for two of three": (
         "validate 2pendulum --json x --html x --markdown y",
-        ["mbds-xsim: --json and --html both name x; give two files"],
+        ["mbds-xsim: --json and --html both name x; name two places"],
+    ),
+    "a folder of data as a file": (
+        "generate 2pendulum --out x --json x",
+        ["mbds-xsim: --out and --json both name x; name two places"],
     ),
     "a scene as its own picture": (
         "show scene.toml --png scene.toml",

@@ -78,6 +78,32 @@ def test_an_interruption_of_the_imports_is_told_in_a_line(
     assert told == (130, "", "mbds-xsim: interrupted\n")
 
 
+def test_an_interruption_while_an_object_is_freed_is_not_lost() -> None:
+    ended = subprocess.run(
+        [sys.executable, "-c", _FREED], capture_output=True, text=True, check=False, timeout=60
+    )
+
+    assert (ended.returncode, ended.stderr) == (130, "mbds-xsim: interrupted\n")
+
+
+_FREED = """
+import os, signal, sys, time
+from mbds_xsim.__main__ import main
+from mbds_xsim.commands import app
+
+class Freed:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+
+@app.command()
+def work():
+    Freed()
+    time.sleep(10)
+
+sys.argv = ["mbds-xsim", "work"]
+main()
+"""
+
 _RUN = """
 import contextlib, sys
 from mbds_xsim.__main__ import main
