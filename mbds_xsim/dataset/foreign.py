@@ -42,7 +42,7 @@ _DAMAGE = (
     NotImplementedError, RuntimeError,
 )  # fmt: skip
 """What reading a file raises that is damaged, encrypted, or something else."""
-_SAME_FRAME = 1e-4  # relative; what rounding to float32 makes of frames
+_SAME_FRAME = 1e-4  # relative
 _AT_ONCE = 100_000  # frames of bodies or points; the checks take some 5 kB for each
 _RANKS = {name: len(FIELDS[name].axes) for name in (*MOTION, "index")}
 """Arrays of trajectories, and how many axes they have where the first one counts trajectories."""
@@ -187,7 +187,7 @@ def _trajectories(opened: _Opened, given: Scene | None, path: Path) -> Iterator[
     for first in range(0, total, size):
         arrays = shared | {name: np.asarray(sources[name][first : first + size]) for name in many}
         rounding = {name: rounding_of(array) for name, array in arrays.items()} | opened.rounding
-        own, checked = _checked(arrays, scene, first, str(path))
+        own, checked = _checked(arrays, scene, rounding[TIME], first, str(path))
         said = _said(arrays, opened.facts, f"{path}: ")
         yield Foreign(str(path), scene, own, checked, rounding, said, first, total)
 
@@ -276,7 +276,7 @@ def _said(arrays: Mapping[str, Any], facts: Mapping[str, Any], where: str) -> di
 
 
 def _checked(
-    arrays: Mapping[str, NDArray[Any]], scene: Scene, first: int, source: str
+    arrays: Mapping[str, NDArray[Any]], scene: Scene, blur: float, first: int, source: str
 ) -> tuple[Scene, dict[str, Array]]:
     """Hold times, shapes and numbers against the scene; give it with their clock, and them."""
     if not {"position", "body/position"} & arrays.keys():
@@ -286,13 +286,17 @@ def _checked(
         if (f"body/{one}" in arrays) != (f"body/{other}" in arrays):
             msg = f"{source}: body/{one} and body/{other} belong together; one is missing"
             raise InputError(msg)
-    clock = _clock(np.asarray(arrays[TIME], dtype=np.float64), scene, source)
+    clock = _clock(np.asarray(arrays[TIME], dtype=np.float64), blur, scene, source)
     time = clock.frame * np.arange(clock.steps + 1, dtype=np.float64)
     shaped = _shaped(arrays, scene, clock, first, source)
     return msgspec.structs.replace(scene, clock=clock), {TIME: time, **shaped}
 
 
-def _clock(time: Array, scene: Scene, source: str) -> Clock:
+def _clock(time: Array, blur: float, scene: Scene, source: str) -> Clock:
+    """Give the frames of a file; as far as times may be rounded, by `blur`, they need not be alike.
+
+    Rounding hides no frame that is missing: it never excuses half a frame.
+    """
     if time.ndim != 1 or len(time) < 2:
         msg = f"{source}: time: got shape {time.shape}, allowed is one number a frame, 2 or more"
         raise InputError(msg)
@@ -303,16 +307,17 @@ def _clock(time: Array, scene: Scene, source: str) -> Clock:
     steps = np.diff(time)
     usual = float(np.median(steps))
     off = np.abs(steps - usual)
-    if usual <= 0 or off.max() > _SAME_FRAME * usual:
+    if usual <= 0 or off.max() > _SAME_FRAME * usual + min(4.0 * blur, 0.5 * usual):
         k = int(off.argmax())
         msg = (
             f"{source}: time is not uniform: frame {k + 1} comes {steps[k]:.6g} s after the one "
             f"before, the median is {usual:.6g} s; resample it, or leave frames out"
         )
         raise InputError(msg)
-    frame = scene.clock.frame
-    same = abs(usual - frame) <= _SAME_FRAME * frame
-    return Clock(frame=frame if same else usual, steps=len(steps))
+    frame, mean = scene.clock.frame, float(steps.mean())
+    coarse = min(2.0 * blur / len(steps), 0.1 * frame)
+    same = abs(mean - frame) <= _SAME_FRAME * frame + coarse
+    return Clock(frame=frame if same else mean, steps=len(steps))
 
 
 def _shaped(

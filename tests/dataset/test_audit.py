@@ -218,6 +218,26 @@ def test_files_of_each_kind_say_the_same(
         assert found.findings == wanted.findings
 
 
+def test_times_may_be_rounded(rod: Scene, swing: Arrays, tmp_path: Path, audited: Audit) -> None:
+    """As of a long recording in single precision, or of thousandths of a second in CSV."""
+    late = swing | {"time": (swing["time"] + 100.0).astype(np.float32)}
+    assert audited(rod, late).verdict == "pass"
+    scene = msgspec.structs.replace(rod, clock=Clock(frame=1 / 60, steps=12))
+    exact = _arrays(scene, *_run(scene))
+    one = {name: values if name == "time" else values[0] for name, values in exact.items()}
+    _write_csv(tmp_path / "it.csv", scene, one | {"time": one["time"].round(3)})
+    found = audit_file(tmp_path / "it.csv", scene, Provenance(index=INDEX[:1], seed=7))
+    assert (found.verdict, found.frame_s) == ("pass", 1 / 60)
+
+
+def test_rounding_hides_no_missing_frame(rod: Scene, swing: Arrays, tmp_path: Path) -> None:
+    one = {name: values if name == "time" else values[0] for name, values in swing.items()}
+    lost = {name: np.delete(values, 4, axis=0) for name, values in one.items()}
+    _write_csv(tmp_path / "it.csv", rod, lost | {"time": lost["time"].round(2)})
+    with pytest.raises(InputError, match="time is not uniform: frame 4"):
+        audit_file(tmp_path / "it.csv", rod, Provenance())
+
+
 def _write_csv(path: Path, scene: Scene, one: Arrays) -> None:
     columns, names = [one["time"].tolist()], ["time"]
     for group in groups(scene):
