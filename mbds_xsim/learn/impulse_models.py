@@ -123,22 +123,27 @@ class Corotating:
     """
 
     pivot: Tensor
-    """Node about which each turns, shape (node,)."""
+    """Node about which each free one turns, shape (node,)."""
     spin: Tensor
-    """Of each node [rad/s], shape (batch, 1, node, 3)."""
+    """Of each free node [rad/s], shape (batch, 1, node, 3)."""
+    fixed: Tensor
+    """Places and velocities of the fixed nodes, which come last, shape (2, fixed node, 3)."""
 
     def step(self, rate: Callable[[Tensor], Tensor], moving: Tensor, step: float) -> Tensor:
         """Follow nodes and velocities (batch, 2, node, 3) with these rates for so long [s]."""
 
         def seen(at: Tensor, time: float) -> Tensor:
             at = self._turned(at, time)
-            arm = at - at[:, :, self.pivot]
+            arm = at - self._centre(at)
             return self._turned(rate(at) - torch.linalg.cross(self.spin.expand_as(arm), arm), -time)
 
         return self._turned(runge_kutta(seen, moving, step), step)
 
+    def _centre(self, at: Tensor) -> Tensor:
+        return torch.cat([at, self.fixed.expand(len(at), -1, -1, -1)], dim=2)[:, :, self.pivot]
+
     def _turned(self, vectors: Tensor, time: float) -> Tensor:
-        centre = vectors[:, :, self.pivot]
+        centre = self._centre(vectors)
         turn = turning.matrix(turning.from_vector(time * self.spin))
         return centre + (turn @ (vectors - centre)[..., None])[..., 0]
 
@@ -150,7 +155,9 @@ class BodyNodes(nn.Module):
     carried: Tensor
     com: Tensor
     pivot: Tensor
-    """Centre of mass that each free node belongs to, itself if it is one, shape (node,)."""
+    """Centre of mass that each free node belongs to, itself if it is one, shape (node,).
+
+    It is a fixed node where the world holds the body there."""
     tip: Tensor
     """Node of each tip, or a fixed one behind them, shape (tip,)."""
     body: Tensor
@@ -168,8 +175,8 @@ class BodyNodes(nn.Module):
         carrier, carried = mechanics.points.carrier
         count = np.array([len(body.tips) for body in bodies])
         com = np.array([body.com for body in bodies])
-        pivot = com[carrier]
-        pivot[com] = com  # one body's may be another's tip
+        pivot, own = com[carrier], com[com < mechanics.points.free]
+        pivot[own] = own  # one body's may be another's tip
         keep(
             self,
             carrier=carrier,
@@ -192,7 +199,9 @@ class BodyNodes(nn.Module):
 
     def corotating(self, state: Tensor) -> Corotating:
         """Coordinates that turn with bodies in these states."""
-        return Corotating(self.pivot, state[:, None, self.carrier, W].detach())
+        fixed = self.mechanics.fixed
+        still = torch.stack([fixed, torch.zeros_like(fixed)])
+        return Corotating(self.pivot, state[:, None, self.carrier, W].detach(), still)
 
     def bodies(self, q: Tensor, v: Tensor, before: Tensor, step: float) -> Tensor:
         """States of the bodies with these nodes and velocities, shape (batch, body, 13).
