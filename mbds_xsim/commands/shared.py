@@ -281,12 +281,12 @@ class Outputs:
         taken = {folder.absolute(): "out"} if folder else {}
         for option, path in files.items():
             check_writable(path, f"--{option}")
-            if path.is_file() and os.path.realpath(path) in read:
+            real = os.path.realpath(path)
+            kept = real.endswith((".h5", ".pt")) and any(real.startswith(f"{p}/") for p in read)
+            if path.is_file() and (real in read or kept):
                 raise InputError(f"--{option}: the command reads {path}; name another file")
-            other = taken.setdefault(path.absolute(), option)
-            if other != option:
-                msg = f"--{other} and --{option} both name {path}; name two places"
-                raise InputError(msg)
+            if (other := taken.setdefault(path.absolute(), option)) != option:
+                raise InputError(f"--{other} and --{option} both name {path}; name two places")
 
     def answer(self, blocks: Iterable[Block], result: object, name: str = "") -> None:
         """Print what a command says, and write its result where `--json` says."""

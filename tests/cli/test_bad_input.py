@@ -141,6 +141,20 @@ def test_wrong_words_get_one_line(
     assert (here / "scene.toml").read_text() == ""
 
 
+@pytest.mark.parametrize("line", ["train data --png data/a.h5", "shift . data --json=./data/a.pt"])
+def test_no_output_replaces_data_or_models_of_a_folder(
+    line: str, run: Callable[..., Any], here: Path
+) -> None:
+    files = [here / "data" / name for name in ("a.h5", "a.pt")]
+    files[0].parent.mkdir()
+    for file in files:
+        file.write_text("kept")
+
+    _assert_one_line(run(*line.split(" ")), ["the command reads data/a.", "name another file"])
+
+    assert [file.read_text() for file in files] == ["kept", "kept"]
+
+
 @pytest.mark.parametrize(
     "line",
     [
