@@ -174,10 +174,21 @@ def load_model(name: str) -> type[LearnedModel]:
         told = " ".join(f"{type(error).__name__}: {error}".split())
         msg = f"the model {name} cannot be used: {told}; repair or uninstall {points[name].value}"
         raise InputError(msg) from error
+    if lack := _lack(kind):
+        raise InputError(f"the model {name} cannot be used: {points[name].value} {lack}")
+    model: type[LearnedModel] = kind
+    return model
+
+
+def _lack(kind: Any) -> str:
+    """Say what a class lacks to be a model; "" of one that is."""
     if not (isinstance(kind, type) and issubclass(kind, LearnedModel)):
-        msg = f"the model {name} cannot be used: {points[name].value} is no LearnedModel"
-        raise InputError(msg)
-    return kind
+        return "is no LearnedModel"
+    tracks: Any = kind.tracks  # another package's, which may be anything
+    if not isinstance(tracks, Mapping):
+        return f"has no tracks by name, but {tracks!r}"
+    bare = [track for track, settings in tracks.items() if not hasattr(settings, "recipe")]
+    return f"has no recipe in its track {bare[0]}" if bare else ""
 
 
 def track_of(name: str, track: str | None = None, usual: str = "") -> str:

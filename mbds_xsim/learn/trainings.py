@@ -18,7 +18,7 @@ from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.learn.curves import read_curve
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.groups import shares_of
-from mbds_xsim.learn.model import load_model, refusal, track_of, trainable
+from mbds_xsim.learn.model import load_model, model_names, refusal, track_of, trainable
 from mbds_xsim.learn.recipe import PROFILES, TRACKS, Profile
 from mbds_xsim.learn.runs import (
     Cost,
@@ -100,6 +100,8 @@ def planned(request: TrainingRequest, *, only: bool = False) -> TrainingPlan:
     request = replace(request, out=request.out.absolute(), events=events)
     usual, tracks = TRACKS[request.profile_name], {}
     for model in request.models:
+        if model in model_names():
+            load_model(model)  # which says what is wrong with one that cannot be used
         check_name("model to train", model, trainable())
         tracks[model] = track_of(model, request.track, usual)
     reasons = {

@@ -12,9 +12,11 @@ import pytest
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import load_model, model_names, refusal, trainable
+from mbds_xsim.learn.trainings import planned
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.testing.models import ModelContract
 from tests.command_line import CommandLine
+from tests.learn.conftest import Ask
 from tests.plugins import installed
 
 _PAGE = Path(__file__).parents[2] / "docs" / "add-a-model.md"
@@ -51,16 +53,21 @@ def test_it_is_trained_and_charted_like_the_others(
     assert f'"{_NAME}' in charted.out
 
 
+_MODEL = "from mbds_xsim.learn.model import Hold\nclass Mine(Hold):\n"
+
+
 @pytest.mark.parametrize(
     ("source", "says"),
     [
         ("raise OSError('no licence\\nhere')", "OSError: no licence here"),
         ("Mine = 3", "is no LearnedModel"),
         ("", "AttributeError: "),
+        (f"{_MODEL}    tracks = ['lite']", "has no tracks by name, but ['lite']"),
+        (f"{_MODEL}    tracks = {{'lite': 3}}", "has no recipe in its track lite"),
     ],
 )
 def test_a_model_that_cannot_be_loaded_is_named_and_harms_no_other(
-    source: str, says: str, tmp_path: Path
+    source: str, says: str, ask: Ask, tmp_path: Path
 ) -> None:
     folder = tmp_path / "broken"
     with installed(folder, {"broken_model": source}, models={"mine": "broken_model:Mine"}):
@@ -69,17 +76,21 @@ def test_a_model_that_cannot_be_loaded_is_named_and_harms_no_other(
         assert "gns" in trainable()
         with pytest.raises(InputError, match=r"^the model mine cannot be used: ") as refused:
             load_model("mine")
+        with pytest.raises(InputError, match=r"^the model mine cannot be used: "):
+            planned(ask("mine"))
     assert says in str(refused.value)
     assert "\n" not in str(refused.value)
     sys.modules.pop("broken_model", None)
 
 
 _FAILS = """
+from types import SimpleNamespace
+
 from mbds_xsim.learn.model import PointModel
 from mbds_xsim.learn.recipe import Recipe
 
 class Fails(PointModel):
-    tracks = {"lite": Recipe()}
+    tracks = {"lite": SimpleNamespace(recipe=Recipe())}
 
     def __init__(self, graph, statistics, settings):
         raise KeyError("no such\\nbody")
