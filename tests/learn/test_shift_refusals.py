@@ -19,6 +19,7 @@ from mbds_xsim.dataset.read import Dataset, load_dataset
 from mbds_xsim.learn.shift import study
 from mbds_xsim.learn.shift.domains import check_data, load_paired
 from mbds_xsim.learn.trained import Selection, TrainedModel, check_budget, find_models
+from mbds_xsim.learn.window import HISTORY
 from mbds_xsim.scene.scene import Clock
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.registry import load_scene
@@ -92,6 +93,14 @@ def test_other_seeds_are_refused(folder: Path, tmp_path: Path) -> None:
         file.attrs["seed"] = 7
     with pytest.raises(InputError, match="seed 7, unlike exudyn-native"):
         load_paired(data, SCENE)
+
+
+def test_data_with_no_frame_to_predict_are_refused(tmp_path: Path) -> None:
+    scene = msgspec.structs.replace(load_scene(SCENE), clock=Clock(steps=HISTORY - 1))
+    choice = Choice.parse(engines="mujoco", profiles="native")
+    generate(Request((scene,), choice, 12, tmp_path), workers=0)
+    with pytest.raises(InputError, match="got trajectories of 6 frames, needed are at least 7"):
+        load_paired(tmp_path, SCENE)
 
 
 def test_without_torch_the_command_says_what_to_install(

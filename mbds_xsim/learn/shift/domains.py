@@ -163,6 +163,10 @@ def load_paired(
         msg = f"{place}: no data of {', '.join(variants)} settings; generate some"
         raise InputError(msg)
     check_alike(files)
+    frames = int(files[0].attributes["steps"]) + 1
+    if frames <= HISTORY:
+        msg = f"{place}: got trajectories of {frames} frames, needed are at least {HISTORY + 1}"
+        raise InputError(f"{msg}, as a model is shown {HISTORY}; generate longer ones")
     lacking = {file.variant: file.lack for file in files if file.lack}
     files = [file for file in files if not file.lack]
     if not files:
