@@ -56,13 +56,9 @@ def read_curve(path: Path) -> LearningCurve:
         raise InputError(msg) from error
 
 
-def check_events(folder: Path) -> None:
-    """Raise InputError where TensorBoard is not installed, or a file is in the folder's place."""
+def check_events() -> None:
+    """Raise InputError where TensorBoard is not installed."""
     _writer()
-    blocking = next((place for place in (folder, *folder.parents) if place.is_file()), None)
-    if blocking is not None:
-        msg = f"--tensorboard: got {folder}, but {blocking} is a file; name a folder"
-        raise InputError(msg)
 
 
 class EventLog(AbstractContextManager["EventLog"]):
