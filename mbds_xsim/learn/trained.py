@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import glob
 import hashlib
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -141,8 +142,8 @@ def trained_model(path: Path) -> TrainedModel:
         split = None if drawn is None else (drawn["seed"], drawn["trajectories"])
         interval = facts.get("interval", "")
         ("", *INTERVALS).index(interval)
-        for key in _SPENT:
-            float(facts.get(key) or 0)
+        if not all(math.isfinite(float(facts.get(key) or 0)) for key in _SPENT):
+            raise ValueError(_SPENT)
     except (ValueError, KeyError) as error:
         msg = (
             f"{path}: its seed, steps, times, data, interval or drawn are not what mbds-xsim train "

@@ -152,7 +152,8 @@ def test_facts_that_make_no_sense_are_refused(key: str, tmp_path: Path) -> None:
     "wrong",
     [
         {"seed": "x"}, {"data": "[1]"}, {"drawn": "{}"}, {"interval": "slow"}, {"cpu_s": "long"},
-        {"wall_s": "1 h"}, {"train_trajectories": "many"},
+        {"wall_s": "1 h"}, {"train_trajectories": "many"}, {"train_trajectories": "nan"},
+        {"wall_s": "inf"},
     ],
 )  # fmt: skip
 def test_facts_of_another_form_are_refused(wrong: dict[str, str], tmp_path: Path) -> None:
