@@ -95,6 +95,16 @@ def test_other_seeds_are_refused(folder: Path, tmp_path: Path) -> None:
         load_paired(data, SCENE)
 
 
+def test_a_damaged_learning_curve_is_refused_before_the_study(folder: Path) -> None:
+    curve = folder / "models" / SCENE / "native" / "gns" / "mujoco-s0.curve.json"
+    curve.write_text("{")
+    try:
+        with pytest.raises(InputError, match=r"mujoco-s0\.curve\.json: no learning curve"):
+            study.question_of(folder / "models", folder / "data", SCENE)
+    finally:
+        curve.unlink()
+
+
 def test_data_with_no_frame_to_predict_are_refused(tmp_path: Path) -> None:
     scene = msgspec.structs.replace(load_scene(SCENE), clock=Clock(steps=HISTORY - 1))
     choice = Choice.parse(engines="mujoco", profiles="native")

@@ -8,14 +8,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 import torch
 
 from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.base.text import csv_text
-from mbds_xsim.learn.curves import read_curve
+from mbds_xsim.learn.curves import LearningCurve, read_curve
 from mbds_xsim.learn.particles import EXPLODED, LOST, RolloutFigures, measure
 from mbds_xsim.learn.shift.domains import REFERENCE, Domain, Paired, ReferenceFrames
 from mbds_xsim.learn.shift.result import INTERVALS, ErrorCell, ErrorFloor, values
@@ -288,17 +287,22 @@ def nearest_engine(evaluation: Evaluation, home: str) -> float:
     return min(apart, default=np.inf)
 
 
+def curve_of(trained: TrainedModel) -> LearningCurve | None:
+    """Read the learning curve beside a model's file, if there is one; InputError: it is damaged."""
+    path = trained.file.with_suffix(".curve.json") if trained.path else None
+    return read_curve(path) if path is not None and path.exists() else None
+
+
 def seconds_to_floor(evaluation: Evaluation, trained: TrainedModel) -> float | None:
     """Processor time until the validation error was below that distance [s].
 
     The validation error is the mean over ten frames, too. None where it never was, where the
     training is of several engines, and where its curve is not beside its file.
     """
-    curve = Path(trained.file).with_suffix(".curve.json") if trained.path else None
-    if not trained.single or curve is None or not curve.exists() or "cpu_s" not in trained.facts:
+    curve = curve_of(trained)
+    if not trained.single or curve is None or not trained.facts.get("cpu_s"):
         return None
-    floor = nearest_engine(evaluation, trained.domains[0])
-    points = read_curve(curve).points
+    floor, points = nearest_engine(evaluation, trained.domains[0]), curve.points
     reached = [point.step for point in points if np.isfinite(floor) and point.error <= floor]
     if not reached:
         return None

@@ -36,6 +36,7 @@ from mbds_xsim.learn.shift.evaluation import (
     Evaluation,
     cells_of,
     chaos_floor,
+    curve_of,
     floors_of,
     noise_floor,
     oracles,
@@ -106,6 +107,8 @@ def question_of(
     trained = find_models(models, scene, part)
     check_budget(trained)
     check_data(trained, test)
+    for model in trained:
+        curve_of(model)  # a damaged one is refused now, not after all the work
     return ShiftQuestion(test, tuple(trained))
 
 
