@@ -126,8 +126,9 @@ class Corotating:
     """Node about which each free one turns, shape (node,)."""
     spin: Tensor
     """Of each free node [rad/s], shape (batch, 1, node, 3)."""
-    fixed: Tensor
-    """Places and velocities of the fixed nodes, which come last, shape (2, fixed node, 3)."""
+    fixed: Tensor | None
+    """Places and velocities of the fixed nodes, which come last, shape (2, fixed node, 3); None
+    where none is a pivot."""
 
     def step(self, rate: Callable[[Tensor], Tensor], moving: Tensor, step: float) -> Tensor:
         """Follow nodes and velocities (batch, 2, node, 3) with these rates for so long [s]."""
@@ -140,7 +141,9 @@ class Corotating:
         return self._turned(runge_kutta(seen, moving, step), step)
 
     def _centre(self, at: Tensor) -> Tensor:
-        return torch.cat([at, self.fixed.expand(len(at), -1, -1, -1)], dim=2)[:, :, self.pivot]
+        if self.fixed is not None:
+            at = torch.cat([at, self.fixed.expand(len(at), -1, -1, -1)], dim=2)
+        return at[:, :, self.pivot]
 
     def _turned(self, vectors: Tensor, time: float) -> Tensor:
         centre = self._centre(vectors)
@@ -157,7 +160,8 @@ class BodyNodes(nn.Module):
     pivot: Tensor
     """Centre of mass that each free node belongs to, itself if it is one, shape (node,).
 
-    It is a fixed node where the world holds the body there."""
+    It is a fixed node where the world holds the body there.
+    """
     tip: Tensor
     """Node of each tip, or a fixed one behind them, shape (tip,)."""
     body: Tensor
@@ -177,6 +181,7 @@ class BodyNodes(nn.Module):
         com = np.array([body.com for body in bodies])
         pivot, own = com[carrier], com[com < mechanics.points.free]
         pivot[own] = own  # one body's may be another's tip
+        self.held = bool((pivot >= mechanics.points.free).any())
         keep(
             self,
             carrier=carrier,
@@ -200,7 +205,7 @@ class BodyNodes(nn.Module):
     def corotating(self, state: Tensor) -> Corotating:
         """Coordinates that turn with bodies in these states."""
         fixed = self.mechanics.fixed
-        still = torch.stack([fixed, torch.zeros_like(fixed)])
+        still = torch.stack([fixed, torch.zeros_like(fixed)]) if self.held else None
         return Corotating(self.pivot, state[:, None, self.carrier, W].detach(), still)
 
     def bodies(self, q: Tensor, v: Tensor, before: Tensor, step: float) -> Tensor:
