@@ -100,7 +100,10 @@ class PointModel(LearnedModel):
 
     @final
     def advance(self, state: Tensor, inputs: KnownInputs) -> Tensor:
-        displacement = self.predict(state, inputs)
+        displacement, wanted = self.predict(state, inputs), state[:, -1].shape
+        if displacement.shape != wanted:  # which sums would not refuse
+            msg = f"predict gave the shape {tuple(displacement.shape)}, needed is {tuple(wanted)}"
+            raise ValueError(msg)
         if self.change == "acceleration":  # semi-implicit Euler in units of frames
             displacement = state[:, -1] - state[:, -2] + displacement
         # Where the scene does not move, positions are known and the networks are not asked.

@@ -7,9 +7,9 @@ import torch
 from torch import Tensor
 
 from mbds_xsim.base.errors import InputError, UnknownName
-from mbds_xsim.learn.model import build, load_model, rollout
+from mbds_xsim.learn.model import Hold, build, load_model, rollout
 from mbds_xsim.learn.statistics import Statistics
-from mbds_xsim.learn.window import Motions
+from mbds_xsim.learn.window import KnownInputs, Motions
 from tests.learn.models import squared_error
 
 Analytic = Callable[..., Motions]
@@ -82,3 +82,17 @@ def test_wrong_names_and_lengths_are_told(analytic: Analytic) -> None:
         load_model("gnn")
     with pytest.raises(InputError, match="steps: got 15, allowed is 1 to 14"):
         rollout(model, motions, steps=15)
+
+
+class _OneForAll(Hold):
+    """Gives one change where each particle needs its own: sums would spread it."""
+
+    def predict(self, history: Tensor, inputs: KnownInputs) -> Tensor:
+        return super().predict(history, inputs)[:, :1]
+
+
+def test_a_change_for_one_particle_is_not_that_of_all(analytic: Analytic) -> None:
+    motions = analytic("6pendulum", _uniform)
+    model = _OneForAll(motions.graph, Statistics.of(motions), None)
+    with pytest.raises(ValueError, match=r"predict gave the shape \(4, 1, 3\), needed is \(4, 6"):
+        rollout(model, motions)
