@@ -194,6 +194,17 @@ def test_bootstrap_draws_seeds_too_and_trajectories_together() -> None:
     assert 2.3 < high[0] <= 3.0 + rounding
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+def test_of_few_seeds_or_trajectories_means_spread_as_new_ones_would(axis: int) -> None:
+    """By the variance of one over their number, whose unbiased estimate is of one fewer."""
+    few = np.array([1.0, 2.0, 4.0])
+    shape = (3, 5, 1) if axis == 0 else (1, 3, 1)
+    errors = np.broadcast_to(few.reshape(-1, 1, 1) if axis == 0 else few[None, :, None], shape)
+    means = Resampler(shape[1], draws=20_000).means(errors, "any")
+    assert means.mean() == pytest.approx(few.mean(), rel=0.01)
+    assert means.var() == pytest.approx(few.var(ddof=1) / 3, rel=0.05)
+
+
 def test_floors_of_noise_and_chaos() -> None:
     test = paired(("a",))
     frames = HISTORY + FRAMES
