@@ -125,8 +125,7 @@ def train(
     from mbds_xsim.learn.trainings import planned
     from mbds_xsim.report.terminal import print_blocks
 
-    events = tensorboard and tensorboard / "events"
-    to.check(out=None if plan else out / "model.pt", tensorboard=events)
+    to.check(out=None if plan else out / "model.pt")
     _check_options(device, tensorboard, fast=bf16 or compiled, far=scheduler is not None)
     request = TrainingRequest(
         groups=groups(data),
@@ -225,7 +224,7 @@ def _check_options(device: str, tensorboard: Path | None, *, fast: bool, far: bo
         msg = f"--bf16 and --compile: got --device {device}, allowed with them is cuda"
         raise InputError(msg)
     if tensorboard is not None:
-        check_events()
+        check_events(tensorboard)
 
 
 def _profile(name: str, steps: int | None, *, bf16: bool, compiled: bool) -> Profile:

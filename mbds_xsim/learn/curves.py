@@ -16,6 +16,7 @@ from typing import Any
 import msgspec
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.files import check_writable
 from mbds_xsim.base.frame import optional
 from mbds_xsim.learn.train import CurvePoint, End
 from mbds_xsim.report.themed import INK, LIGHT, engine_style, png
@@ -56,9 +57,10 @@ def read_curve(path: Path) -> LearningCurve:
         raise InputError(msg) from error
 
 
-def check_events() -> None:
-    """Raise InputError where TensorBoard is not installed."""
+def check_events(folder: Path) -> None:
+    """Raise InputError where TensorBoard is not installed, or the folder cannot be written to."""
     _writer()
+    check_writable(folder / "events", "--tensorboard")
 
 
 class EventLog(AbstractContextManager["EventLog"]):
