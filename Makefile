@@ -175,7 +175,8 @@ worth-targets = $(SCENES:%=shift-%-worth)
 .PHONY: $(shift-targets) $(factor-targets) $(worth-targets)
 
 reports-shift: $(shift-targets)
-	$(BIN)/python -m benchmarks.shift_summary $(REPORTS)/shift > $(REPORTS)/shift/README.md
+	$(BIN)/python -m benchmarks.shift_summary $(REPORTS)/shift --png $(REPORTS)/shift/factors.png \
+		> $(REPORTS)/shift/README.md
 
 # Half the steps where a scene has many more particles and edges, but more where some models learn next
 # to nothing in 500. Fewer trajectories where Exudyn takes long: some 10 s for one of 3ladder's, and

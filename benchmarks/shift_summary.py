@@ -1,28 +1,40 @@
 """Write reports/shift/README.md: the study of models under a change of engine, in short.
 
 python -m benchmarks.shift_summary reports/shift > reports/shift/README.md
+
+`--png reports/shift/factors.png` draws its picture.
 """
 
 from __future__ import annotations
 
+import argparse
+import contextlib
+import io
 import itertools
 import math
 import statistics
-import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
 from benchmarks.harness import print_table
-from mbds_xsim.base.files import read_file
+from mbds_xsim.base.files import read_file, write_whole
 from mbds_xsim.learn.shift.answers import MATCHED, ROBUST
 from mbds_xsim.learn.shift.gaps import ALL, LEAVE_ONE_OUT, SINGLE
 from mbds_xsim.learn.shift.interaction import by_change, changed
 from mbds_xsim.learn.shift.result import Gap, Interaction, Shift
+from mbds_xsim.report import themed
 from mbds_xsim.report.quantity import NONE, number
-from mbds_xsim.studies.shift.figures import at, best_formula, matrix_of, trained_models
+from mbds_xsim.studies.shift.figures import (
+    at,
+    best_formula,
+    draw_costs,
+    matrix_of,
+    trained_models,
+)
 from mbds_xsim.studies.shift.present import answers, protocol
 
 _HEAD = """\
@@ -35,9 +47,11 @@ nothing of the engine.** At one step, without damping and with hard contact MuJo
 DART are nearly the same to most models; what costs is a coarser step, PyBullet's damping and
 MuJoCo's soft contact.
 
+![What a change of engine or settings costs, by scene and model](factors.png)
+
 Each figure says how many times the squared error ten predicted frames ahead (t = 10, 0.2 s) grows
 when the test data differ from the training data in one respect; 1 is no loss, brackets are 95 %
-intervals, and what is bold is told from chance among all pairs of a study. It is
+intervals, and what is bold, or framed, is told from chance among all pairs of a study. It is
 √(R_ij R_ji / (R_ii R_jj)), R_ij the error of the model trained on i and tested on j. Where several
 pairs of engines fall under a heading it is the largest bold one, or else the largest. A scene's
 page has every pair, and what a model *survives*.
@@ -54,6 +68,16 @@ _FACTORS: dict[str, tuple[str, str] | str] = {
     "engine, matched settings": "matched",
 }
 """What differs between two domains: these, or the engines of one variant."""
+_SHORT = (
+    "engine\nalone",
+    "step",
+    "damping",
+    "MuJoCo's\ncontact",
+    "native\nengines",
+    "matched\nengines",
+)
+"""The same in a picture."""
+_PANEL = (5.6, 3.4)  # width and height [in]
 _ALL = """
 ## All studies
 
@@ -91,13 +115,25 @@ _HEADINGS = (
 )
 
 
-def main(folder: Path) -> None:
-    """Print the page."""
-    files = sorted(folder.glob("*.json.gz"))
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--png", type=Path)
+    asked = parser.parse_args()
+    files = sorted(asked.folder.glob("*.json.gz"))
     results = {file.name.removesuffix(".json.gz"): read_file(file) for file in files}
     studies = {name: msgspec.json.decode(text, type=Shift) for name, text in results.items()}
-    print(_HEAD)
     several = {n: shift for n, shift in studies.items() if len(by_change(shift.interactions)) > 1}
+    page = io.StringIO()
+    with contextlib.redirect_stdout(page):
+        _print(asked.folder, studies, several)
+    print(page.getvalue(), end="")
+    if asked.png is not None:
+        write_whole(asked.png, _picture(list(several.values()), page.getvalue().encode()))
+
+
+def _print(folder: Path, studies: Mapping[str, Shift], several: Mapping[str, Shift]) -> None:
+    print(_HEAD)
     costs = [line for name, shift in several.items() for line in _costs(name, shift)]
     print_table("scene|model|>" + "|>".join(_FACTORS), costs)
     print(_ALL)
@@ -111,9 +147,16 @@ def _costs(name: str, shift: Shift) -> Iterator[tuple[str, ...]]:
     """Give a line for each model of a study: what each factor costs alone."""
     place = shift.frames.index(shift.at)
     for model in trained_models(shift):
-        own = [pair for pair in shift.interactions if pair.model == model]
-        costs = [_cost([pair for pair in own if _is(pair, factor)], place) for factor in _FACTORS]
+        costs = [_cost(_dearest(shift, model, factor), place) for factor in _FACTORS]
         yield f"[{shift.scene}]({name}.md)", model, *costs
+
+
+def _dearest(shift: Shift, model: str, factor: str) -> Interaction | None:
+    """Give the dearest pair that is told from chance, or else the dearest."""
+    place = shift.frames.index(shift.at)
+    own = [pair for pair in shift.interactions if pair.model == model and _is(pair, factor)]
+    known = [pair for pair in own if pair.value[place] is not None]
+    return max(known, key=lambda pair: (pair.resolved[place], pair.value[place]), default=None)
 
 
 def _is(pair: Interaction, factor: str) -> bool:
@@ -123,14 +166,35 @@ def _is(pair: Interaction, factor: str) -> bool:
     return {pair.first, pair.second} == set(ends)
 
 
-def _cost(pairs: Sequence[Interaction], place: int) -> str:
-    """Tell the largest that is told from chance, or else the largest."""
-    known = [pair for pair in pairs if pair.value[place] is not None]
-    if not known:
+def _cost(pair: Interaction | None, place: int) -> str:
+    if pair is None:
         return NONE
-    most = max(known, key=lambda pair: (pair.resolved[place], pair.value[place]))
-    value, low, high = (number(getattr(most, x)[place]) for x in ("value", "low", "high"))
-    return f"**{value}** [{low}, {high}]" if most.resolved[place] else f"{value} [{low}, {high}]"
+    value, low, high = (number(getattr(pair, x)[place]) for x in ("value", "low", "high"))
+    return f"**{value}** [{low}, {high}]" if pair.resolved[place] else f"{value} [{low}, {high}]"
+
+
+def _picture(studies: Sequence[Shift], page: bytes) -> bytes:
+    """Draw a table for each model, on one scale of colours, for the page that says the same."""
+    models = list(dict.fromkeys(model for shift in studies for model in trained_models(shift)))
+    found: dict[str, dict[tuple[int, int], tuple[float | None, bool]]] = {m: {} for m in models}
+    for row, shift in enumerate(studies):
+        place = shift.frames.index(shift.at)
+        for model, (column, factor) in itertools.product(models, enumerate(_FACTORS)):
+            pair = _dearest(shift, model, factor)
+            if pair is not None:
+                found[model][row, column] = pair.value[place], pair.resolved[place]
+    most = max(value or 1.0 for costs in found.values() for value, _ in costs.values())
+    scenes = [shift.scene for shift in studies]
+
+    def draw(figure: Any) -> None:
+        parts = figure.subplots(math.ceil(len(models) / 2), 2, squeeze=False).ravel()
+        for axes, model in zip(parts, models, strict=True):
+            draw_costs(axes, found[model], scenes, _SHORT, most)
+            axes.set_title(model)
+        words = "How many times the squared error grows by which change"
+        figure.suptitle(f"{words}, t = {studies[0].at} (framed: told from chance)")
+
+    return themed.png(draw, (2 * _PANEL[0], math.ceil(len(models) / 2) * _PANEL[1]), page)
 
 
 def rows_of(shift: Shift, name: str) -> Iterator[tuple[str, ...]]:
@@ -233,4 +297,4 @@ def _answers(shift: Shift, page: Path) -> Iterator[str]:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main()

@@ -94,6 +94,8 @@ def test_charts_and_maps_are_those_of_the_stored_results() -> None:
 
     assert len(stored) > 30
     assert stale == [], "make pictures"
+    page, picture = (_ROOT / "reports/shift" / name for name in ("README.md", "factors.png"))
+    assert _told(picture) == checksum(page.read_bytes()), "make reports-shift"
 
 
 def test_the_pictures_of_pages_show_what_is_stored() -> None:
@@ -113,6 +115,7 @@ def test_the_pictures_of_pages_show_what_is_stored() -> None:
         "ant-on-the-ground.png",
         "contact-friction.png",
         "contact-restitution.png",
+        "factors.png",
         "growth-of-cost.png",
         "validate-3ladder.png",
     }

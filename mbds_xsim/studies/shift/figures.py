@@ -144,32 +144,44 @@ def interactions_size(shift: Shift) -> tuple[float, float]:
 
 
 def draw_interactions(axes: Any, shift: Shift, frame: int) -> None:
-    """Draw what changes of engine cost, a pair of engines a row, a model a column.
-
-    Colours diverge around 1; what is told from it is framed.
-    """
-    from matplotlib.patches import Rectangle
-
+    """Draw what changes of engine cost, a pair of engines a row, a model a column."""
     place, pairs = shift.frames.index(frame), pairs_of(shift)
     models = list(dict.fromkeys(each.model for each in shift.interactions))
-    logs = [[math.nan for _ in models] for _ in pairs]
-    for each in shift.interactions:
-        row, column = pairs.index((each.first, each.second)), models.index(each.model)
-        value = each.value[place]
+    costs: Costs = {
+        (pairs.index((each.first, each.second)), models.index(each.model)): (
+            each.value[place],
+            each.resolved[place],
+        )
+        for each in shift.interactions
+    }
+    draw_costs(axes, costs, [between(*pair, where=True) for pair in pairs], models)
+
+
+Costs = Mapping[tuple[int, int], tuple[float | None, bool]]
+"""By row and column: how many times the error it is, and whether that is told from chance."""
+
+
+def draw_costs(
+    axes: Any, costs: Costs, rows: Sequence[str], columns: Sequence[str], most: float = 1.0
+) -> None:
+    """Draw a table of costs: colours diverge around 1, at least to `most`; told ones are framed."""
+    from matplotlib.patches import Rectangle
+
+    logs = [[math.nan for _ in columns] for _ in rows]
+    for (row, column), (value, told) in costs.items():
         logs[row][column] = _log(value)
-        weight = "bold" if each.resolved[place] else "normal"
         axes.text(
             column, row, f"× {number(value)}", ha="center", va="center", fontsize=8, color="black",
-            weight=weight,
+            weight="bold" if told else "normal",
         )  # fmt: skip
-        if each.resolved[place]:
+        if told:
             axes.add_patch(Rectangle((column - 0.46, row - 0.44), 0.92, 0.88, fill=False, lw=1.2))
     known = [abs(x) for line in logs for x in line if math.isfinite(x)]
-    most = max([_LEAST_SPREAD, *known]) / _PALEST
-    axes.imshow(logs, cmap="RdBu_r", vmin=-most, vmax=most, aspect="auto")
+    ends = max([_LEAST_SPREAD, math.log10(most), *known]) / _PALEST
+    axes.imshow(logs, cmap="RdBu_r", vmin=-ends, vmax=ends, aspect="auto")
     axes.grid(visible=False)
-    axes.set_xticks(range(len(models)), models)
-    axes.set_yticks(range(len(pairs)), [between(*pair, where=True) for pair in pairs])
+    axes.set_xticks(range(len(columns)), columns)
+    axes.set_yticks(range(len(rows)), rows)
     axes.tick_params(length=0, labelsize=8)
 
 
