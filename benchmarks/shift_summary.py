@@ -72,7 +72,7 @@ _SHORT = (
     "engine\nalone",
     "step",
     "damping",
-    "MuJoCo's\ncontact",
+    "contact\nand step",
     "native\nengines",
     "matched\nengines",
 )
