@@ -8,10 +8,10 @@ and fails where somebody forgot. An adapter's own number is `Adapter.revision`.
 
 from __future__ import annotations
 
-PHYSICS = 3
+PHYSICS = 4
 """Starts, inputs and reference solutions of a scene."""
 
-CHECKS = 17
+CHECKS = 18
 """Figures and verdicts of checks on a trajectory, and what studies derive from them."""
 
 MODELS = 5

@@ -25,6 +25,7 @@ from mbds_xsim.scene.mechanism import Mechanism
 
 _CENTRED = 1e-9  # [m], and of a moment that balls have alike about all axes
 _OVER = 1e-6  # of the approach that changes beside each other once a collision is over
+_EXACT = 1e-6  # of a frame: how exactly the time of a touch must be known
 _SLOW = 3.0  # times what gravity or loads add in a frame: slower ones tell no restitution
 
 
@@ -143,7 +144,9 @@ def _of_pair(record: Record, pair: int) -> Hits:
     left = speed - parting[:, None] * normal - rotation.cross(turning, normal)
     rates = 1.0 / np.where(parted, after.climb, np.nan) - 1.0 / before.climb
     gap = -(frame - falling + rising) / rates
-    hit = (before.climb < 0.0) & (falling >= 0.0)
+    # Newton's steps close in on a graze too slowly to tell a touch from a miss.
+    exact = np.abs(before.gap) <= _EXACT * frame * -before.climb
+    hit = exact & (falling >= 0.0)
     return Hits(
         row=row[hit],
         step=step[hit],

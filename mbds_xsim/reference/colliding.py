@@ -20,6 +20,7 @@ _MOST_IMPACTS = 20_000  # in a frame
 _PRESSED = 1e-9  # overlap of balls that something presses together [m]
 _GRAZING = 1e-12  # approach over the fastest speed: less is the rounding of what has no rebound
 _REAL = 1e-7  # imaginary part of a root that is real, over its size
+_ROUNDING = 1e-14  # of the terms: more is left where Newton's steps lead away from a graze
 
 
 def march_colliding(problem: Problem) -> Marched:
@@ -149,6 +150,7 @@ def _touch(
         share = float(root.real)
         for _ in range(3):
             share -= float(polynomial(share) / (slope(share) or np.inf))
-        if -TOUCHING <= share <= 1.0 and slope(share) < -grazing:
+        met = abs(float(polynomial(share))) <= _ROUNDING * np.abs(terms).sum()
+        if met and -TOUCHING <= share <= 1.0 and slope(share) < -grazing:
             return max(0.0, share) * most
     return float(np.inf)

@@ -75,6 +75,14 @@ def test_exact_collisions_pass_every_check(name: str) -> None:
     assert "0.8000 to 0.8000 delivered" in found["collision restitution"].note
 
 
+@pytest.mark.parametrize("apart", [0.0, 1e-12, 1e-9, 1e-7])
+def test_balls_that_pass_within_rounding_are_no_collision(apart: float) -> None:
+    passing = Flying((-0.3, 2.0 * RADIUS + apart, 1.0), (1.3, 0.0, 0.0))
+    scene = balls([passing, Flying((0.0, 0.0, 1.0))])
+    found = _findings(scene, solve(scene, draw_batch(scene, [0]), cache=False))
+    assert _over(found) == set()
+
+
 @pytest.mark.parametrize("restitution", [0.78, 0.82, 1.0, 0.0])
 def test_another_restitution_shows(restitution: float) -> None:
     found = _findings(balls(TWO["head on"]), _exact("head on", restitution=restitution))

@@ -70,6 +70,14 @@ def test_momentum_stays_and_energy_never_grows(
     assert min(gap.min() for gap in gaps) > 2.0 * RADIUS - 1e-9
 
 
+@given(speed=st.floats(0.5, 2.0), apart=st.sampled_from([0.0, 1e-17, 1e-15, 1e-12, 1e-9]))
+def test_balls_that_graze_go_on_as_they_were(speed: float, apart: float) -> None:
+    """Rounding makes the time of touch a double root, or none."""
+    passing = Flying((-0.3, 2.0 * RADIUS + apart, 0.0), (speed, 0.0, 0.0))
+    motion = _solved(balls([passing, Flying((0.0, 0.0, 0.0))]))
+    np.testing.assert_allclose(motion.velocity[0, -1], motion.velocity[0, 0], atol=1e-6)
+
+
 def test_smooth_elastic_balls_keep_their_energy_and_spin() -> None:
     given = list(TWO["slides"])
     motion = _solved(balls(given, friction=0.0, restitution=1.0))
