@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import glob
 import gzip
 import os
+import re
 import socket
 import tempfile
 import zlib
@@ -20,6 +22,8 @@ from pathlib import Path
 from typing import IO
 
 from mbds_xsim.base.errors import InputError
+
+_PICTURES = ("--png", "--rollouts")  # options
 
 
 def path_of(name: str, value: object) -> Path:
@@ -101,6 +105,19 @@ def check_writable(path: Path, option: str) -> None:
     except OSError as error:
         msg = f"{option}: cannot write {path}: {folder}: {error.strerror}; name another folder"
         raise InputError(msg) from error
+
+
+def check_picture(path: Path, option: str) -> None:
+    """Raise InputError where a picture would get the name of another kind of file."""
+    if option in _PICTURES and path.suffix.lower() not in ("", ".png", ".gz"):
+        msg = f"{option}: got {path}, but pictures are PNG; name it {path.with_suffix('.png').name}"
+        raise InputError(msg)
+
+
+def named_in(words: Iterable[str]) -> set[str]:
+    """Give the real paths that words of a command line may name, in lists and patterns, too."""
+    parts = {part for word in words for part in re.split("[=,]", word)}
+    return {os.path.realpath(path) for part in parts for path in (part, *glob.glob(part))}
 
 
 def _is_stream(path: Path) -> bool:

@@ -272,10 +272,9 @@ class Outputs:
 
     def check(self, folder: Path | None = None, **others: Path | None) -> None:
         """Refuse files that cannot be written, or that the command reads, before long work."""
-        from mbds_xsim.base.files import check_writable
+        from mbds_xsim.base.files import check_picture, check_writable, named_in
 
-        words = (re.split("[=,]", word) for word in shlex.split(command_line()))
-        read = {os.path.realpath(part) for parts in words for part in parts}
+        read = named_in(shlex.split(command_line()))
         named = {**vars(self), "opened": None, **others}
         files = {k: v for k, v in named.items() if v and (k, str(v)) != ("json", "-")}
         taken = {folder.absolute(): "out"} if folder else {}
@@ -285,6 +284,7 @@ class Outputs:
             kept = real.endswith((".h5", ".pt")) and any(real.startswith(f"{p}/") for p in read)
             if path.is_file() and (real in read or kept):
                 raise InputError(f"--{option}: the command reads {path}; name another file")
+            check_picture(path, f"--{option}")
             if (other := taken.setdefault(path.absolute(), option)) != option:
                 raise InputError(f"--{other} and --{option} both name {path}; name two places")
 

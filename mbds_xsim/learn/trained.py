@@ -121,11 +121,14 @@ class TrainedModel:
             # Trivial models look at no statistics.
             nothing: Any = None
             return load_model(self.model)(Graph.of(scene), nothing, None)
-        model, _ = read_model(self.path)
-        if model.graph.scene != scene:
+        self.check_scene(scene)
+        return read_model(self.path)[0]
+
+    def check_scene(self, scene: Scene) -> None:
+        """Refuse data of another scene."""
+        if self.trained_on != scene:
             msg = f"{self.path}: a model of another scene than the data's; train it on such data"
             raise InputError(msg)
-        return model
 
 
 def trained_model(path: Path) -> TrainedModel:
@@ -240,7 +243,12 @@ def find_models(folder: Path, scene: str, selection: Selection = WHOLE) -> list[
         known[key] = model.path
     chosen = [model for model in models if selection.has(model)]
     if not chosen:
-        msg = f"{folder / scene}: none of the {len(models)} models there was asked for"
+        there = ", ".join(dict.fromkeys(f"{m.way} {m.variant}" for m in models))
+        seeds = ", ".join(map(str, sorted({m.seed for m in models})))
+        msg = (
+            f"{folder / scene}: none of the {len(models)} models there was asked for; there are "
+            f"{there}, of seed {seeds}"
+        )
         raise InputError(msg)
     return chosen
 

@@ -117,6 +117,11 @@ _WORDS: dict[str, tuple[str, list[str]]] = {
         "generate 2pendulum --out x --json x",
         ["mbds-xsim: --out and --json both name x; name two places"],
     ),
+    "a picture of another kind": (
+        "show 2pendulum --png x.jpg",
+        ["--png: got x.jpg, but pictures are PNG; name it x.png"],
+    ),
+    "rollouts of another kind": ("shift a b --rollouts x.svg", ["got x.svg", "name it x.png"]),
     "a scene as its own picture": (
         "show scene.toml --png scene.toml",
         ["--png: the command reads scene.toml; name another"],
@@ -141,7 +146,14 @@ def test_wrong_words_get_one_line(
     assert (here / "scene.toml").read_text() == ""
 
 
-@pytest.mark.parametrize("line", ["train data --png data/a.h5", "shift . data --json=./data/a.pt"])
+@pytest.mark.parametrize(
+    "line",
+    [
+        "train data --png data/a.h5",
+        "shift . data --json=./data/a.pt",
+        "tradeoff 2pendulum --models d*/[!b].pt --png data/a.pt",
+    ],
+)
 def test_no_output_replaces_data_or_models_of_a_folder(
     line: str, run: Callable[..., Any], here: Path
 ) -> None:

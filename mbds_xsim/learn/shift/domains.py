@@ -300,6 +300,7 @@ def check_data(models: Sequence[TrainedModel], test: Paired) -> None:
     """Refuse a model that was trained on other data of a domain, or on what it is tested on."""
     contents = {domain.name: domain.content for domain in test.domains}
     for model in models:
+        model.check_scene(test.scene)
         if model.drawn is not None and model.drawn[0] == test.seed:
             known = split_of(test.index, model.drawn[1]) != SPLITS.index("test")
             if known.any():
