@@ -196,6 +196,15 @@ except KeyboardInterrupt:
 """
 
 
+def test_tasks_of_a_program_that_ignores_interruptions_ignore_them() -> None:
+    """As in `for scene in …; do mbds-xsim … & done; wait`, which Ctrl-C leaves at work."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        assert run_tasks([Task(signal.raise_signal, (signal.SIGINT,))], workers=1) == [None]
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 def _interrupted(reached: list[str], number: int) -> None:
     with held_back() as held:
         held.let_through()

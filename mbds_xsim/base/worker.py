@@ -32,7 +32,8 @@ class _ForkServer:
         self._woken, self._waking = os.pipe()
         self._lifeline, self._held = os.pipe()
         self._running: dict[str, int] = {}  # processes by the places of their tasks
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # for whoever gives the orders to act on
+        # For whoever gives the orders to act on, who may ignore it as well.
+        self._interrupted = signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.signal(signal.SIGCHLD, lambda *_: None)
         os.set_blocking(self._waking, False)
         signal.set_wakeup_fd(self._waking)
@@ -78,7 +79,7 @@ class _ForkServer:
     def _be_the_task(self, place: str, alone: bool) -> None:
         signal.set_wakeup_fd(-1)
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGINT, self._interrupted)
         log = os.open(f"{place}.log", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         for number, target in ((0, self._lifeline), (1, log), (2, log)):
             os.dup2(target, number)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 import mbds_xsim
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.dataset.read import Dataset
+from mbds_xsim.dataset.read import Dataset, joined_files
 from mbds_xsim.scene.scene import Scene
 
 from .conftest import STEPS, TRAJECTORIES, Make
@@ -204,6 +204,8 @@ def test_shards_that_are_missing_are_told(make: Make, tmp_path: Path) -> None:
         mbds_xsim.load_dataset(tmp_path / FILE)
     with h5py.File(tmp_path / FILE) as file:  # and no zeros are made up
         assert np.isnan(file["position"][()]).all()
+    (tmp_path / FILE).with_suffix("").rename(tmp_path / "elsewhere")
+    assert joined_files(tmp_path) == [tmp_path / FILE]
 
 
 def test_the_package_knows_no_other_names() -> None:
