@@ -126,6 +126,12 @@ def test_an_error_of_many_lines_is_one_line() -> None:
     assert crash == Crash("RuntimeError: first second")
 
 
+def test_an_error_that_names_a_file_of_no_utf_8_can_be_written_down() -> None:
+    (crash,) = run_tasks([Task(exec, ("raise OSError('no \\udcff.xml')",))])
+
+    assert crash == Crash("OSError: no \\udcff.xml")
+
+
 def test_no_task_outlives_a_parent_that_is_killed(tmp_path: Path) -> None:
     told = tmp_path / "number"
     parent = subprocess.Popen([sys.executable, "-c", _PARENT.format(told=str(told))])

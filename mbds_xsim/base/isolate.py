@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, Literal, Protocol
 
 from mbds_xsim.base.process import Spent, held_back, memory_bytes
+from mbds_xsim.base.text import in_utf8
 
 LIMIT = 3600.0
 """Longest that one piece of work may take where nothing else is asked for [s]."""
@@ -307,7 +308,7 @@ class _Process:
             kind, value = pickle.loads(path.read_bytes())
         except Exception as error:  # it may hold what only that process could make
             return Crash(f"its answer cannot be read: {type(error).__name__}: {error}")
-        return value if kind == "done" else Crash(value, refused=kind == "input error")
+        return value if kind == "done" else Crash(in_utf8(value), refused=kind == "input error")
 
     def _last_words(self) -> str:
         if self._timed_out:

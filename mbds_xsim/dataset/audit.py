@@ -349,6 +349,9 @@ def _completed(origin: Provenance, foreign: Foreign) -> Provenance:
             )
             raise InputError(msg)
         said["index"] = origin.index[first : first + foreign.count]
+    elif len(given := foreign.said.get("index", range(foreign.count))) != foreign.count:
+        msg = f"{foreign.source}: index: got {len(given)} numbers, allowed is one a trajectory"
+        raise InputError(msg)
     default = {} if origin.index is None else {"seed": 0}
     return Provenance(**(default | foreign.said | said))
 

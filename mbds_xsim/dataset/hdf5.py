@@ -182,7 +182,7 @@ def scene_of(text: Any, path: Path, advice: str = "get the file again") -> Scene
         InputError: It is none.
     """
     try:
-        return msgspec.convert(tomllib.loads(text), Scene)
+        return msgspec.convert(tomllib.loads(str(text)), Scene)
     # The last are what the parser has for text that is none, numbers and brackets without end.
     except (msgspec.ValidationError, TypeError, ValueError, RecursionError) as error:
         msg = f"{path}: its attribute scene is no scene: {error}; {advice}"

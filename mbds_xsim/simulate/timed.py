@@ -13,6 +13,7 @@ import numpy as np
 
 from mbds_xsim.base import isolate, rotation
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
+from mbds_xsim.base.text import in_utf8
 from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
 from mbds_xsim.simulate.adapter import ModelSize, Readback, Run, Settings
@@ -123,13 +124,18 @@ def checked(trajectory: Trajectory, batch: Batch) -> Trajectory:
     for name, size in (("position", 3), *_TURNS_AND_RATES):
         _check_array("gave", trajectory, name, (*rows, size))
     ends: object = trajectory.failures
-    sound = isinstance(ends, tuple) and all(isinstance(end, Failure | None) for end in ends)
+    sound = isinstance(ends, tuple) and all(end is None or _has_reason(end) for end in ends)
     if not sound or len(trajectory.failures) != len(batch):
         msg = f"the adapter gave failures {ends!r:.80}, not a Failure or None for each trajectory"
         raise ValueError(msg)
     whole = trajectory.cut_at_failures()
     turned = rotation.continuous(whole.orientation, batch.orientation)
-    return dataclasses.replace(whole, orientation=turned)
+    said = tuple(end and Failure(end.frame, in_utf8(end.reason)) for end in whole.failures)
+    return dataclasses.replace(whole, orientation=turned, failures=said)
+
+
+def _has_reason(end: object) -> bool:
+    return isinstance(end, Failure) and isinstance(end.reason, str)
 
 
 def _read_back(run: Run, batch: Batch) -> Readback:

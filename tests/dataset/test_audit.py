@@ -333,6 +333,9 @@ def test_wrong_facts_are_refused(
 def test_numbers_of_starts_must_fit(rod: Scene, swing: Arrays, audited: Audit) -> None:
     with pytest.raises(InputError, match="--index: got 1 numbers"):
         audited(rod, swing, Provenance(index=(3,)))
+    one = {name: values[0] for name, values in _only(swing, "position").items() if name != "time"}
+    with pytest.raises(InputError, match="index: got 2 numbers, allowed is one a trajectory"):
+        audited(rod, {"time": swing["time"], "index": np.arange(2)} | one, Provenance(seed=7))
 
 
 def test_a_data_set_can_be_audited_too(whole: Path) -> None:
@@ -362,6 +365,10 @@ def test_what_is_no_trajectory_at_all_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "wide.csv").write_text("time\n" + "1" * 200_000 + "\n0\n0\n")
     with pytest.raises(InputError, match=r"wide\.csv cannot be read as csv \(field larger"):
         audit_file(tmp_path / "wide.csv", load_scene("1pendulum"), Provenance())
+
+    np.savez(tmp_path / "five.npz", time=np.arange(3.0), scene=5)
+    with pytest.raises(InputError, match=r"five\.npz: its attribute scene is no scene"):
+        audit_file(tmp_path / "five.npz", None, Provenance())
 
 
 @pytest.mark.parametrize("key", ["step_s", "velocity_lag_s", "contact_time_s"])

@@ -139,7 +139,7 @@ def _given(trajectory: object, batch: Batch) -> Trajectory:
 
 def test_frames_from_a_failure_on_are_not_numbers() -> None:
     batch, whole = _sound()
-    failures = (None, Failure(2, "joint limit"), Failure(99, "told at the end"))
+    failures = (None, Failure(2, "joint limit"), Failure(99, "no \udcff.xml"))
 
     cut = _given(dataclasses.replace(whole, failures=failures), batch)
 
@@ -147,7 +147,7 @@ def test_frames_from_a_failure_on_are_not_numbers() -> None:
     assert ended.tolist() == [[False] * 5, [False] * 2 + [True] * 3, [False] * 4 + [True]]
     for name in ("orientation", "velocity", "angular_velocity"):
         assert np.array_equal(np.isnan(getattr(cut, name)).all(axis=(2, 3)), ended)
-    assert cut.failures == failures
+    assert cut.failures == (*failures[:2], Failure(99, r"no \udcff.xml"))
 
 
 @pytest.mark.parametrize(
@@ -160,6 +160,7 @@ def test_frames_from_a_failure_on_are_not_numbers() -> None:
         ({"time": np.zeros(4)}, r"time as float64 \(4,\), not as float64 \(5,\)"),
         ({"failures": (None,)}, "failures .* for each trajectory"),
         ({"failures": ("late", None, None)}, "failures .* for each trajectory"),
+        ({"failures": (Failure(2, cast("str", 5)), None, None)}, "failures .* for each trajectory"),
     ],
 )
 def test_what_is_no_trajectory_is_refused(wrong: dict[str, Any], told: str) -> None:
