@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import chdir, contextmanager, suppress
 from dataclasses import replace
 from typing import Any, ClassVar, Literal, Self, final
 
@@ -162,6 +163,16 @@ def trainable() -> list[str]:
     return found
 
 
+@contextmanager
+def of_another_package() -> Iterator[None]:
+    """Stay in this folder and in this process, whatever a package's code does."""
+    try:
+        with chdir(os.curdir):
+            yield
+    except SystemExit as error:
+        raise RuntimeError(f"it exits with {error.code!r}") from error
+
+
 def load_model(name: str) -> type[LearnedModel]:
     """Find a model by name.
 
@@ -172,7 +183,8 @@ def load_model(name: str) -> type[LearnedModel]:
     points = registered(_GROUP)
     check_name("model", name, model_names())
     try:
-        kind = points[name].load()
+        with of_another_package():
+            kind = points[name].load()
     except Exception as error:  # another package's code
         told = " ".join(f"{type(error).__name__}: {error}".split())
         msg = f"the model {name} cannot be used: {told}; repair or uninstall {points[name].value}"
@@ -221,7 +233,8 @@ def build(
     with torch.random.fork_rng():
         torch.manual_seed(seed)
         try:
-            return kind(graph, statistics, kind.tracks.get(track)).in_precision()
+            with of_another_package():
+                return kind(graph, statistics, kind.tracks.get(track)).in_precision()
         except Exception as error:
             if isinstance(error, InputError) or kind.__module__.startswith("mbds_xsim."):
                 raise

@@ -26,7 +26,7 @@ from torch.nn.modules.module import register_module_parameter_registration_hook
 from mbds_xsim.base.errors import InputError, UnknownName
 from mbds_xsim.base.files import check_regular, write_whole
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.model import LearnedModel, load_model
+from mbds_xsim.learn.model import LearnedModel, load_model, of_another_package
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.scene.file import write_scene
 from mbds_xsim.scene.scene import Scene
@@ -83,7 +83,7 @@ def read_model(path: Path, scene: Scene | None = None) -> tuple[LearnedModel, di
     except Exception as error:  # as many as there are ways of making a file
         raise _other_code(path, error) from error
     try:
-        with _no_larger_than(parameters):
+        with _no_larger_than(parameters), of_another_package():
             model = kind(Graph.of(scene or own), statistics, settings).in_precision()
         model.load_state_dict(parameters)
     except InputError:

@@ -60,6 +60,7 @@ _MODEL = "from mbds_xsim.learn.model import Hold\nclass Mine(Hold):\n"
     ("source", "says"),
     [
         ("raise OSError('no licence\\nhere')", "OSError: no licence here"),
+        ("import sys; sys.exit(5)", "RuntimeError: it exits with 5"),
         ("Mine = 3", "is no LearnedModel"),
         ("", "AttributeError: "),
         (f"{_MODEL}    tracks = ['lite']", "has no tracks by name, but ['lite']"),
@@ -84,6 +85,7 @@ def test_a_model_that_cannot_be_loaded_is_named_and_harms_no_other(
 
 
 _FAILS = """
+import os
 from types import SimpleNamespace
 
 from mbds_xsim.learn.model import PointModel
@@ -93,6 +95,7 @@ class Fails(PointModel):
     tracks = {"lite": SimpleNamespace(recipe=Recipe())}
 
     def __init__(self, graph, statistics, settings):
+        os.chdir("/")
         raise KeyError("no such\\nbody")
 
     def predict(self, history, inputs): ...
@@ -101,9 +104,10 @@ class Fails(PointModel):
 
 
 def test_a_model_that_fails_on_a_scene_cannot_represent_it(tmp_path: Path) -> None:
-    graph, folder = Graph.of(load_scene("2pendulum")), tmp_path / "fails"
+    graph, folder, here = Graph.of(load_scene("2pendulum")), tmp_path / "fails", Path.cwd()
     with installed(folder, {"fails": _FAILS}, models={"fails": "fails:Fails"}):
         told = refusal("fails", graph)
     assert told.startswith("fails:Fails fails on scene '2pendulum': KeyError: ")
     assert "\n" not in told
+    assert Path.cwd() == here
     sys.modules.pop("fails", None)
