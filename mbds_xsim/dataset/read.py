@@ -23,7 +23,7 @@ from mbds_xsim.dataset.hdf5 import (
     scene_of,
     values_of,
 )
-from mbds_xsim.dataset.layout import FIELDS, JOINT, SPLITS, SUFFIX
+from mbds_xsim.dataset.layout import FIELDS, SPLITS, SUFFIX
 from mbds_xsim.dataset.series import MappedFile, Series, Windows
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import STATES, Batch, Failure, Trajectory
@@ -314,9 +314,8 @@ def joined_files(path: Path, engines: str | None = None) -> list[Path]:
     if not path.exists():
         msg = f"{path}: there is no such file or folder"
         raise InputError(msg)
-    # Shards, which are named by a number, need not be opened.
-    named = [file for file in sorted(path.rglob(f"*{SUFFIX}")) if not file.stem.isdigit()]
-    sets = [path] if path.is_file() else [file for file in named if file.name != JOINT]
+    # Named by engine and settings; shards are by a number, and files of others need not be read.
+    sets = [path] if path.is_file() else sorted(path.rglob(f"*-*{SUFFIX}"))
     kinds = {file: attributes_of(file) for file in sets}
     found = [file for file, attrs in kinds.items() if path.is_file() or attrs["kind"] == "joined"]
     if not found:

@@ -130,7 +130,7 @@ def checked(trajectory: Trajectory, batch: Batch) -> Trajectory:
         raise ValueError(msg)
     whole = trajectory.cut_at_failures()
     turned = rotation.continuous(whole.orientation, batch.orientation)
-    said = tuple(end and Failure(end.frame, in_utf8(end.reason)) for end in whole.failures)
+    said = tuple(e and dataclasses.replace(e, reason=in_utf8(e.reason)) for e in whole.failures)
     return dataclasses.replace(whole, orientation=turned, failures=said)
 
 

@@ -17,7 +17,7 @@ import pytest
 from mbds_xsim.base.isolate import Conduct, Silent
 from mbds_xsim.measure import campaign, runner
 from mbds_xsim.measure.runner import Piece, Running
-from mbds_xsim.reference import cache, kernels
+from mbds_xsim.reference import FirstImpact, cache, kernels
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
@@ -139,7 +139,7 @@ def _given(trajectory: object, batch: Batch) -> Trajectory:
 
 def test_frames_from_a_failure_on_are_not_numbers() -> None:
     batch, whole = _sound()
-    failures = (None, Failure(2, "joint limit"), Failure(99, "no \udcff.xml"))
+    failures = (None, FirstImpact.at(2, 0.03), Failure(99, "no \udcff.xml"))
 
     cut = _given(dataclasses.replace(whole, failures=failures), batch)
 
