@@ -107,6 +107,7 @@ _WORDS: dict[str, tuple[str, list[str]]] = {
     "folder as output": ("validate 2pendulum --json .", ["--json", "it is a folder"]),
     "file for a folder": ("scenes --json scene.toml/x.json", ["--json", "scene.toml", "folder"]),
     "no place to write to": ("validate 2pendulum --html /proc/x", ["--html: cannot write /proc/x"]),
+    "no place for figures": ("contact --figures /proc/x", ["--figures: cannot write /proc/x"]),
     "a page to standard output": ("validate 2pendulum --html -", ["--html: got -", "--json alone"]),
     "one file for two": ("validate 2pendulum --json x --html x", ["--json and --html both name x"]),
     "one file for two of three": (

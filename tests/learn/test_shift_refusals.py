@@ -105,6 +105,14 @@ def test_a_damaged_learning_curve_is_refused_before_the_study(folder: Path) -> N
         curve.unlink()
 
 
+def test_a_cache_that_cannot_be_written_to_is_refused_before_the_study(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MBDS_XSIM_CACHE", "/proc/cache")
+    with pytest.raises(InputError, match="MBDS_XSIM_CACHE: cannot write /proc/cache/shift"):
+        study.question_of(folder / "models", folder / "data", SCENE)
+
+
 def test_data_with_no_frame_to_predict_are_refused(tmp_path: Path) -> None:
     scene = msgspec.structs.replace(load_scene(SCENE), clock=Clock(steps=HISTORY - 1))
     choice = Choice.parse(engines="mujoco", profiles="native")

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.files import check_writable
 from mbds_xsim.base.isolate import USUAL, Conduct
 from mbds_xsim.learn.model import refusal, rollout, trainable
 from mbds_xsim.learn.particles import EXPLODED, LOST
@@ -69,6 +70,7 @@ from mbds_xsim.learn.trained import (
 )
 from mbds_xsim.learn.window import HISTORY
 from mbds_xsim.measure.runner import machine
+from mbds_xsim.reference.cache import directory
 from mbds_xsim.simulate.registry import package_version
 
 _AT = 10
@@ -103,6 +105,7 @@ def question_of(
 
     InputError says what is missing or does not belong.
     """
+    check_writable(directory() / "shift" / f"{scene}.npz", "MBDS_XSIM_CACHE")
     test = load_paired(data, scene, trajectories, part.variants)
     trained = find_models(models, scene, part)
     check_budget(trained)
