@@ -9,7 +9,9 @@ from __future__ import annotations
 import hashlib
 import io
 import re
-from collections.abc import Callable, Iterable, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -142,11 +144,10 @@ Layout = Literal["constrained"] | None
 
 def picture(draw: Draw, size: tuple[float, float], layout: Layout, **how: Any) -> bytes:
     """Draw into a PNG of all colours on white, without the style of pages; sizes are in inches."""
-    import matplotlib
     from matplotlib.figure import Figure
 
     stream = io.BytesIO()
-    with matplotlib.rc_context(ON_WHITE):
+    with _styled(ON_WHITE):
         figure = Figure(figsize=size, layout=layout)
         draw(figure)
         figure.savefig(stream, format="png", dpi=150, metadata={"Software": None}, **how)
@@ -249,11 +250,20 @@ def note(
     )  # fmt: skip
 
 
-def _saved(draw: Draw, size: tuple[float, float], stream: Any, **how: Any) -> None:
+@contextmanager
+def _styled(style: Any) -> Iterator[None]:
+    """Draw in a style; letters of a name that the font lacks become boxes, without a warning."""
     import matplotlib
+
+    with matplotlib.rc_context(style), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph")
+        yield
+
+
+def _saved(draw: Draw, size: tuple[float, float], stream: Any, **how: Any) -> None:
     from matplotlib.figure import Figure
 
-    with matplotlib.rc_context(_STYLE | {"svg.hashsalt": "mbds-xsim"}):
+    with _styled(_STYLE | {"svg.hashsalt": "mbds-xsim"}):
         figure = Figure(figsize=size, layout="constrained")
         draw(figure)
         figure.savefig(stream, **how)

@@ -14,7 +14,7 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.report.draw import draw_scene
 from mbds_xsim.report.motion import Projection, outline, pose_of
-from mbds_xsim.report.themed import PARTS
+from mbds_xsim.report.themed import PARTS, picture
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Body, Inertia, Joint, Particle, Scene, SpringDamper
 from mbds_xsim.simulate import registry
@@ -152,6 +152,11 @@ def test_a_file_that_cannot_be_written_is_told(tmp_path: Path) -> None:
 
     with pytest.raises(InputError, match="cannot write"):
         draw_scene(PENDULUM, tmp_path / "file" / "scene.png")
+
+
+@pytest.mark.filterwarnings("error")
+def test_letters_that_the_font_lacks_are_drawn_without_a_warning() -> None:
+    assert picture(lambda figure: figure.text(0.5, 0.5, "名前"), (1.0, 1.0), None)
 
 
 def test_the_same_scene_gives_the_same_file(tmp_path: Path) -> None:
