@@ -14,6 +14,9 @@ import numpy as np
 from mbds_xsim import reference
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Conduct, Crash, Task, run_tasks
+from mbds_xsim.checks.audit import audited
+from mbds_xsim.checks.integrity import gap
+from mbds_xsim.checks.record import Record
 from mbds_xsim.measure.outcome import Outcome, ReferenceOutcome
 from mbds_xsim.measure.refinement import may_end, other_steps, pieces_of, step_name
 from mbds_xsim.measure.runner import Account, Piece, carry_out
@@ -30,6 +33,7 @@ _LANES = 8  # trajectories that take the compiled reference as long as one
 _TIMEOUT = 3600.0
 RTOL = 1e-11
 """Of the reference."""
+_OPEN = 1e-6  # of the scene's length: a gap that no reference has
 _SAMPLE = 3  # trajectories that run at other steps too, in one process
 
 
@@ -137,9 +141,22 @@ def reference_of(scene: Scene, batch: Batch, cache: bool) -> ReferenceOutcome:
     keys = [key_of("solve", scene, batch, row, RTOL) for row in range(len(batch))]
     kept = sum(load(key) is not None for key in keys) if cache else 0
     trajectory = reference.solve(scene, batch, rtol=RTOL, cache=cache)
+    _check_closed(scene, batch, trajectory)
     growth = reference.sensitivity(scene, batch, cache=cache)
     growth[~trajectory.known] = np.nan
     return ReferenceOutcome(trajectory, growth, RTOL, kept, time.perf_counter() - begin)
+
+
+def _check_closed(scene: Scene, batch: Batch, trajectory: Trajectory) -> None:
+    """Refuse a solution that does not keep the joints: engines would be held against nothing."""
+    for found in audited(Record(scene, batch, trajectory), (gap,)):
+        worst = found.worst
+        if found.figure[worst] > _OPEN * scene.length:
+            msg = (
+                f"the reference opens {found.where[worst]} by {found.figure[worst]:.3g} m, so "
+                "nothing can be judged: masses, inertias or lengths of the bodies differ too much"
+            )
+            raise InputError(msg)
 
 
 def _joined(parts: list[Any]) -> ReferenceOutcome:

@@ -13,6 +13,7 @@ from scipy.special import ellipj, ellipk
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.measure import campaign
 from mbds_xsim.reference import sensitivity, solve
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
@@ -333,3 +334,16 @@ def test_sensitivity_does_not_hang_on_the_tolerance() -> None:
     tight = sensitivity(scene, batch, cache=False, rtol=1e-11)
     np.testing.assert_allclose(loose, tight, rtol=1e-3)
     assert loose.max() > 1.5
+
+
+def test_a_solution_that_opens_joints_is_no_reference(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As one did of a particle of 1e9 kg, whose joint's rows were lost in rounding."""
+    scene = load_scene("2pendulum")
+    batch = draw_batch(scene, [0]).truncated(3)
+    exact = solve(scene, batch, cache=False)
+    opened = dataclasses.replace(exact, position=exact.position + 2e-3)
+    monkeypatch.setattr("mbds_xsim.reference.solve", lambda *_, **__: opened)
+    with pytest.raises(
+        InputError, match=r"opens joint joint1 by 0\.00346 m, so nothing can be judged"
+    ):
+        campaign.reference_of(scene, batch, cache=False)
