@@ -161,7 +161,7 @@ WAYS = each,leave-one-out,all
 # A change of speed, to hold one of engine against.
 SPEEDS = mujoco-low,mujoco-medium,mujoco-high
 SEEDS ?= 1
-SHIFTED ?= 5pendulum 6pendulum 6pendulum-matched balldrop 3ladder simplecubli $(SCENES:%=%-factors) 5pendulum-worth
+SHIFTED ?= 5pendulum 6pendulum 6pendulum-matched balldrop 3ladder simplecubli $(SCENES:%=%-factors) 5pendulum-worth 6pendulum-worth
 drawn = $(BIN)/mbds-xsim generate $(1) --settings $(2) --trajectories $(DRAWN) --out $(STUDY) \
 	--engines $(ENGINES) \
 	|| [ $$? -eq 1 ]

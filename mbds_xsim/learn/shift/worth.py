@@ -99,7 +99,7 @@ def answer_of_harms(shift: Shift) -> Iterator[Answer]:
             cheapest.setdefault(domain.engine, domain)
     if not cheapest:
         return
-    first, *others = (f"{d.name}, {_milliseconds(d):.2g} ms" for d in cheapest.values())
+    first, *others = (f"{d.name}, {_milliseconds(d):.3g} ms" for d in cheapest.values())
     none = [f"none of {e}" for e in dict.fromkeys(d.engine for d in dear) if e not in cheapest]
     models = ", ".join(dict.fromkeys(harm.model for harm in shift.harms))
     text = (
