@@ -25,7 +25,7 @@ from mbds_xsim.scene.mechanism import Mechanism
 
 _CENTRED = 1e-9  # [m], and of a moment that balls have alike about all axes
 _OVER = 1e-6  # of the approach that changes beside each other once a collision is over
-_EXACT = 1e-6  # of a frame: how exactly the time of a touch must be known
+_EXACT = 1e-4  # of a frame: how exactly the time of a touch must be known
 _SLOW = 3.0  # times what gravity or loads add in a frame: slower ones tell no restitution
 
 
