@@ -46,7 +46,7 @@ _SPEEDS = st.tuples(*[st.floats(-3.0, 3.0)] * 3)
 
 
 @given(velocities=st.tuples(*[_SPEEDS] * 4), spins=st.tuples(*[_SPEEDS] * 4))
-@settings(max_examples=20)
+@settings(max_examples=20, deadline=None)
 def test_momentum_stays_and_energy_never_grows(
     velocities: list[tuple[float, float, float]], spins: list[tuple[float, float, float]]
 ) -> None:
@@ -71,6 +71,7 @@ def test_momentum_stays_and_energy_never_grows(
 
 
 @given(speed=st.floats(0.5, 2.0), apart=st.sampled_from([0.0, 1e-17, 1e-15, 1e-12, 1e-9]))
+@settings(deadline=None)
 def test_balls_that_graze_go_on_as_they_were(speed: float, apart: float) -> None:
     """Rounding makes the time of touch a double root, or none."""
     passing = Flying((-0.3, 2.0 * RADIUS + apart, 0.0), (speed, 0.0, 0.0))
