@@ -188,7 +188,10 @@ def _picture(studies: Sequence[Shift], page: bytes) -> bytes:
 
     def draw(figure: Any) -> None:
         parts = figure.subplots(math.ceil(len(models) / 2), 2, squeeze=False).ravel()
-        for axes, model in zip(parts, models, strict=True):
+        for axes, model in itertools.zip_longest(parts, models):
+            if model is None:
+                axes.remove()
+                continue
             draw_costs(axes, found[model], scenes, _SHORT, most)
             axes.set_title(model)
         words = "How many times the squared error grows by which change"
