@@ -109,6 +109,28 @@ def _saddle(
     return value[..., 0], multiplier[..., 0]
 
 
+class _Solved(torch.autograd.Function):
+    """Solution with a symmetric matrix that has a factor; its adjoint is one more solution.
+
+    Autograd would go back through the factorisation, which takes several times as long.
+    Differentiable once.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, matrix: Tensor, goal: Tensor, factor: Tensor) -> Tensor:
+        del matrix
+        value = torch.cholesky_solve(goal[..., None], factor)
+        ctx.save_for_backward(factor, value)
+        return value[..., 0]
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor | None, ...]:
+        factor, value = ctx.saved_tensors
+        by_goal = torch.cholesky_solve(slope[..., None], factor)
+        return -by_goal @ value.mT, by_goal[..., 0], None
+
+
 class Mechanics(nn.Module):
     """Nodes, constraints, mass matrix and known forces of one scene.
 
@@ -238,9 +260,9 @@ class Mechanics(nn.Module):
         Where it has no factor the solution is not a number, so that a row fails alone.
         """
         matrix = _filled(jacobian.over_mass(), self.redundant)
-        factor, info = torch.linalg.cholesky_ex(matrix)
-        factor = torch.where((info > 0)[:, None, None], torch.nan, factor)
-        return lambda goal: torch.cholesky_solve(goal[..., None], factor)[..., 0]
+        factor, info = torch.linalg.cholesky_ex(matrix.detach())
+        factor.masked_fill_((info > 0)[:, None, None], torch.nan)
+        return lambda goal: _Solved.apply(matrix, goal, factor)  # type: ignore[no-untyped-call]
 
     def _least(self, jacobian: Jacobian, goal: Tensor) -> Tensor:
         """Mass-weighted least change with A · change = goal, shape (batch, node, 3)."""

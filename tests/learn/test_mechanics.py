@@ -274,3 +274,15 @@ def test_the_gradient_of_constrained_accelerations_is_right() -> None:
     assert torch.autograd.gradcheck(solve_with_any, inputs)
     moved = solve_with_any(*inputs)
     assert torch.allclose((inputs[2] @ moved[..., None])[..., 0], -inputs[3], atol=1e-10)
+
+
+@pytest.mark.parametrize("name", ["6pendulum", "every_joint"])
+def test_the_gradient_of_the_projection_is_right(name: str) -> None:
+    """Of what joints take away, by loose states: nodes are some hundredth of a rod off."""
+    scene, bodies = states_of(name)
+    mechanics = Mechanics(scene)
+    q, v = (part[:1] for part in nodes(mechanics, bodies))
+    small = 1e-2 * float(mechanics.points.rod_length.min())
+    torch.manual_seed(4)
+    loose = tuple((x + small * torch.randn_like(x)).requires_grad_() for x in (q, v))
+    assert torch.autograd.gradcheck(mechanics.project, loose, eps=1e-7, atol=1e-5, rtol=1e-5)
