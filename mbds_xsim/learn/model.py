@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import chdir, contextmanager, suppress
+from contextlib import chdir, contextmanager, redirect_stdout, suppress
 from dataclasses import replace
 from typing import Any, ClassVar, Literal, Self, final
 
@@ -165,9 +166,12 @@ def trainable() -> list[str]:
 
 @contextmanager
 def of_another_package() -> Iterator[None]:
-    """Stay in this folder and in this process, whatever a package's code does."""
+    """Stay in this folder and in this process, whatever a package's code does.
+
+    What it prints is none of a command's output, which may be read by a machine.
+    """
     try:
-        with chdir(os.curdir):
+        with chdir(os.curdir), redirect_stdout(sys.stderr):
             yield
     except SystemExit as error:
         raise RuntimeError(f"it exits with {error.code!r}") from error

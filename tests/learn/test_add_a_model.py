@@ -96,6 +96,7 @@ class Fails(PointModel):
 
     def __init__(self, graph, statistics, settings):
         os.chdir("/")
+        print("hello")
         raise KeyError("no such\\nbody")
 
     def predict(self, history, inputs): ...
@@ -103,11 +104,14 @@ class Fails(PointModel):
 """
 
 
-def test_a_model_that_fails_on_a_scene_cannot_represent_it(tmp_path: Path) -> None:
+def test_a_model_that_fails_on_a_scene_cannot_represent_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     graph, folder, here = Graph.of(load_scene("2pendulum")), tmp_path / "fails", Path.cwd()
     with installed(folder, {"fails": _FAILS}, models={"fails": "fails:Fails"}):
         told = refusal("fails", graph)
     assert told.startswith("fails:Fails fails on scene '2pendulum': KeyError: ")
     assert "\n" not in told
     assert Path.cwd() == here
+    assert capsys.readouterr() == ("", "hello\n")
     sys.modules.pop("fails", None)
