@@ -124,7 +124,7 @@ def checked(trajectory: Trajectory, batch: Batch) -> Trajectory:
     for name, size in (("position", 3), *_TURNS_AND_RATES):
         _check_array("gave", trajectory, name, (*rows, size))
     ends: object = trajectory.failures
-    sound = isinstance(ends, tuple) and all(end is None or _has_reason(end) for end in ends)
+    sound = isinstance(ends, tuple) and all(end is None or _says_when(end) for end in ends)
     if not sound or len(trajectory.failures) != len(batch):
         msg = f"the adapter gave failures {ends!r:.80}, not a Failure or None for each trajectory"
         raise ValueError(msg)
@@ -134,8 +134,10 @@ def checked(trajectory: Trajectory, batch: Batch) -> Trajectory:
     return dataclasses.replace(whole, orientation=turned, failures=said)
 
 
-def _has_reason(end: object) -> bool:
-    return isinstance(end, Failure) and isinstance(end.reason, str)
+def _says_when(end: object) -> bool:
+    if not (isinstance(end, Failure) and isinstance(end.reason, str)):
+        return False
+    return isinstance(end.frame, int | np.integer) and end.frame >= 0
 
 
 def _read_back(run: Run, batch: Batch) -> Readback:

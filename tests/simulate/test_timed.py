@@ -161,6 +161,8 @@ def test_frames_from_a_failure_on_are_not_numbers() -> None:
         ({"failures": (None,)}, "failures .* for each trajectory"),
         ({"failures": ("late", None, None)}, "failures .* for each trajectory"),
         ({"failures": (Failure(2, cast("str", 5)), None, None)}, "failures .* for each trajectory"),
+        ({"failures": (Failure(-1, "lost"), None, None)}, "failures .* for each trajectory"),
+        ({"failures": (Failure(cast("int", 1.5), ""), None, None)}, "failures .* for each traj"),
     ],
 )
 def test_what_is_no_trajectory_is_refused(wrong: dict[str, Any], told: str) -> None:
