@@ -11,7 +11,7 @@ from __future__ import annotations
 PHYSICS = 4
 """Starts, inputs and reference solutions of a scene."""
 
-CHECKS = 18
+CHECKS = 19
 """Figures and verdicts of checks on a trajectory, and what studies derive from them."""
 
 MODELS = 5

@@ -27,6 +27,7 @@ _CENTRED = 1e-9  # [m], and of a moment that balls have alike about all axes
 _OVER = 1e-6  # of the approach that changes beside each other once a collision is over
 _EXACT = 1e-4  # of a frame: how exactly the time of a touch must be known
 _SLOW = 3.0  # times what gravity or loads add in a frame: slower ones tell no restitution
+_GLANCE = 0.1  # of the speed at which surfaces meet: what approaches slower is a glance
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +48,15 @@ class Hits:
     """Between the balls where the two motions meet, negative in each other [m]; NaN where they
     stay together."""
 
+    @property
+    def least(self) -> Array:
+        """What errors of the approach are measured by at least [m/s].
+
+        An engine that finds a touch late has another normal: next to nothing of the motion, and all
+        of a glance's approach.
+        """
+        return np.asarray(_GLANCE * np.hypot(self.approach, rotation.norm(self.slip)))
+
 
 @check("collision restitution", "restitution")
 def collision_restitution(record: Record) -> Figures | None:
@@ -55,14 +65,15 @@ def collision_restitution(record: Record) -> Figures | None:
     if not found:
         return None
     assert record.scene.collisions is not None
-    wanted, ratios = record.scene.collisions.restitution, []
+    wanted, told, off = record.scene.collisions.restitution, [], []
     for pair, hits in found.items():
         loads = rotation.norm(_pull(record, pair)[hits.row, hits.step])
         fast = hits.approach > _SLOW * np.maximum(record.fall, record.frame * loads)
-        ratios.append(np.where(fast, hits.parting / hits.approach, np.nan))
-    off = [np.abs(ratio - wanted) for ratio in ratios]
-    every = np.concatenate(ratios)
-    note = told_restitution(every[np.isfinite(every)].tolist(), wanted)
+        error = np.abs(hits.parting - wanted * hits.approach)
+        off.append(np.where(fast, error / np.maximum(hits.approach, hits.least), np.nan))
+        plain = fast & (hits.approach > hits.least)
+        told += (hits.parting[plain] / hits.approach[plain]).tolist()
+    note = told_restitution(told, wanted)
     return Figures(_placed(record, found, off), _names(record, found), note)
 
 
@@ -144,7 +155,7 @@ def _of_pair(record: Record, pair: int) -> Hits:
     left = speed - parting[:, None] * normal - rotation.cross(turning, normal)
     rates = 1.0 / np.where(parted, after.climb, np.nan) - 1.0 / before.climb
     gap = -(frame - falling + rising) / rates
-    # Newton's steps close in on a graze too slowly to tell a touch from a miss.
+    # A graze that is no touch comes as near as one.
     exact = np.abs(before.gap) <= _EXACT * frame * -before.climb
     hit = exact & (falling >= 0.0)
     return Hits(
@@ -200,7 +211,8 @@ def _aside(record: Record, pair: int, hits: Hits) -> Array:
     needed = np.minimum(most, size / across)
     wanted = -hits.slip * (needed / np.maximum(size, np.finfo(float).tiny))[:, None]
     off = rotation.norm(given - wanted) if even else np.maximum(rotation.norm(given) - most, 0.0)
-    return np.asarray(off / np.maximum(most if collisions.friction else push, 1e-300))
+    scale = np.maximum(push, hits.least / yields)
+    return np.asarray(off / (scale * (collisions.friction or 1.0)))
 
 
 def _placed(record: Record, found: dict[int, Hits], values: list[Array]) -> Array:

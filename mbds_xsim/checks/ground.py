@@ -268,7 +268,7 @@ def at_impacts(record: Record, groups: list[tuple[Impacts, Array]]) -> Array:
 def told_restitution(ratios: list[float], wanted: float) -> str:
     """Say which coefficients were delivered."""
     if not ratios:
-        return f"no impact, the scene has {wanted:.4f}"
+        return f"no impact that tells it, the scene has {wanted:.4f}"
     told = f"{min(ratios):.4f} to {max(ratios):.4f} delivered, median {np.median(ratios):.4f}"
     return f"{told}, the scene has {wanted:.4f}"
 
@@ -360,15 +360,16 @@ def at_touch(
     force, torque = record.batch.force[row, step], record.torque[row, step]
     sense = np.where(frame > step, -1.0, 1.0)
     time, limit = np.zeros(len(row)), 1.5 * record.frame
-    there, here = bodies, look(bodies)
-    for k in range(_REFINEMENTS + 1):
+    there, here, bend = bodies, look(bodies), np.full(len(row), -record.pull)
+    for _ in range(_REFINEMENTS + 1):
+        # A parabola's root, which Newton's steps to a glance would only halve the way to.
         speed = sense * here.climb
-        # The first guess is a parabola's, on which Newton's steps cannot go astray.
-        square = np.sqrt(speed**2 + 2.0 * record.pull * np.maximum(here.gap, 0.0))
-        ahead = 2.0 * here.gap / (square - speed) if k == 0 else -here.gap / speed
-        time = np.clip(time + sense * ahead, -limit, limit)
+        root = np.sqrt(np.maximum(speed**2 - 2.0 * bend * here.gap, 0.0))
+        before, climb = time, here.climb
+        time = np.clip(time + sense * 2.0 * here.gap / (root - speed), -limit, limit)
         there = followed(record, bodies, force, torque, time)
         here = look(there)
+        np.divide(here.climb - climb, time - before, out=bend, where=time != before)
     reached = (np.abs(time) <= record.frame) & (np.abs(here.gap) < 1e-6 * record.scene.length)
     return there, here, np.where(reached, time, np.nan)
 

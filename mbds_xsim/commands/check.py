@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from mbds_xsim.scene.scene import Scene
 
 Model = Annotated[
-    Path, Argument(metavar="MODEL", help="A file: .xml (MJCF), .urdf, .sdf or .usda.")
+    Path, Argument(metavar="MODEL", help="A file: .xml (MJCF), .urdf, .sdf, .usd, .usda, .usdc.")
 ]
 Floating = Annotated[
     bool, Option("--floating", help="Leave a URDF's root link free, not fixed in the world.")

@@ -216,7 +216,7 @@ ModelPlaces = Annotated[
     list[Path] | None,
     typer.Option(
         metavar="PATH",
-        help="Trained models beside the engines: a file, a folder of train, or a pattern such as "
+        help="Trained models beside the engines: a file, a folder of models, or a pattern such as "
         "'models/*/*/*/all-s0.pt'; may be repeated.",
     ),
 ]

@@ -21,9 +21,7 @@ _Limit = Annotated[
     float, Option(help="Longest rollout of a start [s].", min=0.1, max=shared.LONGEST)
 ]
 _Options = Annotated[bool, Option("--options", help="Vary the engines' own options, too.")]
-_Out = Annotated[
-    Path | None, Option(metavar="FILE", help="Write here, not where validate finds them.")
-]
+_Out = Annotated[Path | None, Option(metavar="FILE", help="Write here, not into scenes/matched.")]
 
 
 @shared.command("study", writes="json html opened")
@@ -224,7 +222,7 @@ def releases(
 ) -> None:
     """Measure every release of an engine on the index, and say which changed what.
 
-    Each is installed into a folder of its own in the cache; what is there is gone on with.
+    Each is installed into a folder of its own in the cache; what is there is used again.
 
     Examples:
         mbds-xsim releases mujoco --since 3.7.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from types import SimpleNamespace
 from typing import Any
 
@@ -81,6 +82,18 @@ def test_balls_that_pass_within_rounding_are_no_collision(apart: float) -> None:
     scene = balls([passing, Flying((0.0, 0.0, 1.0))])
     found = _findings(scene, solve(scene, draw_batch(scene, [0]), cache=False))
     assert _over(found) == set()
+
+
+@pytest.mark.parametrize("share", [0.3, 0.03, 1e-2, 1e-3])
+@pytest.mark.parametrize("restitution", [0.8, 1.0])
+def test_glances_are_judged_by_what_they_change(share: float, restitution: float) -> None:
+    """They approach with a share of their speed: below a tenth of it an error counts less."""
+    passing = Flying((-0.3, 2.0 * RADIUS * math.sqrt(1.0 - share**2), 1.0), (1.3, 0.0, 0.0))
+    given = [passing, Flying((0.0, 0.0, 1.0))]
+    motion, _ = collided(balls(given, restitution=restitution), given)
+    found = _findings(balls(given), _turned(motion))["collision restitution"]
+    error = abs(restitution - 0.8) * min(1.0, share / 0.1)
+    assert found.figure == pytest.approx(error, abs=1e-9)
 
 
 @pytest.mark.parametrize("restitution", [0.78, 0.82, 1.0, 0.0])
