@@ -24,7 +24,7 @@ from benchmarks.harness import print_table
 from mbds_xsim.base.files import read_file, write_whole
 from mbds_xsim.learn.shift.answers import MATCHED, ROBUST
 from mbds_xsim.learn.shift.gaps import ALL, LEAVE_ONE_OUT, SINGLE
-from mbds_xsim.learn.shift.interaction import by_change, changed
+from mbds_xsim.learn.shift.interaction import changed
 from mbds_xsim.learn.shift.result import Gap, Interaction, Shift
 from mbds_xsim.report import themed
 from mbds_xsim.report.quantity import NONE, number
@@ -123,7 +123,7 @@ def main() -> None:
     files = sorted(asked.folder.glob("*.json.gz"))
     results = {file.name.removesuffix(".json.gz"): read_file(file) for file in files}
     studies = {name: msgspec.json.decode(text, type=Shift) for name, text in results.items()}
-    several = {n: shift for n, shift in studies.items() if len(by_change(shift.interactions)) > 1}
+    several = {name: shift for name, shift in studies.items() if _factor_count(shift) > 1}
     page = io.StringIO()
     with contextlib.redirect_stdout(page):
         _print(asked.folder, studies, several)
@@ -149,6 +149,10 @@ def _costs(name: str, shift: Shift) -> Iterator[tuple[str, ...]]:
     for model in trained_models(shift):
         costs = [_cost(_dearest(shift, model, factor), place) for factor in _FACTORS]
         yield f"[{shift.scene}]({name}.md)", model, *costs
+
+
+def _factor_count(shift: Shift) -> int:
+    return sum(any(_is(pair, factor) for pair in shift.interactions) for factor in _FACTORS)
 
 
 def _dearest(shift: Shift, model: str, factor: str) -> Interaction | None:
