@@ -26,6 +26,8 @@ def _between(
         ((1.02, 0.3, 7.0, False), True, "cannot be told, below 7"),
         ((1.02, 0.9, 1.3, False), False, "not noticed, below 1.3"),
         ((0.2, 0.1, 0.4, True), True, "survives, below 0.4"),  # a gain is no loss
+        ((1.001, 1.0, 1.002, True), True, "survives, below 1.01"),  # told, and yet next to nothing
+        ((1.001, 1.0, 1.002, True), False, "survives, below 1.01"),
     ],
 )
 def test_a_change_is_survived_if_it_is_noticed_and_costs_little(

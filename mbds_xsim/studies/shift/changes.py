@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
 
 from mbds_xsim.base.text import counted
 from mbds_xsim.learn.shift.interaction import BEARABLE, FALSE, OTHER, by_change
 from mbds_xsim.learn.shift.result import Interaction, Shift
+from mbds_xsim.learn.shift.worth import NOTABLE
 from mbds_xsim.report.blocks import Column, Table, table_of
 from mbds_xsim.report.quantity import NONE, number
 
@@ -65,10 +67,11 @@ def survivors(
     return titled(
         f"Which model survives which change {when}",
         "How many times the squared error grows by the costliest change of its kind that is told "
-        "from chance, with its 95 % interval, and which change it is. Where none is told, a model "
-        "survives if it errs less on its own data than the two data sets differ and all intervals "
-        f"end below {BEARABLE:g} times; it does not notice the change if it errs more than they "
-        "differ. Below 1.1: where the highest interval ends",
+        "from chance, with its 95 % interval, and which change it is. Where none is told, or its "
+        f"interval ends below {NOTABLE:g}, a model survives if it errs less on its own data than "
+        f"the two data sets differ and all intervals end below {BEARABLE:g} times; it does not "
+        "notice the change if it errs more than they differ and nothing is told. Below 1.1: where "
+        "the highest interval ends",
         ("change", *models),
         rows,
     )
@@ -77,15 +80,20 @@ def survivors(
 def _cost(own: Sequence[Interaction], noticed: Sequence[Interaction], place: int) -> str:
     """Say what the dearest pair costs, or how sure it is that none costs anything."""
     told = [each for each in own if each.resolved[place] and (each.value[place] or 0.0) > 1.0]
-    if told:
-        most = max(told, key=lambda each: each.value[place] or 0.0)
+    dear = [each for each in told if (each.high[place] or 0.0) >= NOTABLE]
+    if dear:
+        most = max(dear, key=lambda each: each.value[place] or 0.0)
         low, high = number(most.low[place]), number(most.high[place])
         return f"{number(most.value[place])} [{low}, {high}], {between(most.first, most.second)}"
-    rooms = [room for e in noticed or own if (room := e.high[place]) is not None]
+    seen = [*noticed, *told]
+    rooms = [room for e in seen or own if (room := e.high[place]) is not None]
     if not rooms:
         return NONE
-    sure = "survives" if max(rooms) < BEARABLE else "cannot be told"
-    return f"{sure if noticed else 'not noticed'}, below {number(max(rooms))}"
+    room = max(rooms)
+    sure = "survives" if room < BEARABLE else "cannot be told"
+    # 1.002 ends above 1, and below 1.01.
+    below = f"{math.ceil(100.0 * room) / 100.0:g}" if room < BEARABLE else number(room)
+    return f"{sure if seen else 'not noticed'}, below {below}"
 
 
 def between(first: str, second: str, *, where: bool = False) -> str:
