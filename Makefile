@@ -217,13 +217,16 @@ $(factor-targets): STEPS = 200
 shift-balldrop-factors: STEPS = 500
 # hgnn+ and lgnn+ learn contact only once they know the energy, which 200 steps are too few for.
 shift-ballscroll-factors: STEPS = 400
+# The largest scene: of more trajectories its tests alone take two core-hours.
+shift-3ladder-factors: STEPS = 150
+shift-3ladder-factors: TESTED = --trajectories 10
 $(factor-targets): shift-%-factors: $(VENV)/ready
 	$(BIN)/mbds-xsim generate $* --trajectories 300 --out $(FACTORS) \
 		--settings $(subst $() ,$(comma),$(FACTORED:%=benchmarks/factors/%.toml))$(comma)native$(comma)matched \
 		--engines $(ENGINES) || [ $$? -eq 1 ]
 	$(BIN)/mbds-xsim train $(FACTORS)/$* --track native+ --models $(NETWORKS) --steps $(STEPS) \
 		--out $(FACTORS)/models --png $(REPORTS)/shift/$*-factors-curves.png $(ON)
-	$(BIN)/mbds-xsim shift $(FACTORS)/models $(FACTORS) --scene $* $(ON) $(call told,shift/$*-factors)
+	$(BIN)/mbds-xsim shift $(FACTORS)/models $(FACTORS) --scene $* $(TESTED) $(ON) $(call told,shift/$*-factors)
 
 # How good data must be: models that learned from a ladder of steps of engines, and of tolerances of the
 # reference, by the error on the truth that what they learned from costs them. Half a core-hour a scene.
