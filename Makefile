@@ -217,7 +217,7 @@ $(factor-targets): STEPS = 200
 shift-balldrop-factors: STEPS = 500
 # hgnn+ and lgnn+ learn contact only once they know the energy, which 200 steps are too few for.
 shift-ballscroll-factors: STEPS = 400
-# The largest scene: of more trajectories its tests alone take two core-hours.
+# The largest scene: tests of ten trajectories take 1.4 core-hours.
 shift-3ladder-factors: STEPS = 150
 shift-3ladder-factors: TESTED = --trajectories 10
 $(factor-targets): shift-%-factors: $(VENV)/ready
