@@ -12,10 +12,13 @@ _SHOWN = (
     "CONTRIBUTING.md",
     "docs/**/*",
     "reports/**/*",
-    "scenes/*.toml",
-    "mbds_xsim/*.py",
+    "scenes/**/*.toml",
+    "mbds_xsim/**/*.py",
+    "mbds_xsim/**/*.toml",
+    "adapters/**/*.py",
+    "tests/scene/mechanisms/*.toml",
 )
-_KINDS = {".md", ".png", ".csv", ".json", ".toml", ".py"}
+_KINDS = {".md", ".png", ".csv", ".json", ".gz", ".toml", ".py"}
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:

@@ -181,7 +181,8 @@ def contact(
         msg = f"--settings: got {settings}, allowed are matched and native: what is measured has "
         raise InputError(msg + "scenes of its own, and a file of settings is matched for one scene")
     drawn = {} if figures is None else _figure_files(figures)
-    to.check(figures=drawn.get("restitution"))
+    for picture in drawn.values() or [None]:
+        to.check(figures=picture)
     with shared.progress_on(to.console) as progress:
         how = Conduct(workers, meter=progress)
         study = study_contact(choice, how, shared.command_line())
