@@ -33,7 +33,7 @@ measured: the contract suite (`mbds_xsim.testing.AdapterContract`) runs each met
 exact answers, fits its order of convergence, and checks that what is refused is refused with
 the reason before the engine sees it.
 
-Which to use for what: [choose-an-engine.md](choose-an-engine.md). A fifth one:
+Which to use for what: [choose-an-engine.md](choose-an-engine.md). One of your own:
 [add-an-engine.md](add-an-engine.md).
 
 ## What each can represent
