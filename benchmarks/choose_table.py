@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import msgspec
@@ -165,12 +165,8 @@ def _machines(studies: Sequence[Tradeoff]) -> str:
 
 
 def _versions(studies: Sequence[Tradeoff]) -> str:
-    named = [(what, version) for study in studies for what, version in study.versions.items()]
-    return _listed(f"{what} {version}" for what, version in named)
-
-
-def _listed(words: Iterable[str]) -> str:
-    return ", ".join(dict.fromkeys(words))
+    named = (f"{what} {version}" for study in studies for what, version in study.versions.items())
+    return ", ".join(dict.fromkeys(named))
 
 
 def main() -> None:

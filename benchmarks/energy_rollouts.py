@@ -10,7 +10,7 @@ last six places in place of the engine's.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -71,9 +71,7 @@ def errors(model: EnergyModel, motions: Motions, state: Tensor | None = None) ->
     return number(float(counted[:, FRAMES[0] - 1].mean())), f"{lost} of {len(motions)}"
 
 
-def rows_of(
-    models: Path, data: Path, scene: str, tell: Callable[[str], None]
-) -> Iterator[list[str]]:
+def rows_of(models: Path, data: Path, scene: str) -> Iterator[list[str]]:
     """Give a line of the table for each model and engine."""
     for name in MODELS:
         for path in sorted((models / scene / "native" / name).glob("*-s0.pt")):
@@ -82,7 +80,7 @@ def rows_of(
             if len(engines) > 1 or "interval" in facts:
                 continue
             assert isinstance(model, EnergyModel)
-            tell(str(path))
+            print(path, file=sys.stderr)
             file = load_dataset(data / scene / f"{engines[0]}-native.h5")
             motions = Motions.of(file, "test", bodies=True, dtype=model.dtype)
             trained = model.substeps
@@ -103,8 +101,7 @@ def main(models: Path, data: Path, scene: str = "6pendulum") -> None:
     title = "Rollouts of HGNN and LGNN: steps and given velocities"
     print_head(title, f"{_COMMAND} > reports/energy-rollouts.md", _TEXT)
     print(f"## {scene}\n")
-    rows = rows_of(models, data, scene, lambda path: print(path, file=sys.stderr))
-    print_table(f"|>trained with|{headings}", rows)
+    print_table(f"|>trained with|{headings}", rows_of(models, data, scene))
 
 
 if __name__ == "__main__":

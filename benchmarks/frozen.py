@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -104,6 +105,7 @@ def _checksums(data: Path) -> Iterator[str]:
 
 def _compare(before: Path) -> int:
     after = before.with_name(f"{before.name}-now")
+    shutil.rmtree(after, ignore_errors=True)  # results of the code as it was at the last comparison
     _make(after)
     wrong = [*_other_results(before, after), *_other_texts(before, after)]
     print("\n".join(wrong) or f"{len(_COMMANDS)} results, data and help as before")

@@ -36,14 +36,8 @@ def from_compiled(path: Path, imported: Imported) -> float:
         body = model.jnt_bodyid[j]
         last = model.body_jntadr[body] + model.body_jntnum[body] - 1 == j
         own = np.flatnonzero(model.body_weldid == body) if last else np.array([], dtype=int)
-        mass, com, inertia = _together(model, data, own)
-        told[model.joint(j).name] = (
-            mass,
-            com,
-            inertia,
-            data.xanchor[j].copy(),
-            data.xaxis[j].copy(),
-        )
+        pose = data.xanchor[j].copy(), data.xaxis[j].copy()
+        told[model.joint(j).name] = (*_together(model, data, own), *pose)
     return _deviation(imported, told)
 
 

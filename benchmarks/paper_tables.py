@@ -5,11 +5,9 @@ python -m benchmarks.paper_tables reports/shift reports/lite > reports/paper-tab
 
 from __future__ import annotations
 
-import csv
 import functools
 import sys
 from collections.abc import Iterator, Sequence
-from importlib import resources
 from pathlib import Path
 
 import msgspec
@@ -18,6 +16,7 @@ from benchmarks.harness import print_head, print_table
 from mbds_xsim.base.files import read_file
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import refusal
+from mbds_xsim.learn.shift.gaps import paper_rows
 from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.report.quantity import number
 from mbds_xsim.simulate.registry import load_scene
@@ -51,8 +50,7 @@ def main(folders: Sequence[Path]) -> None:
         for folder in folders
         for file in sorted(folder.glob("*.json.gz"))
     ]
-    text = resources.files("mbds_xsim.learn.shift").joinpath("paper.csv").read_text("utf-8")
-    printed = [row for row in csv.DictReader(text.splitlines()) if row["kind"] == "value"]
+    printed = paper_rows()
     print_head("The paper's tables", "make reports-paper-tables", _HEAD)
     for table, title in _TABLES.items():
         rows = [row for row in printed if row["table"] == table]
@@ -71,17 +69,13 @@ def main(folders: Sequence[Path]) -> None:
 def _rows(
     printed: Sequence[dict[str, str]], frames: Sequence[int], shifts: Sequence[Shift]
 ) -> Iterator[tuple[str, ...]]:
-    cells = dict.fromkeys((row["scenario"], row["speed"], row["model"]) for row in printed)
+    table = {(row["scenario"], row["speed"], row["model"], int(row["t"])): row for row in printed}
+    cells = dict.fromkeys(key[:3] for key in table)
     for scenario, speed, model in sorted(cells, key=lambda cell: (cell[0], "LMH".find(cell[1]))):
         scene = _scene(scenario)
         texts = []
         for frame in frames:
-            (row,) = (
-                row
-                for row in printed
-                if (row["scenario"], row["speed"], row["model"], int(row["t"]))
-                == (scenario, speed, model, frame)
-            )
+            row = table[scenario, speed, model, frame]
             texts.append(number(float(row["mean_si"])) + (" *" if row["note"] else ""))
             texts.append(_here(shifts, scene, model.lower(), frame, _SPEEDS[speed]))
         name = f"{scene}, {_SPEEDS[speed]}" if speed else scene

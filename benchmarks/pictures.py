@@ -10,7 +10,7 @@ import io
 import itertools
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
@@ -57,23 +57,12 @@ def drawn(stored: Path) -> bytes:
     """Draw one."""
     if stored.suffix == ".csv":
         return stability.to_png([sweep_of(stored.read_text("utf-8"))], stored.read_bytes())
-    kinds: dict[str, Callable[[bytes], bytes]] = {"shift": _shift, "lite": _shift}
-    kind = (
-        _releases if stored.name == "releases.json.gz" else kinds.get(stored.parent.name, _charts)
-    )
-    return kind(read_file(stored))
-
-
-def _charts(stored: bytes) -> bytes:
-    return tradeoff.to_png([msgspec.json.decode(stored, type=Tradeoff)], stored)
-
-
-def _shift(stored: bytes) -> bytes:
-    return shift.to_png([msgspec.json.decode(stored, type=Shift)], stored)
-
-
-def _releases(stored: bytes) -> bytes:
-    return releases.to_png(msgspec.json.decode(stored, type=list[History]), stored)
+    text = read_file(stored)
+    if stored.name == "releases.json.gz":
+        return releases.to_png(msgspec.json.decode(text, type=list[History]), text)
+    if stored.parent.name in ("shift", "lite"):
+        return shift.to_png([msgspec.json.decode(text, type=Shift)], text)
+    return tradeoff.to_png([msgspec.json.decode(text, type=Tradeoff)], text)
 
 
 def sweep_of(table: str) -> Survey:

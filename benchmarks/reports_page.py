@@ -41,9 +41,9 @@ _HEAD = """\
 # Reports
 
 Results of runs that take too long for a test, each with the command that made it. `make reports`
-makes most of them again, in a day or two on a quiet machine; releases, published models and training
-on a GPU have targets of their own, and so has each other chapter. To see what differs between a new
-result and a stored one, use [`mbds-xsim diff`](../docs/diff.md).
+makes most of them again, in a day or two on a quiet machine; releases, published models and
+training on a GPU have targets of their own, and so has each other chapter. To see what differs
+between a new result and a stored one, use [`mbds-xsim diff`](../docs/diff.md).
 """
 
 

@@ -56,7 +56,7 @@ _UNPRINTABLE = re.compile(
 )
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?|[-+](inf|nan)", re.IGNORECASE)
 _ENTITIES = {ord(c): f"&#{ord(c)};" for c in "\\`*$|"} | {ord("<"): "&lt;"}
-_LINK = re.compile(r"^\[|\[(?=[^\W\d])|\](?=[\[(:])")
+_LINK = re.compile(r"^\[|\](?= ?\[|[(:])")
 _ENTITY = re.compile(r"&(?=#?\w+;)")
 _BLOCK = re.compile(r"#+ |[+-] |>|[=~-]{3}")  # at the start of a paragraph
 _COMMANDS = re.compile(r"(\w+_)?command")

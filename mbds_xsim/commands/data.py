@@ -104,8 +104,7 @@ def _cells(figure: Range) -> list[Cell | str]:
     known: list[Cell | str] = [figure.check, str(figure.trajectories), *first, largest]
     if figure.allowed is None:
         return [*known, "shown", ""]
-    kept = figure.largest <= figure.allowed
-    return [*known, allowed, Cell("", "pass" if kept else "fail")]
+    return [*known, allowed, Cell("", "pass" if figure.kept else "fail")]
 
 
 @shared.command("data", writes="json")
@@ -127,7 +126,6 @@ def export(
         mbds-xsim export data --out npz --format npz
         mbds-xsim export data/6pendulum/mujoco-matched.h5 --out csv --format csv --indices 0-9
     """
-    from mbds_xsim.base.text import counted
     from mbds_xsim.dataset.export import export as run
     from mbds_xsim.dataset.read import parse_numbers
 

@@ -149,18 +149,15 @@ def ablate(
     shared.write_json(shared.encoded(found[0] if len(found) == 1 else found), to.json)
 
 
-@shared.command("study")
+@shared.command("study", writes="json markdown")
 def contact(
+    to: shared.Outputs,
     engines: shared.EngineNames = None,
     settings: Annotated[
         str, Option(help="native, matched, or both side by side (native,matched).")
     ] = "native,matched",
     workers: shared.WorkerCount = None,
     limit: shared.TimeLimit = LIMIT,
-    json: shared.JsonFile = None,
-    markdown: Annotated[
-        Path | None, Option(metavar="FILE", help="Write the page docs/contact.md.")
-    ] = None,
     figures: Annotated[
         Path | None, Option(metavar="DIR", help="Draw the page's figures into a folder.")
     ] = None,
@@ -171,32 +168,29 @@ def contact(
         mbds-xsim contact --engines dart
         mbds-xsim contact --markdown docs/contact.md --figures docs/images
     """
-    from mbds_xsim.report.terminal import print_blocks
     from mbds_xsim.simulate.choice import Choice
     from mbds_xsim.studies.contact.present import present, study_contact
 
-    to = shared.Outputs(json, markdown=markdown)
     choice = Choice.parse(engines=engines, profiles=settings, limit=limit)
     if choice.given:
         msg = f"--settings: got {settings}, allowed are matched and native: what is measured has "
         raise InputError(msg + "scenes of its own, and a file of settings is matched for one scene")
     drawn = {} if figures is None else _figure_files(figures)
-    for picture in drawn.values() or [None]:
+    for picture in drawn.values():
         to.check(figures=picture)
     with shared.progress_on(to.console) as progress:
         how = Conduct(workers, meter=progress)
         study = study_contact(choice, how, shared.command_line())
-    print_blocks(present(study), to.console)
+    to.answer(present(study), study, "contact")
     if drawn:
         from mbds_xsim.studies.contact.present import draw_study
 
         draw_study(study, drawn)
-    if markdown is not None:
+    if to.markdown is not None:
         from mbds_xsim.base.files import write_whole
         from mbds_xsim.studies.contact.page import contact_page
 
-        write_whole(markdown, contact_page(study, drawn, markdown.parent).encode())
-    shared.write_json(shared.encoded(study, "contact"), json)
+        write_whole(to.markdown, contact_page(study, drawn, to.markdown.parent).encode())
 
 
 def _figure_files(folder: Path) -> dict[str, Path]:

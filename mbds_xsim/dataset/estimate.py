@@ -39,7 +39,7 @@ class ShardCost:
     spread: float
     """Difference of the two measured shards over their mean."""
     shares: dict[str, float]
-    """Parts of the wall time in which is drawn, simulated, checked and written."""
+    """Parts of the processor time in which is drawn, simulated, checked and written."""
     shard_bytes: float
     """Of a shard without trajectories."""
     trajectory_bytes: float
@@ -84,8 +84,6 @@ def plan(
     conduct: Conduct,
     *,
     sample: int = 6,
-    seed: int = 0,
-    noise: bool = True,
 ) -> CostPlan:
     """Measure a few trajectories of each engine, one at a time, and tell what all would cost.
 
@@ -95,15 +93,13 @@ def plan(
         trajectories: How many are planned.
         conduct: How, and how many processes will be at work.
         sample: Of how many a measured shard is.
-        seed: Of starts and inputs.
-        noise: Whether the random forces act.
 
     Raises:
         InputError: The engines cannot do the scene.
     """
     choice = searched(scene, choice, conduct)
     contenders, left_out = choice.contenders(scene)
-    variants = [Variant(scene, contender, seed, noise) for contender in contenders]
+    variants = [Variant(scene, contender, seed=0, noise=True) for contender in contenders]
     meter = conduct.meter
     meter.begin(len(variants))
     # The reference is the same for all engines; what it costs is measured once.

@@ -38,8 +38,7 @@ from mbds_xsim.dataset.layout import FIELDS, MOTION, attribute
 from mbds_xsim.scene.scene import Clock, Scene
 
 _DAMAGE = (
-    OSError, zipfile.BadZipFile, zlib.error, UnicodeDecodeError, EOFError, csv.Error,
-    NotImplementedError, RuntimeError,
+    OSError, zipfile.BadZipFile, zlib.error, UnicodeDecodeError, EOFError, csv.Error, RuntimeError,
 )  # fmt: skip
 """What reading a file raises that is damaged, encrypted, or something else."""
 _SAME_FRAME = 1e-4  # relative

@@ -18,7 +18,7 @@ from mbds_xsim import reference
 from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.base.isolate import Crash
 from mbds_xsim.checks import CHECKS, Finding, Record, agreement, audited
-from mbds_xsim.checks.coefficients import BalanceEvidence, evidence_of, shared_faults
+from mbds_xsim.checks.coefficients import evidence_of, shared_faults
 from mbds_xsim.checks.extrapolation import LEAST_SPAN
 from mbds_xsim.checks.mismatch import EVERY_SECOND
 from mbds_xsim.dataset.layout import INTEGRITY, sampled
@@ -167,19 +167,15 @@ def judge_rows(
             many=sound and not Mechanism.of(scene).has_impacts,
         )
         verdict.add(rows, audited(record))
-        evidence.append(_evidence_of(record))
+        # A blow-up may overflow on its way to infinity; the check `finite` reports it.
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            evidence.append(evidence_of(record))
     verdict.misbuilt += [f"{TOGETHER}: {line}" for line in shared_faults(evidence)]
     rows = sampled(batch.index)
     if len(rows):
         solved = truth or reference_of(scene, batch[rows], False)
         verdict.add(rows, sample_findings(scene, batch[rows], trajectory[rows.tolist()], solved))
     return verdict
-
-
-def _evidence_of(record: Record) -> BalanceEvidence | None:
-    # A blow-up may overflow on its way to infinity; the check `finite` reports it.
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        return evidence_of(record)
 
 
 def _groups(

@@ -142,7 +142,8 @@ def generate(
         counts = tuple(join(whole, request.trajectories, request.out))
         for folder in dict.fromkeys(variant.folder(request.out).parent for variant in whole):
             write_card(folder)
-    return Generated(counts, left_out, failed, missing, time.perf_counter() - begin)
+    made = sum(item.count for variant in whole for item in todo[variant])
+    return Generated(counts, left_out, failed, made, time.perf_counter() - begin)
 
 
 def _variants(

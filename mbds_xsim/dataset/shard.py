@@ -50,7 +50,7 @@ from mbds_xsim.simulate.readback import compare
 from mbds_xsim.simulate.timed import simulate
 
 LOG = "log.jsonl"
-"""Wall-clock facts of the shards of a folder, one JSON object a line; no part of the data."""
+"""Processor time of the shards of a folder, one JSON object a line; no part of the data."""
 
 STAGES = ("draw_s", "simulate_s", "check_s", "write_s")
 """Of a shard, as its log names them."""
@@ -100,13 +100,13 @@ def make_shard(item: Item, out: Path, *, crashes: Crashes | None = None) -> None
     attributes = {**variant.recipe, "first": item.first, "count": item.count, **counts}
     datasets = _datasets(variant, batch, trajectory, verdict)
     path = item.path(out)
-    if not passed.all():
+    beside = rejected_folder(path.parent) / item.file_name
+    if passed.all():
+        beside.unlink(missing_ok=True)  # of a shard of fewer trajectories, or one begun before
+    else:
         reasons = np.array([verdict.reason(int(row)) for row in np.flatnonzero(~passed)])
         rejected = {**_rows(datasets, ~passed), "reason": reasons}
-        put(
-            rejected_folder(path.parent) / item.file_name,
-            *encode(rejected, {**attributes, "kind": "rejected"}),
-        )
+        put(beside, *encode(rejected, {**attributes, "kind": "rejected"}))
     put(path, *encode(_rows(datasets, passed), {**attributes, "kind": "shard"}))
     watch.lap("write_s")
     times = {**watch.laps, ROLLOUT: round(rollout_s, 6)}

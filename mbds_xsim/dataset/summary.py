@@ -41,6 +41,8 @@ class Range:
     largest: float
     allowed: float | None
     """The least that is allowed of any; None: shown, not judged."""
+    kept: bool
+    """Whether each trajectory has no more than is allowed of it."""
 
 
 @dataclass(frozen=True)
@@ -153,6 +155,7 @@ def _ranges(data: Dataset) -> Iterable[Range]:
             median=float(np.median(values)),
             largest=float(values.max()),
             allowed=least,
+            kept=bool((values <= np.where(np.isnan(limits), np.inf, limits)).all()),
         )
 
 

@@ -90,9 +90,7 @@ class BodyModel(LearnedModel):
     def advance(self, state: Tensor, inputs: KnownInputs) -> Tensor:
         smooth, added = self.predict(state, inputs)
         moved = self.rigid.moved(smooth, added[:, 0])
-        if len(self.rigid.rows):
-            hold = self.rigid.hold(moved)
-            assert hold is not None
+        if (hold := self.rigid.hold(moved)) is not None:
             moved = self.rigid.moved(moved, -hold.least(self.rigid.residual(moved)))
         return torch.cat([moved[..., :7], smooth[..., TWIST] + added[:, 1]], dim=-1)
 
@@ -138,7 +136,6 @@ class CorrectedModel(BodyModel):
         """
 
     def predict(self, state: Tensor, inputs: KnownInputs) -> tuple[Tensor, Tensor]:
-        inputs = KnownInputs(inputs.force.to(state), inputs.torque.to(state))
         states, hold = self.smooth(state, inputs)
         with torch.no_grad():
             view, smooth = self.viewer([each.detach() for each in states]), states[-1]

@@ -44,7 +44,6 @@ from mbds_xsim.learn.mechanics import Mechanics, constrained
 from mbds_xsim.learn.model import FlowModel
 from mbds_xsim.learn.recipe import Cosine, Plateau, Recipe
 from mbds_xsim.learn.statistics import Statistics
-from mbds_xsim.learn.turning import rotate
 from mbds_xsim.learn.window import KnownInputs, Sample, Start
 
 
@@ -194,12 +193,7 @@ class EnergyModel(FlowModel):
     def begin(self, start: Start) -> Tensor:
         """Give nodes and velocities or momenta, on the constraints."""
         assert start.body is not None
-        body = start.body[:, -1].double()
-        position, orientation = body[..., :3], body[..., 3:7]
-        velocity, spin = body[..., 7:10], body[..., 10:]
-        arm = rotate(orientation[:, self.carrier], self.carried)
-        moving = velocity[:, self.carrier] + torch.linalg.cross(spin[:, self.carrier], arm)
-        q, v = self.mechanics.project(position[:, self.carrier] + arm, moving)
+        q, v = self.mechanics.placed(start.body[:, -1, self.carrier].double(), self.carried)
         return torch.stack([q, self.dynamics.conjugate(v)], dim=1)
 
     def positions(self, state: Tensor) -> Tensor:
@@ -212,7 +206,6 @@ class EnergyModel(FlowModel):
 
     def derivative(self, state: Tensor, inputs: KnownInputs) -> Tensor:
         q, x = state.unbind(1)
-        inputs = KnownInputs(inputs.force.to(q), inputs.torque.to(q))
         return torch.stack(self.dynamics.derivative(q, x, inputs), dim=1)
 
     def loss(self, sample: Sample, generator: torch.Generator) -> Tensor:

@@ -30,7 +30,7 @@ from mbds_xsim.learn.layers import keep, mlp, silence
 from mbds_xsim.learn.mechanics import Mechanics
 from mbds_xsim.learn.model import runge_kutta
 from mbds_xsim.learn.recipe import Cosine, Recipe
-from mbds_xsim.learn.rigid import TWIST, JointHold, Q, V, W, X
+from mbds_xsim.learn.rigid import TWIST, JointHold, Q, W
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import KnownInputs
 
@@ -197,10 +197,7 @@ class BodyNodes(nn.Module):
 
     def placed(self, state: Tensor) -> tuple[Tensor, Tensor]:
         """Nodes and their velocities, on the constraints, each (batch, node, 3)."""
-        own = state[:, self.carrier]
-        arm = turning.rotate(own[..., Q], self.carried)
-        moving = own[..., V] + torch.linalg.cross(own[..., W], arm)
-        return self.mechanics.project(own[..., X] + arm, moving)
+        return self.mechanics.placed(state[:, self.carrier], self.carried)
 
     def corotating(self, state: Tensor) -> Corotating:
         """Coordinates that turn with bodies in these states."""

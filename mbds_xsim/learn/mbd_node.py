@@ -63,7 +63,6 @@ class MbdNode(BodyModel):
         silence(self.network)
 
     def predict(self, state: Tensor, inputs: KnownInputs) -> tuple[Tensor, Tensor]:
-        inputs = KnownInputs(inputs.force.to(state), inputs.torque.to(state))
         for _ in range(self.substeps):
             state = runge_kutta(
                 lambda at, _: self.rate(at, inputs), state, self.graph.frame_s / self.substeps

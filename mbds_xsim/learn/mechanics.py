@@ -25,6 +25,8 @@ from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.learn.layers import keep
 from mbds_xsim.learn.mechanics_points import PointRows, points_of, rows_of
+from mbds_xsim.learn.rigid import Q, V, W, X
+from mbds_xsim.learn.turning import rotate
 from mbds_xsim.learn.window import KnownInputs
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
@@ -211,11 +213,6 @@ class Mechanics(nn.Module):
             block=block,
         )
 
-    @property
-    def row_count(self) -> int:
-        """Number of constraints, with those that follow from others."""
-        return len(self.goal)
-
     def all_nodes(self, q: Tensor) -> Tensor:
         """Free nodes and fixed ones, shape (batch, all nodes, 3)."""
         return torch.cat([q, self.fixed.expand(len(q), -1, -1)], dim=1)
@@ -246,6 +243,17 @@ class Mechanics(nn.Module):
         if len(self.spring):
             load = load + self._damping(q, v)
         return load[:, : self.free]
+
+    def placed(self, state: Tensor, carried: Tensor) -> tuple[Tensor, Tensor]:
+        """Put nodes and their velocities onto the constraints, each (batch, node, 3).
+
+        Args:
+            state: Of the body that carries each node, (batch, node, 13).
+            carried: Where each node is on it, (node, 3) [m].
+        """
+        arm = rotate(state[..., Q], carried)
+        moving = state[..., V] + torch.linalg.cross(state[..., W], arm)
+        return self.project(state[..., X] + arm, moving)
 
     def project(self, q: Tensor, v: Tensor, passes: int = 2) -> tuple[Tensor, Tensor]:
         """Put states onto the constraints by least mass-weighted changes (Newton's method)."""

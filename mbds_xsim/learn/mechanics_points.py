@@ -22,6 +22,7 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import Unsupported
+from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.spin import idle_axes
@@ -95,17 +96,6 @@ class NodePoints:
             for body, place in zip(bodies, places, strict=True)
         )
         return end - start
-
-    def place(self, position: Array, native: Array) -> Array:
-        """Free nodes in W [m], shape (…, node, 3), of bodies at positions and turns of N."""
-        body, offset = self.carrier
-        return position[..., body, :] + rotation.rotate(native[..., body, :], offset)
-
-    def move(self, native: Array, velocity: Array, angular_velocity: Array) -> Array:
-        """Velocities of the free nodes in W [m/s], shape (…, node, 3)."""
-        body, offset = self.carrier
-        arm = rotation.rotate(native[..., body, :], offset)
-        return velocity[..., body, :] + rotation.cross(angular_velocity[..., body, :], arm)
 
 
 @dataclass(frozen=True, eq=False)
@@ -343,7 +333,7 @@ def _aligned(joint: PlacedJoint, points: NodePoints) -> list[tuple[Array, Array,
 def _rank(mechanism: Mechanism, points: NodePoints, first: Array, second: Array) -> int:
     """Rank of the Jacobian; the largest at drawn starts, of which some may be singular."""
     start = draw_batch(mechanism.scene, range(_STARTS), noise=False, inputs=False)
-    free = points.place(start.position, mechanism.native_rotation(start.orientation))
+    free = BodyStates.of(mechanism, start).points(*points.carrier)
     fixed = np.broadcast_to(points.fixed, (_STARTS, *points.fixed.shape))
     x = np.concatenate([free, fixed], axis=1)
     product = first[:, :, None] * (second @ x)[:, :, None]

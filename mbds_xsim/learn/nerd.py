@@ -104,7 +104,6 @@ class NeRD(BodyModel):
         return super().positions(state[:, -1])
 
     def predict(self, state: Tensor, inputs: KnownInputs) -> tuple[Tensor, Tensor]:
-        inputs = KnownInputs(inputs.force.to(state), inputs.torque.to(state))
         origin, frame = self._base(state)
         place = self.place.weight
         tokens = self.embed(self._seen(state, inputs, origin, frame).to(place)) + place

@@ -26,7 +26,6 @@ from mbds_xsim.scene.mechanism import Mechanism
 
 X, Q, TWIST, V, W = slice(0, 3), slice(3, 7), slice(7, 13), slice(7, 10), slice(10, 13)
 """Parts of a state."""
-_PLANE = (0.0, 1.0, 0.0)  # about which a plane scene turns
 _PASSES = 2  # of Newton's method with the matrix of the step's start
 _REST = 1e-10  # of a row's own size: rows that follow from others have a factor, too
 

@@ -207,7 +207,11 @@ class Selection:
     @staticmethod
     def parse(settings: str | None, on: str | None, seeds: int | None) -> Selection:
         """Read it from a user's words; InputError says which ways there are."""
-        return Selection(words_of(settings or ()), _words("--on", on, _WAYS), seeds)
+        ways = words_of(on or ())
+        if unknown := [way for way in ways if way not in _WAYS]:
+            msg = f"--on: got {unknown[0]!r}, allowed is {', '.join(_WAYS)}, comma-separated"
+            raise InputError(msg)
+        return Selection(words_of(settings or ()), ways, seeds)
 
     def has(self, model: TrainedModel) -> bool:
         """Whether a trained model takes part."""
@@ -272,15 +276,6 @@ def check_budget(models: Sequence[TrainedModel]) -> None:
                     "tell of that, not of engines: train both alike, or remove one"
                 )
                 raise InputError(msg)
-
-
-def _words(option: str, given: str | None, known: tuple[str, ...]) -> tuple[str, ...]:
-    words = [word.strip() for word in given.split(",")] if given else []
-    for word in words:
-        if word not in known:
-            msg = f"{option}: got {word!r}, allowed is {', '.join(known)}, comma-separated"
-            raise InputError(msg)
-    return tuple(dict.fromkeys(words))
 
 
 def _order(model: TrainedModel) -> tuple[str, str, int, int, str, int]:

@@ -176,5 +176,5 @@ def _joined(parts: list[Any]) -> ReferenceOutcome:
         growth=np.concatenate([part.growth for part in parts]),
         rtol=RTOL,
         cached=sum(part.cached for part in parts),
-        wall_s=sum(part.wall_s for part in parts),
+        busy_s=sum(part.busy_s for part in parts),
     )

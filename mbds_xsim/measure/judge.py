@@ -8,7 +8,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.checks import Finding, Record, agreement, audited
+from mbds_xsim.checks import CHECKS, Finding, Record, agreement, audited
 from mbds_xsim.checks.conservation import energy_balance
 from mbds_xsim.checks.eccentric import impact_coefficients
 from mbds_xsim.checks.integrity import gap
@@ -22,6 +22,7 @@ from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import readback
 from mbds_xsim.simulate.claims import RTOL
 from mbds_xsim.simulate.registry import load_adapter
+from mbds_xsim.simulate.timed import Simulation
 
 _ONE_SECOND = 1.0
 
@@ -49,7 +50,7 @@ def judge(outcome: Outcome, reference: ReferenceOutcome, *, native: bool = True)
     step, method = outcome.contender.settings.step, outcome.method
     spread = outcome.simulations[0].contact_time
     record = Record(scene, batch, trajectory, method, step, spread)
-    findings, error = [*audited(record), *_together(record)], None
+    findings, error = audited(record, (*CHECKS, impact_coefficients)), None
     if not method.is_truth:
         error = agreement.particle_error(Mechanism.of(scene), trajectory, truth)
         findings += [
@@ -63,14 +64,6 @@ def judge(outcome: Outcome, reference: ReferenceOutcome, *, native: bool = True)
     )
 
 
-def _together(record: Record) -> list[Finding]:
-    """Ask all trajectories of a run what none of them tells by itself."""
-    # As in `audited`: a blow-up may overflow.
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        found = impact_coefficients(record)
-    return [] if found is None else [found]
-
-
 def reference_result(scene: Scene, batch: Batch, reference: ReferenceOutcome) -> ReferenceResult:
     """Hold the reference to those of the checks that judge the engines whose figures are told."""
     record = Record(scene, batch, reference.trajectory)
@@ -80,7 +73,7 @@ def reference_result(scene: Scene, batch: Batch, reference: ReferenceOutcome) ->
         constraint_gap_m=_worst_of(findings, "gap") or 0.0,
         energy_balance=_worst_of(findings, "energy") or 0.0,
         cached=reference.cached,
-        wall_s=reference.wall_s,
+        wall_s=reference.busy_s,
         known_s=tuple(
             end.time if isinstance(end, FirstImpact) else None
             for end in reference.trajectory.failures
@@ -184,12 +177,15 @@ def _agreed(scene: Scene, error: Array, truth: Trajectory) -> float | None:
 
 
 def _readback_differences(outcome: Outcome) -> list[str]:
+    if outcome.contender.profile != "matched":
+        return []
     mechanism, settings = Mechanism.of(outcome.scene), outcome.contender.settings
-    for rows, part in zip(outcome.rows, outcome.simulations, strict=False):
-        batch = outcome.batch[rows]
-        lines = readback.compare(mechanism, batch, settings, part.readback, outcome.method)
-        if lines and outcome.contender.profile == "matched":
-            return [f"read-back: {line}" for line in lines]
+    for rows, part in zip(outcome.rows, outcome.parts, strict=True):
+        if isinstance(part, Simulation):
+            batch = outcome.batch[rows]
+            lines = readback.compare(mechanism, batch, settings, part.readback, outcome.method)
+            if lines:
+                return [f"read-back: {line}" for line in lines]
     return []
 
 

@@ -49,11 +49,6 @@ class Outcome:
         self.other_steps[step] = dataclasses.replace(empty, failures=crashed)
 
     @property
-    def crashes(self) -> list[str]:
-        """Reasons of the parts that crashed."""
-        return list(dict.fromkeys(p.reason for p in self.parts if isinstance(p, Crash)))
-
-    @property
     def simulations(self) -> list[Simulation]:
         """The parts that came back."""
         return [part for part in self.parts if isinstance(part, Simulation)]
@@ -71,7 +66,8 @@ class Outcome:
     @property
     def failures(self) -> list[str]:
         """One line for each crash, and for each trajectory that ended early."""
-        lines = [f"crash: {reason}" for reason in self.crashes]
+        crashes = dict.fromkeys(p.reason for p in self.parts if isinstance(p, Crash))
+        lines = [f"crash: {reason}" for reason in crashes]
         for rows, part in zip(self.rows, self.parts, strict=True):
             if isinstance(part, Simulation):
                 for row, failure in zip(rows, part.trajectory.failures, strict=True):
@@ -91,12 +87,8 @@ class ReferenceOutcome:
     """Sensitivity G, shape (trajectory, frame); NaN where the trajectory is."""
     rtol: float
     cached: int
-    wall_s: float
-
-    @property
-    def busy_s(self) -> float:
-        """Time that it took [s]."""
-        return self.wall_s
+    busy_s: float
+    """Time that it took [s]."""
 
     def __getitem__(self, rows: list[int]) -> ReferenceOutcome:
         """Take some of the trajectories."""

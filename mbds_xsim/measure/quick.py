@@ -13,7 +13,6 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -68,19 +67,18 @@ def searched(scene: Scene, choice: Choice, conduct: Conduct) -> Choice:
         conduct.meter.begin(len(missing))
         reference = run_references(scene, batch, conduct)
 
-        def finished(place: int, _: Any) -> None:
-            conduct.meter.advance(f"settings of {missing[place]}")
+        def finished(place: int, answer: Matched | Crash | None) -> None:
+            name = missing[place]
+            conduct.meter.advance(f"settings of {name}")
+            if isinstance(answer, Matched):
+                found[name] = answer
+                if conduct.cache:
+                    _store(keys[name], answer)
 
         tasks = [
             Task(_search, (scene, batch, reference, name), _LIMIT + _GRACE) for name in missing
         ]
-        answers = run_tasks(tasks, workers=conduct.workers, finished=finished)
-        for name, answer in zip(missing, answers, strict=True):
-            if isinstance(answer, Crash) or answer is None:
-                continue
-            found[name] = answer
-            if conduct.cache:
-                _store(keys[name], answer)
+        run_tasks(tasks, workers=conduct.workers, finished=finished)
     if not found:
         return choice
     matched = {**choice.given.get(MATCHED, {}), **found}
@@ -93,12 +91,10 @@ def _without(scene: Scene, choice: Choice) -> list[str]:
     return [
         name
         for name in choice.engines
-        if name not in given and not is_stored(scene, name) and _able(scene, name)
+        if name not in given
+        and not is_stored(scene, name)
+        and _methods(scene, registry.load_adapter(name))
     ]
-
-
-def _able(scene: Scene, engine: str) -> bool:
-    return bool(_methods(scene, registry.load_adapter(engine)))
 
 
 def _methods(scene: Scene, adapter: Adapter) -> list[Settings]:

@@ -144,8 +144,7 @@ def _passed(row: Judged, limits: Sequence[Finding]) -> bool:
 
 def _excess(batch: Batch, result: EngineResult, limits: Sequence[Finding]) -> float:
     findings = [*result.findings, *(finding_result(batch, limit) for limit in limits)]
-    judged = [f for f in findings if f.budget]
-    ratios = [f.figure / f.budget if f.budget else 0.0 for f in judged]
+    ratios = [f.figure / f.budget for f in findings if f.budget]
     return max((r if math.isfinite(r) else math.inf for r in ratios), default=0.0)
 
 

@@ -14,14 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.files import write_whole
 from mbds_xsim.base.text import counted, in_figure
 from mbds_xsim.report import themed
 from mbds_xsim.report.blocks import Figure
 from mbds_xsim.report.catalogue import scene_row
-from mbds_xsim.report.motion import Projection, Skeleton, outline, point_of, pose_of, skeleton
+from mbds_xsim.report.motion import Projection, Skeleton, outline, pose_of, skeleton
 from mbds_xsim.report.themed import DRAWN, PALE, PARTS, Draw
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
@@ -91,16 +90,11 @@ class _Picture:
     def of(scene: Scene, start: int | None) -> _Picture:
         mechanism, bones = Mechanism.of(scene), skeleton(scene)
         pose = pose_of(mechanism, start)
-        points = pose.position[bones.body] + rotation.rotate(pose.native[bones.body], bones.offset)
-        ends = [
-            point_of(pose, body, offset)
-            for pair in (*mechanism.distances, *mechanism.springs)
-            for body, offset in zip(pair.bodies, pair.in_body, strict=True)
-        ]
-        anchors = [point_of(pose, joint.child, joint.in_child) for joint in mechanism.joints]
-        solid = np.concatenate(
-            [points, bones.fixed, np.reshape([*anchors, *ends], (-1, 3)), pose.position]
-        )
+        world, points = pose.with_world(), pose.points(bones.body, bones.offset)
+        lines = (*mechanism.distances, *mechanism.springs)
+        ends = [world.points(list(pair.bodies), np.array(pair.in_body)) for pair in lines]
+        anchors = [world.points([joint.child], joint.in_child) for joint in mechanism.joints]
+        solid = np.concatenate([points, bones.fixed, *anchors, *ends, pose.position])
         view = Projection.of(solid, scene.dimension)
         reach = np.concatenate([np.maximum(bones.radius, 0.0), np.zeros(len(solid) - len(points))])
         flat = view.flat(solid)
@@ -245,11 +239,8 @@ class _Picture:
         style = {"color": colour, "ls": "none", "mew": 1.3, "zorder": 7, "label": joint.kind}
         axes.plot(*place, marker, ms=4.5, mfc=colour if joint.kind == "fixed" else "white", **style)
         if joint.kind in ("hinge", "slider"):
-            turn = rotation.IDENTITY
-            if joint.parent != WORLD_INDEX:
-                turn = self.pose.native[joint.parent]
             reach = (4.0 if joint.kind == "slider" else 2.5) * self.unit
-            axis = self.view.flat(rotation.rotate(turn, joint.axis)) * reach
+            axis = self.view.flat(self.pose.with_world().arms(joint.parent, joint.axis)) * reach
             line = np.array([place - axis, place + axis])
             width = 2.6 if joint.kind == "slider" else 1.3
             axes.plot(*line.T, color=colour, linewidth=width, zorder=6, solid_capstyle="round")
@@ -343,11 +334,10 @@ class _Picture:
         )
 
     def _anchor(self, joint: PlacedJoint) -> Array:
-        return point_of(self.pose, joint.child, joint.in_child)
+        return self.pose.with_world().points(joint.child, joint.in_child)
 
     def _ends(self, pair: PointPair) -> Array:
-        ends = zip(pair.bodies, pair.in_body, strict=True)
-        return np.array([point_of(self.pose, body, offset) for body, offset in ends])
+        return self.pose.with_world().points(list(pair.bodies), np.array(pair.in_body))
 
 
 def _round_number(value: float) -> float:

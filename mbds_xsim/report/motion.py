@@ -45,8 +45,7 @@ class Skeleton:
 
     def positions(self, motion: Trajectory) -> Array:
         """Moving points in W [m], shape (trajectory, frame, point, 3)."""
-        turn = self.mechanism.native_rotation(motion.orientation)[..., self.body, :]
-        return motion.position[..., self.body, :] + rotation.rotate(turn, self.offset)
+        return BodyStates.of(self.mechanism, motion).points(self.body, self.offset)
 
 
 def skeleton(scene: Scene) -> Skeleton:
@@ -161,22 +160,12 @@ class Projection:
 
 
 def pose_of(mechanism: Mechanism, start: int | None) -> BodyStates:
-    """Pose of the reference, or of the start of a trajectory; nothing moves in a picture."""
-    if start is None:
-        native = np.tile(rotation.IDENTITY, (mechanism.body_count, 1))
-        position = mechanism.com
-    else:
-        batch = draw_batch(mechanism.scene, [start])
-        position, native = batch.position[0], mechanism.native_rotation(batch.orientation)[0]
-    still = np.zeros_like(position)
-    return BodyStates(position, native, still, still)
-
-
-def point_of(pose: BodyStates, body: int, offset: Array) -> Array:
-    """A point fixed in a body (or the world), in W [m]."""
-    if body == WORLD_INDEX:
-        return offset
-    return pose.position[body] + rotation.rotate(pose.native[body], offset)
+    """Pose of the reference, or of the start of a trajectory; in a picture nothing moves."""
+    if start is not None:
+        return BodyStates.of(mechanism, draw_batch(mechanism.scene, [start]))[0]
+    still = np.zeros_like(mechanism.com)
+    native = np.tile(rotation.IDENTITY, (mechanism.body_count, 1))
+    return BodyStates(mechanism.com, native, still, still)
 
 
 def outline(mechanism: Mechanism, pose: BodyStates, view: Projection, body: int) -> Array:

@@ -11,6 +11,7 @@ from mbds_xsim.learn.energy import EnergyNetwork, EnergyShape, Kinetic, momentum
 from mbds_xsim.learn.energy_models import Hamiltonian, NodeDynamics
 from mbds_xsim.learn.mechanics import Mechanics
 from mbds_xsim.learn.window import KnownInputs
+from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.registry import load_scene
@@ -52,12 +53,13 @@ def random_energy(scene: Scene | str, width: int = 5, seed: int = 3) -> EnergyNe
 
 def drawn_states(mechanics: Mechanics, count: int = 6) -> tuple[Tensor, Tensor]:
     batch = draw_batch(mechanics.mechanism.scene, range(count), noise=False)
-    native = mechanics.mechanism.native_rotation(batch.orientation)
-    points = mechanics.points
-    return (
-        torch.as_tensor(points.place(batch.position, native)),
-        torch.as_tensor(points.move(native, batch.velocity, batch.angular_velocity)),
-    )
+    return nodes(mechanics, BodyStates.of(mechanics.mechanism, batch))
+
+
+def nodes(mechanics: Mechanics, bodies: BodyStates) -> tuple[Tensor, Tensor]:
+    carrier = mechanics.points.carrier
+    placed, moving = bodies.points(*carrier), bodies.speeds(*carrier)
+    return torch.tensor(placed.copy()), torch.tensor(moving.copy())
 
 
 def total_energy(dynamics: NodeDynamics, q: Tensor, x: Tensor) -> Tensor:

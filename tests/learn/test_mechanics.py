@@ -24,7 +24,7 @@ from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.registry import load_scene
 
-from .energies import TrueEnergy, acceleration, march, no_inputs
+from .energies import TrueEnergy, acceleration, march, no_inputs, nodes
 from .mechanisms import scene_of
 
 torch.set_num_threads(1)
@@ -74,14 +74,6 @@ def reference_accelerations(
     return np.asarray(linear[:, body] + rotation.cross(angular[:, body], arm) + swing)
 
 
-def nodes(mechanics: Mechanics, bodies: BodyStates) -> tuple[Tensor, Tensor]:
-    points = mechanics.points
-    return (
-        torch.as_tensor(points.place(bodies.position, bodies.native)),
-        torch.as_tensor(points.move(bodies.native, bodies.velocity, bodies.angular_velocity)),
-    )
-
-
 LOOPS = ["andrews", "bricard", "workbench", "four-bar"]
 NAMES = ["6pendulum", "3ladder", "every_joint", "linked", *LOOPS]
 KINDS = ["lgnn", "hgnn"]
@@ -112,7 +104,7 @@ def test_rows_leave_the_freedoms_of_the_scene(name: str) -> None:
     mechanics = Mechanics(scene)
     idle = sum(len(body.tips) == 1 for body in mechanics.points.bodies)
     freedom = degrees_of_freedom(mechanics.mechanism) - idle
-    assert 3 * mechanics.free - mechanics.row_count + mechanics.redundant == freedom
+    assert 3 * mechanics.free - len(mechanics.goal) + mechanics.redundant == freedom
     assert (mechanics.redundant > 0) == (name in LOOPS)
     q, v = nodes(mechanics, bodies)
     assert mechanics.residual(q).abs().max() < 1e-9
@@ -122,7 +114,7 @@ def test_rows_leave_the_freedoms_of_the_scene(name: str) -> None:
 
 def test_a_pendulum_is_its_particles() -> None:
     mechanics = Mechanics(load_scene("6pendulum"))
-    assert (mechanics.free, mechanics.row_count) == (6, 6)
+    assert (mechanics.free, len(mechanics.goal)) == (6, 6)
 
 
 def rate_of(kind: str, energy: TrueEnergy, force: Tensor, torque: Tensor, state: Tensor) -> Tensor:
@@ -214,7 +206,7 @@ def test_jacobians_need_not_be_written_out(name: str) -> None:
     q, v = nodes(mechanics, bodies)
     torch.manual_seed(3)
     for jacobian in (mechanics.jacobian(q), mechanics.jacobian_rate(v)):
-        dense, multiplier = jacobian.dense(), torch.randn(len(q), mechanics.row_count).double()
+        dense, multiplier = jacobian.dense(), torch.randn(len(q), len(mechanics.goal)).double()
         along = (dense @ v.flatten(1)[..., None])[..., 0]
         assert torch.allclose(along, jacobian.along(v), atol=1e-12)
         back = (dense.mT @ multiplier[..., None])[..., 0]

@@ -10,13 +10,18 @@ import numpy as np
 import pytest
 
 from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.isolate import Crash
+from mbds_xsim.measure.campaign import reference_of
+from mbds_xsim.measure.judge import judge
+from mbds_xsim.measure.outcome import Outcome
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate import readback
 from mbds_xsim.simulate.adapter import Adapter, Readback
-from mbds_xsim.simulate.choice import settings_for
+from mbds_xsim.simulate.choice import Choice, settings_for
 from mbds_xsim.simulate.registry import load_adapter, load_scene
+from mbds_xsim.simulate.timed import simulate
 from mbds_xsim.testing import CASES
 
 
@@ -133,3 +138,16 @@ def test_what_a_scene_does_not_have_an_engine_must_not_have(what: str, given: Ar
 
     assert len(lines) == bool(given.size)
     assert all(": got shape (" in line for line in lines)
+
+
+def test_where_a_part_crashed_the_others_are_held_against_their_own_starts() -> None:
+    scene = load_scene("2pendulum")
+    batch = draw_batch(scene, range(2))
+    (contender,), _ = Choice.parse(engines="mujoco", profiles="matched").contenders(scene)
+    part = simulate(scene, batch[[1]], "mujoco", contender.settings)
+    outcome = Outcome(contender, scene, batch, [Crash("gone"), part], [[0], [1]])
+
+    result = judge(outcome, reference_of(scene, batch, True)).result
+
+    assert result.reasons[0] == "crash: gone"
+    assert not [line for line in result.reasons if line.startswith("read-back")]

@@ -73,15 +73,9 @@ def from_contact(evaluation: Evaluation) -> Evaluation | None:
     place = first[rows, None] + np.arange(length)
 
     def later(figures: RolloutFigures) -> RolloutFigures:
-        def moved(values: Array) -> Array:
-            return np.take_along_axis(values[rows], place, axis=1)
-
-        return RolloutFigures(
-            error=moved(figures.error),
-            energy=moved(figures.energy),
-            gap=moved(figures.gap),
-            one_step=figures.one_step[rows],
-        )
+        own = {name: values[rows] for name, values in vars(figures).items()}
+        along = {k: np.take_along_axis(v, place, axis=1) for k, v in own.items() if v.ndim > 1}
+        return RolloutFigures(**(own | along))
 
     return dataclasses.replace(
         evaluation,

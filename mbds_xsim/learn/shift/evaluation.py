@@ -280,7 +280,7 @@ def nearest_engine(evaluation: Evaluation, home: str) -> float:
     Engines go on from the domain's last known frame; infinite where none does.
     """
     apart = [
-        float(np.nanmean(figures.error[:, :_FRAMES]))
+        float(np.nanmean(np.minimum(figures.error[:, :_FRAMES], evaluation.largest)))
         for (first, test), figures in evaluation.restarted.items()
         if test == home and first.rpartition("-")[0] != home.rpartition("-")[0]
     ]

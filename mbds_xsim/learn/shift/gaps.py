@@ -113,6 +113,12 @@ def trainings_of(evaluation: Evaluation, model: str) -> list[TrainedModel]:
     return list(by_domains.values())
 
 
+def singles_of(evaluation: Evaluation, model: str) -> list[TrainedModel]:
+    """Give the trainings on one domain that is tested, too."""
+    tested = {domain.name for domain in evaluation.test.domains}
+    return [t for t in trainings_of(evaluation, model) if t.single and t.domains[0] in tested]
+
+
 def kind_of(training: TrainedModel, test: str, every: Sequence[str]) -> str:
     """Give what a training is to a test domain; "" where there is no shift between them.
 
@@ -278,22 +284,25 @@ def paper_errors(scene: str, *, flagged: bool = True) -> Errors:
 
     With `flagged` also those that a note says cannot be right as printed.
     """
-    text = resources.files("mbds_xsim.learn.shift").joinpath("paper.csv").read_text("utf-8")
     return {
         (row["model"].lower(), int(row["t"])): float(row["mean_si"])
-        for row in csv.DictReader(text.splitlines())
-        if row["kind"] == "value" and row["scenario"].replace("-", "").lower() == scene
+        for row in paper_rows()
+        if row["scenario"].replace("-", "").lower() == scene
         if not row["speed"] and (flagged or not row["note"])
     }
+
+
+def paper_rows() -> list[dict[str, str]]:
+    """Give what the paper's tables print, a row a figure."""
+    text = resources.files("mbds_xsim.learn.shift").joinpath("paper.csv").read_text("utf-8")
+    return list(csv.DictReader(text.splitlines()))
 
 
 def _orders(draws: Draws) -> dict[str, Errors]:
     """Mean errors at home by domain."""
     evaluation, orders = draws.evaluation, dict[str, Errors]()
-    tested = {domain.name for domain in evaluation.test.domains}
-    for training in (t for model in evaluation.models for t in trainings_of(evaluation, model)):
+    for training in (t for model in evaluation.models for t in singles_of(evaluation, model)):
         home = training.domains[0]
-        if training.single and home in tested:
-            means = zip(evaluation.frames, draws.mean(training, home).tolist(), strict=True)
-            orders.setdefault(home, {}).update({(training.model, f): x for f, x in means})
+        means = zip(evaluation.frames, draws.mean(training, home).tolist(), strict=True)
+        orders.setdefault(home, {}).update({(training.model, f): x for f, x in means})
     return orders

@@ -29,11 +29,11 @@ import numpy as np
 from scipy.stats import false_discovery_control, norm
 
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.learn.shift.gaps import Bounded, Draws, Look, own_and_floor, trainings_of
+from mbds_xsim.learn.shift.gaps import Bounded, Draws, Look, own_and_floor, singles_of
 from mbds_xsim.learn.shift.result import Answer, Interaction, PairRatio, values
 from mbds_xsim.learn.trained import TrainedModel
 
-Ratio = Callable[[Look, TrainedModel, TrainedModel], Array]
+Ratio = Callable[[TrainedModel, TrainedModel, Look], Array]
 """Of errors of two trainings."""
 Made = TypeVar("Made", bound=PairRatio)
 
@@ -76,7 +76,7 @@ def compared(
     kind: type[Made],
 ) -> tuple[Made, ...]:
     """Bound a ratio of errors for pairs of trainings; tell which are no chance, of all together."""
-    ratios = [partial(_of_pair, ratio, pair) for pair in pairs]
+    ratios = [partial(ratio, *pair) for pair in pairs]
     bounded = [draws.bounded(each) for each in ratios]
     chances = [_chance(draws, *each) for each in zip(ratios, bounded, strict=True)]
     kept = _kept(np.array(chances)).tolist() if chances else []
@@ -95,10 +95,6 @@ def compared(
     )
 
 
-def _of_pair(ratio: Ratio, pair: tuple[TrainedModel, TrainedModel], look: Look) -> Array:
-    return ratio(look, *pair)
-
-
 def _chance(draws: Draws, ratio: Callable[[Look], Array], bounded: Bounded) -> Array:
     """Compute how probable so large a logarithm would be where there is none, by its spread."""
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -106,21 +102,15 @@ def _chance(draws: Draws, ratio: Callable[[Look], Array], bounded: Bounded) -> A
         return np.asarray(2.0 * norm.sf(np.abs(np.log(bounded.value)) / spread))
 
 
-def interaction(look: Look, first: TrainedModel, second: TrainedModel) -> Array:
+def interaction(first: TrainedModel, second: TrainedModel, look: Look) -> Array:
     """Compute √(R_ij R_ji / (R_ii R_jj)) of two trainings, each on one engine."""
     i, j = first.domains[0], second.domains[0]
     return np.asarray(np.sqrt(look(first, j) / look(second, j) * look(second, i) / look(first, i)))
 
 
 def _pairs(draws: Draws) -> Iterator[tuple[TrainedModel, TrainedModel]]:
-    evaluation = draws.evaluation
-    tested = [domain.name for domain in evaluation.test.domains]
-    for model in evaluation.models:
-        singles = [
-            training
-            for training in trainings_of(evaluation, model)
-            if training.single and training.domains[0] in tested
-        ]
+    for model in draws.evaluation.models:
+        singles = singles_of(draws.evaluation, model)
         for first, second in itertools.combinations(singles, 2):
             if changed(first.domains[0], second.domains[0]):
                 yield first, second

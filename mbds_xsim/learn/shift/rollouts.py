@@ -189,7 +189,9 @@ def restarted(
         each = [Restart(engine, domain, horizon) for domain in domains]
         try:
             # All places are named here: tasks take them along.
-            missing += [one for one in each if not conduct.cache or read_figures(one.path) is None]
+            for one in each if not conduct.cache else []:
+                one.path.unlink(missing_ok=True)
+            missing += [one for one in each if read_figures(one.path) is None]
         except Exception as error:  # an engine that is not installed, or does not load
             lost[engine.name] = str(error)
         else:

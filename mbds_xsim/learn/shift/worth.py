@@ -39,7 +39,7 @@ def harms_of(draws: Draws) -> tuple[Harm, ...]:
     return compared(draws, pairs, _ratio, Harm)
 
 
-def _ratio(look: Look, training: TrainedModel, best: TrainedModel) -> Array:
+def _ratio(training: TrainedModel, best: TrainedModel, look: Look) -> Array:
     return look(training, REFERENCE) / look(best, REFERENCE)
 
 

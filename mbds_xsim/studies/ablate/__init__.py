@@ -6,7 +6,6 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-import msgspec
 import numpy as np
 
 from mbds_xsim import reference
@@ -79,19 +78,6 @@ def ablate(
     bench, least = Bench.of(validation, evidence, contenders), least_size(scene)
     rows = bench.rows(variants_of(scene, effects, evidence.batch, starts.seed), conduct)
     sizes = _sizes(scene, contenders, least, conduct.workers)
-    found = _ablation(validation, bench, least, rows, tuple(sizes))
-    wall_s = time.perf_counter() - begin
-    return msgspec.structs.replace(found, command=command, wall_s=wall_s)
-
-
-def _ablation(
-    validation: Validation,
-    bench: Bench,
-    least: Least,
-    rows: Sequence[WeakenedEffect],
-    sizes: tuple[Size, ...],
-) -> Ablation:
-    scene = bench.scene
     return Ablation(
         scene=scene.name,
         description=scene.description,
@@ -109,13 +95,13 @@ def _ablation(
         joint_coordinates=least.coordinates,
         loop_conditions=least.conditions,
         contact_spheres=least.spheres,
-        sizes=sizes,
+        sizes=tuple(sizes),
         trajectories=validation.trajectories,
         seed=validation.seed,
         versions=validation.versions,
         machine=validation.machine,
-        command=validation.command,
-        wall_s=validation.wall_s,
+        command=command,
+        wall_s=time.perf_counter() - begin,
     )
 
 

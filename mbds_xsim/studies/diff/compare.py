@@ -139,7 +139,8 @@ def compare_files(
     both = [name for name in after if name in before]
     alone = [name for name in (*before, *after) if name not in both]
     if not both:
-        msg = f"{old} is about {_listed(before)} and {new} about {_listed(after)}; give two of one"
+        there, here = ", ".join(before), ", ".join(after)
+        msg = f"{old} is about {there} and {new} about {here}; give two of one"
         raise InputError(msg)
     scenes = tuple(_diff(before[name], after[name], rtol, factor) for name in both)
     return Comparison(
@@ -154,10 +155,6 @@ def compare_files(
         scenes_only_old=tuple(name for name in before if name not in after),
         scenes_only_new=tuple(name for name in after if name not in before),
     )
-
-
-def _listed(views: Mapping[str, View]) -> str:
-    return ", ".join(views)
 
 
 def _verdict(scenes: tuple[Diff, ...], alone: list[str]) -> Literal["worse", "changed", "same"]:
@@ -184,7 +181,8 @@ def _diff(old: View, new: View, rtol: float, factor: float) -> Diff:
         if name in old.entries
     }
     only_old = tuple(_only_in(old, new))
-    lost = [one for one in only_old if one.why and _acceptable(old.entries[one.name])]
+    ranks = {one.name: old.entries[one.name].rank for one in only_old if one.why}
+    lost = [one for one in only_old if (rank := ranks.get(one.name)) is not None and rank < FAILING]
     return Diff(
         scene=new.scene,
         old_command=old.command,
@@ -201,10 +199,6 @@ def _diff(old: View, new: View, rtol: float, factor: float) -> Diff:
         ),
         better=tuple(f"{pair.name}: {line}" for pair in pairs.values() for line in pair.better),
     )
-
-
-def _acceptable(entry: Entry) -> bool:
-    return entry.rank is not None and entry.rank < FAILING
 
 
 def _only_in(view: View, other: View) -> Iterator[OnlyIn]:

@@ -91,11 +91,16 @@ def _missing(folder: Path) -> Iterator[str]:
     Parts of an engine are such packages; another release's would fill in for them.
     """
     there = list(distributions(path=[str(folder)]))
-    names = {distribution.name for distribution in there}
+    names = {_normal(distribution.name) for distribution in there}
     for requirement in (each for distribution in there for each in distribution.requires or ()):
         pinned = re.fullmatch(r"([\w.-]+) ?\(?==([\w.]+)\)?", requirement)
-        if pinned and pinned[1] not in names:
+        if pinned and _normal(pinned[1]) not in names:
             yield f"{pinned[1]}=={pinned[2]}"
+
+
+def _normal(name: str) -> str:
+    """Write a package's name as all of its spellings are compared (PEP 503)."""
+    return re.sub(r"[-_.]+", "-", name).lower()
 
 
 def _pip(*words: str) -> subprocess.CompletedProcess[str] | str:

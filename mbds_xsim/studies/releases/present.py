@@ -104,7 +104,8 @@ def _steps(history: History) -> blocks.Table:
 
 def _step(step: Step) -> blocks.Row:
     told = {"lost": ("runs", "lost"), "runs": ("lost", "runs")}
-    before, now = told.get(step.course) or (value_of(step, step.old), value_of(step, step.new))
+    both = (_written(step.what, value, step.unit) for value in (step.old, step.new))
+    before, now = told.get(step.course) or both
     factor = quantity.NONE if step.factor is None else f"{quantity.number(step.factor)}×"
     said = f"before: {step.reason}" if step.course == "runs" else step.reason
     known = "unexplained" if step.unexplained else step.explanation
@@ -112,11 +113,6 @@ def _step(step: Step) -> blocks.Row:
     why = "; ".join(filter(None, (known, said)))
     cells = (step.release, step.name, step.what, before, now, factor, why)
     return blocks.row_of(cells, mark)
-
-
-def value_of(step: Step, value: float | None) -> str:
-    """Write a figure of a step."""
-    return _written(step.what, value, step.unit)
 
 
 def _written(what: str, value: float | None, unit: str) -> str:

@@ -187,10 +187,7 @@ def _rollouts(shift: Shift, samples: Samples, *, played: bool) -> Iterator[Block
         "first seeds. A colour a model, dashed where it was trained on the engine furthest from "
         "this one."
     )
-
-    def draw(figure: Any) -> None:
-        draw_samples(figure, samples)
-
+    draw = partial(draw_samples, samples=samples)
     yield FigureGroup((Figure("rollouts over the truth", draw, picture_size(samples), wide=True),))
     if played:
         names = map(name_of, samples.models)

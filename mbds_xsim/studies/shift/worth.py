@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 from mbds_xsim.learn.shift.domains import REFERENCE
@@ -85,10 +86,6 @@ def _harm(harm: Harm | None, place: int) -> str:
 
 def worth_section(shift: Shift) -> Section:
     """Give the chart with its words."""
-
-    def draw(figure: Any) -> None:
-        draw_worth(figure, shift)
-
     title = f"What data cost, and what is learned from them, t = {shift.at}"
     told = (
         "A point is a model that learned from one engine's data, held against the reference: over "
@@ -96,7 +93,7 @@ def worth_section(shift: Shift) -> Section:
         "where such data harm the model, with 95 % intervals. A line is the least error that so "
         "dear data, or cheaper ones, have brought: where it is level, cheaper data do as well."
     )
-    group = FigureGroup((Figure(title, draw, SIZE, wide=True),))
+    group = FigureGroup((Figure(title, partial(draw_worth, shift=shift), SIZE, wide=True),))
     return Section(title, (Text(told), group), folded=not shift.harms, on=frozenset({"page"}))
 
 

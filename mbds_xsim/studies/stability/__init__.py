@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import msgspec
 
@@ -98,12 +98,7 @@ Outcome = Literal[
     "clamped", "blows up", "gives up", "ends early", "crashed", "timed out", "refused",
 ]  # fmt: skip
 """What became of a run, or what broke first in it; `verdict` defines them."""
-FAILED = frozenset(
-    {
-        "gains energy", "loses energy", "comes apart", "sinks in", "stuck", "clamped", "blows up",
-        "gives up", "ends early", "crashed",
-    }
-)  # fmt: skip
+FAILED = frozenset(get_args(Outcome)) - {"stable", "off course", "timed out", "refused"}
 """Outcomes that are not stable. A motion that is off course is stable, and wrong; what ran out of
 its time is neither stable nor not: it is not measured."""
 Told = Literal["engine", "adapter", "process", "nobody"]
@@ -209,11 +204,6 @@ class Panel(msgspec.Struct, frozen=True, kw_only=True):
     def largest_on_course(self, row: int) -> float | None:
         """Longest step at which this and all shorter ones measured are stable and on course [s]."""
         return _longest(self.cells[row], frozenset({"stable"}))
-
-    def first_broken(self, row: int) -> MapCell | None:
-        """The longest of the steps that fail next to the stable ones; None where none fails."""
-        failed = [cell for cell in self.cells[row] if cell.failed]
-        return failed[-1] if failed else None
 
 
 def _longest(cells: tuple[MapCell, ...], good: frozenset[str]) -> float | None:

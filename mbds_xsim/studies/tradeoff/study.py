@@ -206,9 +206,7 @@ def _next_count(bench: StartBench, curve: Simulator, rows: Sequence[Measurement]
     if len(rows) == len(curve.counts):
         return None
     count = curve.counts[len(rows)]
-    if count > SPAN and bench.are_limits:
-        return None
-    if count > SPAN and rows and not _wants_more(bench, rows[-1]):
+    if count > SPAN and (bench.are_limits or (rows and not _wants_more(bench, rows[-1]))):
         return None
     return count
 

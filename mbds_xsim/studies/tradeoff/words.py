@@ -49,23 +49,13 @@ def columns(study: Tradeoff) -> list[tuple[Column, Callable[[CurveResult], str]]
     ]
 
 
-def places(study: Tradeoff) -> list[tuple[CurveResult, Point]]:
-    """All points that have a cost and an error, with their curves."""
-    return [
-        (curve, point)
-        for curve in study.curves
-        for point in curve.points
-        if point.wall_s is not None and point.error_m is not None
-    ]
-
-
 def cheapest_within(study: Tradeoff, *, own: bool = False) -> tuple[CurveResult, Point] | None:
     """The cheapest of all points that keep all budgets; native settings are not asked.
 
     With `own` engines' own stepping alone is.
     """
-    asked = [(c, p) for c, p in places(study) if c.own or not own]
-    kept = [(c, p) for c, p in asked if not p.broken and c.variation != NATIVE]
+    asked = (c for c in study.curves if c.variation != NATIVE and (c.own or not own))
+    kept = [(c, p) for c in asked for p in c.points if p.error_m is not None and not p.broken]
     return min(kept, key=lambda pair: pair[1].wall_s or math.inf, default=None)
 
 
@@ -152,13 +142,9 @@ def failures(study: Tradeoff) -> list[tuple[str, str, str]]:
         bad = [point for point in curve.points if point.kind != "done"]
         for _, group in itertools.groupby(bad, lambda p: (p.kind, _NUMBER.sub("", p.reason))):
             points = list(group)
-            lines.append((curve.name, steps_told(points), f"{points[0].kind}: {points[0].reason}"))
+            steps = ", ".join(quantity.pace(point.step_s, point.rtol) for point in points)
+            lines.append((curve.name, steps, f"{points[0].kind}: {points[0].reason}"))
     return _merged(lines)
-
-
-def steps_told(points: list[Point]) -> str:
-    """Name the steps of points, the longest first."""
-    return ", ".join(quantity.pace(point.step_s, point.rtol) for point in points)
 
 
 def _merged(lines: list[tuple[str, str, str]]) -> list[tuple[str, str, str]]:
