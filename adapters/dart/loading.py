@@ -13,6 +13,7 @@ import numpy as np
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.scene.imported import JointFacts, LinkFacts, ModelFacts
+from mbds_xsim.simulate.adapter import version_of
 
 _PACKAGE = re.compile(r"package://([^/\"]+)/")
 _KINDS = {
@@ -56,13 +57,7 @@ def load(path: Path, floating: bool) -> ModelFacts:
     nodes = [node for skeleton in skeletons for node in skeleton.getBodyNodes()]
     links = tuple(_link(node) for node in nodes)
     joints = tuple(joint for node in nodes for joint in _joints(node))
-    return ModelFacts(f"DART {_version()}", links, joints)
-
-
-def _version() -> str:
-    from importlib.metadata import version
-
-    return version("dartpy")
+    return ModelFacts(f"DART {version_of('dartpy')}", links, joints)
 
 
 def _link(node: Any) -> LinkFacts:

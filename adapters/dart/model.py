@@ -76,40 +76,24 @@ class SkeletonModel:
 
     def body_states(self, q: Array, u: Array) -> BodyStates:
         """Body states of generalised coordinates and velocities (…, coordinate)."""
-        lead, count = q.shape[:-1], self.mechanism.body_count
-        turn = np.broadcast_to(rotation.IDENTITY, (*lead, count, 4)).copy()
-        spin = np.zeros((*lead, count, 3))
-        coordinate, rate = np.zeros((*lead, count)), np.zeros((*lead, count))
-        position, velocity = np.zeros((*lead, count, 3)), np.zeros((*lead, count, 3))
-        turn[..., self.turning, :] = rotation.from_vector(q[..., self.turning_at])
-        spin[..., self.turning, :] = u[..., self.turning_at]
-        coordinate[..., self.scalar] = q[..., self.scalar_at]
-        rate[..., self.scalar] = u[..., self.scalar_at]
+        links = LinkStates.still((*q.shape[:-1], self.mechanism.body_count))
+        links.rotation[..., self.turning, :] = rotation.from_vector(q[..., self.turning_at])
+        links.angular_velocity[..., self.turning, :] = u[..., self.turning_at]
+        links.coordinate[..., self.scalar] = q[..., self.scalar_at]
+        links.rate[..., self.scalar] = u[..., self.scalar_at]
         free = rotation.from_vector(q[..., self.free_turn_at])
-        turn[..., self.free, :] = free
-        spin[..., self.free, :] = rotation.rotate(
-            rotation.conjugate(free), u[..., self.free_turn_at]
-        )
-        position[..., self.free, :] = q[..., self.free_shift_at]
-        velocity[..., self.free, :] = u[..., self.free_shift_at]
-        links = LinkStates(turn, spin, coordinate, rate, position, velocity)
+        links.rotation[..., self.free, :] = free
+        spin = rotation.rotate(rotation.conjugate(free), u[..., self.free_turn_at])
+        links.angular_velocity[..., self.free, :] = spin
+        links.position[..., self.free, :] = q[..., self.free_shift_at]
+        links.velocity[..., self.free, :] = u[..., self.free_shift_at]
         return to_bodies(self.mechanism, links)
 
     def _columns(self, kind: str | None, first: int, last: int) -> tuple[Index, Index]:
         """Links whose joint is of a kind, and where their coordinates stand in the skeleton's."""
-        links = [
-            k
-            for k, link in enumerate(self.mechanism.links)
-            if (link.joint.kind if link.joint else None) == kind
-        ]
-        at = [
-            [
-                self.joints[self.mechanism.links[k].body].getIndexInSkeleton(column)
-                for column in range(first, last)
-            ]
-            for k in links
-        ]
-        return (
-            np.array(links, dtype=np.int64),
-            np.array(at, dtype=np.int64).reshape(-1, last - first),
-        )
+        links = self.mechanism.links
+        own = [k for k, x in enumerate(links) if (x.joint.kind if x.joint else None) == kind]
+        held = [self.joints[links[k].body] for k in own]
+        at = [[joint.getIndexInSkeleton(c) for c in range(first, last)] for joint in held]
+        columns = np.array(at, dtype=np.int64).reshape(-1, last - first)
+        return np.array(own, dtype=np.int64), columns

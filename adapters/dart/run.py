@@ -178,7 +178,7 @@ class DartRun(Run):
 
     def _held(self, which: str) -> list[Any]:
         """Give DART's joints of a property of the mechanism."""
-        bodies = {link.joint.index: link.body for link in self._mechanism.links if link.joint}
+        bodies = self._mechanism.carried
         return [self._model.joints[bodies[j.index]] for j in getattr(self._mechanism, which)]
 
     def _limits(self, joint: Any) -> tuple[float, float]:

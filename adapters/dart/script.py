@@ -108,7 +108,7 @@ def _model(
             )
     for joint in mechanism.loops:
         yield f"# {joint.name!r} closes a loop"
-        yield from _LOOPS[joint.kind](mechanism, joint)
+        yield from _closure(mechanism, joint)
 
 
 def _body(mechanism: Mechanism, link: Link, step: float) -> Iterator[str]:
@@ -145,25 +145,16 @@ def _body(mechanism: Mechanism, link: Link, step: float) -> Iterator[str]:
             yield f"joints[{k}].setPosition{side}Limit(0, {limit!r})"
 
 
-def _pin(joint: PlacedJoint, point: Array) -> str:
+def _closure(mechanism: Mechanism, joint: PlacedJoint) -> Iterator[str]:
     ends = ", ".join(f"bodies[{k}]" for k in (joint.parent, joint.child) if k != WORLD_INDEX)
-    return f"solver.addConstraint(dart.constraint.BallJointConstraint({ends}, {_vector(point)}))"
-
-
-def _ball_loop(_: Mechanism, joint: PlacedJoint) -> Iterator[str]:
-    yield _pin(joint, joint.anchor)
-
-
-def _hinge_loop(mechanism: Mechanism, joint: PlacedJoint) -> Iterator[str]:
-    """Pin two points of the axis: RevoluteJointConstraint pumps energy in, this does not."""
+    if joint.kind == "fixed":
+        yield f"solver.addConstraint(dart.constraint.WeldJointConstraint({ends}))"
+        return
+    # Of a hinge two points of the axis: RevoluteJointConstraint pumps energy in, this does not.
     half = 0.5 * _reach(mechanism, joint) * joint.axis
-    for side in (-1.0, 1.0):
-        yield _pin(joint, joint.anchor + side * half)
-
-
-def _fixed_loop(_: Mechanism, joint: PlacedJoint) -> Iterator[str]:
-    ends = ", ".join(f"bodies[{k}]" for k in (joint.parent, joint.child) if k != WORLD_INDEX)
-    yield f"solver.addConstraint(dart.constraint.WeldJointConstraint({ends}))"
+    pins = (joint.anchor - half, joint.anchor + half) if joint.kind == "hinge" else (joint.anchor,)
+    for pin in pins:
+        yield f"solver.addConstraint(dart.constraint.BallJointConstraint({ends}, {_vector(pin)}))"
 
 
 def _reach(mechanism: Mechanism, joint: PlacedJoint) -> float:
@@ -172,9 +163,6 @@ def _reach(mechanism: Mechanism, joint: PlacedJoint) -> float:
     if joint.parent != WORLD_INDEX:
         arms.append(np.linalg.norm(joint.in_parent))
     return float(max(arms)) or mechanism.scene.length
-
-
-_LOOPS = {"ball": _ball_loop, "hinge": _hinge_loop, "fixed": _fixed_loop}
 
 
 def _vector(v: Array) -> str:
@@ -199,7 +187,7 @@ def _running(mechanism: Mechanism, q: Array, u: Array, step: str, count: int) ->
     for shape in shapes(mechanism):
         points = ", ".join(map(repr, shape.points))
         yield f"show({shape.body}, {shape.radius!r}, {points})"
-    bodies = {link.joint.index: link.body for link in mechanism.links if link.joint}
+    bodies = mechanism.carried
     yield f"skeleton.setPositions({q.tolist()!r})"
     yield f"skeleton.setVelocities({u.tolist()!r})"
     loaded = mechanism.springs or mechanism.drives or mechanism.rotors
@@ -208,7 +196,7 @@ def _running(mechanism: Mechanism, q: Array, u: Array, step: str, count: int) ->
         for drive in mechanism.drives:
             at = f"joints[{bodies[drive.joint.index]}]"
             yield f"    angle, rate = {at}.getPosition(0), {at}.getVelocity(0)"
-            yield f"    {at}.setForce(0, {drive.formula()})"
+            yield f"    {at}.setForce(0, {at}.getForce(0) + {drive.formula()})"
         for joint in mechanism.rotors:
             at = f"joints[{bodies[joint.index]}]"
             taken = f"{joint.armature!r} / world.getTimeStep() * {at}.getVelocity(0)"

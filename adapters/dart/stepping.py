@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, ClassVar
 
@@ -11,6 +12,7 @@ import numpy as np
 
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.mechanism import WORLD_INDEX, PointPair
+from mbds_xsim.scene.servo import PlacedDrive
 from mbds_xsim.simulate.turning_rk4 import TurningRK4
 
 from .model import SkeletonModel
@@ -39,21 +41,20 @@ class FrameLoads:
         """What to call then."""
         loops = {joint.index for joint in model.mechanism.loops}
         hinges = list(enumerate(model.mechanism.hinges))
-        carried = {link.joint.index: link.body for link in model.mechanism.links if link.joint}
+        carried = model.mechanism.carried
         self._driven = [
             (k, model.joints[carried[hinge.index]])
             for k, hinge in hinges
             if hinge.index not in loops
         ]
         self._looped = [(k, hinge) for k, hinge in hinges if hinge.index in loops]
-        drives = {
-            drive.joint.index: (k, drive)
-            for k, drive in enumerate(model.mechanism.drives, len(hinges))
-        }
+        drives = defaultdict[int, list[tuple[int, PlacedDrive]]](list)
+        for k, drive in enumerate(model.mechanism.drives, len(hinges)):
+            drives[drive.joint.index].append((k, drive))
         led = {joint.index: joint for joint in model.mechanism.joints if joint.driven}
         led |= {joint.index: joint for joint in model.mechanism.rotors}
         self._led = [
-            (model.joints[carried[k]], joint, drives.get(k), joint.armature / step)
+            (model.joints[carried[k]], joint, drives[k], joint.armature / step)
             for k, joint in led.items()
         ]
         self.stops = ImplicitStops(model, step)
@@ -74,11 +75,11 @@ class FrameLoads:
         self.forces = [(bodies[k].setExtForce, force[k]) for k in sorted(pushed)]
         self.others = [partial(bodies[k].addExtTorque, twist[k], True) for k in sorted(twist)]
         self.others += [spring.pull for spring in self._springs]
-        for joint, placed, servo, undone in self._led:
+        for joint, placed, servos, undone in self._led:
             turning = placed in self._model.mechanism.hinges
             held = joint.getForce(0) if turning else 0.0  # what hinges have was set just above
-            law = partial(servo[1].at, float(torque[servo[0]])) if servo else None
-            self.others.append(partial(_lead, joint, law, undone, held))
+            laws = [partial(servo.at, float(torque[k])) for k, servo in servos]
+            self.others.append(partial(_lead, joint, laws, undone, held))
         if self.stops.all:
             self.others.append(self.stops.hold)
 
@@ -104,14 +105,14 @@ class FrameLoads:
 
 
 def _lead(
-    joint: Any, law: Callable[[float, float], float] | None, undone: float, held: float
+    joint: Any, laws: Sequence[Callable[[float, float], float]], undone: float, held: float
 ) -> None:
-    """Let a servo act on a joint at its present place and rate, beside what is held.
+    """Let servos act on a joint at its present place and rate, beside what is held.
 
     And undo what the damper that is a rotor's does against the rate.
     """
-    rate = joint.getVelocity(0)
-    effort = law(joint.getPosition(0), rate) if law else 0.0
+    place, rate = joint.getPosition(0), joint.getVelocity(0)
+    effort = sum(law(place, rate) for law in laws)
     joint.setForce(0, held + effort + undone * rate)
 
 

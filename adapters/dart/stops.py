@@ -65,7 +65,7 @@ class ImplicitStops:
         if not limited:
             return
         _, inertia = moved_inertias(model.mechanism, limited, poses(model.mechanism))
-        carried = {link.joint.index: link.body for link in model.mechanism.links if link.joint}
+        carried = model.mechanism.carried
         for placed, moved in zip(limited, inertia.max(axis=0).tolist(), strict=True):
             joint = model.joints[carried[placed.index]]
             assert placed.limits is not None

@@ -119,7 +119,7 @@ def _springs(mechanism: Mechanism) -> Iterator[str]:
 
 def _servos(mechanism: Mechanism) -> Iterator[str]:
     """Add actuators with a controller, which acts at each step's end and within its limit."""
-    native = {link.joint.index: link.body for link in mechanism.links if link.joint}
+    native = mechanism.carried
     for k, drive in enumerate(mechanism.drives):
         limit = "np.inf" if drive.servo.limit is None else repr(drive.servo.limit)
         what = f"'servo {k}', joints[{native[drive.joint.index]}], {limit}"
@@ -140,7 +140,7 @@ def _loops(mechanism: Mechanism) -> Iterator[str]:
     for link in mechanism.distances:
         ends = _ends(link.bodies, link.in_body)
         yield f"plant.AddDistanceConstraint({ends}, {link.length!r})  # {link.name!r}"
-    native = {link.joint.index: link.body for link in mechanism.links if link.joint}
+    native = mechanism.carried
     for each in mechanism.couplings:
         pair = f"joints[{native[each.follower.index]}], joints[{native[each.leader.index]}]"
         yield f"plant.AddCouplerConstraint({pair}, {each.ratio!r}, {each.offset!r})"

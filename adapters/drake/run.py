@@ -53,7 +53,7 @@ class DrakeRun(Run):
         balls = self._coordinates.balls
         self._stepper = DrakeStepper(names["system"], plant, balls, scheme, self._step)
         self._context = self._stepper.context
-        self._native = {link.joint.index: link.body for link in mechanism.links if link.joint}
+        self._native = mechanism.carried
         native = self._native
         hinges = list(enumerate(mechanism.hinges))
         driven = [(k, native[j.index]) for k, j in hinges if j.index in native]

@@ -24,16 +24,6 @@ from .masses import SHARE, physical, small
 from .parts import Closing, Drive, Freedom, Line, Mass, ModelCoupling, Part, Parts, Property
 from .starts import check_above_ground, kept_limits, starts
 
-PROPERTIES = {
-    "stiffness": "",
-    "rest": "",
-    "damping": "",
-    "armature": "",
-    "friction": "",
-    "limits": "",
-}
-"""Why a property of joints is dropped, "" where it is kept; by the names of `Joint`'s fields."""
-
 _AS_IS = "on the joint, as it is"
 _KEPT = {"limits": "stops of the joint, which give nothing of a speed back"}
 _SCALAR = "the scene description has it for hinges and sliders alone"
@@ -241,7 +231,7 @@ class _Builder:
         kept: dict[str, Any] = {}
         for key, value in freedom.properties.items():
             scalar = freedom.kind in ("hinge", "slider")
-            reason = PROPERTIES[key] or ("" if scalar else _SCALAR) or _wrong(key, value, freedom)
+            reason = ("" if scalar else _SCALAR) or _wrong(key, value, freedom)
             if not reason:
                 kept[key] = value
             element, attribute = self._model.labels[key]

@@ -53,19 +53,9 @@ _LABELS = {
 }
 """Element and attribute of each property."""
 _MECHANICAL = {
-    "link",
-    "inertial",
-    "mass",
-    "inertia",
-    "origin",
-    "joint",
-    "parent",
-    "child",
-    "axis",
-    "limit",
-    "dynamics",
-    "mimic",
-}
+    "link", "inertial", "mass", "inertia", "origin", "joint", "parent", "child", "axis", "limit",
+    "dynamics", "mimic",
+}  # fmt: skip
 """Elements of a URDF that say how it moves."""
 _SOLID = {"collision", "geometry", "sphere", "capsule", "cylinder", "box"}
 """Elements of a URDF that say what of it meets the ground."""

@@ -18,6 +18,7 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.frame import optional
 from mbds_xsim.scene.imported import Fate, Imported
+from mbds_xsim.simulate.adapter import version_of
 
 from .assembling import assemble
 from .fates import fates_of
@@ -81,9 +82,7 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     told["upper", ""] = told["lower", ""]
     told |= dict.fromkeys(TOLD if ground else (), True)
     _mark(root)
-    from importlib.metadata import version
-
-    reader = f"DART {version('dartpy')}"
+    reader = f"DART {version_of('dartpy')}"
     fates = [*fates_of(root, told, touching=ground)]
     if untaken:
         fates.append(Fate("joint", (), "dropped", _ONE, True, tuple(untaken), len(untaken)))

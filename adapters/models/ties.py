@@ -39,8 +39,9 @@ class Ties:
         self._active = [e for e in range(model.neq) if active and model.eq_active0[e]]
         kinds = mujoco.mjtEq
         self._points = (int(kinds.mjEQ_CONNECT), int(kinds.mjEQ_WELD))
-        self._tied = {int(model.eq_obj1id[e]) for e in self._active if self._rigid(e)}
-        """Tendons whose length is kept."""
+        rigid = [e for e in self._active if self._rigid(e)]
+        self._longer = {int(model.eq_obj1id[e]): float(model.eq_data[e, 0]) for e in rigid}
+        """Tendons whose length is kept, and by how much it is longer than at their places [m]."""
 
     def closings(self) -> Iterator[Closing]:
         """Give what closes loops: two points of the same two bodies make a hinge."""
@@ -93,13 +94,8 @@ class Ties:
             )
             if line.stiffness or line.damping:
                 yield line
-            if t in self._tied:
-                (longer,) = [
-                    float(model.eq_data[e, 0])
-                    for e in self._active
-                    if self._rigid(e) and model.eq_obj1id[e] == t
-                ]
-                length = float(model.tendon_length0[t]) + longer
+            if t in self._longer:
+                length = float(model.tendon_length0[t]) + self._longer[t]
                 yield Line(line.name, line.parts, line.points, length, rigid=True)
 
     def fates(self) -> Iterator[Fate]:

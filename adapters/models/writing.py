@@ -36,9 +36,10 @@ _NO_START = dict.fromkeys(
 
 def no_model(scene: Scene) -> Iterator[Fate]:
     """Name what no model says."""
+    defaults = {field.name: field.default for field in msgspec.structs.fields(Scene)}
     for key, (moves, reason) in _NO_MODEL.items():
         value = getattr(scene, key)
-        if value and value != Scene.__struct_defaults__[_default_place(key)]:
+        if value and value != defaults[key]:
             count = len(value) if isinstance(value, tuple) else 1
             yield Fate(key, (), "dropped", reason, moves, (), count)
     yield from lacking(scene, _NO_START)
@@ -127,8 +128,3 @@ def first_targets(scene: Scene) -> Iterator[Fate]:
         if len({*servo.position}) > 1 or len({*servo.velocity}) > 1:
             reason = "the first target alone: an importing program has its own commands"
             yield Fate("servos", ("series",), "approximated", reason, True, (servo.joint,))
-
-
-def _default_place(key: str) -> int:
-    fields = Scene.__struct_fields__
-    return fields.index(key) - (len(fields) - len(Scene.__struct_defaults__))

@@ -79,7 +79,7 @@ def mjcf(mechanism: Mechanism, stepping: StepOptions, idle: Array) -> Element:
     bodies = mechanics(root, mechanism, idle, loops, links)
     for joint in mechanism.limited if stepping.hard_limits else ():
         law = stop_law(joint.restitution, stepping.timestep)
-        element = bodies[_carried(mechanism, joint)].find("joint")
+        element = bodies[mechanism.carried[joint.index]].find("joint")
         assert element is not None
         element.attrib.update({f"{key}limit": value for key, value in law.items()})
     add_contacts(root, bodies, mechanism, stepping.impact)
@@ -229,13 +229,6 @@ def _body(
         if joint.limits:
             element.attrib.update(limited="true", range=numbers(joint.limits))
     return body
-
-
-def _carried(mechanism: Mechanism, joint: PlacedJoint) -> int:
-    """Give the body that a joint of the tree holds."""
-    return next(
-        link.body for link in mechanism.links if link.joint and link.joint.index == joint.index
-    )
 
 
 def _joint(body: Element, name: str, kind: str, anchor: Array, axis: Array) -> Element:

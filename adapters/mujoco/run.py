@@ -21,7 +21,6 @@ from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import (
     ModelSize,
     Readback,
-    Run,
     blow_up,
     first_failures,
     recorded,
@@ -31,13 +30,14 @@ from mbds_xsim.simulate.readback import joint_anchors, joint_axes, joint_laws
 
 from .contact import SphereGeoms
 from .model import CLOSING_POINTS, StepOptions, closing_point, mjcf, with_start
+from .spinless import Bending
 from .state import Coordinates, Frames, Hanger
 from .steps import FinerNearGround, FinerWhereFast, OneCall, Stepper, turning_rates
 
 _STATES = 16_000  # of bodies that are worked on at a time
 
 
-class ModelRun(Run):
+class ModelRun(Bending):
     """One native model and its state, which other steppers of MuJoCo's models read too."""
 
     model: Any
@@ -81,11 +81,7 @@ class ModelRun(Run):
             contact_pairs=self.model.npair,
         )
 
-    def rollout(self, batch: Batch) -> Trajectory:
-        return self.simulate(batch)[0]
-
     def simulate(self, batch: Batch) -> tuple[Trajectory, Array]:
-        """Roll out; tell too how far Cardan joints were bent at frames [rad], (trajectory,)."""
         # A few at a time: fresh memory for many costs more than their numbers.
         size = max(1, _STATES // ((batch.steps + 1) * self._mechanism.body_count))
         rows = range(0, max(1, len(batch)), size)

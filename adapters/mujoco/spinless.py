@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
 
@@ -11,32 +11,21 @@ from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.spin import STILL, spin_about
 from mbds_xsim.scene.state import Batch, Trajectory
-from mbds_xsim.simulate.adapter import ModelSize, Readback, Run
+from mbds_xsim.simulate.adapter import Readback, Run
 
 _BENT = 1.0
 """Cardan joints lock at a right angle; near it their rates are large, and so are errors [rad]."""
 
 
-class Bending(Protocol):
+class Bending(Run):
     """A run of a model with Cardan joints."""
 
-    size: ModelSize
-
+    @abstractmethod
     def simulate(self, batch: Batch) -> tuple[Trajectory, Array]:
         """Roll out; tell too how far Cardan joints were bent at frames [rad], (trajectory,)."""
-        ...
 
-    def readback(self, batch: Batch) -> Readback:
-        """As `Run.readback`."""
-        ...
-
-    def native(self, batch: Batch) -> str:
-        """As `Run.native`."""
-        ...
-
-    def close(self) -> None:
-        """As `Run.close`."""
-        ...
+    def rollout(self, batch: Batch) -> Trajectory:
+        return self.simulate(batch)[0]
 
 
 class SpinlessRun(Run):

@@ -194,7 +194,7 @@ class Hanger:
 
 def _cross_axes(axes: Array) -> Array:
     """Give both axes of each joint, the first of which is fixed in the parent, (…, 2, 3)."""
-    return np.array([rotation.normal_to(axis) for axis in axes]).reshape(-1, 2, 3)
+    return np.stack(rotation.normal_to(axes), axis=-2)
 
 
 def _angles(turn: Array, rate: Array, cross: Array) -> tuple[Array, Array]:

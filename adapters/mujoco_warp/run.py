@@ -11,11 +11,12 @@ from mbds_xsim.scene.joint_space import to_bodies
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.servo import with_pushes
 from mbds_xsim.scene.state import Batch, Trajectory
-from mbds_xsim.simulate.adapter import Readback, Run
+from mbds_xsim.simulate.adapter import Readback
 
 from ..mujoco.contact import HARDEST, Impact
 from ..mujoco.model import StepOptions
 from ..mujoco.run import ModelRun
+from ..mujoco.spinless import Bending
 from .worlds import Worlds
 
 
@@ -35,7 +36,7 @@ def stepping(step: float, loop: float, link: float) -> StepOptions:
     return dataclasses.replace(options, jacobian="sparse", resets=False)
 
 
-class WarpRun(Run):
+class WarpRun(Bending):
     """MuJoCo's model, stepped by kernels.
 
     Args:
@@ -62,11 +63,7 @@ class WarpRun(Run):
         self._bodies = np.array([model.body(body.name).id for body in mechanism.scene.bodies])
         self.size = self._host.size
 
-    def rollout(self, batch: Batch) -> Trajectory:
-        return self.simulate(batch)[0]
-
     def simulate(self, batch: Batch) -> tuple[Trajectory, Array]:
-        """Roll out; tell too how far Cardan joints were bent at frames [rad], (trajectory,)."""
         host, torque = self._host, with_pushes(self._mechanism.drives, batch.torque)
         q, u = self._worlds.stepped(
             host.start(batch), batch.force, torque, self._bodies, self._count

@@ -28,8 +28,7 @@ class StepLoads:
         self._drive = client.function("setJointMotorControl2")
         self._in_world = int(Constant("WORLD_FRAME"))
         self._as_torque = int(Constant("TORQUE_CONTROL"))
-        tree = [link for link in mechanism.links if link.joint is not None]
-        self._driven = {link.joint.index: link.body for link in tree if link.joint is not None}
+        self._driven = mechanism.carried
         self._tell = client.function("getJointState")
         self._sprung = sprung(model)
         self._servos = [
@@ -110,7 +109,7 @@ def set_friction(model: Multibodies, substeps: int) -> None:
     Bullet allows in each of the sub-steps of a call the impulse of the whole call.
     """
     mechanism = model.mechanism
-    bodies = {link.joint.index: link.body for link in mechanism.links if link.joint}
+    bodies = mechanism.carried
     for joint in mechanism.frictional:
         model.client.build(
             "setJointMotorControl2", *model.address(bodies[joint.index]),
@@ -135,7 +134,7 @@ def spring_calls(model: Multibodies) -> list[str]:
         f"force=-{stiffness!r} * (p.getJointState({number}, {link})[0] - {rest!r}))"
         for number, link, stiffness, rest in sprung(model)
     ]
-    bodies = {link.joint.index: link.body for link in model.mechanism.links if link.joint}
+    bodies = model.mechanism.carried
     for drive in model.mechanism.drives:
         at = "{}, {}".format(*model.address(bodies[drive.joint.index]))
         calls += [

@@ -77,7 +77,7 @@ class Multibodies:
         self._ties: dict[int, list[tuple[int, list[tuple[int, int]]]]] = {}
         rows = sum(self._close(joint) for joint in self.closures)
         rows += len(mechanism.couplings) + len(mechanism.rotors)
-        bodies = {link.joint.index: link.body for link in mechanism.links if link.joint}
+        bodies = mechanism.carried
         for each in mechanism.couplings:
             client.note(each.name)
             ends = [self.address(bodies[joint.index]) for joint in (each.follower, each.leader)]

@@ -151,16 +151,8 @@ def angle_about(q: Array, axis: Array) -> Array:
     return np.asarray(np.pi - (np.pi - angle) % (2.0 * np.pi))
 
 
-def normal_to(axis: Array) -> tuple[Array, Array]:
-    """Two unit vectors that make a right-handed triad (first, second, axis)."""
-    axis = axis / np.linalg.norm(axis)
-    first = cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    first /= np.linalg.norm(first)
-    return first, cross(axis, first)
-
-
-def normals_to(axes: Array) -> tuple[Array, Array]:
-    """`normal_to` of several axes, bit for bit, shapes (…, 3)."""
+def normal_to(axes: Array) -> tuple[Array, Array]:
+    """Two unit vectors that make right-handed triads (first, second, axis), shapes (…, 3)."""
     axes = axes / np.sqrt(squares(axes))
     first = cross(axes, np.eye(3)[np.argmin(np.abs(axes), axis=-1)])
     first /= np.sqrt(squares(first))

@@ -26,7 +26,6 @@ from mbds_xsim.checks.integrity import (
     start,
 )
 from mbds_xsim.checks.kinematics import kinematics, velocity_lag
-from mbds_xsim.checks.mismatch import EVERY_SECOND
 from mbds_xsim.checks.passivity import (
     contact_gap,
     energy_rise,
@@ -88,7 +87,6 @@ def audit(
     *,
     step: float | None = None,
     contact_time: float | None = None,
-    steps_compared: tuple[int, int] = EVERY_SECOND,
 ) -> list[Finding]:
     """Run every check that applies to the scene.
 
@@ -100,10 +98,8 @@ def audit(
             first order is assumed.
         step: Integration step [s]; the frame interval where it is left out.
         contact_time: Over which the engine spreads an impact [s], as it declares; None: unknown.
-        steps_compared: First step, and every how many, over which displacements are held against
-            velocities; every second takes in all frames, and may cost more than all other checks.
     """
-    return audited(Record(scene, batch, trajectory, method, step, contact_time, steps_compared))
+    return audited(Record(scene, batch, trajectory, method, step, contact_time))
 
 
 def audited(record: Record, checks: Iterable[Check] = CHECKS) -> list[Finding]:

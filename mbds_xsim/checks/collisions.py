@@ -17,7 +17,7 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.checks.balances import groups_of
 from mbds_xsim.checks.finding import Figures, check
-from mbds_xsim.checks.ground import at_touch, told_restitution
+from mbds_xsim.checks.ground import at_impacts, at_touch, told_restitution
 from mbds_xsim.checks.record import Record
 from mbds_xsim.checks.spheres import Neighbours, neighbours_of
 from mbds_xsim.scene.joint_space import BodyStates
@@ -217,11 +217,8 @@ def _aside(record: Record, pair: int, hits: Hits) -> Array:
 
 def _placed(record: Record, found: dict[int, Hits], values: list[Array]) -> Array:
     """Put values of collisions at the frames after them, (trajectory, frame, pair)."""
-    parts = np.full((*record.finite.shape, len(found)), np.nan)
-    parts[:, 0] = 0.0  # not in every trajectory balls collide
-    for k, (hits, each) in enumerate(zip(found.values(), values, strict=True)):
-        parts[hits.row, hits.step + 1, k] = each
-    return parts
+    hits = zip(found.values(), values, strict=True)
+    return at_impacts(record, [(each.row, each.step, off) for each, off in hits])
 
 
 def _names(record: Record, found: dict[int, Hits]) -> list[str]:

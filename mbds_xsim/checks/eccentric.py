@@ -75,7 +75,7 @@ def eccentric_friction(record: Record) -> Figures:
 
 def _figures(record: Record, kind: int, note: str = "") -> Figures:
     groups = _deviations(record)
-    parts = at_impacts(record, [(hits, off[kind]) for _, hits, off in groups])
+    parts = at_impacts(record, [(hits.row, hits.step, off[kind]) for _, hits, off in groups])
     return Figures(parts, [name for name, _, _ in groups], note)
 
 

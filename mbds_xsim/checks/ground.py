@@ -9,7 +9,7 @@ shows.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
@@ -251,17 +251,17 @@ def restitution(record: Record) -> Figures | None:
     wanted = record.ground.restitution
     found = [fast_impacts_of(record, push) for push in pushes]
     ratios = [hits.leaving / hits.arriving for hits in found]
-    off = [(hits, np.abs(ratio - wanted)) for hits, ratio in zip(found, ratios, strict=True)]
+    off = [(h.row, h.step, np.abs(r - wanted)) for h, r in zip(found, ratios, strict=True)]
     note = told_restitution(np.concatenate(ratios).tolist(), wanted)
     return Figures(at_impacts(record, off), [push.name for push in pushes], note)
 
 
-def at_impacts(record: Record, groups: list[tuple[Impacts, Array]]) -> Array:
-    """Put values of impacts at the frames after them, (trajectory, frame, group)."""
+def at_impacts(record: Record, groups: Sequence[tuple[Index, Index, Array]]) -> Array:
+    """Put values of impacts, by row and step, at the frames after, (trajectory, frame, group)."""
     parts = np.full((*record.finite.shape, len(groups)), np.nan)
     parts[:, 0] = 0.0  # not every trajectory bounces
-    for k, (hits, values) in enumerate(groups):
-        parts[hits.row, hits.step + 1, k] = values
+    for k, (row, step, values) in enumerate(groups):
+        parts[row, step + 1, k] = values
     return parts
 
 

@@ -26,7 +26,6 @@ import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -86,27 +85,6 @@ class BallContact:
     def rebound(self, motion: BallState) -> float:
         """Vertical velocity after an impact."""
         return -self.restitution * motion.climb
-
-
-class Ball(Protocol):
-    """The laws of motion of one body."""
-
-    @property
-    def contact(self) -> BallContact:
-        """What it touches the ground with."""
-        ...
-
-    def fly(self, motion: BallState, load: Load, duration: float) -> BallState:
-        """Move without contact."""
-        ...
-
-    def hit(self, motion: BallState) -> BallState:
-        """Bounce off the ground."""
-        ...
-
-    def keep_contact(self, motion: BallState, load: Load, limit: float) -> tuple[float, BallState]:
-        """Slide or roll on the ground up to a change of the two, or a limit; also gives when."""
-        ...
 
 
 def flown(motion: BallState, load: Load, t: float) -> BallState:

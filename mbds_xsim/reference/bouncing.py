@@ -14,13 +14,16 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.reference.ball import Ball, BallContact, BallState, EvenBall, Load, time_to_ground
+from mbds_xsim.reference.ball import BallContact, BallState, EvenBall, Load, time_to_ground
 from mbds_xsim.reference.first_impact import TOUCHING
 from mbds_xsim.reference.marching import Marched, Problem
 from mbds_xsim.reference.topology import topology_of
 from mbds_xsim.reference.tumbling_ball import TumblingBall
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.state import Failure
+
+Ball = EvenBall | TumblingBall
+"""Laws of motion of one body: it can `fly`, `hit` the ground and `keep_contact` with it."""
 
 _SHORTEST = 1e-8  # of what is left of the bounces [s]
 _MOST_EVENTS = 20_000  # in a frame
@@ -33,11 +36,11 @@ def march_balls(problem: Problem) -> Marched:
     Args:
         problem: Of a mechanism of which `has_only_balls` is true; its tolerance is not needed.
     """
-    mechanism, batch, frames = problem.mechanism, len(problem.start), problem.frames
+    mechanism = problem.mechanism
     marched = Marched.from_start(problem)
     states = marched.states
     states[:, :, -1] = problem.start[:, None, -1]
-    for row in range(batch):
+    for row in range(len(problem.start)):
         found = [
             _march_one(mechanism, body, states[row, :, body], problem.force[row, :, body])
             for body in range(mechanism.body_count)
@@ -46,8 +49,6 @@ def march_balls(problem: Problem) -> Marched:
         if ended:
             first = marched.failures[row] = min(ended, key=lambda failure: failure.frame)
             states[row, first.frame :] = np.nan
-        if problem.progress is not None:
-            problem.progress(frames * (row + 1), frames * batch)
     return marched
 
 

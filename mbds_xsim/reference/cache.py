@@ -29,7 +29,6 @@ from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch
 
 Arrays = dict[str, NDArray[Any]]
-Progress = Callable[[int, int], None]
 
 _PHYSICS = (
     "bodies", "joints", "distance_links", "springs", "gravity", "contacts", "ground", "length",
@@ -49,11 +48,10 @@ def complete(
     scene: Scene,
     batch: Batch,
     rtol: float,
-    compute: Callable[[list[int], Progress | None], list[Arrays]],
+    compute: Callable[[list[int]], list[Arrays]],
     *,
     keep: bool,
     together: int,
-    progress: Progress | None,
 ) -> Iterator[tuple[int, Arrays]]:
     """Give each row of a batch and its entry, computing and keeping those that are not there.
 
@@ -64,10 +62,9 @@ def complete(
         scene: What is simulated.
         batch: Starts and inputs.
         rtol: Tolerance of the result.
-        compute: Makes the entries of some rows of the batch; told where to report its frames.
+        compute: Makes the entries of some rows of the batch.
         keep: Whether the disk is read and written at all.
         together: Largest number of rows computed at once.
-        progress: Called with the number of frames done and of all.
     """
     keys = [key_of(what, scene, batch, row, rtol) for row in range(len(batch))] if keep else []
     found = set()
@@ -79,19 +76,10 @@ def complete(
     missing = [row for row in range(len(batch)) if row not in found]
     for first in range(0, len(missing), together):
         rows = missing[first : first + together]
-        report = _shifted(progress, (len(found) + first) * batch.steps, len(rows), batch)
-        for row, entry in zip(rows, compute(rows, report), strict=True):
+        for row, entry in zip(rows, compute(rows), strict=True):
             if keep:
                 store(keys[row], entry)
             yield row, entry
-
-
-def _shifted(progress: Progress | None, before: int, rows: int, batch: Batch) -> Progress | None:
-    """Report the progress of some rows as that of the batch."""
-    if progress is None:
-        return None
-    report, part, whole = progress, rows * batch.steps, len(batch) * batch.steps
-    return lambda done, of: report(before + part * done // of, whole)
 
 
 def directory() -> Path:

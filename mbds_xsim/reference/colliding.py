@@ -25,12 +25,12 @@ _ROUNDING = 1e-14  # of the terms: more is left where Newton's steps lead away f
 
 def march_colliding(problem: Problem) -> Marched:
     """Solve a scene without ground whose impacts are known: exactly, whatever the tolerance."""
-    marched, frames, batch = Marched.from_start(problem), problem.frames, len(problem.start)
+    marched = Marched.from_start(problem)
     states = marched.states
     states[:, :, -1] = problem.start[:, None, -1]
-    for row in range(batch):
+    for row in range(len(problem.start)):
         balls = _Balls(problem.mechanism, states[row, 0, :-1].copy())
-        for k in range(frames):
+        for k in range(problem.frames):
             time = k * problem.frame
             try:
                 ended = balls.through_frame(problem.force[row, k], problem.frame)
@@ -44,8 +44,6 @@ def march_colliding(problem: Problem) -> Marched:
             states[row, k + 1, :-1] = balls.state
         if (failure := marched.failures[row]) is not None:
             states[row, failure.frame :] = np.nan
-        if problem.progress is not None:
-            problem.progress(frames * (row + 1), frames * batch)
     return marched
 
 

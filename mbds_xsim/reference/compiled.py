@@ -96,8 +96,6 @@ def march_compiled(problem: Problem) -> Marched:
         marched.states[lost] = slow.states
         for row, failure in zip(lost.tolist(), slow.failures, strict=True):
             marched.failures[row] = failure
-    if problem.progress is not None:
-        problem.progress(problem.frames * len(start), problem.frames * len(start))
     return marched
 
 

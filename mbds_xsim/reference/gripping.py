@@ -43,12 +43,12 @@ _MOST_EVENTS = 1000  # in a frame
 
 def march_gripping(problem: Problem) -> Marched:
     """Integrate states frame by frame, one after the other."""
-    marched, frames = Marched.from_start(problem), problem.frames
+    marched = Marched.from_start(problem)
     _, spanned, _ = chosen(problem.mechanism)
     places = to_tree(spanned, problem.dynamics.unpack(problem.start), problem.start)
     for row, place in enumerate(places):
         motion = _Motion(problem.dynamics, place, problem.rtol)
-        for k in range(frames):
+        for k in range(problem.frames):
             try:
                 impact = motion.through_frame(problem.force[row, k], problem.torque[row, k])
             except ArithmeticError as error:
@@ -58,8 +58,6 @@ def march_gripping(problem: Problem) -> Marched:
                 marched.failures[row] = FirstImpact.at(k + 1, k * problem.frame + impact)
                 break
             marched.states[row, k + 1] = with_signs_of(motion.state(), marched.states[row, k])
-            if problem.progress is not None:
-                problem.progress(frames * row + k + 1, frames * len(places))
     return marched
 
 

@@ -6,6 +6,7 @@ import gc
 import shutil
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -100,5 +101,6 @@ def _compile(kernels: Kernels) -> None:
 def _remove_unused(folder: Path) -> None:
     """Remove machine code of other versions that nobody has used for long."""
     for other in folder.parent.iterdir():
-        if other != folder and time.time() - other.stat().st_mtime > _UNUSED:
-            shutil.rmtree(other, ignore_errors=True)
+        with suppress(FileNotFoundError):  # another process removes it, too
+            if other != folder and time.time() - other.stat().st_mtime > _UNUSED:
+                shutil.rmtree(other, ignore_errors=True)

@@ -72,8 +72,6 @@ def next_step(step: Array, ratio: Array) -> Array:
     return step * np.where(np.isfinite(ratio), factor, _SHRINK)
 
 
-Progress = Callable[[int, int], None]
-
 FIRST_STEP = 0.1  # of a frame
 SMALLEST_STEP = 1e-9  # of a frame
 MOST_STEPS = 20_000
@@ -104,8 +102,6 @@ class Problem:
     companions: int = 1
     """Consecutive states that share their steps, so that their numerical errors cancel in their
     difference."""
-    progress: Progress | None = None
-    """Called with the frames that are done and all."""
 
     @property
     def mechanism(self) -> Mechanism:
@@ -123,7 +119,7 @@ class Problem:
         return self.force.shape[1]
 
     def part(self, rows: slice | Indices) -> Problem:
-        """Take some states; nobody hears how that goes on."""
+        """Take some states."""
         loads = self.force[rows], self.torque[rows]
         return Problem(self.dynamics, self.start[rows], *loads, self.rtol, self.companions)
 
@@ -207,19 +203,10 @@ class _March:
         self._end_at_impact(np.where(resting(*self.dynamics.gaps(self.y)), 0.0, np.nan))
 
     def run(self) -> Marched:
-        progress = self.problem.progress
         while len(self.row):
-            under_way = len(self.row)
             self._advance()
-            moved = self._finish_frames() or len(self.row) < under_way
-            if moved and progress is not None:
-                progress(
-                    int(np.sum(self.at)) + self._retired(), self.frames * len(self.marched.states)
-                )
+            self._finish_frames()
         return self.marched
-
-    def _retired(self) -> int:
-        return self.frames * (len(self.marched.states) - len(self.row))
 
     def _forces(self, pick: slice | Indices) -> tuple[Array, Array]:
         row, at = self.row[pick], self.at[pick]
@@ -284,11 +271,11 @@ class _March:
 
         return height
 
-    def _finish_frames(self) -> bool:
+    def _finish_frames(self) -> None:
         """Project and record the states at the end of a frame and give them their new inputs."""
         done = np.flatnonzero(self.left <= 0.0)
         if not len(done):
-            return False
+            return
         self.y[done] = self.dynamics.project(self.y[done])
         self.at[done] += 1
         self.left[done], self.tries[done], self.singular[done] = self.frame, 0, 0
@@ -299,7 +286,6 @@ class _March:
             self.rate[done] = self._derivative(self.y[done], self._forces(done))
         if not under_way.all():
             self._keep(under_way)
-        return True
 
     def _end_at_impact(self, time: Array) -> None:
         """Stop the states that have an impact, and their companions, in the frame they are in."""

@@ -27,8 +27,6 @@ from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.servo import with_pushes
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
 
-Progress = Callable[[int, int], None]
-
 # Trajectories: with fewer, lanes wait at the end, and more do not get cheaper. Of large scenes no
 # more than fit into some memory, as far as that fills the lanes.
 _TOGETHER, _LEAST_TOGETHER, _MEMORY = 256, 8, 2**25
@@ -44,7 +42,6 @@ def solve(
     *,
     rtol: float = 1e-11,
     cache: bool = True,
-    progress: Progress | None = None,
 ) -> Trajectory:
     """Integrate every trajectory of a batch to high accuracy.
 
@@ -62,12 +59,11 @@ def solve(
         batch: Starts and inputs.
         rtol: Allowed error of a step, relative to the size of each component of the state.
         cache: Whether results are taken from disk, and kept there.
-        progress: Called now and then with the number of frames done and of all frames.
 
     Raises:
         InputError: The tolerance is out of range, or a contact sphere starts in the ground.
     """
-    return _solved("solve", integrate, scene, batch, checked_tolerance(rtol), cache, progress)
+    return _solved("solve", integrate, scene, batch, checked_tolerance(rtol), cache)
 
 
 def confirmed(scene: Scene, batch: Batch, cache: bool) -> Trajectory:
@@ -76,7 +72,7 @@ def confirmed(scene: Scene, batch: Batch, cache: bool) -> Trajectory:
     In maximal coordinates, all joints closed by multipliers, without the compiled kernels, at a
     tolerance of 1e-13; an explicit method whatever is stiff.
     """
-    return _solved("confirm", _marched, scene, batch, _CONFIRMED, cache, None)
+    return _solved("confirm", _marched, scene, batch, _CONFIRMED, cache)
 
 
 def _solved(
@@ -86,10 +82,9 @@ def _solved(
     batch: Batch,
     rtol: float,
     cache: bool,
-    progress: Progress | None,
 ) -> Trajectory:
-    def compute(rows: list[int], report: Progress | None) -> list[entries.Arrays]:
-        problem = _problem(scene, batch[rows], rtol, report)
+    def compute(rows: list[int]) -> list[entries.Arrays]:
+        problem = _problem(scene, batch[rows], rtol)
         _check_apart(problem.mechanism, problem.start)
         marched = method(problem)
         return [
@@ -100,13 +95,11 @@ def _solved(
     each = 8 * 13 * (len(scene.bodies) + 1) * (batch.steps + 1)
     lanes = _MEMORY // each // _LEAST_TOGETHER * _LEAST_TOGETHER
     together = min(max(_LEAST_TOGETHER, lanes), _TOGETHER)
-    ready = entries.complete(
-        what, scene, batch, rtol, compute, keep=cache, together=together, progress=progress
-    )
+    ready = entries.complete(what, scene, batch, rtol, compute, keep=cache, together=together)
     return _trajectory(scene, batch, ready)
 
 
-def _problem(scene: Scene, batch: Batch, rtol: float, progress: Progress | None) -> Problem:
+def _problem(scene: Scene, batch: Batch, rtol: float) -> Problem:
     mechanism = Mechanism.of(scene)
     return Problem(
         dynamics=dynamics_of(mechanism),
@@ -114,7 +107,6 @@ def _problem(scene: Scene, batch: Batch, rtol: float, progress: Progress | None)
         force=batch.force,
         torque=with_pushes(mechanism.drives, batch.torque),
         rtol=rtol,
-        progress=progress,
     )
 
 
@@ -221,7 +213,6 @@ def sensitivity(
     *,
     rtol: float = 1e-7,
     cache: bool = True,
-    progress: Progress | None = None,
 ) -> Array:
     """Measure the growth factor G: RMS particle distance of two runs over that at the start.
 
@@ -235,7 +226,6 @@ def sensitivity(
         batch: Starts and inputs.
         rtol: Allowed error of a step, as in `solve`.
         cache: Whether results are taken from disk, and kept there.
-        progress: Called now and then with the number of frames done and of all frames.
 
     Returns:
         G, shape (trajectory, frame), 1 at frame 0; NaN from the frame on at which the solution of
@@ -247,12 +237,12 @@ def sensitivity(
     rtol = checked_tolerance(rtol)
     what = f"sensitivity {_SIZE} {_SEED}"
 
-    def compute(rows: list[int], report: Progress | None) -> list[entries.Arrays]:
-        growth = _growth(scene, batch[rows], rtol, report)
+    def compute(rows: list[int]) -> list[entries.Arrays]:
+        growth = _growth(scene, batch[rows], rtol)
         return [{"growth": values} for values in growth]
 
     ready = entries.complete(
-        what, scene, batch, rtol, compute, keep=cache, together=_PAIRS_TOGETHER, progress=progress
+        what, scene, batch, rtol, compute, keep=cache, together=_PAIRS_TOGETHER
     )
     found = np.empty((len(batch), batch.steps + 1))
     for row, entry in ready:
@@ -260,8 +250,8 @@ def sensitivity(
     return found
 
 
-def _growth(scene: Scene, batch: Batch, rtol: float, progress: Progress | None) -> Array:
-    once = _problem(scene, batch, rtol, progress)
+def _growth(scene: Scene, batch: Batch, rtol: float) -> Array:
+    once = _problem(scene, batch, rtol)
     mechanism, dynamics = once.mechanism, once.dynamics
     start = dynamics.project(once.start)
     other = np.array(
@@ -269,7 +259,7 @@ def _growth(scene: Scene, batch: Batch, rtol: float, progress: Progress | None) 
     )
     pairs = np.stack([start, other], axis=1).reshape(-1, *start.shape[1:])
     twice = once.part(np.repeat(np.arange(len(batch)), 2))
-    marched = integrate(dataclasses.replace(twice, start=pairs, companions=2, progress=progress))
+    marched = integrate(dataclasses.replace(twice, start=pairs, companions=2))
     bodies = dynamics.unpack(marched.states)
     markers = marker_positions(mechanism, bodies.position, bodies.native)
     distance = _rms(markers[::2] - markers[1::2])

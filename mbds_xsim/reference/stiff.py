@@ -61,8 +61,6 @@ def march_stiff(problem: Problem) -> Marched:
                 break
             state = dynamics.project(ended)
             marched.states[rows, k + 1] = state
-            if problem.progress is not None:
-                problem.progress(first * frames + companions * (k + 1), batch * frames)
     return marched
 
 

@@ -103,6 +103,9 @@ def _text(path: Path) -> str:
     """Read the text of a file that can be parsed in bounded time and memory."""
     try:
         content = read_file(path, _LARGEST_FILE + 1)
+        if len(content) > _LARGEST_FILE:
+            size = f"{_LARGEST_FILE // 10**6} MB"
+            raise SceneError(f"{path}: got more than {size}: 20 000 bodies with joints take 7 MB")
         text = content.decode("utf-8-sig")  # Windows writes a mark before the text
     except OSError as error:
         msg = (
@@ -115,9 +118,6 @@ def _text(path: Path) -> str:
             f"{path}: got byte {error.object[error.start]:#04x} at {error.start}, allowed is UTF-8"
         )
         raise SceneError(msg) from error
-    if len(content) > _LARGEST_FILE:
-        size = f"{_LARGEST_FILE // 10**6} MB"
-        raise SceneError(f"{path}: got more than {size}: 20 000 bodies with joints take 7 MB")
     for table, count in Counter(_PARTS.findall(text)).items():
         bounds.count(f"{path}: {table}", count, MOST_PARTS, "larger scenes are not tested")
     if _is_deep(text):

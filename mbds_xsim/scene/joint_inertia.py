@@ -80,7 +80,8 @@ def _mass_matrix(mechanism: Mechanism, bodies: BodyStates) -> tuple[Array, BodyS
     spin = rotation.rotate(rotation.conjugate(moving.native), moving.angular_velocity)
     mass = np.einsum("...dbi,b,...ebi->...de", moving.velocity, mechanism.mass, moving.velocity)
     mass += np.einsum("...dbi,bij,...ebj->...de", spin, mechanism.inertia, spin)
-    rotors = [_rotor(mechanism, place[0]) if field == "rate" else 0.0 for field, place in freedoms]
+    armature = [link.joint.armature if link.joint else 0.0 for link in mechanism.links]
+    rotors = [armature[place[0]] if field == "rate" else 0.0 for field, place in freedoms]
     return mass + np.diag(rotors), moving
 
 
@@ -103,8 +104,3 @@ def _numbers(mechanism: Mechanism, joints: Sequence[PlacedJoint]) -> list[int]:
     link = {link.joint.index: k for k, link in enumerate(mechanism.links) if link.joint}
     freedoms = _freedoms(mechanism)
     return [freedoms.index(("rate", (link[joint.index],))) for joint in joints]
-
-
-def _rotor(mechanism: Mechanism, link: int) -> float:
-    joint = mechanism.links[link].joint
-    return joint.armature if joint else 0.0

@@ -187,6 +187,11 @@ class Mechanism:
     """The joints that torques can drive, in scene order; the order of `Batch.torque`."""
 
     @functools.cached_property
+    def carried(self) -> dict[int, int]:
+        """Body that each joint of the spanning tree carries, by the joint's index."""
+        return {link.joint.index: link.body for link in self.links if link.joint}
+
+    @functools.cached_property
     def compliant(self) -> tuple[PlacedJoint, ...]:
         """The joints with a spring or damper, in scene order."""
         return tuple(joint for joint in self.joints if joint.complies)
@@ -314,9 +319,8 @@ def _build(scene: Scene, cut: tuple[JointKind, ...]) -> Mechanism:
             what = (given or ["a coupling" if joint.coupled else "a servo with a limit"])[0]
             where = f"joints[{joint.name!r}]: got {what} on a joint that closes a loop"
             raise SceneError(f"{where}, allowed is it on others; let another joint close it")
-    particle_body = np.repeat(
-        np.arange(len(scene.bodies)), [len(body.particles) for body in scene.bodies]
-    )
+    counts = np.array([len(body.particles) for body in scene.bodies])
+    particle_body = np.repeat(np.arange(len(counts)), counts)
     particles = np.array(
         [
             np.array(body.position)
@@ -339,15 +343,13 @@ def _build(scene: Scene, cut: tuple[JointKind, ...]) -> Mechanism:
         distances=tuple(_pair(link, link.length, index, com) for link in scene.distance_links),
         springs=tuple(
             dataclasses.replace(
-                _pair(spring, spring.rest_length, index, com),
-                stiffness=spring.stiffness,
-                damping=spring.damping,
+                _pair(s, s.rest_length, index, com), stiffness=s.stiffness, damping=s.damping
             )
-            for spring in scene.springs
+            for s in scene.springs
         ),
         particle_body=particle_body,
         particle_offset=particles - com[particle_body],
-        particles_per_body=np.bincount(particle_body, minlength=len(scene.bodies)),
+        particles_per_body=counts,
         sphere_body=sphere_body,
         sphere_offset=sphere - com[sphere_body],
         sphere_radius=np.array([sphere.radius for sphere in scene.contacts]),

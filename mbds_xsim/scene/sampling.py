@@ -183,7 +183,7 @@ def _swing(term: terms.Swing, drafts: Drafts) -> None:
     about = np.concatenate([np.sin(azimuth), -np.cos(azimuth), np.zeros_like(polar)], axis=-1)
     turn = rotation.from_vector(polar * about)
     down = rotation.rotate(turn, hung.arm)
-    first, second = rotation.normals_to(down)
+    first, second = rotation.normal_to(down)
     relative = speed * (np.cos(heading) * first + np.sin(heading) * second)
     rate = rotation.cross(down, relative) / rotation.squares(down)
     reach, carried = _pivots(hung, states, turn, rate)

@@ -161,40 +161,39 @@ class Joint(Neutral):
             raise SceneError(msg)
 
 
-class DistanceLink(Neutral):
-    """A massless rigid link: keeps two points at a constant distance."""
-
+class _Between(Neutral):
     name: Name
     bodies: tuple[str, str]
     """Two bodies, or a body and "world"."""
     points: tuple[Place, Place]
     """The attachment points in W at the reference pose [m]."""
-    length: Size | None = None
-    """[m]; left out, the distance at the reference pose."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _two_points(self.name, self.bodies, self.points)
+        if self.bodies[0] == self.bodies[1]:
+            msg = f"{self.name!r} joins {self.bodies[0]!r} to itself"
+            raise SceneError(msg)
+        if not math.dist(*self.points) > 0:
+            msg = f"points: got {list(self.points[0])} twice, the two ends must be apart"
+            raise SceneError(msg)
 
 
-class SpringDamper(Neutral):
+class DistanceLink(_Between):
+    """A massless rigid link: keeps two points at a constant distance."""
+
+    length: Size | None = None
+    """[m]; left out, the distance at the reference pose."""
+
+
+class SpringDamper(_Between):
     """A massless linear spring and damper along the line between two points."""
 
-    name: Name
-    bodies: tuple[str, str]
-    """Two bodies, or a body and "world"."""
-    points: tuple[Place, Place]
-    """The attachment points in W at the reference pose [m]."""
     stiffness: NotNegative = 0.0
     """[N/m]"""
     damping: NotNegative = 0.0
     """[N·s/m]"""
     rest_length: Annotated[float, bounds.rest_length] | None = None
     """[m]; left out, the distance at the reference pose."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _two_points(self.name, self.bodies, self.points)
 
 
 class Force(Neutral):
@@ -377,13 +376,4 @@ def _known(where: str, got: str, allowed: set[str], *, what: str = "body") -> No
     if got not in allowed:
         listed = sorted(allowed)[:12] + ["…"] * (len(allowed) > 12)
         msg = f"{where}: {UnknownName.of(what, got, listed)}"
-        raise SceneError(msg)
-
-
-def _two_points(name: str, bodies: tuple[str, str], points: tuple[Vector, Vector]) -> None:
-    if bodies[0] == bodies[1]:
-        msg = f"{name!r} joins {bodies[0]!r} to itself"
-        raise SceneError(msg)
-    if not math.dist(*points) > 0:
-        msg = f"points: got {list(points[0])} twice, the two ends must be apart"
         raise SceneError(msg)

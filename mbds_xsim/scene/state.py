@@ -63,9 +63,7 @@ class Batch:
 
     def truncated(self, steps: int) -> Batch:
         """Keep the inputs of the first steps only."""
-        fields = {key: getattr(self, key) for key in self.__dataclass_fields__}
-        fields |= {"force": self.force[:, :steps], "torque": self.torque[:, :steps]}
-        return Batch(**fields)
+        return dataclasses.replace(self, force=self.force[:, :steps], torque=self.torque[:, :steps])
 
     @property
     def steps(self) -> int:
@@ -107,14 +105,8 @@ class Trajectory:
         picked = (
             self.failures[rows] if isinstance(rows, slice) else [self.failures[k] for k in rows]
         )
-        return Trajectory(
-            self.time,
-            self.position[rows],
-            self.orientation[rows],
-            self.velocity[rows],
-            self.angular_velocity[rows],
-            tuple(picked),
-        )
+        arrays = {key: getattr(self, key)[rows] for key in STATES}
+        return dataclasses.replace(self, **arrays, failures=tuple(picked))
 
     def replaced(self, rows: Index, other: Trajectory) -> Trajectory:
         """Put another's trajectories in the place of some, in their order."""
@@ -172,14 +164,8 @@ class Trajectory:
     def empty(time: Array, trajectory_count: int, body_count: int) -> Trajectory:
         """Make a trajectory of NaN, for a run to fill in."""
         shape = (trajectory_count, len(time), body_count)
-        return Trajectory(
-            time,
-            np.full((*shape, 3), np.nan),
-            np.full((*shape, 4), np.nan),
-            np.full((*shape, 3), np.nan),
-            np.full((*shape, 3), np.nan),
-            (None,) * trajectory_count,
-        )
+        place, turn, speed, spin = (np.full((*shape, size), np.nan) for size in (3, 4, 3, 3))
+        return Trajectory(time, place, turn, speed, spin, (None,) * trajectory_count)
 
 
 _SAID = ("name", "description", "source", "budget", "anchors", "edges")

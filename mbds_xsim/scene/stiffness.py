@@ -11,7 +11,7 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.assembly import assemble, inverse_mass_root
 from mbds_xsim.scene.constraints import constraint_rows, dense_jacobian
 from mbds_xsim.scene.joint_space import BodyStates, rate_row
-from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PointPair
 from mbds_xsim.scene.scene import Scene
 
 # Of the largest singular value: constraint rows that say nothing new.
@@ -47,7 +47,8 @@ def spring_rates(scene: Scene) -> tuple[float, float]:
         return 0.0, 0.0
     start = assemble(mechanism)
     pairs = [_apart(mechanism, start, spring) for spring in mechanism.springs]
-    turns = _turning(mechanism, start, joints)
+    place = start.position, start.native
+    turns = [rate_row(mechanism, joint, *place).toarray() for joint in joints]
     laws = [*mechanism.compliant, *(drive.servo for drive in mechanism.drives)]
     free = _free(mechanism, start, np.concatenate([*pairs, *turns]))
     stiffness, damping = (
@@ -60,14 +61,6 @@ def spring_rates(scene: Scene) -> tuple[float, float]:
         for key in ("stiffness", "damping")
     )
     return float(np.sqrt(_largest(stiffness, free))), _largest(damping, free)
-
-
-def _turning(
-    mechanism: Mechanism, start: BodyStates, joints: tuple[PlacedJoint, ...]
-) -> list[Array]:
-    """Rows that give the rates of joints, (1, 6 · body) each."""
-    place = start.position, start.native
-    return [rate_row(mechanism, joint, *place).toarray() for joint in joints]
 
 
 def _free(mechanism: Mechanism, start: BodyStates, apart: Array) -> Array:

@@ -13,6 +13,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
+from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
 from mbds_xsim.scene.scene import WORLD
 from mbds_xsim.scene.spin import idle_axes
@@ -137,8 +138,9 @@ def _quantities(mechanism: Mechanism, batch: Batch, readback: Readback) -> Itera
     yield "start: orientation", orientation, batch.orientation[0], 1.0, bodies
     gravity = None if readback.gravity is None else readback.gravity[None]
     yield "gravity [m/s²]", gravity, np.array([scene.gravity]), 1.0, ["W"]
-    yield from _of_joints(mechanism, batch, readback)
-    yield from _of_springs(mechanism, batch, readback)
+    world = BodyStates.of(mechanism, batch[:1])[0].with_world()
+    yield from _of_joints(mechanism, world, readback)
+    yield from _of_springs(mechanism, world, readback)
     laws = np.array([(j.stiffness, j.damping, j.rest) for j in mechanism.compliant]).reshape(-1, 3)
     names = [joint.name for joint in mechanism.compliant]
     for what, key, joints in (
@@ -159,20 +161,16 @@ def _quantities(mechanism: Mechanism, batch: Batch, readback: Readback) -> Itera
     tied = np.array([(each.ratio, each.offset) for each in mechanism.couplings])
     names = [each.name for each in mechanism.couplings]
     yield from _columns("couplings", ("ratio", "offset"), readback.coupling, tied, names)
-    yield from _of_contact(mechanism, batch, readback)
+    yield from _of_contact(mechanism, world, readback)
 
 
-def _of_joints(mechanism: Mechanism, batch: Batch, readback: Readback) -> Iterator[_Quantity]:
-    native = np.concatenate([mechanism.native_rotation(batch.orientation[0]), [rotation.IDENTITY]])
+def _of_joints(mechanism: Mechanism, world: BodyStates, readback: Readback) -> Iterator[_Quantity]:
     jointed = [joint for joint in mechanism.joints if joint.kind in ("hinge", "slider")]
-    axes = np.array([rotation.rotate(native[joint.parent], joint.axis) for joint in jointed])
+    axes = np.array([world.arms(joint.parent, joint.axis) for joint in jointed])
     names = [joint.name for joint in jointed]
     yield "axis", _known(readback.joint_axis, axes), axes, 1.0, names
     ends = [
-        (
-            _placed(mechanism, batch, j.parent, j.in_parent),
-            _placed(mechanism, batch, j.child, j.in_child),
-        )
+        (world.points(j.parent, j.in_parent), world.points(j.child, j.in_child))
         for j in mechanism.joints
     ]
     names = [
@@ -187,24 +185,20 @@ def _of_joints(mechanism: Mechanism, batch: Batch, readback: Readback) -> Iterat
     yield "anchor [m]", got, wanted, mechanism.scene.length, names
 
 
-def _of_springs(mechanism: Mechanism, batch: Batch, readback: Readback) -> Iterator[_Quantity]:
+def _of_springs(mechanism: Mechanism, world: BodyStates, readback: Readback) -> Iterator[_Quantity]:
     names, wanted = [spring.name for spring in mechanism.springs], []
     for spring in mechanism.springs:
-        first, second = (
-            _placed(mechanism, batch, *end)
-            for end in zip(spring.bodies, spring.in_body, strict=True)
-        )
+        first, second = world.points(list(spring.bodies), np.array(spring.in_body))
         wanted.append(spring.as_read(second - first))
     yield from _columns("springs", _SPRING, readback.spring, np.array(wanted), names)
 
 
-def _of_contact(mechanism: Mechanism, batch: Batch, readback: Readback) -> Iterator[_Quantity]:
+def _of_contact(mechanism: Mechanism, world: BodyStates, readback: Readback) -> Iterator[_Quantity]:
     scene, ground, collisions = mechanism.scene, mechanism.scene.ground, mechanism.scene.collisions
     if not scene.contacts:
         return
     names = [f"sphere {k} on {sphere.body}" for k, sphere in enumerate(scene.contacts)]
-    pairs = zip(mechanism.sphere_body.tolist(), mechanism.sphere_offset, strict=True)
-    places = np.array([_placed(mechanism, batch, body, offset) for body, offset in pairs])
+    places = world.points(mechanism.sphere_body, mechanism.sphere_offset)
     got = _known(readback.sphere, places)
     yield "centre of contact [m]", got, places, scene.length, names
     law = (ground.friction, ground.restitution) if ground else (0.0, 0.0)
@@ -263,14 +257,6 @@ def _turn(readback: Readback, batch: Batch) -> Array:
     """Orientations as read, with the sign of the expected ones (q and −q are one rotation)."""
     sign = np.sign(np.sum(readback.orientation * batch.orientation[0], axis=-1, keepdims=True))
     return readback.orientation * np.where(sign == 0, 1.0, sign)
-
-
-def _placed(mechanism: Mechanism, batch: Batch, body: int, point: Array) -> Array:
-    """Place a point of a native frame in W at the first start."""
-    if body == WORLD_INDEX:
-        return point
-    turn = mechanism.native_rotation(batch.orientation[0])[body]
-    return np.asarray(batch.position[0, body] + rotation.rotate(turn, point))
 
 
 def _differences(

@@ -7,7 +7,7 @@ import numpy as np
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.scene import Clock, Joint, Torque
 from mbds_xsim.scene.servo import Servo
-from mbds_xsim.testing.case import NONE, Case, G, case_of, even, solve
+from mbds_xsim.testing.case import NONE, Case, G, case_of, even, integrate
 from mbds_xsim.testing.joint_cases import CARRIER, UP, WHEEL, on_a_carrier, settling
 
 
@@ -37,18 +37,14 @@ def _leaning() -> Case:
     clock = Clock(frame=0.02, steps=60)
 
     def exact(time: Array) -> Array:
-        angle = np.maximum(
-            solve(lambda _, y: np.array([y[1], -mass * G * arm * np.cos(y[0]) / about]),
-                [0.0, 0.0], time)[0],
-            stop,
-        )  # fmt: skip
+        fallen = integrate(lambda a: -mass * G * arm * np.cos(a) / about, 0.0, 0.0, time)
+        angle = np.maximum(fallen, stop)
         angle[np.argmax(angle == stop) :] = stop
         late = time >= hold * clock.frame - 1e-12
-        angle[late] = solve(
-            lambda _, y: np.array([y[1], (torque - mass * G * arm * np.cos(y[0])) / about]),
-            [stop, 0.0],
-            time[late] - hold * clock.frame,
-        )[0]
+        angle[late] = integrate(
+            lambda a: (torque - mass * G * arm * np.cos(a)) / about,
+            stop, 0.0, time[late] - hold * clock.frame,
+        )  # fmt: skip
         return arm * np.stack([np.cos(angle), 0.0 * angle, np.sin(angle)], axis=-1)[:, None]
 
     return case_of(
@@ -99,22 +95,25 @@ _APART = _CART * _BLOCK / (_CART + _BLOCK)
 
 
 def _saturated() -> Case:
-    """A servo wants a wheel far faster than its torque can make it: that torque is constant.
+    """Two servos want a wheel far faster either way than they can make it: their sum is constant.
 
     The momentum of the wheel and its free carrier stays 0.
     """
-    limit = 0.4
+    forth, back = 0.6, 0.2
     inertia = CARRIER * WHEEL / (CARRIER + WHEEL)
 
     def turned(time: Array) -> Array:
-        return -WHEEL / (CARRIER + WHEEL) * 0.5 * limit / inertia * time**2
+        return -WHEEL / (CARRIER + WHEEL) * 0.5 * (forth - back) / inertia * time**2
 
     return on_a_carrier(
         "saturated servo",
-        "limit of a servo's torque, its reaction",
+        "limits of servos' torques, several on one joint, their reaction",
         turned,
         Joint("axle", "hinge", "carrier", "wheel", NONE, UP),
-        servos=(Servo("axle", velocity=(50.0,), damping=0.4, limit=limit),),
+        servos=(
+            Servo("axle", velocity=(50.0,), damping=0.4, limit=forth),
+            Servo("axle", velocity=(-50.0,), damping=0.4, limit=back),
+        ),
     )
 
 

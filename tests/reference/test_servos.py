@@ -41,10 +41,10 @@ def test_the_balance_of_energy_takes_the_saturated_effort(case: Case) -> None:
     finding = energy_balance.finding(record)
     assert finding.figure.max() < 1e-5
 
-    (servo,) = case.scene.servos
+    servo, *others = case.scene.servos
     assert servo.limit is not None
     for limit in (1e9, 1.05 * servo.limit):
-        servos = (msgspec.structs.replace(case.scene.servos[0], limit=limit),)
+        servos = (msgspec.structs.replace(servo, limit=limit), *others)
         other = msgspec.structs.replace(case.scene, servos=servos)
         wrong = Record(other, record.batch, record.trajectory)
         assert not energy_balance.finding(wrong).passed.any()

@@ -300,15 +300,6 @@ def test_together_or_alone_is_the_same() -> None:
     np.testing.assert_allclose(together.position[1], alone.position[0], rtol=0, atol=1e-13)
 
 
-def test_progress_reaches_the_end() -> None:
-    scene = load_scene("5pendulum")
-    seen: list[tuple[int, int]] = []
-    batch = draw_batch(scene, range(2)).truncated(5)
-    solve(scene, batch, cache=False, progress=lambda done, of: seen.append((done, of)))
-    assert seen[-1] == (10, 10)
-    assert [done for done, _ in seen] == sorted(done for done, _ in seen)
-
-
 @pytest.mark.parametrize("rtol", [0.0, 1.0, math.nan])
 def test_tolerance_out_of_range(rtol: float) -> None:
     scene = load_scene("5pendulum")
