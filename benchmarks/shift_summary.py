@@ -42,10 +42,10 @@ _HEAD = """\
 
 <!-- Written by: python -m benchmarks.shift_summary reports/shift > reports/shift/README.md -->
 
-**What do learned models inherit from the engine whose data taught them? Its settings, and almost
-nothing of the engine.** At one step, without damping and with hard contact MuJoCo, PyBullet and
-DART are nearly the same to most models; what costs is a coarser step, PyBullet's damping and
-MuJoCo's soft contact.
+**What do learned models inherit from the engine whose data taught them? Its settings; at equal
+settings there is next to nothing to inherit.** At one step, without damping and with hard contact
+data of MuJoCo, PyBullet and DART differ by less than most models err. What costs is a coarser step,
+PyBullet's damping and MuJoCo's soft contact.
 
 ![What a change of engine or settings costs, by scene and model](factors.png)
 

@@ -67,11 +67,11 @@ def survivors(
     return titled(
         f"Which model survives which change {when}",
         "How many times the squared error grows by the costliest change of its kind that is told "
-        "from chance, with its 95 % interval, and which change it is. Where none is told, or its "
-        f"interval ends below {NOTABLE:g}, a model survives if it errs less on its own data than "
-        f"the two data sets differ and all intervals end below {BEARABLE:g} times; it does not "
-        "notice the change if it errs more than they differ and nothing is told. Below 1.1: where "
-        "the highest interval ends",
+        "from chance, with its 95 % interval, and which change it is. A model survives if what is "
+        f"told ends below {NOTABLE:g}, or nothing is though it errs less on its own data than the "
+        f"two data sets differ, and all intervals end below {BEARABLE:g} times; it does not notice "
+        "the change if it errs more than they differ and nothing is told. Below 1.1: where the "
+        "highest interval ends",
         ("change", *models),
         rows,
     )
