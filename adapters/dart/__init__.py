@@ -36,7 +36,7 @@ class Dart(Adapter):
     """DART through dartpy."""
 
     name = "dart"
-    revision = 2
+    revision = 3
     package = "dartpy"
     coordinates: ClassVar[Literal["reduced", "maximal"]] = "reduced"
     contact_law = CONTACT_LAW

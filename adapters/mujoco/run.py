@@ -32,7 +32,7 @@ from .contact import SphereGeoms
 from .model import CLOSING_POINTS, StepOptions, closing_point, mjcf, with_start
 from .spinless import Bending
 from .state import Coordinates, Frames, Hanger
-from .steps import FinerNearGround, FinerWhereFast, OneCall, Stepper, turning_rates
+from .steps import FinerNearGround, FinerWhereFast, OneCall, turning_rates
 
 _STATES = 16_000  # of bodies that are worked on at a time
 
@@ -69,7 +69,7 @@ class ModelRun(Bending):
         self._bodies = np.array([self.model.body(name).id for name in names])
         self._order = np.argsort(self._bodies)
         self._spheres = SphereGeoms(self.model, mechanism)
-        self._stepper: Stepper = OneCall(count)
+        self._stepper: OneCall | FinerNearGround | FinerWhereFast = OneCall(count)
         if division:
             self._stepper = FinerNearGround(self.model, self._spheres, method, count, division)
         elif turn and (turning := turning_rates(self.model)).size:

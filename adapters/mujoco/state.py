@@ -40,25 +40,18 @@ class Coordinates:
         first = model.body_jntadr[bodies]
         qpos, qvel = model.jnt_qposadr[first], model.jnt_dofadr[first]
 
+        def at(links: Index, places: int, rates: int) -> tuple[Index, Index]:
+            return qpos[links, None] + np.arange(places), qvel[links, None] + np.arange(rates)
+
         def of(*wanted: str) -> Index:
             return np.array([k for k, kind in enumerate(kinds) if kind in wanted], dtype=np.int64)
 
         self._scalar, self._ball, self._free = of("hinge", "slider"), of("ball"), of("free")
         self._scalar_at = qpos[self._scalar], qvel[self._scalar]
-        self._ball_at = (
-            qpos[self._ball, None] + np.arange(4),
-            qvel[self._ball, None] + np.arange(3),
-        )
-        self._free_at = (
-            qpos[self._free, None] + np.arange(7),
-            qvel[self._free, None] + np.arange(6),
-        )
+        self._ball_at, self._free_at = at(self._ball, 4, 3), at(self._free, 7, 6)
         self._cardan = of("cardan")
         self._cross = _cross_axes(idle[[mechanism.links[k].body for k in self._cardan]])
-        self._cardan_at = (
-            qpos[self._cardan, None] + np.arange(2),
-            qvel[self._cardan, None] + np.arange(2),
-        )
+        self._cardan_at = at(self._cardan, 2, 2)
         self.second = self._cardan_at[0][:, 1]
         """Places in qpos of the Cardan joints' second angles; a right angle is where they lock."""
 

@@ -4,7 +4,7 @@ near the ground."""
 from __future__ import annotations
 
 import math
-from typing import Any, Protocol
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -18,27 +18,19 @@ _EULER = mujoco.mjtIntegrator.mjINT_EULER
 _MOST = 64
 
 
-class Stepper(Protocol):
-    """Moves a run's state on by a frame, under the inputs that are set."""
-
-    remark: str
-    """What the model's text does not tell about the steps."""
-    placed: bool
-    """Whether a frame leaves bodies and geoms where the coordinates say."""
-
-    def frame(self, model: Any, data: Any) -> None:
-        """Step to the next frame; after a warning the state is of no use."""
-        ...
-
-
 class OneCall:
-    """Equal steps, whatever touches."""
+    """Equal steps, whatever touches.
+
+    As the others it has a `remark`, what the model's text does not tell about the steps, and says
+    by `placed` whether a frame leaves bodies and geoms where the coordinates say.
+    """
 
     def __init__(self, count: int) -> None:
         self._count = count
         self.remark, self.placed = "", False
 
     def frame(self, model: Any, data: Any) -> None:
+        """Step to the next frame; after a warning the state is of no use."""
         mujoco.mj_step(model, data, self._count)
 
 

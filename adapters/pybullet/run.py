@@ -65,6 +65,13 @@ class PyBulletRun(Run):
 
     def __init__(self, scene: Scene, settings: Settings, options: Mapping[str, Any]) -> None:
         self._client = Client()
+        try:
+            self._load(scene, settings, options)
+        except BaseException:
+            self._client.close()  # a refused scene leaves no world behind
+            raise
+
+    def _load(self, scene: Scene, settings: Settings, options: Mapping[str, Any]) -> None:
         self._mechanism = mechanism = Mechanism.of(scene)
         self._frame = scene.clock.frame
         self._substeps = settings.substeps(self._frame)

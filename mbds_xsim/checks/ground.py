@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from mbds_xsim.checks.balances import balances_of, groups_of
 from mbds_xsim.checks.coordinates import clear_of_own
 from mbds_xsim.checks.finding import Figures, check
 from mbds_xsim.checks.record import Record
-from mbds_xsim.checks.spheres import Spheres, spheres_of
+from mbds_xsim.checks.spheres import Neighbours, Spheres, spheres_of
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
 
@@ -333,19 +333,7 @@ def _undisturbed(record: Record, push: Push) -> Mask:
     return found & record.parted[:, :, inside].all(axis=2) if inside.any() else found
 
 
-class Touching(Protocol):
-    """What may touch, in several states."""
-
-    @property
-    def gap(self) -> Array:
-        """[m], shape (state,)."""
-
-    @property
-    def climb(self) -> Array:
-        """Rate of the gap [m/s]."""
-
-
-_Touch = TypeVar("_Touch", bound=Touching)
+_Touch = TypeVar("_Touch", Spheres, Neighbours)
 
 
 def at_touch(

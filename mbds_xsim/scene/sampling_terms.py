@@ -48,11 +48,7 @@ def span_of(span: Span, interval: Interval) -> Range:
     return getattr(span, interval) if isinstance(span, Levels) else span
 
 
-class _Draw(Neutral):
-    """What all draws share: a table with a `kind`."""
-
-
-class Swing(_Draw, tag_field="kind", tag="swing"):
+class Swing(Neutral, tag_field="kind", tag="swing"):
     """Hang a chain of ball-jointed bodies at random directions.
 
     For each body, in the given order, drawn in this order: polar angle of the arm (from the
@@ -69,7 +65,7 @@ class Swing(_Draw, tag_field="kind", tag="swing"):
     """[m/s]"""
 
 
-class Turn(_Draw, tag_field="kind", tag="turn"):
+class Turn(Neutral, tag_field="kind", tag="turn"):
     """Turn the whole scene rigidly about an axis, with a rigid rate (drawn: angle, rate)."""
 
     point: Annotated[Vector, bounds.place]
@@ -82,7 +78,7 @@ class Turn(_Draw, tag_field="kind", tag="turn"):
     """[rad/s]"""
 
 
-class Throw(_Draw, tag_field="kind", tag="throw"):
+class Throw(Neutral, tag_field="kind", tag="throw"):
     """Throw one free body, and all that its joints carry, rigidly.
 
     Drawn in this order: displacement of its centre of mass from the reference pose (x, y, z),
@@ -101,7 +97,7 @@ class Throw(_Draw, tag_field="kind", tag="throw"):
     """In W [rad/s]."""
 
 
-class Roll(_Draw, tag_field="kind", tag="roll"):
+class Roll(Neutral, tag_field="kind", tag="roll"):
     """Spin a free body by a share of the rate at which it would roll at the velocity it has.
 
     The share is drawn: 0 slides without spin, 1 rolls without slip. The body carries one contact
@@ -112,7 +108,7 @@ class Roll(_Draw, tag_field="kind", tag="roll"):
     share: Span
 
 
-class Lift(_Draw, tag_field="kind", tag="lift"):
+class Lift(Neutral, tag_field="kind", tag="lift"):
     """Lift or lower a body and what it carries until its lowest contact sphere is at a height.
 
     The body is free, with all that its joints carry, or an upright slider carries it.
@@ -123,7 +119,7 @@ class Lift(_Draw, tag_field="kind", tag="lift"):
     """Of the sphere's lowest point above the ground [m]."""
 
 
-class Pose(_Draw, tag_field="kind", tag="pose"):
+class Pose(Neutral, tag_field="kind", tag="pose"):
     """Lead hinges and sliders to a coordinate each, drawn by itself, added to that of the file."""
 
     joints: Names
@@ -131,7 +127,7 @@ class Pose(_Draw, tag_field="kind", tag="pose"):
     """Hinge [rad], slider [m]."""
 
 
-class HingeRate(_Draw, tag_field="kind", tag="hinge_rate"):
+class HingeRate(Neutral, tag_field="kind", tag="hinge_rate"):
     """Give hinges a rate relative to the body that carries them, each drawn by itself."""
 
     joints: Names
@@ -142,7 +138,7 @@ class HingeRate(_Draw, tag_field="kind", tag="hinge_rate"):
     over the mean of the drawn rates [m/rad]: how a car rolls along on its wheels."""
 
 
-class HingeTorque(_Draw, tag_field="kind", tag="hinge_torque"):
+class HingeTorque(Neutral, tag_field="kind", tag="hinge_torque"):
     """Drive hinges with piecewise constant torques.
 
     Drawn stretch by stretch, and within a stretch joint by joint: the value, then, with
@@ -157,7 +153,7 @@ class HingeTorque(_Draw, tag_field="kind", tag="hinge_torque"):
     random_sign: bool = False
 
 
-class Wind(_Draw, tag_field="kind", tag="wind"):
+class Wind(Neutral, tag_field="kind", tag="wind"):
     """Blow horizontally on every particle with the same force A(t)·(cos φ, sin φ, 0).
 
     A(t) is an Ornstein–Uhlenbeck process started from its stationary law. Drawn in this order:

@@ -7,7 +7,7 @@ import operator
 import os
 import platform
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -34,7 +34,7 @@ from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import Starts
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import Scene
-from mbds_xsim.scene.state import Batch, fingerprint
+from mbds_xsim.scene.state import Batch, Trajectory, fingerprint
 from mbds_xsim.simulate.choice import Choice, Contender
 from mbds_xsim.simulate.claims import TRUTH
 
@@ -67,8 +67,9 @@ def validate_with_evidence(
     rows, reference, checked = _judged(scene, batch, contenders, conduct, spent, native=readback)
     voting = time.perf_counter()
     results = [row.result for row in rows]
-    names, matrix, odd = _vote(scene, rows, reference)
-    ensembles = _ensembles(scene, batch, rows, reference)
+    runs, families = _runs(rows, reference)
+    matrix, odd = _vote(scene, runs, families)
+    ensembles = _ensembles(scene, batch, runs)
     spent["checks"] += time.perf_counter() - voting
     validation = Validation(
         schema=SCHEMA,
@@ -84,7 +85,7 @@ def validate_with_evidence(
         engines=tuple(results),
         left_out=left_out,
         reference=checked,
-        names=names,
+        names=tuple(runs),
         matrix_m=matrix,
         matrix_s=_instant(reference.trajectory.time),
         odd_one_out=odd,
@@ -145,27 +146,35 @@ def _account(spent: Account) -> dict[str, float]:
     return {what: seconds for what, seconds in longest if seconds >= _SEEN}
 
 
-def _vote(
-    scene: Scene, rows: list[Judged], reference: ReferenceOutcome
-) -> tuple[tuple[str, ...], tuple[tuple[float, ...], ...], str | None]:
-    """Hold every engine against every other and the reference, at 1 s on predictable starts.
+def _runs(
+    rows: list[Judged], reference: ReferenceOutcome
+) -> tuple[dict[str, Trajectory], tuple[str, ...]]:
+    """Give motions by engine and settings, and their families.
 
-    The reference has one vote, however often it takes part.
+    The reference is the last, and one of them, however often it takes part.
     """
-    present = [row for row in _others(rows) if row.trajectory is not None]
-    names = (*(f"{r.result.engine} {r.result.profile}" for r in present), "reference")
-    families = (*(row.result.family for row in present), "reference")
-    regular = [k for k in range(len(reference.growth)) if k % len(INTERVALS) != _HIGH]
-    runs = [row.trajectory[regular] for row in present if row.trajectory is not None]
-    runs.append(reference.trajectory[regular])
+    runs, families = {}, []
+    for row in rows:
+        if row.result.family != TRUTH and row.trajectory is not None:
+            runs[f"{row.result.engine} {row.result.profile}"] = row.trajectory
+            families.append(row.result.family)
+    return {**runs, "reference": reference.trajectory}, (*families, "reference")
+
+
+def _vote(
+    scene: Scene, runs: Mapping[str, Trajectory], families: tuple[str, ...]
+) -> tuple[tuple[tuple[float, ...], ...], str | None]:
+    """Hold every run against every other, the reference last, at 1 s on predictable starts."""
+    names, mechanism = tuple(runs), Mechanism.of(scene)
+    regular = [k for k in range(len(runs["reference"])) if k % len(INTERVALS) != _HIGH]
     instant = min(_ONE_SECOND, scene.clock.duration)
-    matrix = agreement.pairwise(Mechanism.of(scene), runs, instant)
+    matrix = agreement.pairwise(mechanism, [run[regular] for run in runs.values()], instant)
     allowed = scene.budget.error_1s * scene.length
     # Past a first impact no solution is unique, and sound engines may stand apart.
     unique = np.isfinite(matrix[-1, :-1]).any()
     odd = agreement.odd_one_out(matrix, families, tolerance=allowed) if unique else ()
     told = ", ".join(names[k] for k in odd) or None
-    return names, tuple(tuple(float(x) for x in line) for line in matrix), told
+    return tuple(tuple(float(x) for x in line) for line in matrix), told
 
 
 def _instant(times: Array) -> float:
@@ -173,26 +182,19 @@ def _instant(times: Array) -> float:
     return float(agreement.error_at(times[None], times, _ONE_SECOND)[0])
 
 
-def _others(rows: list[Judged]) -> list[Judged]:
-    """Leave the reference out, which is held against the others as what is true."""
-    return [row for row in rows if row.result.family != TRUTH]
-
-
 def _ensembles(
-    scene: Scene, batch: Batch, rows: list[Judged], reference: ReferenceOutcome
+    scene: Scene, batch: Batch, runs: Mapping[str, Trajectory]
 ) -> tuple[EnsembleResult, ...]:
     """Compare distributions at the end, where motions no longer agree one by one."""
-    named = [(f"{r.result.engine} {r.result.profile}", r.trajectory) for r in _others(rows)]
-    named.append(("reference", reference.trajectory))
-    names, runs = zip(*((name, run) for name, run in named if run is not None), strict=True)
+    names, found = tuple(runs), agreement.compare_runs(scene, batch, tuple(runs.values()))
     return tuple(
         EnsembleResult(
             one=names[one],
             other=names[other],
             time_s=scene.clock.duration,
-            distance=found.distance,
-            p_value=found.p_value,
-            count=found.count,
+            distance=apart.distance,
+            p_value=apart.p_value,
+            count=apart.count,
         )
-        for (one, other), found in agreement.compare_runs(scene, batch, runs).items()
+        for (one, other), apart in found.items()
     )
