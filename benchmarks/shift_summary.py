@@ -51,7 +51,7 @@ PyBullet's damping and MuJoCo's soft contact.
 
 Each figure says how many times the squared error ten predicted frames ahead (t = 10, 0.2 s) grows
 when the test data differ from the training data in one respect; 1 is no loss, brackets are 95 %
-intervals, and what is bold, or framed, is told from chance among all pairs of a study. It is
+intervals, and what is bold, or framed, is significant among all pairs of a study. It is
 √(R_ij R_ji / (R_ii R_jj)), R_ij the error of the model trained on i and tested on j. Where several
 pairs of engines fall under a heading it is the largest bold one, or else the largest. A scene's
 page has every pair, and what a model *survives*.
@@ -156,7 +156,7 @@ def _factor_count(shift: Shift) -> int:
 
 
 def _dearest(shift: Shift, model: str, factor: str) -> Interaction | None:
-    """Give the dearest pair that is told from chance, or else the dearest."""
+    """Give the dearest pair that is significant, or else the dearest."""
     place = shift.frames.index(shift.at)
     own = [pair for pair in shift.interactions if pair.model == model and _is(pair, factor)]
     known = [pair for pair in own if pair.value[place] is not None]
@@ -199,7 +199,7 @@ def _picture(studies: Sequence[Shift], page: bytes) -> bytes:
             draw_costs(axes, found[model], scenes, _SHORT, most)
             axes.set_title(model)
         words = "How many times the squared error grows by which change"
-        figure.suptitle(f"{words}, t = {studies[0].at} (framed: told from chance)")
+        figure.suptitle(f"{words}, t = {studies[0].at} (framed: significant)")
 
     return themed.png(draw, (2 * _PANEL[0], math.ceil(len(models) / 2) * _PANEL[1]), page)
 

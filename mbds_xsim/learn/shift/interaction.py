@@ -188,7 +188,7 @@ def _times(value: float) -> str:
 
 
 def _most(own: Sequence[Interaction], place: int) -> float:
-    """The largest of those interactions that are told from chance, or 1."""
+    """The largest of those interactions that are significant, or 1."""
     return max((each.value[place] or 1.0 for each in own if each.resolved[place]), default=1.0)
 
 

@@ -66,12 +66,12 @@ def survivors(
     )
     return titled(
         f"Which model survives which change {when}",
-        "How many times the squared error grows by the costliest change of its kind that is told "
-        "from chance, with its 95 % interval, and which change it is. A model survives if what is "
-        f"told ends below {NOTABLE:g}, or nothing is though it errs less on its own data than the "
-        f"two data sets differ, and all intervals end below {BEARABLE:g} times; it does not notice "
-        "the change if it errs more than they differ and nothing is told. Below 1.1: where the "
-        "highest interval ends",
+        "How many times the squared error grows by the costliest significant change of its kind, "
+        "with its 95 % interval, and which change it is. A model survives if no significant cost "
+        f"can be {NOTABLE:g} or more, it errs less on its own data than the two data sets differ "
+        f"or a smaller cost is significant, and all intervals end below {BEARABLE:g} times; it "
+        "does not notice the change if it errs more than they differ and nothing is significant. "
+        "Below 1.1: where the highest interval ends",
         ("change", *models),
         rows,
     )
@@ -111,7 +111,7 @@ def _pairs(found: Sequence[Interaction], place: int, when: str) -> Table:
             str(each.seeds),
             number(each.value[place]),
             f"{number(each.low[place])} … {number(each.high[place])}",
-            "told from chance" if each.resolved[place] else "",
+            "significant" if each.resolved[place] else "",
         )
         for each in found
     )
@@ -119,7 +119,7 @@ def _pairs(found: Sequence[Interaction], place: int, when: str) -> Table:
         f"What a change of engine or settings costs {when}",
         "√(R_ij R_ji / (R_ii R_jj)), R_ij the mean squared error of the training on i, tested on "
         "j: 1 is no loss by the change, 2 twice the squared error. 95 % by paired bootstrap over "
-        "trajectories and seeds; told from chance: of all pairs together, by the rule of Benjamini "
+        "trajectories and seeds; significant: of all pairs together, by the rule of Benjamini "
         f"and Hochberg, at most {FALSE:.0%} of them false",
         ("model, engines", "seeds", "ratio", "95 %", ""),
         rows,

@@ -158,7 +158,7 @@ def draw_interactions(axes: Any, shift: Shift, frame: int) -> None:
 
 
 Costs = Mapping[tuple[int, int], tuple[float | None, bool]]
-"""By row and column: how many times the error it is, and whether that is told from chance."""
+"""By row and column: how many times the error it is, and whether that is significant."""
 
 
 def draw_costs(

@@ -149,7 +149,7 @@ def _change(shift: Shift) -> Section:
     told = (
         "How many times the squared error grows where a model was trained on one's data and is "
         "tested on the other's, both ways together; the luck of single trainings and how hard data "
-        "are cancel. Framed: told from chance."
+        "are cancel. Framed: significant."
     )
     title = f"What a change of engine, or of its settings, costs, t = {shift.at}"
     return Section(

@@ -70,7 +70,7 @@ def worth_table(shift: Shift, place: int) -> Table:
         "trained on them alone: the first row from which on dearer data bring no less error tells "
         "how good data must be. Beside it stands how many times the error it is of the model that "
         "learned from the reference's best data, and the 95 % interval: data are harmful where "
-        f"that is told from chance, of all together, and {NOTABLE:g} or more, and harmless where "
+        f"that is significant, of all together, and {NOTABLE:g} or more, and harmless where "
         f"it is not and the interval is below {BEARABLE:g}",
         ("trained on", "a trajectory", "data", *models),
         rows,
