@@ -102,9 +102,13 @@ CHAIN_LENGTH = Study(
 )  # fmt: skip
 
 
+def _ladder(rungs: float) -> Scene:
+    return load_scene(f"{round(rungs)}ladder")
+
+
 LOOPS = Study(
     "loops", "rope ladders in the wind, one closed loop more with every rung", "rungs", "",
-    (1.0, 2.0, 3.0, 5.0, 8.0), lambda rungs: load_scene(f"{round(rungs)}ladder"), least=1,
+    (1.0, 2.0, 3.0, 5.0, 8.0), _ladder, least=1,
 )  # fmt: skip
 
 
@@ -113,10 +117,14 @@ LOOPS = Study(
 # Unlike the rope of `chain-length` it grows: links keep their length and mass. So it asks of a
 # model that was trained on one length whether it learned links, or that chain.
 
+
+def _chain(links: float) -> Scene:
+    return load_scene(f"{round(links)}pendulum")
+
+
 LINKS = Study(
     "links", "the paper's pendulum, one rod of 0.5 m and 1 kg more with every link", "links", "",
-    (1.0, 2.0, 4.0, 6.0, 8.0, 12.0, 16.0), lambda links: load_scene(f"{round(links)}pendulum"),
-    least=1,
+    (1.0, 2.0, 4.0, 6.0, 8.0, 12.0, 16.0), _chain, least=1,
 )  # fmt: skip
 
 
@@ -266,10 +274,13 @@ FRICTION = Study(
 )  # fmt: skip
 
 
+def _dropped(restitution: float) -> Scene:
+    return _ball(Throw("ball", displacement=_UP), ground=Ground(0.43, restitution))
+
+
 RESTITUTION = Study(
     "restitution", "a ball dropped from 1 m, for 2 s: up to three impacts",
-    "coefficient of restitution", "", (0.0, 0.2, 0.5, 0.8, 0.95, 1.0),
-    lambda e: _ball(Throw("ball", displacement=_UP), ground=Ground(0.43, e)), frames=20,
+    "coefficient of restitution", "", (0.0, 0.2, 0.5, 0.8, 0.95, 1.0), _dropped, frames=20,
 )  # fmt: skip
 
 
@@ -343,10 +354,14 @@ _START = math.radians(-50.0)
 _RATE = 7.0  # [rad/s]
 
 
+def _parallel(count: float) -> Scene:
+    return _cranks(round(count), _START, _RATE)
+
+
 REDUNDANCY = Study(
     "redundancy",
     "cranks that turn over with one rod, four redundant constraints more with every crank",
-    "cranks", "", (2.0, 3.0, 4.0, 6.0, 8.0), lambda n: _cranks(round(n), _START, _RATE), least=2,
+    "cranks", "", (2.0, 3.0, 4.0, 6.0, 8.0), _parallel, least=2,
 )  # fmt: skip
 
 
@@ -359,10 +374,13 @@ REDUNDANCY = Study(
 _SINGULAR_RATE = -2.0  # [rad/s]
 
 
+def _parallelogram(angle: float) -> Scene:
+    return _cranks(2, angle, _SINGULAR_RATE)
+
+
 SINGULAR = Study(
     "singular", "a parallelogram that starts at, or shortly before, its singular pose",
-    "angle before the singular pose", "rad", (1.0, 0.3, 0.02, 1e-3, 1e-6, 0.0),
-    lambda angle: _cranks(2, angle, _SINGULAR_RATE),
+    "angle before the singular pose", "rad", (1.0, 0.3, 0.02, 1e-3, 1e-6, 0.0), _parallelogram,
 )  # fmt: skip
 
 
