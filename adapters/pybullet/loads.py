@@ -7,7 +7,7 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.joint_space import BodyStates
-from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 
 from .client import Client, Constant
 from .model import Multibodies
@@ -19,6 +19,8 @@ class StepLoads:
     def __init__(self, client: Client, model: Multibodies, mechanism: Mechanism) -> None:
         self._model = model
         self._springs = mechanism.springs
+        self._ends = [body for spring in self._springs for body in spring.bodies]
+        self._in_body = np.array([point for spring in self._springs for point in spring.in_body])
         self._hinges = mechanism.hinges
         self._compliant = mechanism.compliant
         self._closures = {joint.index for joint in model.closures}
@@ -75,13 +77,15 @@ class StepLoads:
             state = self._model.states(reading)
             for joint, moment in turning:
                 self._twist(joint, moment, state)
-            for spring in self._springs:
-                self._pull(spring, state)
+            if self._springs:
+                self._pull(state)
 
     def springs(self, state: BodyStates) -> Array:
         """Give what `Readback.spring` tells."""
-        lines = [pair.as_read(np.subtract(*_ends(pair, state)[0][::-1])) for pair in self._springs]
-        return np.array(lines).reshape(-1, 4)
+        if not self._springs:
+            return np.zeros((0, 4))
+        lines = np.diff(self._spring_ends(state)[0], axis=1)[:, 0]
+        return np.array([s.as_read(line) for s, line in zip(self._springs, lines, strict=True)])
 
     def _push(self, body: int, force: Array, point: Array) -> None:
         if body != WORLD_INDEX:
@@ -96,11 +100,18 @@ class StepLoads:
                 number, link = self._address(body)
                 self._apply_torque(number, link, (sign * vector).tolist(), self._in_world)
 
-    def _pull(self, spring: PointPair, state: BodyStates) -> None:
-        (first, second), faster = _ends(spring, state)
-        force = spring.pull(second - first, faster)
-        self._push(spring.bodies[0], force, first)
-        self._push(spring.bodies[1], -force, second)
+    def _pull(self, state: BodyStates) -> None:
+        places, rates = self._spring_ends(state)
+        for spring, (first, second), rate in zip(self._springs, places, rates, strict=True):
+            force = spring.pull(second - first, rate[1] - rate[0])
+            self._push(spring.bodies[0], force, first)
+            self._push(spring.bodies[1], -force, second)
+
+    def _spring_ends(self, state: BodyStates) -> tuple[Array, Array]:
+        """Places in W [m] and velocities [m/s] of the springs' ends, shape (spring, end, 3)."""
+        every = state.with_world()
+        places = every.points(self._ends, self._in_body).reshape(-1, 2, 3)
+        return places, every.speeds(self._ends, self._in_body).reshape(-1, 2, 3)
 
 
 def set_friction(model: Multibodies, substeps: int) -> None:
@@ -142,20 +153,3 @@ def spring_calls(model: Multibodies) -> list[str]:
             f"p.setJointMotorControl2({at}, p.TORQUE_CONTROL, force={drive.formula()})",
         ]
     return calls
-
-
-def _ends(pair: PointPair, state: BodyStates) -> tuple[tuple[Array, Array], Array]:
-    """Place the ends in W [m], and tell how fast the second leaves the first [m/s]."""
-    (first, first_rate), (second, second_rate) = (
-        _moving_point(state, body, arm) for body, arm in zip(pair.bodies, pair.in_body, strict=True)
-    )
-    return (first, second), second_rate - first_rate
-
-
-def _moving_point(state: BodyStates, body: int, in_body: Array) -> tuple[Array, Array]:
-    """Position and velocity of a point fixed in a body, or in the world."""
-    if body == WORLD_INDEX:
-        return in_body, np.zeros(3)
-    arm = rotation.rotate(state.native[body], in_body)
-    velocity = state.velocity[body] + np.cross(state.angular_velocity[body], arm)
-    return state.position[body] + arm, velocity

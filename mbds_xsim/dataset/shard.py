@@ -100,13 +100,13 @@ def make_shard(item: Item, out: Path, *, crashes: Crashes | None = None) -> None
     attributes = {**variant.recipe, "first": item.first, "count": item.count, **counts}
     datasets = _datasets(variant, batch, trajectory, verdict)
     path = item.path(out)
-    beside = rejected_folder(path.parent) / item.file_name
+    aside = rejected_folder(path.parent) / item.file_name
     if passed.all():
-        beside.unlink(missing_ok=True)  # of a shard of fewer trajectories, or one begun before
+        aside.unlink(missing_ok=True)  # of a shard of fewer trajectories, or one begun before
     else:
         reasons = np.array([verdict.reason(int(row)) for row in np.flatnonzero(~passed)])
         rejected = {**_rows(datasets, ~passed), "reason": reasons}
-        put(beside, *encode(rejected, {**attributes, "kind": "rejected"}))
+        put(aside, *encode(rejected, {**attributes, "kind": "rejected"}))
     put(path, *encode(_rows(datasets, passed), {**attributes, "kind": "shard"}))
     watch.lap("write_s")
     times = {**watch.laps, ROLLOUT: round(rollout_s, 6)}

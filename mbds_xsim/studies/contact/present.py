@@ -5,8 +5,6 @@ The figures show rebound over speed and friction over heading.
 
 from __future__ import annotations
 
-import os
-import platform
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -19,7 +17,7 @@ import numpy as np
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.files import write_whole
 from mbds_xsim.base.isolate import Conduct, Crash, Task, run_tasks
-from mbds_xsim.base.text import counted
+from mbds_xsim.measure.runner import machine
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Block, Cell, Column, Remarks, Row, Text, row_of, table_of
 from mbds_xsim.report.themed import DOTTED, ENGINES, engine_style, png
@@ -144,7 +142,7 @@ def study_contact(choice: Choice, conduct: Conduct, command: str = "") -> Contac
             ),
         ),
         command=command,
-        machine=f"{platform.machine()}, {counted(os.cpu_count(), 'core')}, {platform.system()}",
+        machine=machine(),
         wall_s=time.perf_counter() - begin,
     )
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import functools
 import operator
-import os
-import platform
 import time
 from collections.abc import Mapping, Sequence
 
@@ -13,7 +11,6 @@ import numpy as np
 
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.isolate import USUAL, Conduct
-from mbds_xsim.base.text import counted
 from mbds_xsim.checks import agreement
 from mbds_xsim.measure.campaign import run_campaign
 from mbds_xsim.measure.judge import Judged, judge, reference_result
@@ -29,7 +26,7 @@ from mbds_xsim.measure.result import (
     Validation,
     Verdict,
 )
-from mbds_xsim.measure.runner import Account, versions_of
+from mbds_xsim.measure.runner import Account, machine, versions_of
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import Starts
 from mbds_xsim.scene.sampling_terms import INTERVALS
@@ -90,7 +87,7 @@ def validate_with_evidence(
         matrix_s=_instant(reference.trajectory.time),
         odd_one_out=odd,
         versions=versions_of({result.engine: result.version for result in results}),
-        machine=f"{platform.machine()}, {counted(os.cpu_count(), 'core')}, {platform.system()}",
+        machine=machine(),
         ensembles=ensembles,
         spent_s=_account(spent),
         fingerprint=fingerprint(scene),
