@@ -160,21 +160,26 @@ class ContactContract:
                 assert readback.compare(Mechanism.of(scene), start, settings, found) == []
             assert run.size.contact_pairs == len(scene.contacts)
 
-    @pytest.mark.parametrize("name", _SCENES)
+    @pytest.mark.parametrize("name", [*_SCENES, "slow ball"])
     def test_contacts_of_one_trajectory_are_forgotten_in_the_next(
         self, adapter: Adapter, name: str
     ) -> None:
-        """Same batch, same bits; the second of three is what it is alone."""
-        scene = load_scene(name)
-        batch = draw_batch(scene, [2, 0, 1]).truncated(60)
+        """Same start, same bits: the first of three, the last of them, and alone.
+
+        Put back by a tenth of a radius, a ball may have its old points of contact still in reach.
+        """
+        slow = ball(velocity=(0.01, 0.0, 0.0), spin=(0.0, 0.01 / PARTICLE_RADIUS, 0.0), steps=20)
+        scene = slow if name == "slow ball" else load_scene(name)
+        batch = draw_batch(scene, [0, 1, 0]).truncated(60)
         settings = _settings(adapter, scene)
         with adapter.open(scene, settings) as run:
-            first, again, alone = (run.rollout(b) for b in (batch, batch, batch[[1]]))
-        assert first.failures == (None,) * 3
-        assert gaps(scene, first).min(axis=(1, 2)).max() < 0.03  # all of them have touched
+            several, alone = run.rollout(batch), run.rollout(batch[:1])
+        assert several.failures == (None,) * 3
+        assert gaps(scene, several).min(axis=(1, 2)).max() < 0.03  # all of them have touched
         for key in ("position", "orientation", "velocity", "angular_velocity"):
-            np.testing.assert_array_equal(getattr(first, key), getattr(again, key))
-            np.testing.assert_array_equal(getattr(first, key)[[1]], getattr(alone, key))
+            first, _, last = getattr(several, key)
+            np.testing.assert_array_equal(first, last)
+            np.testing.assert_array_equal(first, getattr(alone, key)[0])
 
     def test_spheres_touch_the_ground_and_nothing_else(self, adapter: Adapter) -> None:
         """A ball rolls through another one."""
