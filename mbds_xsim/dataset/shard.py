@@ -100,13 +100,14 @@ def make_shard(item: Item, out: Path, *, crashes: Crashes | None = None) -> None
     attributes = {**variant.recipe, "first": item.first, "count": item.count, **counts}
     datasets = _datasets(variant, batch, trajectory, verdict)
     path = item.path(out)
-    aside = rejected_folder(path.parent) / item.file_name
+    rejected_path = rejected_folder(path.parent) / item.file_name
     if passed.all():
-        aside.unlink(missing_ok=True)  # of a shard of fewer trajectories, or one begun before
+        # Of a shard of fewer trajectories, or one begun before.
+        rejected_path.unlink(missing_ok=True)
     else:
         reasons = np.array([verdict.reason(int(row)) for row in np.flatnonzero(~passed)])
         rejected = {**_rows(datasets, ~passed), "reason": reasons}
-        put(aside, *encode(rejected, {**attributes, "kind": "rejected"}))
+        put(rejected_path, *encode(rejected, {**attributes, "kind": "rejected"}))
     put(path, *encode(_rows(datasets, passed), {**attributes, "kind": "shard"}))
     watch.lap("write_s")
     times = {**watch.laps, ROLLOUT: round(rollout_s, 6)}

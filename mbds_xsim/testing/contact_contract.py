@@ -170,7 +170,7 @@ class ContactContract:
         """
         slow = ball(velocity=(0.01, 0.0, 0.0), spin=(0.0, 0.01 / PARTICLE_RADIUS, 0.0), steps=20)
         scene = slow if name == "slow ball" else load_scene(name)
-        batch = draw_batch(scene, [0, 1, 0]).truncated(60)
+        batch = draw_batch(scene, [2, 0, 2]).truncated(60)
         settings = _settings(adapter, scene)
         with adapter.open(scene, settings) as run:
             several, alone = run.rollout(batch), run.rollout(batch[:1])
