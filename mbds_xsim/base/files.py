@@ -23,7 +23,11 @@ from typing import IO
 
 from mbds_xsim.base.errors import InputError
 
-_PICTURES = ("--png", "--rollouts")  # options
+_ENDINGS = {
+    "--json": ".json", "--csv": ".csv", "--markdown": ".md", "--html": ".html", "--png": ".png",
+    "--rollouts": ".png",
+}  # fmt: skip
+_DATA = (".h5", ".npz", ".pt", ".toml", ".xml", ".urdf", ".sdf")
 
 
 def path_of(name: str, value: object) -> Path:
@@ -107,10 +111,15 @@ def check_writable(path: Path, option: str) -> None:
         raise InputError(msg) from error
 
 
-def check_picture(path: Path, option: str) -> None:
-    """Raise InputError where a picture would get the name of another kind of file."""
-    if option in _PICTURES and path.suffix.lower() not in ("", ".png", ".gz"):
-        msg = f"{option}: got {path}, but pictures are PNG; name it {path.with_suffix('.png').name}"
+def check_ending(path: Path, option: str) -> None:
+    """Raise InputError where an output would get the name, maybe the place, of other things."""
+    ending, due = path.suffix.lower(), _ENDINGS.get(option)
+    if due == ".png" and ending not in ("", due, ".gz"):
+        msg = f"{option}: got {path}, but pictures are PNG; name it {path.with_suffix(due).name}"
+        raise InputError(msg)
+    if due and ending in _DATA:
+        due_name = path.with_suffix(due).name
+        msg = f"{option}: got {path}, but it writes no {ending}; name it {due_name}"
         raise InputError(msg)
 
 

@@ -272,7 +272,7 @@ class Outputs:
 
     def check(self, folder: Path | None = None, **others: Path | None) -> None:
         """Refuse files that cannot be written, or that the command reads, before long work."""
-        from mbds_xsim.base.files import check_picture, check_writable, named_in
+        from mbds_xsim.base.files import check_ending, check_writable, named_in
 
         read = named_in(shlex.split(command_line()))
         named = {**vars(self), "opened": None, **others}
@@ -284,7 +284,7 @@ class Outputs:
             kept = real.endswith((".h5", ".pt")) and any(real.startswith(f"{p}/") for p in read)
             if path.is_file() and (real in read or kept):
                 raise InputError(f"--{option}: the command reads {path}; name another file")
-            check_picture(path, f"--{option}")
+            check_ending(path, f"--{option}")
             if (other := taken.setdefault(path.absolute(), option)) != option:
                 raise InputError(f"--{other} and --{option} both name {path}; name two places")
 

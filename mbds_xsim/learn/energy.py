@@ -23,7 +23,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from mbds_xsim.learn.layers import keep, mlp, silence
+from mbds_xsim.learn.layers import keep, mixed, mlp, silence
 from mbds_xsim.learn.mechanics import Mechanics
 from mbds_xsim.learn.mechanics_points import distinct, kinds_of
 from mbds_xsim.scene.sampling import noise_components
@@ -55,18 +55,40 @@ class NodeEnergy(Protocol):
 
 def momentum(mechanics: Mechanics, kinetic: Kinetic, v: Tensor) -> Tensor:
     """∂T/∂v, shape (batch, node, 3)."""
-    return mechanics.speed_map.T @ (2.0 * kinetic.first[..., None] * (mechanics.speed_map @ v))
+    each = 2.0 * kinetic.first[..., None] * mixed(mechanics.speed_map, v)
+    return mixed(mechanics.speed_map.T, each)
 
 
-def mass_matrix(mechanics: Mechanics, kinetic: Kinetic, v: Tensor) -> Tensor:
-    """∂²T/∂v² in closed form, shape (batch, 3 · node, 3 · node): blocks 2 f′ 1 + 4 f″ v vᵀ."""
-    each, size = mechanics.speed_map @ v, 3 * v.shape[1]
-    outer = 4.0 * kinetic.second[..., None, None] * each[..., :, None] * each[..., None, :]
-    eye = torch.eye(3).to(v)
-    own = 2.0 * kinetic.first[..., None, None] * eye + outer
-    blocks = (mechanics.coupling @ own.flatten(-2)).flatten(1)
-    flat = v.new_zeros(len(v), size * size).index_copy_(1, mechanics.block, blocks)
-    return flat.view(len(v), size, size)
+@dataclass(frozen=True, eq=False)
+class Mass:
+    """∂²T/∂v² at velocities v of the free nodes: blocks 2 f′ 1 + 4 f″ v vᵀ of nodes and rods."""
+
+    mechanics: Mechanics
+    kinetic: Kinetic
+    each: Tensor
+    """Velocities of nodes and rods, shape (batch, node + rod, 3)."""
+
+    @staticmethod
+    def of(energy: NodeEnergy, v: Tensor) -> Mass:
+        """Give that of an energy at v (batch, node, 3)."""
+        return Mass(energy.mechanics, energy.kinetic(v), mixed(energy.mechanics.speed_map, v))
+
+    def times(self, v: Tensor) -> Tensor:
+        """Its product with v, shape (batch, node, 3)."""
+        more, each, kinetic = mixed(self.mechanics.speed_map, v), self.each, self.kinetic
+        own = 2.0 * kinetic.first[..., None] * more
+        along = kinetic.second[..., None] * (each * more).sum(-1, keepdim=True)
+        return mixed(self.mechanics.speed_map.T, own + 4.0 * along * each)
+
+    def dense(self) -> Tensor:
+        """Itself in closed form, shape (batch, 3 · node, 3 · node)."""
+        each, kinetic, size = self.each, self.kinetic, 3 * self.mechanics.free
+        outer = 4.0 * kinetic.second[..., None, None] * each[..., :, None] * each[..., None, :]
+        own = 2.0 * kinetic.first[..., None, None] * torch.eye(3).to(each) + outer
+        blocks = (self.mechanics.coupling @ own.flatten(-2)).flatten(1)
+        flat = each.new_zeros(len(each), size * size)
+        flat.index_copy_(1, self.mechanics.block, blocks)
+        return flat.view(len(each), size, size)
 
 
 def potential_force(energy: NodeEnergy, q: Tensor) -> Tensor:
@@ -221,7 +243,7 @@ class EnergyNetwork(nn.Module):
 
     def kinetic(self, v: Tensor) -> Kinetic:
         square, mass = self.square_speed, self.mechanics.moved_mass
-        speed = (self.mechanics.speed_map @ v).square().sum(-1) / square
+        speed = mixed(self.mechanics.speed_map, v).square().sum(-1) / square
         value, first, second = self.of_speed(speed, self.kind)
         return Kinetic(mass * square * value, mass * first, mass / square * second)
 
@@ -243,13 +265,14 @@ class Drag(nn.Module):
         """Forces on the free nodes [N], shape (batch, node, 3), at their velocities."""
         (energy,) = self.energy
         mechanics = energy.mechanics
-        each = mechanics.speed_map @ v
+        each = mixed(mechanics.speed_map, v)
         # Of a whip's speed itself the share would grow until the integrator is unstable.
         speed = torch.log1p(each.square().sum(-1)[..., None] / energy.square_speed)
         kinds = self.embed(energy.kind).expand(len(v), -1, -1)
         share = 0.1 * self.of_speed(torch.cat([kinds, speed], -1)) ** 2
         rate = math.sqrt(energy.square_speed) / energy.length
-        return -mechanics.speed_map.T @ (rate * mechanics.moved_mass[:, None] * share * each)
+        push = rate * mechanics.moved_mass[:, None] * share * each
+        return -mixed(mechanics.speed_map.T, push)
 
 
 def _squareplus(x: Tensor) -> Tensor:

@@ -33,13 +33,13 @@ from mbds_xsim.learn.energy import (
     Drag,
     EnergyNetwork,
     EnergyShape,
+    Mass,
     NodeEnergy,
-    mass_matrix,
     momentum,
     potential_force,
 )
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.layers import keep
+from mbds_xsim.learn.layers import keep, mixed
 from mbds_xsim.learn.mechanics import Mechanics, constrained
 from mbds_xsim.learn.model import FlowModel
 from mbds_xsim.learn.recipe import Cosine, Plateau, Recipe
@@ -102,22 +102,20 @@ class Lagrangian(NodeDynamics):
 
     def acceleration(self, q: Tensor, v: Tensor, inputs: KnownInputs) -> Tensor:
         """Accelerations of the free nodes [m/s²], shape (batch, node, 3)."""
-        load = self.load(q, v, inputs)
-        mass = mass_matrix(self.mechanics, self.energy.kinetic(v), v)
-        jacobian = self.mechanics.jacobian(q).dense()
-        bias, redundant = self.mechanics.bias(v), self.mechanics.redundant
-        return constrained(mass, load.flatten(1), jacobian, bias, redundant).view_as(q)
+        mechanics, load = self.mechanics, self.load(q, v, inputs)
+        mass, jacobian = Mass.of(self.energy, v), mechanics.jacobian(q)
+        return constrained(mass, load, jacobian, mechanics.bias(v), mechanics.redundant)
 
 
 class Hamiltonian(NodeDynamics):
     """Of nodes and momenta."""
 
     def conjugate(self, v: Tensor) -> Tensor:
-        return self.mechanics.mass @ v
+        return mixed(self.mechanics.mass, v)
 
     def velocity(self, x: Tensor) -> Tensor:
         """Give u = M⁻¹ p; the learned ∂H/∂p tends to it as training goes on."""
-        return self.mechanics.mass_inverse @ x
+        return mixed(self.mechanics.mass_inverse, x)
 
     def derivative(self, q: Tensor, x: Tensor, inputs: KnownInputs) -> tuple[Tensor, Tensor]:
         mechanics = self.mechanics
@@ -125,11 +123,11 @@ class Hamiltonian(NodeDynamics):
         jacobian, rate = mechanics.jacobian(q), mechanics.jacobian_rate(u)
         solver = mechanics.factored(jacobian)
         slope = momentum(mechanics, self.energy.kinetic(u), u)
-        q_rate = mechanics.mass_inverse @ slope
+        q_rate = mixed(mechanics.mass_inverse, slope)
         second = -solver(jacobian.along(q_rate))
-        q_rate = q_rate + mechanics.mass_inverse @ jacobian.back(second)
+        q_rate = q_rate + mixed(mechanics.mass_inverse, jacobian.back(second))
         p_rate = self.load(q, q_rate, inputs) - rate.back(second)
-        first = solver(rate.along(q_rate) + jacobian.along(mechanics.mass_inverse @ p_rate))
+        first = solver(rate.along(q_rate) + jacobian.along(mixed(mechanics.mass_inverse, p_rate)))
         return q_rate, p_rate - jacobian.back(first)
 
 

@@ -7,7 +7,7 @@ from itertools import pairwise
 from typing import Any
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 _FAINT = 0.01
 
@@ -27,6 +27,14 @@ def mlp(
     for before, after in pairwise(widths[1:]):
         parts += [activation(), nn.Linear(before, after)]
     return nn.Sequential(*parts, *([nn.LayerNorm(outputs)] if norm else []))
+
+
+def mixed(weights: Tensor, vectors: Tensor) -> Tensor:
+    """Add up vectors by constant weights (after, before), (batch, before, 3) to (batch, after, 3).
+
+    It is one product of matrices, where `weights @ vectors` is one for each of the batch.
+    """
+    return torch.tensordot(weights, vectors, ([1], [1])).transpose(0, 1)
 
 
 def keep(module: nn.Module, **values: Any) -> None:

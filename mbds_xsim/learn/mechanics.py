@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -23,7 +23,7 @@ from torch.autograd.function import once_differentiable
 
 from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import Unsupported
-from mbds_xsim.learn.layers import keep
+from mbds_xsim.learn.layers import keep, mixed
 from mbds_xsim.learn.mechanics_points import PointRows, points_of, rows_of
 from mbds_xsim.learn.rigid import Q, V, W, X
 from mbds_xsim.learn.turning import rotate
@@ -32,54 +32,67 @@ from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 
 
+class Matrix(Protocol):
+    """A symmetric matrix (3 · node, 3 · node) for each of a batch."""
+
+    def times(self, v: Tensor) -> Tensor:
+        """Its products with v, each (batch, node, 3), with its derivatives."""
+
+    def dense(self) -> Tensor:
+        """Itself, shape (batch, 3 · node, 3 · node)."""
+
+
 def constrained(
-    mass: Tensor, load: Tensor, jacobian: Tensor, bias: Tensor, redundant: int = 0
+    mass: Matrix, load: Tensor, jacobian: Jacobian, bias: Tensor, redundant: int = 0
 ) -> Tensor:
-    """Accelerations (batch, n) under constraints, by the Schur complement of the mass matrix.
+    """Accelerations (batch, node, 3) under constraints, by the mass matrix's Schur complement.
 
     Args:
-        mass: Positive definite, shape (batch, n, n).
-        load: Applied forces, shape (batch, n).
-        jacobian: A, shape (batch, row, n).
+        mass: Positive definite.
+        load: Applied forces, shape (batch, node, 3).
+        jacobian: A.
         bias: Ȧ q̇, shape (batch, row).
         redundant: How many rows A has beyond its rank.
     """
-    solved: Tensor = _Constrained.apply(mass, load, jacobian, bias, redundant)  # type: ignore[no-untyped-call]
-    return solved
-
-
-class _Constrained(torch.autograd.Function):
-    """Its adjoint is the same symmetric system with another right side, so factors are used twice.
-
-    Differentiable once.
-    """
-
-    @staticmethod
-    def forward(
-        ctx: Any, mass: Tensor, load: Tensor, jacobian: Tensor, bias: Tensor, redundant: int
-    ) -> Tensor:
-        factor, failed = torch.linalg.cholesky_ex(mass)
+    with torch.no_grad():
+        factor, failed = torch.linalg.cholesky_ex(mass.dense())
         # A contiguous matrix under the transpose is the layout of LAPACK, and is not copied.
-        sides = torch.cat([jacobian, load[:, None]], dim=1).mT
+        sides = torch.cat([jacobian.dense(), load.flatten(1)[:, None]], dim=1).mT
         half, side = torch.linalg.solve_triangular(factor, sides, upper=False).split(
-            [jacobian.shape[1], 1], dim=-1
+            [bias.shape[1], 1], dim=-1
         )
         schur, failed_too = torch.linalg.cholesky_ex(_filled(half.mT @ half, redundant))
         value, multiplier = _saddle(factor, half, schur, side, bias)
-        value = torch.where((failed + failed_too > 0)[:, None], torch.nan, value)
-        ctx.save_for_backward(factor, half, schur, value, multiplier)
+        value = torch.where((failed + failed_too > 0)[:, None], torch.nan, value).view_as(load)
+    if not torch.is_grad_enabled():
         return value
+    left = load - mass.times(value) - jacobian.back(multiplier)
+    opening = -bias - jacobian.along(value)
+    solved: Tensor = _Held.apply(left, opening, value, factor, half, schur)  # type: ignore[no-untyped-call]
+    return solved
+
+
+class _Held(torch.autograd.Function):
+    """Accelerations, from what they leave of M q̈ + Aᵀ λ = f and of A q̈ = −Ȧ q̇.
+
+    They leave nothing, but that changes by df − dM q̈ − dAᵀ λ and by −d(Ȧ q̇) − dA q̈, and the
+    accelerations by what the same symmetric system has as its solution for these. Autograd would go
+    back through factors and written-out matrices, which takes longer. Differentiable once.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, left: Tensor, opening: Tensor, value: Tensor, *factors: Tensor) -> Tensor:
+        del left, opening
+        ctx.save_for_backward(*factors)
+        return value.clone()
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, slope: Tensor) -> tuple[Tensor | None, ...]:
-        factor, half, schur, value, multiplier = ctx.saved_tensors
-        side = torch.linalg.solve_triangular(factor, slope[..., None], upper=False)
-        by_load, pull = _saddle(factor, half, schur, side, torch.zeros_like(multiplier))
-        by_mass = -by_load[..., :, None] * value[..., None, :]
-        by_jacobian = multiplier[..., :, None] * by_load[..., None, :]
-        by_jacobian = -by_jacobian - pull[..., :, None] * value[..., None, :]
-        return by_mass, by_load, by_jacobian, -pull, None
+        factor, half, schur = ctx.saved_tensors
+        side = torch.linalg.solve_triangular(factor, slope.flatten(1)[..., None], upper=False)
+        by_left, pull = _saddle(factor, half, schur, side, slope.new_zeros(schur.shape[:2]))
+        return by_left.view_as(slope), pull, None, None, None, None
 
 
 def _filled(matrix: Tensor, redundant: int) -> Tensor:
@@ -220,7 +233,7 @@ class Mechanics(nn.Module):
     def residual(self, q: Tensor) -> Tensor:
         """Constraint residuals, lengths squared or lengths [m² or m], shape (batch, row)."""
         x = self.all_nodes(q)
-        return ((self.first @ x) * (self.second @ x)).sum(-1) - self.goal
+        return (mixed(self.first, x) * mixed(self.second, x)).sum(-1) - self.goal
 
     def jacobian(self, q: Tensor) -> Jacobian:
         """A, the residuals' derivative by the free nodes."""
@@ -232,7 +245,7 @@ class Mechanics(nn.Module):
 
     def bias(self, v: Tensor) -> Tensor:
         """Ȧ q̇, shape (batch, row)."""
-        first, second = self.first[:, : self.free] @ v, self.second[:, : self.free] @ v
+        first, second = (mixed(each[:, : self.free], v) for each in (self.first, self.second))
         return 2.0 * (first * second).sum(-1)
 
     def applied(self, q: Tensor, v: Tensor, inputs: KnownInputs) -> Tensor:
@@ -274,7 +287,7 @@ class Mechanics(nn.Module):
 
     def _least(self, jacobian: Jacobian, goal: Tensor) -> Tensor:
         """Mass-weighted least change with A · change = goal, shape (batch, node, 3)."""
-        return self.mass_inverse @ jacobian.back(self.factored(jacobian)(goal))
+        return mixed(self.mass_inverse, jacobian.back(self.factored(jacobian)(goal)))
 
     def _add_torques(self, load: Tensor, x: Tensor, torque: Tensor) -> Tensor:
         """Pairs of forces on tips and centre of mass: half of t × r / d² each makes a couple t."""
@@ -342,11 +355,11 @@ class Terms(nn.Module):
 
     def at(self, q: Tensor) -> Jacobian:
         """Give A at free nodes (batch, node, 3)."""
-        return Jacobian(self, self.moving @ q + self.still)
+        return Jacobian(self, mixed(self.moving, q) + self.still)
 
     def rate(self, v: Tensor) -> Jacobian:
         """Give Ȧ at their velocities."""
-        return Jacobian(self, self.moving @ v)
+        return Jacobian(self, mixed(self.moving, v))
 
     def summed(self, values: Tensor, dim: int) -> Tensor:
         """Sum terms to rows."""
@@ -371,12 +384,12 @@ class Jacobian:
 
     def along(self, v: Tensor) -> Tensor:
         """A v, shape (batch, row), of v (batch, node, 3)."""
-        return self.terms.summed(((self.terms.weight @ v) * self.direction).sum(-1), 1)
+        return self.terms.summed((mixed(self.terms.weight, v) * self.direction).sum(-1), 1)
 
     def back(self, multiplier: Tensor) -> Tensor:
         """Aᵀ λ, shape (batch, node, 3), of λ (batch, row)."""
         pull = self.terms.spread(multiplier)[..., None] * self.direction
-        return self.terms.weight.T @ pull
+        return mixed(self.terms.weight.T, pull)
 
     def over_mass(self) -> Tensor:
         """A M⁻¹ Aᵀ, shape (batch, row, row)."""

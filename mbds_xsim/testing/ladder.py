@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import rounding
 from mbds_xsim.simulate.adapter import Adapter, Settings
 from mbds_xsim.simulate.claims import RTOL, Method
@@ -27,12 +29,12 @@ def measured_order(
 
     That of an adaptive method is by its tolerance, not by its steps.
     """
-    settings = [case_settings(adapter, case, adapter.methods[method], n) for n in steps_per_frame]
+    runs = [rolled(adapter, case, method, n) for n in steps_per_frame]
     finer: tuple[float, ...] = steps_per_frame
     if adapter.methods[method].adaptive:
-        settings = [_tightened(settings[0], rtol) for rtol in _TOLERANCES]
+        runs = [rolled(adapter, case, method, 1, rtol) for rtol in _TOLERANCES]
         finer = tuple(1.0 / rtol for rtol in _TOLERANCES)
-    errors = [case_error(adapter, case, each) for each in settings]
+    errors = [_error(case, motion) for _, motion in runs]
     if errors[-1] == 0.0:
         return np.inf, errors
     slope = np.polyfit(np.log(finer), -np.log(np.maximum(errors, 1e-300)), 1)[0]
@@ -52,15 +54,27 @@ def answer_known_to(
     return max(EXACT, rounding.stepped(method, steps) * max(case.scene.length, float(place)))
 
 
-def case_error(adapter: Adapter, case: Case, settings: Settings) -> float:
-    """Largest distance from the exact motion, or angle times the scene's length [m]."""
+@functools.lru_cache(maxsize=256)
+def rolled(
+    adapter: Adapter, case: Case, method: str, steps_per_frame: int, rtol: float | None = None
+) -> tuple[Batch, Trajectory]:
+    """Give a case's first start and its motion, which tests share; an adaptive method's by rtol."""
+    settings = case_settings(adapter, case, adapter.methods[method], steps_per_frame)
+    if rtol is not None:
+        settings = dataclasses.replace(settings, options={**settings.options, RTOL: rtol})
+    batch = draw_batch(case.scene, [0])
     with adapter.open(case.scene, settings) as run:
-        got = run.rollout(draw_batch(case.scene, [0]))
-    assert got.failures == (None,), f"{settings.method} on {case.name}: {got.failures[0]}"
-    error = np.abs(got.position[0] - case.exact(got.time)).max()
+        motion = run.rollout(batch)
+    assert motion.failures == (None,), f"{method} on {case.name}: {motion.failures[0]}"
+    return batch, motion
+
+
+def _error(case: Case, motion: Trajectory) -> float:
+    """Largest distance from the exact motion, or angle times the scene's length [m]."""
+    error = np.abs(motion.position[0] - case.exact(motion.time)).max()
     if case.exact_orientation is not None:
         turn = rotation.multiply(
-            rotation.conjugate(case.exact_orientation(got.time)), got.orientation[0]
+            rotation.conjugate(case.exact_orientation(motion.time)), motion.orientation[0]
         )
         angle = np.linalg.norm(rotation.to_vector(turn), axis=-1).max()
         error = max(error, angle * case.scene.length)
@@ -73,7 +87,3 @@ def case_settings(adapter: Adapter, case: Case, method: Method, steps_per_frame:
     options = preset.options if preset.method == method.name else {}
     count = 1 if method.adaptive else steps_per_frame
     return Settings(method.name, case.scene.clock.frame / count, options)
-
-
-def _tightened(settings: Settings, rtol: float) -> Settings:
-    return dataclasses.replace(settings, options={**settings.options, RTOL: rtol})

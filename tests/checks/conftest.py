@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
 
 import msgspec
@@ -103,6 +104,7 @@ STEPPERS: dict[str, Stepper] = {
 }
 
 
+@functools.cache
 def simulate(
     scene: Scene,
     batch: Batch,

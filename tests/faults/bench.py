@@ -55,6 +55,16 @@ _SETTINGS: dict[tuple[str, str], tuple[str, int, dict[str, Any]]] = {
             "contact_substeps": 80,
         },
     ),
+    ("simplecubli for 3 s", "dart"): (
+        "semi-implicit-euler",
+        120,
+        {"collision_detector": "ode", "friction_solver": "nsgs"},
+    ),
+    ("simplecubli for 3 s", "exudyn"): (
+        "trapezoidal",
+        16,
+        {"contact_substeps": 5, "impact_steps": 12, "slip_speed": 0.01},
+    ),
     ("simplecubli set down", "pybullet"): ("semi-implicit-euler", 40, {"solver_iterations": 50}),
     ("simplecubli set down", "dart"): (
         "semi-implicit-euler",

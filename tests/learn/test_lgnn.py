@@ -14,8 +14,8 @@ from mbds_xsim.learn.energy import (
     Drag,
     EnergyNetwork,
     EnergyShape,
+    Mass,
     OfDistances,
-    mass_matrix,
     momentum,
 )
 from mbds_xsim.learn.energy_models import Hamiltonian, Lagrangian
@@ -37,7 +37,9 @@ def test_the_mass_matrix_is_the_hessian(name: str) -> None:
     def kinetic(flat: Tensor) -> Tensor:
         return energy.kinetic(flat.view(1, -1, 3)).value.sum(-1)[0]
 
-    by_hand = mass_matrix(energy.mechanics, energy.kinetic(v), v)
+    mass = Mass.of(energy, v)
+    by_hand = mass.dense()
+    assert torch.allclose(mass.times(v).flatten(1), (by_hand @ v.flatten(1)[..., None])[..., 0])
     slope = momentum(energy.mechanics, energy.kinetic(v), v)
     for k, one in enumerate(v):
         flat = one.flatten()
@@ -56,7 +58,7 @@ def test_the_mass_matrix_is_positive_whatever_the_parameters() -> None:
             for parameter in energy.parameters():
                 parameter.copy_(3.0 * torch.randn_like(parameter))
             v = 10.0 * torch.randn(16, 6, 3, dtype=torch.float64)
-            values = torch.linalg.eigvalsh(mass_matrix(energy.mechanics, energy.kinetic(v), v))
+            values = torch.linalg.eigvalsh(Mass.of(energy, v).dense())
             assert values.min() > 0
 
 
