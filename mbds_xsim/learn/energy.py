@@ -60,7 +60,7 @@ def momentum(mechanics: Mechanics, kinetic: Kinetic, v: Tensor) -> Tensor:
 
 
 @dataclass(frozen=True, eq=False)
-class Mass:
+class MassMatrix:
     """∂²T/∂v² at velocities v of the free nodes: blocks 2 f′ 1 + 4 f″ v vᵀ of nodes and rods."""
 
     mechanics: Mechanics
@@ -69,9 +69,9 @@ class Mass:
     """Velocities of nodes and rods, shape (batch, node + rod, 3)."""
 
     @staticmethod
-    def of(energy: NodeEnergy, v: Tensor) -> Mass:
+    def of(energy: NodeEnergy, v: Tensor) -> MassMatrix:
         """Give that of an energy at v (batch, node, 3)."""
-        return Mass(energy.mechanics, energy.kinetic(v), mixed(energy.mechanics.speed_map, v))
+        return MassMatrix(energy.mechanics, energy.kinetic(v), mixed(energy.mechanics.speed_map, v))
 
     def times(self, v: Tensor) -> Tensor:
         """Its product with v, shape (batch, node, 3)."""

@@ -33,7 +33,7 @@ from mbds_xsim.learn.energy import (
     Drag,
     EnergyNetwork,
     EnergyShape,
-    Mass,
+    MassMatrix,
     NodeEnergy,
     momentum,
     potential_force,
@@ -103,7 +103,7 @@ class Lagrangian(NodeDynamics):
     def acceleration(self, q: Tensor, v: Tensor, inputs: KnownInputs) -> Tensor:
         """Accelerations of the free nodes [m/s²], shape (batch, node, 3)."""
         mechanics, load = self.mechanics, self.load(q, v, inputs)
-        mass, jacobian = Mass.of(self.energy, v), mechanics.jacobian(q)
+        mass, jacobian = MassMatrix.of(self.energy, v), mechanics.jacobian(q)
         return constrained(mass, load, jacobian, mechanics.bias(v), mechanics.redundant)
 
 

@@ -32,7 +32,7 @@ from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 
 
-class Matrix(Protocol):
+class NodeMatrix(Protocol):
     """A symmetric matrix (3 · node, 3 · node) for each of a batch."""
 
     def times(self, v: Tensor) -> Tensor:
@@ -43,13 +43,13 @@ class Matrix(Protocol):
 
 
 def constrained(
-    mass: Matrix, load: Tensor, jacobian: Jacobian, bias: Tensor, redundant: int = 0
+    mass: NodeMatrix, load: Tensor, jacobian: Jacobian, bias: Tensor, redundant: int = 0
 ) -> Tensor:
     """Accelerations (batch, node, 3) under constraints, by the mass matrix's Schur complement.
 
     Args:
-        mass: Positive definite.
-        load: Applied forces, shape (batch, node, 3).
+        mass: M, positive definite.
+        load: Applied forces f, shape (batch, node, 3).
         jacobian: A.
         bias: Ȧ q̇, shape (batch, row).
         redundant: How many rows A has beyond its rank.
@@ -68,16 +68,14 @@ def constrained(
         return value
     left = load - mass.times(value) - jacobian.back(multiplier)
     opening = -bias - jacobian.along(value)
-    solved: Tensor = _Held.apply(left, opening, value, factor, half, schur)  # type: ignore[no-untyped-call]
-    return solved
+    return _Held.apply(left, opening, value, factor, half, schur)  # type: ignore[no-untyped-call]
 
 
 class _Held(torch.autograd.Function):
     """Accelerations, from what they leave of M q̈ + Aᵀ λ = f and of A q̈ = −Ȧ q̇.
 
-    They leave nothing, but that changes by df − dM q̈ − dAᵀ λ and by −d(Ȧ q̇) − dA q̈, and the
-    accelerations by what the same symmetric system has as its solution for these. Autograd would go
-    back through factors and written-out matrices, which takes longer. Differentiable once.
+    That is nothing, but changes by df − dM q̈ − dAᵀ λ and by −d(Ȧ q̇) − dA q̈, and accelerations by
+    the same system's solution for these: nothing has to be written out. Differentiable once.
     """
 
     @staticmethod
