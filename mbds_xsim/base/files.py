@@ -27,7 +27,7 @@ _ENDINGS = {
     "--json": ".json", "--csv": ".csv", "--markdown": ".md", "--html": ".html", "--png": ".png",
     "--rollouts": ".png",
 }  # fmt: skip
-_DATA = (".h5", ".npz", ".pt", ".toml", ".xml", ".urdf", ".sdf")
+_DATA = (".h5", ".npz", ".pt", ".toml", ".xml", ".urdf", ".sdf", ".usd", ".usda")
 
 
 def path_of(name: str, value: object) -> Path:
@@ -112,15 +112,12 @@ def check_writable(path: Path, option: str) -> None:
 
 
 def check_ending(path: Path, option: str) -> None:
-    """Raise InputError where an output would get the name, maybe the place, of other things."""
+    """Raise InputError where an output is named as a file of another kind, which it may replace."""
     ending, due = path.suffix.lower(), _ENDINGS.get(option)
-    if due == ".png" and ending not in ("", due, ".gz"):
-        msg = f"{option}: got {path}, but pictures are PNG; name it {path.with_suffix(due).name}"
-        raise InputError(msg)
-    if due and ending in _DATA:
-        due_name = path.with_suffix(due).name
-        msg = f"{option}: got {path}, but it writes no {ending}; name it {due_name}"
-        raise InputError(msg)
+    picture = due == ".png"
+    if due and (ending not in ("", due, ".gz") if picture else ending in _DATA):
+        what = "pictures are PNG" if picture else f"it writes no {ending}"
+        raise InputError(f"{option}: got {path}, but {what}; name it {path.with_suffix(due).name}")
 
 
 def named_in(words: Iterable[str]) -> set[str]:

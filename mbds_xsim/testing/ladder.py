@@ -29,11 +29,12 @@ def measured_order(
 
     That of an adaptive method is by its tolerance, not by its steps.
     """
-    runs = [rolled(adapter, case, method, n) for n in steps_per_frame]
     finer: tuple[float, ...] = steps_per_frame
     if adapter.methods[method].adaptive:
         runs = [rolled(adapter, case, method, 1, rtol) for rtol in _TOLERANCES]
         finer = tuple(1.0 / rtol for rtol in _TOLERANCES)
+    else:
+        runs = [rolled(adapter, case, method, n) for n in steps_per_frame]
     errors = [_error(case, motion) for _, motion in runs]
     if errors[-1] == 0.0:
         return np.inf, errors

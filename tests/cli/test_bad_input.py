@@ -122,10 +122,7 @@ _WORDS: dict[str, tuple[str, list[str]]] = {
         "show 2pendulum --png x.jpg",
         ["--png: got x.jpg, but pictures are PNG; name it x.png"],
     ),
-    "results in the place of data": (
-        "validate 2pendulum --json data.h5",
-        ["mbds-xsim: --json: got data.h5, but it writes no .h5; name it data.json"],
-    ),
+    "results as data": ("validate 2pendulum --json x.h5", ["got x.h5, but", "name it x.json"]),
     "rollouts of another kind": ("shift a b --rollouts x.svg", ["got x.svg", "name it x.png"]),
     "a scene as its own picture": (
         "show scene.toml --png scene.toml",
