@@ -1,1 +1,1 @@
-"""Adapters: one engine a package. Loaded by name by `mbds_xsim.simulate.registry`, not imported."""
+"""Adapters, one package per engine; `mbds_xsim.simulate.registry` loads them by name."""

@@ -1,9 +1,9 @@
-"""Write reports/data.md: what of generated data was published, and whether it stands up again.
+"""Write reports/data.md: which generated data were published, and whether they verify again.
 
 python -m benchmarks.acceptance DIR [DIR …] > reports/data.md
 
-Each folder is what `make reports-data` leaves: `data`, the results that `generate`, `verify` and
-`export` wrote as JSON, and the commands.
+Each folder is written by `make reports-data`. It holds `data`, the JSON results of `generate`,
+`verify` and `export`, and the commands.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.harness import print_head, print_table
-from mbds_xsim.dataset.shard import spent
+from mbds_xsim.dataset.shard import stage_times
 from mbds_xsim.dataset.summary import Summary, summaries
 
 TEXT = """\
@@ -39,46 +39,46 @@ def main(folders: list[Path]) -> None:
 
 
 def section(folder: Path) -> None:
-    """Tell of the data of one run."""
-    told = {name: read(folder / f"{name}.json") for name in ("generate", "verify", "export")}
+    """Print the section of one run."""
+    results = {name: read(folder / f"{name}.json") for name in ("generate", "verify", "export")}
     sets = summaries(folder / "data")
-    scenes = ", ".join(dict.fromkeys(each.scene for each in sets))
-    print(f"## {scenes}: {max(each.drawn for each in sets):,} trajectories each\n")
+    scenes = ", ".join(dict.fromkeys(summary.scene for summary in sets))
+    print(f"## {scenes}: {max(summary.drawn for summary in sets):,} trajectories each\n")
     print(f"```sh\n{(folder / 'commands').read_text('utf-8').strip()}\n```\n")
-    print_table(HEADINGS, (row(each, told["verify"]) for each in sets))
+    print_table(HEADINGS, (row(summary, results["verify"]) for summary in sets))
     print()
-    for pair, why in told["generate"].get("left_out", {}).items():
-        print(f"{pair} left out: {why}\n")
-    print(totals(sets, told), end="\n\n")
+    for pair, reason in results["generate"].get("left_out", {}).items():
+        print(f"{pair} left out: {reason}\n")
+    print(totals(sets, results), end="\n\n")
 
 
 def read(path: Path) -> dict[str, Any]:
-    """Give a result; nothing where there is none."""
+    """Return a stored result, or an empty one if there is no such file."""
     return dict(json.loads(path.read_text("utf-8"))) if path.exists() else {}
 
 
-def row(each: Summary, verified: dict[str, Any]) -> tuple[str, ...]:
-    seconds = spent(Path(each.file))
+def row(summary: Summary, verified: dict[str, Any]) -> tuple[str, ...]:
+    seconds = stage_times(Path(summary.file))
     whole = sum(seconds.values())
-    causes = ", ".join(f"{cause} {count}" for cause, count in sorted(each.rejected_by.items()))
+    causes = ", ".join(f"{cause} {count}" for cause, count in sorted(summary.rejected_by.items()))
     return (
-        each.scene,
-        f"{each.engine} {each.engine_version}",
-        f"{each.profile}: {each.method}, {each.step_s:.4g} s",
-        f"{each.drawn:,}",
-        f"{each.published:,}",
-        f"{each.rejected:,}",
+        summary.scene,
+        f"{summary.engine} {summary.engine_version}",
+        f"{summary.profile}: {summary.method}, {summary.step_s:.4g} s",
+        f"{summary.drawn:,}",
+        f"{summary.published:,}",
+        f"{summary.rejected:,}",
         causes,
-        each.certification,
+        summary.certification,
         f"{whole:.1f}",
         f"{seconds['simulate_s'] / whole:.0%}",
-        f"{each.bytes / 1e6:.4g}",
-        verdict(Path(each.file), verified),
+        f"{summary.bytes / 1e6:.4g}",
+        verdict(Path(summary.file), verified),
     )
 
 
 def verdict(joined: Path, verified: dict[str, Any]) -> str:
-    """What `verify` says of a set: of its joined file, its shards, and its rejected ones."""
+    """Return `verify`'s verdict on a set: its joined file, shards and rejected trajectories."""
     mine = {joined.with_suffix("").parts[-2:], joined.parts[-2:]}
     reports = [
         report
@@ -91,18 +91,18 @@ def verdict(joined: Path, verified: dict[str, Any]) -> str:
     return f"{problems} problems" if problems else f"sound, {len(reports)} files"
 
 
-def totals(sets: list[Summary], told: dict[str, dict[str, Any]]) -> str:
+def totals(sets: list[Summary], results: dict[str, dict[str, Any]]) -> str:
     drawn, published = (sum(getattr(s, key) for s in sets) for key in ("drawn", "published"))
-    size = sum(each.bytes for each in sets)
+    size = sum(summary.bytes for summary in sets)
     text = f"{published:,} of {drawn:,} trajectories published, {size / 1e9:.3g} GB"
-    generated, verified, exported = (told[key] for key in ("generate", "verify", "export"))
+    generated, verified, exported = (results[key] for key in ("generate", "verify", "export"))
     if generated.get("made") == drawn:
         rate = drawn / generated["wall_s"]
         text += f", made in {generated['wall_s']:,.0f} s of wall time ({rate:.3g} a second)"
     if verified:
         files, problems = verified["files"], sum(len(r["problems"]) for r in verified["files"])
-        said = f"{problems} problems" if problems else "everything holds what it says"
-        text += f". `verify` of {len(files):,} files in {verified['wall_s']:,.0f} s: {said}"
+        outcome = f"{problems} problems" if problems else "everything holds what it says"
+        text += f". `verify` of {len(files):,} files in {verified['wall_s']:,.0f} s: {outcome}"
     if exported:
         count, files = exported["trajectories"], exported["files"]
         text += f". Exported: {count:,} in {files:,} files, {exported['bytes'] / 1e9:.3g} GB"

@@ -1,9 +1,9 @@
-"""What the adapters cost beside their engines.
+"""Cost of the adapters in addition to that of their engines.
 
 python -m benchmarks.adapter_overhead [SCENE…] > reports/adapter-overhead.md
 
-A stopwatch runs while an adapter's rollout is inside the engine's own functions: steps, loads, and
-what is read of the state. The rest is the adapter's: inputs handed over, states kept and turned.
+A stopwatch runs while an adapter's rollout is inside the engine's own functions: steps, loads and
+state queries. The rest is the adapter's work: passing inputs, storing and converting states.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from mbds_xsim.simulate.registry import load_adapter, load_scene
 
 SCENES = ("3ladder", "simplecubli")
 STARTS = {"mujoco": (10, 1), "pybullet": (1,), "dart": (1,), "exudyn": (1,)}
-"""In one call; of MuJoCo, which takes but milliseconds for one, several as data sets have them."""
-ROUNDS, PATIENCE = (3, 9), 1.0  # rounds, and the seconds that a line may take if they are enough
+"""Starts per rollout; MuJoCo takes only milliseconds for one, so it also runs ten at once."""
+ROUNDS, PATIENCE = (3, 9), 1.0  # (least, most) rounds, and the time to fill with them [s]
 ENGINE: dict[str, tuple[tuple[Any, str], ...]] = {
     "mujoco": ((mujoco, "mj_step mj_forward mj_kinematics mj_comPos mj_comVel mj_resetData"),),
     "pybullet": (
@@ -48,7 +48,7 @@ ENGINE: dict[str, tuple[tuple[Any, str], ...]] = {
 
 
 class Stopwatch:
-    """Counts the time of the processor inside the functions that it wraps [s]."""
+    """Stopwatch of the processor time inside the functions that it wraps [s]."""
 
     def __init__(self) -> None:
         self.inside, self.calls = 0.0, 0
@@ -68,7 +68,7 @@ class Stopwatch:
 
     @staticmethod
     def own_cost() -> tuple[float, float]:
-        """Time of a call beside what it times, and how much of it counts as inside [s]."""
+        """Return the cost of one timed call, and the part of it that counts as inside [s]."""
         costs = []
         for _ in range(20):
             watch = Stopwatch()
@@ -85,7 +85,7 @@ def _repeat(call: Callable[[], object], count: int) -> None:
 
 @contextmanager
 def watched(engine: str) -> Iterator[Stopwatch]:
-    """Time an engine's functions; models must be loaded within, as adapters keep some of them."""
+    """Time an engine's functions; load models inside, because adapters keep some functions."""
     watch = Stopwatch()
     with ExitStack() as patches:
         for owner, names in ENGINE[engine]:
@@ -96,7 +96,7 @@ def watched(engine: str) -> Iterator[Stopwatch]:
 
 
 def row(name: str, engine: str, starts: int) -> list[str]:
-    """Time rollouts, and say how much of each the engine took."""
+    """Time rollouts, and return a table row with the adapter's overhead."""
     scene, adapter = load_scene(name), load_adapter(engine)
     settings = settings_for(scene, adapter, "matched")
     batch = draw_batch(scene, range(starts))

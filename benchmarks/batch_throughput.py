@@ -1,9 +1,10 @@
 """Throughput over batch size: python -m benchmarks.batch_throughput [SCENE …].
 
-MuJoCo Warp on its CPU backend and MuJoCo, both RK4 at the same equal steps, from loaded models and
-compiled kernels, on one thread. A rate is simulated time of all trajectories over processor time of
-the rollout, which hands out body states, the best of three in turns. The error is the RMS
-distance of the bodies of a batch of 16 from the reference after a second, over the scene's length.
+MuJoCo Warp on its CPU backend and MuJoCo run on one thread, both with RK4 at the same step, with
+models loaded and kernels compiled beforehand. A rate is the simulated time of all trajectories over
+the processor time of the rollout, including the output of body states: the best of three rounds in
+turns. The error is the RMS distance of the bodies from the reference after one second, in a batch
+of 16, relative to the scene's length.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from mbds_xsim.simulate.adapter import Run, Settings
 
 _STEPS_PER_FRAME, _SECOND, _TURNS = 4, 50, 3
 _SIZES = (1, 4, 16, 64, 256, 1024, 4096)
-_MOST_FRAMES = 5_000  # of all trajectories of a rollout; at least two each
+_MOST_FRAMES = 5_000  # over all trajectories of a rollout; at least two each
 _OPTIONS: dict[str, dict[str, float]] = {"mujoco": {"turn": 0.0}, "mujoco-warp": {}}
 
 
@@ -37,7 +38,7 @@ def main(names: list[str]) -> None:
 
 
 def _rows(scene: Scene) -> Iterator[list[str]]:
-    """Rates [simulated seconds a processor second]."""
+    """Yield table rows of the rates [simulated seconds per processor second]."""
     runs = {name: _loaded(scene, name) for name in _OPTIONS}
     rates = []
     for size in _SIZES:

@@ -27,16 +27,16 @@ BEGIN, END = "<!-- choose-table: begin -->\n", "<!-- choose-table: end -->"
 
 _BREAK = "<br>"
 _OPTION = "°"
-"""Stands for an option that is not the usual one."""
+"""Mark of a method with an option that is not the usual one."""
 _NONE_STORED = "*None is stored yet: `make reports-tradeoff readme` makes the table.*"
 
 
 def choose_table(studies: Sequence[Tradeoff]) -> str:
-    """Give a row for each scene and a column for each engine, as Markdown.
+    """Return a row for each scene and a column for each engine, as Markdown.
 
-    A cell has the cheapest point of an engine's own stepping that keeps all budgets: method and
-    step, error, wall time per simulated second. The cheapest of a scene is bold. Under the table
-    stand the reasons where no point does.
+    A cell shows an engine's cheapest point that keeps all budgets: method and step, error, and wall
+    time per simulated second. The engine's own stepping comes before the toolkit's. The cheapest
+    cell of a scene is bold. The reasons for empty cells follow the table.
     """
     if not studies:
         return _NONE_STORED
@@ -52,23 +52,23 @@ def choose_table(studies: Sequence[Tradeoff]) -> str:
 
 
 def _engines(study: Tradeoff) -> list[str]:
-    """Engines that were asked, also those that cannot do the scene."""
-    names = [curve.engine for curve in study.curves] + [what.split()[0] for what in study.left_out]
+    """Return all engines that were asked for, including those that cannot simulate the scene."""
+    names = [curve.engine for curve in study.curves] + [key.split()[0] for key in study.left_out]
     return [name for name in dict.fromkeys(names) if name != REFERENCE]
 
 
 def _row(study: Tradeoff, engines: Sequence[str]) -> list[str]:
-    found = {engine: _cheapest(study, engine) for engine in engines}
-    costs = [_cost(place) for place in found.values() if place is not None]
+    cheapest = {engine: _cheapest(study, engine) for engine in engines}
+    costs = [_cost(place) for place in cheapest.values() if place is not None]
     cells = [
         quantity.NONE if place is None else _cell(place, best=_cost(place) == min(costs))
-        for place in found.values()
+        for place in cheapest.values()
     ]
     return [f"{study.scene}{_BREAK}{_asked(study)}", *cells]
 
 
 def _asked(study: Tradeoff) -> str:
-    """Say what the error is, and what it may be."""
+    """Describe the error measure and its budget."""
     if study.own_limit is not None:
         allowed = quantity.length(study.error_budget_m)
         return f"≤ {allowed} from its own small-step limit at {study.horizon_s:g} s"
@@ -79,21 +79,21 @@ def _asked(study: Tradeoff) -> str:
 
 
 def _cheapest(study: Tradeoff, engine: str) -> tuple[CurveResult, Point] | None:
-    kept = [place for place in _places(study, engine) if not place[1].broken]
-    return min(kept, key=_cost, default=None)
+    within_budget = [place for place in _places(study, engine) if not place[1].broken]
+    return min(within_budget, key=_cost, default=None)
 
 
 def _curves(study: Tradeoff, engine: str) -> list[CurveResult]:
-    """Its own stepping but for native settings; the toolkit's where it steps nothing itself."""
+    """Return an engine's curves of its own stepping, else the toolkit's; no native settings."""
     curves = [c for c in study.curves if c.engine == engine and c.variation != NATIVE]
     return [curve for curve in curves if curve.own] or curves
 
 
 def _places(study: Tradeoff, engine: str) -> Iterator[tuple[CurveResult, Point]]:
-    """All points that came to their end.
+    """Yield all points that ran to the end.
 
-    A point at no distance from its method's own limit is that limit itself: where an adapter parts
-    the steps in contact, fewer and longer steps in more parts are the same motion.
+    A point at no distance from its method's own limit is that limit itself: if an adapter splits
+    steps in contact, fewer and longer steps with more parts are the same motion.
     """
     for curve in _curves(study, engine):
         for point in curve.points:
@@ -121,7 +121,7 @@ def _cell(place: tuple[CurveResult, Point], *, best: bool) -> str:
 
 
 def _reasons(studies: Sequence[Tradeoff], engines: Sequence[str]) -> Iterator[str]:
-    """Say why an engine has no point that keeps all budgets, once for all scenes alike."""
+    """Yield why an engine has no point that keeps all budgets; scenes are grouped by reason."""
     scenes: dict[str, dict[str, list[str]]] = {}
     for engine, study in itertools.product(engines, studies):
         if _cheapest(study, engine) is None:
@@ -141,49 +141,49 @@ def _reason(study: Tradeoff, engine: str) -> str:
     points = [point for curve in _curves(study, engine) for point in curve.points]
     if points:
         return f"{points[0].kind}: {points[0].reason}"
-    left_out = [reason for what, reason in study.left_out.items() if what.split()[0] == engine]
+    left_out = [reason for key, reason in study.left_out.items() if key.split()[0] == engine]
     return "; ".join(left_out) or "not measured"
 
 
 def _off(place: tuple[CurveResult, Point]) -> tuple[int, float]:
-    """Order points by how many checks are not kept, then by error."""
+    """Return a sort key: number of exceeded budgets, then error."""
     point = place[1]
     return len(point.broken), math.inf if point.error_m is None else point.error_m
 
 
 def _machines(studies: Sequence[Tradeoff]) -> str:
-    """Name where times were taken, and whether anything else ran there."""
+    """Name the machines that times were measured on, and report whether they were busy."""
     scenes: dict[str, list[str]] = {}
     for study in studies:
         scenes.setdefault(study.machine, []).append(study.scene)
     several = len(scenes) > 1
-    told = "; ".join(f"{m} ({', '.join(names)})" if several else m for m, names in scenes.items())
+    text = "; ".join(f"{m} ({', '.join(names)})" if several else m for m, names in scenes.items())
     busy = max(study.busy for study in studies)
     if busy < BUSY:
-        return told
-    return f"{told}, which was busy: times are up to {quantity.number(busy)} × the processor's"
+        return text
+    return f"{text}, which was busy: times are up to {quantity.number(busy)} × the processor's"
 
 
 def _versions(studies: Sequence[Tradeoff]) -> str:
-    named = (f"{what} {version}" for study in studies for what, version in study.versions.items())
-    return ", ".join(dict.fromkeys(named))
+    texts = (f"{name} {version}" for study in studies for name, version in study.versions.items())
+    return ", ".join(dict.fromkeys(texts))
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--into", type=Path)
-    asked = parser.parse_args()
-    files = sorted(asked.folder.glob("*.json"))
+    arguments = parser.parse_args()
+    files = sorted(arguments.folder.glob("*.json"))
     table = choose_table([msgspec.json.decode(file.read_bytes(), type=Tradeoff) for file in files])
-    if asked.into is None:
+    if arguments.into is None:
         print(table)
     else:
-        write_whole(asked.into, placed(asked.into.read_text("utf-8"), table).encode())
+        write_whole(arguments.into, placed(arguments.into.read_text("utf-8"), table).encode())
 
 
 def placed(page: str, table: str) -> str:
-    """Put the table between its marks."""
+    """Insert the table between its markers."""
     before, _, rest = page.partition(BEGIN)
     _, end, after = rest.partition(END)
     if not end:

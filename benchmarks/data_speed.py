@@ -1,18 +1,18 @@
-"""What checks and storage cost beside the engine, and how fast random windows are read.
+"""Cost of checks and storage on top of the engine, and speed of reading random windows.
 
     python -m benchmarks.data_speed [ENGINE…]
     python -m benchmarks.data_speed --windows [FILE]
 
-The raw rate is that of `simulate` alone, over the trajectories of one shard of 6pendulum; the other
-that of making the whole shard: drawing, simulating, checking every trajectory, writing, reading
-back, where it converges to, and its share of the audit sample's reference in a set of 15 000. Both
-at matched settings, interleaved, one process on one core; the time is the core's own, so that
-other processes on the machine do not count. The aim is a ratio of 0.8.
+The raw rate is that of `simulate` alone, over the trajectories of one shard of 6pendulum. The other
+rate is that of making the whole shard: drawing, simulating, checking every trajectory, writing,
+reading back, the convergence test, and the shard's share of the audit sample's reference in a set
+of 15 000. Both run at matched settings, in turns, in one process on one core. Times are this core's
+own, so that other processes on the machine do not count. The target is a ratio of 0.8.
 
-Windows have 6 frames, of positions and of velocities, drawn at random over the whole file by one
-core, 512 at a time as training does. Without a file, 1 000 trajectories of 6pendulum are made
-first, in MuJoCo at its native settings. Warm: the file is in the system's cache. Cold: it was
-dropped from it before; a window then costs a read of the disk until its pages are there.
+Windows have 6 frames of positions and velocities. One core draws them at random over the whole
+file, 512 at a time as in training. Without a file, 1 000 trajectories of 6pendulum are made first,
+in MuJoCo at its native settings. Warm: the file is in the system's cache. Cold: it was dropped from
+the cache first, so that a window costs a disk read until its pages are cached.
 """
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ TRAJECTORIES, FRAMES, BATCH, BATCHES = 1000, 6, 512, 200
 
 
 def making(engine: str, folder: Path) -> list[str]:
-    """Trajectories a second, simulated and made, and the wall time of each stage."""
+    """Return a table row: rates of simulating and making, and processor time of each stage."""
     (contender,), _ = Choice.parse(engines=engine).contenders(load_scene(SCENE))
     variant = Variant(load_scene(SCENE), contender, seed=0, noise=True)
-    item = Item(variant, COUNTS[engine], COUNTS[engine])  # none of the audit sample
+    item = Item(variant, COUNTS[engine], COUNTS[engine])  # none from the audit sample
     batch = draw_batch(variant.scene, item.indices)
     works = [
         lambda: simulate(variant.scene, batch, engine, contender.settings),
@@ -62,12 +62,12 @@ def making(engine: str, folder: Path) -> list[str]:
     stages = list(map(json.loads, (variant.folder(folder) / LOG).read_text().splitlines()))
     millis = [median(line[key] for line in stages) / item.count * 1e3 for key in STAGES]
     rates = item.count / raw, item.count / (whole + share)
-    told = (*(f"{rate:.2f}" for rate in rates), f"{rates[1] / rates[0]:.3f}")
-    return [engine, *told, *(f"{value:.2f}" for value in millis)]
+    figures = (*(f"{rate:.2f}" for rate in rates), f"{rates[1] / rates[0]:.3f}")
+    return [engine, *figures, *(f"{value:.2f}" for value in millis)]
 
 
 def audit_sample(variant: Variant) -> float:
-    """Core seconds of the reference of the whole sample."""
+    """Return the core time of auditing the whole sample, including its reference [s]."""
     batch = draw_batch(variant.scene, range(3))
     contender = variant.contender
     motion = simulate(variant.scene, batch, contender.engine, contender.settings).trajectory
@@ -81,7 +81,7 @@ def audit_sample(variant: Variant) -> float:
 
 
 def reading(path: Path, state: str, names: tuple[str, ...]) -> list[str]:
-    """Windows a second of wall time, and of this core's own time."""
+    """Return a table row: windows per second of wall time, and of this core's own time."""
     data = load_dataset(path)
     if state == "cold":
         drop_from_cache(data.files)
@@ -122,7 +122,7 @@ def main(words: list[str]) -> None:
         both = ("position", "velocity")
         tries = (("cold", both), ("warm", both), ("warm", ("position",)))
         print_table(
-            "file|of|>windows a second|>a core second", (reading(path, *each) for each in tries)
+            "file|of|>windows a second|>a core second", (reading(path, *pair) for pair in tries)
         )
 
 

@@ -1,10 +1,10 @@
-"""What HGNN's and LGNN's rollouts owe to their integrator's step, and to velocities they are given.
+"""Effect of the integrator's step and of the given velocities on rollouts of HGNN and LGNN.
 
 python -m benchmarks.energy_rollouts MODELS DATA [SCENE] > reports/energy-rollouts.md
 
 Trained models of single engines, seed 0, predict the test part of their own engine's native data:
-with one and more Runge-Kutta steps a frame, and with velocities that are differences of the nodes'
-last six places in place of the engine's.
+with one or more Runge-Kutta steps per frame, and with velocities that are differences of the nodes'
+last six positions instead of the engine's.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ MODELS = ("hgnn", "lgnn")
 SUBSTEPS = (1, 2, 4, 8)
 FRAMES = (10, 100)
 BACKWARD = (-1 / 5, 5 / 4, -10 / 3, 5.0, -5.0, 137 / 60)
-"""Weights of six values a step apart, for the derivative at the last, exact to degree five."""
+"""Weights of six equidistant values for the derivative at the last one, exact to degree five."""
 _COMMAND = "python -m benchmarks.energy_rollouts out/models out/study"
 _TEXT = f"""\
 HGNN and LGNN start from an engine's body poses and velocities, GNS and SGNN from six frames of
@@ -42,7 +42,7 @@ training's own engine, native data, seed 0; behind it how many predictions were 
 
 
 def from_places(model: EnergyModel, motions: Motions) -> Tensor:
-    """Start from the bodies' last six poses, without their velocities."""
+    """Return start states from the bodies' last six poses, without their velocities."""
     assert motions.body is not None
     still = motions.body.clone()
     still[..., 7:] = 0.0
@@ -51,28 +51,28 @@ def from_places(model: EnergyModel, motions: Motions) -> Tensor:
         known = motions.position[:, :HISTORY], motions.velocity[:, frame], still[:, frame, None]
         return model.begin(Start(*known))[:, 0]
 
-    each = [places(frame) for frame in range(HISTORY)]
-    parts = [weight * place for weight, place in zip(BACKWARD, each, strict=True)]
+    history = [places(frame) for frame in range(HISTORY)]
+    parts = [weight * place for weight, place in zip(BACKWARD, history, strict=True)]
     moving = torch.stack(parts).sum(0) / motions.graph.frame_s
-    q, v = model.mechanics.project(each[-1], moving)
+    q, v = model.mechanics.project(history[-1], moving)
     return torch.stack([q, model.dynamics.conjugate(v)], dim=1)
 
 
 def errors(model: EnergyModel, motions: Motions, state: Tensor | None = None) -> tuple[str, ...]:
-    """Error at the first of `FRAMES`, and predictions lost by the last."""
+    """Return the error at the first of `FRAMES`, and the number of predictions lost by the last."""
     rows = torch.arange(len(motions))
     sample = motions.sample(rows, torch.full_like(rows, HISTORY - 1), FRAMES[-1])
     with torch.no_grad():
-        begun = model.begin(sample.start) if state is None else state
-        told = go_on(model, begun, sample.inputs)
+        initial = model.begin(sample.start) if state is None else state
+        predicted = go_on(model, initial, sample.inputs)
     largest = (EXPLODED * motions.graph.length) ** 2
-    counted = np.minimum(measure(motions, told).error, largest)
-    lost = int((counted.max(axis=1) >= largest).sum())
-    return number(float(counted[:, FRAMES[0] - 1].mean())), f"{lost} of {len(motions)}"
+    capped = np.minimum(measure(motions, predicted).error, largest)
+    lost = int((capped.max(axis=1) >= largest).sum())
+    return number(float(capped[:, FRAMES[0] - 1].mean())), f"{lost} of {len(motions)}"
 
 
 def rows_of(models: Path, data: Path, scene: str) -> Iterator[list[str]]:
-    """Give a line of the table for each model and engine."""
+    """Yield a table row for each model and engine."""
     for name in MODELS:
         for path in sorted((models / scene / "native" / name).glob("*-s0.pt")):
             model, facts = read_model(path)

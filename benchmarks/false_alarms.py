@@ -1,8 +1,8 @@
 """Does a check blame a sound engine? python -m benchmarks.false_alarms [SCENE…] [--seeds N]
 
-Validates scenes at their defaults, as `mbds-xsim validate SCENE --seed SEED`, with seeds that no
-setting was searched on, and prints the runs of each engine, those that failed and the reasons. The
-second table has the largest figure of each check over its budget.
+Validates scenes with all defaults, as `mbds-xsim validate SCENE --seed SEED` does, with seeds that
+no search for settings has used. It prints the number of runs of each engine, the failed ones and
+the reasons. The second table shows the largest figure of each check over its budget.
 """
 
 from __future__ import annotations
@@ -28,34 +28,34 @@ FIRST = 9001
 
 def main(scenes: tuple[str, ...], seeds: int) -> None:
     """Print a line for each engine and scene, then one for each check."""
-    nearest: dict[str, tuple[float, str]] = defaultdict(lambda: (0.0, ""))
-    rows = (row for name in scenes for row in _blamed(name, seeds, nearest))
+    worst: dict[str, tuple[float, str]] = defaultdict(lambda: (0.0, ""))
+    rows = (row for name in scenes for row in _blamed(name, seeds, worst))
     print_table("scene|engine|seeds|blamed|by", rows)
     print()
-    tightest = sorted(nearest.items(), key=lambda item: -item[1][0])
-    shares = ([check, f"{share:.2f}", where] for check, (share, where) in tightest)
+    tightest = sorted(worst.items(), key=lambda item: -item[1][0])
+    shares = ([check, f"{share:.2f}", run] for check, (share, run) in tightest)
     print_table("check|largest, of its budget|where", shares)
 
 
-def _blamed(name: str, seeds: int, nearest: dict[str, tuple[float, str]]) -> Iterator[list[str]]:
+def _blamed(name: str, seeds: int, worst: dict[str, tuple[float, str]]) -> Iterator[list[str]]:
     runs: dict[str, list[tuple[int, EngineResult]]] = defaultdict(list)
     for seed in range(FIRST, FIRST + seeds):
-        found, _ = validate_with_evidence(
+        validation, _ = validate_with_evidence(
             load_scene(name), choice=Choice.parse(), starts=Starts(seed=seed), conduct=HERE
         )
-        for row in found.engines:
+        for row in validation.engines:
             runs[row.engine].append((seed, row))
-            _keep(nearest, row, f"{name}, {row.engine}, seed {seed}")
+            _keep(worst, row, f"{name}, {row.engine}, seed {seed}")
     for engine, rows in runs.items():
         blamed = [(seed, row) for seed, row in rows if row.verdict == "fail"]
-        why = "; ".join(f"seed {seed}: {', '.join(row.reasons)}" for seed, row in blamed)
-        yield [name, engine, str(len(rows)), str(len(blamed)), why or "–"]
+        reasons = "; ".join(f"seed {seed}: {', '.join(row.reasons)}" for seed, row in blamed)
+        yield [name, engine, str(len(rows)), str(len(blamed)), reasons or "–"]
 
 
-def _keep(nearest: dict[str, tuple[float, str]], row: EngineResult, where: str) -> None:
-    for found in row.findings:
-        if found.budget and found.figure is not None:
-            nearest[found.check] = max(nearest[found.check], (found.figure / found.budget, where))
+def _keep(worst: dict[str, tuple[float, str]], row: EngineResult, run: str) -> None:
+    for finding in row.findings:
+        if finding.budget and finding.figure is not None:
+            worst[finding.check] = max(worst[finding.check], (finding.figure / finding.budget, run))
 
 
 if __name__ == "__main__":

@@ -1,13 +1,13 @@
 """The N-four-bar mechanism of the IFToMM benchmark library against its closed form.
 
 N + 1 upright cranks of 1 m stand 1 m apart and carry N rods of 1 m; everything weighs 1 kg/m. The
-first pin starts at 1 m/s; in 10 s the cranks turn over several times, and every half turn all of
-them come in line with the rods, where each loop could go on in two ways. Cuadrado et al.,
-https://www.iftomm-multibody.org/benchmark/problem/N_four-bar_mechanism; the library asks for a
-mechanical energy that is kept to 0.1 J.
+first pin starts at 1 m/s. In 10 s the cranks turn over several times, and every half turn all of
+them align with the rods, where each loop could continue in two ways. Cuadrado et al.,
+https://www.iftomm-multibody.org/benchmark/problem/N_four-bar_mechanism; the library requires that
+mechanical energy is kept to 0.1 J.
 
-All loops move as one parallelogram. So the crank's angle θ from upright has one equation,
-θ̈ = k sin θ, a pendulum that turns over, whose solution is Jacobi's amplitude.
+All loops move as one parallelogram. The cranks' angle θ from upright therefore obeys one equation,
+θ̈ = k sin θ: that of a pendulum that turns over, whose solution is Jacobi's amplitude.
 
     python -m benchmarks.four_bars 2 10 40
 """
@@ -58,17 +58,17 @@ def four_bars(loops: int, duration: float) -> Scene:
 
 
 def angle_and_rate(loops: int, time: Array) -> tuple[Array, Array]:
-    """Angle of the cranks from upright [rad] and its rate [rad/s], exactly."""
+    """Return the exact angle of the cranks from upright [rad] and its rate [rad/s]."""
     inertia, moment = (loops + 1) / 3 + loops, ((loops + 1) / 2 + loops) * _G
     pace = np.sqrt(0.25 + moment / inertia)
     share = moment / inertia / pace**2
-    # From the lowest point, where a pendulum is fastest: am(u + K) turns it by half a turn.
+    # am(u) starts at the lowest point, where a pendulum is fastest; am(u + K) starts upright.
     _, _, delta, amplitude = ellipj(pace * time + ellipk(share), share)
     return np.pi - 2.0 * amplitude, -2.0 * pace * delta
 
 
 def energy(motion: Trajectory) -> Array:
-    """Kinetic and potential energy of the first trajectory [J], shape (frame,)."""
+    """Return the mechanical energy of the first trajectory [J], shape (frame,)."""
     slow = np.sum(motion.velocity[0] ** 2, axis=-1) / 2 + _G * motion.position[0, :, :, 2]
     return np.asarray(np.sum(slow + motion.angular_velocity[0, :, :, 1] ** 2 / 24, axis=-1))
 

@@ -1,9 +1,9 @@
-"""Trajectories a second at equal error: python -m benchmarks.frontier [SCENE …].
+"""Trajectories per second at equal error: python -m benchmarks.frontier [SCENE …].
 
-The reference at several tolerances, and MuJoCo's RK4 at several steps, on the same medium starts,
-in turns. The error is the RMS distance of the markers, over all starts and frames, to the
-reference at a tolerance of 1e-13. Rates at an error are interpolated between those measured; times
-are the processor's, of one thread, medians over the turns, and hold all that is done a trajectory.
+The reference at several tolerances, and MuJoCo's RK4 at several steps, take turns on the same
+medium starts. The error is the RMS distance of the markers, over all starts and frames, from the
+reference at a tolerance of 1e-13. Rates at a given error are interpolated between measured ones.
+Times are processor times of one thread, medians over the turns, and include all work.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _COUNTS = (1, 2, 4, 8, 16, 32, 64)
 _ERRORS = (1e-4, 1e-6, 1e-8)
 
 Points = list[tuple[float, float]]
-"""Error [m] and trajectories a second."""
+"""Pairs of error [m] and trajectories per second."""
 
 
 def main(names: list[str]) -> None:
@@ -67,29 +67,29 @@ def _rows(scene: Scene) -> Iterator[list[str]]:
         [[_measured(scene, make, truth) for make in makes] for makes in work.values()]
         for _ in range(_TURNS)
     ]
-    for what, *turns in zip(work, *measured, strict=True):
+    for method, *turns in zip(work, *measured, strict=True):
         errors, seconds = np.median(np.array(turns), axis=0).T
         points = list(zip(errors.tolist(), (len(batch) / seconds).tolist(), strict=True))
-        told = ", ".join(f"{error:.1e} at {rate:.3g}" for error, rate in points)
-        yield [scene.name, what, *(_rate_at(points, error) for error in _ERRORS), told]
+        text = ", ".join(f"{error:.1e} at {rate:.3g}" for error, rate in points)
+        yield [scene.name, method, *(_rate_at(points, error) for error in _ERRORS), text]
 
 
 def _measured(
     scene: Scene, make: Callable[[], Trajectory], truth: Trajectory
 ) -> tuple[float, float]:
-    """Give the error [m] and the processor's time of a batch [s]."""
-    made: list[Trajectory] = []
-    seconds = processor_s(lambda: made.append(make()))
-    return _error(scene, made[0], truth), seconds
+    """Return the error [m] and the processor time of a batch [s]."""
+    motions: list[Trajectory] = []
+    seconds = processor_s(lambda: motions.append(make()))
+    return _error(scene, motions[0], truth), seconds
 
 
 def _error(scene: Scene, motion: Trajectory, truth: Trajectory) -> float:
-    each = particle_error(Mechanism.of(scene), motion, truth)
-    return float(np.sqrt(np.mean(each**2)))
+    errors = particle_error(Mechanism.of(scene), motion, truth)
+    return float(np.sqrt(np.mean(errors**2)))
 
 
 def _rate_at(points: Points, error: float) -> str:
-    """Interpolate the rate at an error, both as logarithms; where all are nearer, the highest."""
+    """Interpolate the rate in log-log scale; past the largest error, return a lower bound."""
     points = sorted(point for point in points if np.isfinite(point[0]))
     if not points or error < points[0][0]:
         return "–"

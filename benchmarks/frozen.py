@@ -1,11 +1,11 @@
-"""Freeze what the program does now, and see later whether it still does the same.
+"""Record the program's results, and check later whether they are still the same.
 
     python -m benchmarks.frozen make out/frozen        # before a change that should change nothing
     python -m benchmarks.frozen compare out/frozen     # after it: 0 the same, 1 not
 
-Kept are results of every command at small sizes, checksums of the contents of data sets, and the
-help of every command. Figures of physics must repeat to 1e-9 and data to the bit: run both on the
-same machine with the same packages. What is kept already is not made again.
+The record holds the results of every command at small sizes, checksums of the contents of data
+sets, and the help of every command. Figures of physics must repeat to 1e-9 and data to the bit: run
+both on the same machine with the same packages. Results that exist already are not made again.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _COMMANDS = {
 
 
 def main() -> None:
-    """Make or compare."""
+    """Make a record, or compare with one."""
     match sys.argv[1:]:
         case ["make", folder]:
             _make(Path(folder).resolve())
@@ -78,9 +78,9 @@ def _names() -> list[str]:
 
 
 def _run(folder: Path, *words: str) -> str:
-    """Give standard output; a verdict of fail (exit code 1) is a result too."""
+    """Return the command's standard output; a verdict of fail (exit code 1) is a result too."""
     command = [sys.executable, "-c", "from mbds_xsim.__main__ import main; main()", *words]
-    ended = subprocess.run(
+    process = subprocess.run(
         command,
         cwd=folder,
         env=os.environ | {"COLUMNS": "100", "MBDS_XSIM_CACHE": str(folder / "cache")},
@@ -88,13 +88,13 @@ def _run(folder: Path, *words: str) -> str:
         text=True,
         check=False,
     )
-    if ended.returncode not in (0, 1):
-        sys.exit(f"mbds-xsim {' '.join(words)}: exit code {ended.returncode}")
-    return ended.stdout
+    if process.returncode not in (0, 1):
+        sys.exit(f"mbds-xsim {' '.join(words)}: exit code {process.returncode}")
+    return process.stdout
 
 
 def _checksums(data: Path) -> Iterator[str]:
-    """Give a line for each series of each data set, of what it holds whatever the file's layout."""
+    """Yield a checksum of each series of each data set, independent of the file's layout."""
     for path in sorted(data.glob("*/*-*.h5")):
         for name, values in load_dataset(path).items():
             content = np.asarray(values)
@@ -105,7 +105,7 @@ def _checksums(data: Path) -> Iterator[str]:
 
 def _compare(before: Path) -> int:
     after = before.with_name(f"{before.name}-now")
-    shutil.rmtree(after, ignore_errors=True)  # results of the code as it was at the last comparison
+    shutil.rmtree(after, ignore_errors=True)  # drop the results of the last comparison
     _make(after)
     wrong = [*_other_results(before, after), *_other_texts(before, after)]
     print("\n".join(wrong) or f"{len(_COMMANDS)} results, data and help as before")
@@ -115,13 +115,13 @@ def _compare(before: Path) -> int:
 def _other_results(before: Path, after: Path) -> Iterator[str]:
     for name in _COMMANDS:
         try:
-            found = compare_files(before / f"{name}.json", after / f"{name}.json", rtol=1e-9)
+            comparison = compare_files(before / f"{name}.json", after / f"{name}.json", rtol=1e-9)
         except InputError as error:
             yield f"{name}: {error}"
             continue
-        for scene in found.scenes:
+        for scene in comparison.scenes:
             changed = [entry.name for entry in scene.entries if entry.changed]
-            changed += [one.name for one in (*scene.only_old, *scene.only_new)]
+            changed += [extra.name for extra in (*scene.only_old, *scene.only_new)]
             if changed:
                 yield f"{name} {scene.scene}: {', '.join(changed)}"
 

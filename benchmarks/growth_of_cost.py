@@ -1,10 +1,10 @@
 """Cost over links and rungs: python -m benchmarks.growth_of_cost [--png FILE].
 
-The reference and MuJoCo's RK4 (10 ms, the options of its matched settings) on chains of 2 to 128
+The reference and MuJoCo's RK4 (10 ms, the options of its matched settings) run chains of 2 to 128
 links and ladders of 1 to 20 rungs, each size in a process of its own. Costs are processor time per
-simulated second and trajectory, one thread, the least of three; the reference's at a tolerance of
-1e-9, of 64 trajectories at once, as data are made, and of one alone. Errors are RMS distances of
-the particles after 0.5 s to the reference at 1e-13. Memory is the most that the process had.
+simulated second and trajectory on one thread, the least of three. The reference has a tolerance of
+1e-9, and runs both 64 trajectories at once, as data are made, and one alone. Errors are RMS
+distances of the particles from the reference at 1e-13 after 0.5 s. Memory is the process's peak.
 """
 
 from __future__ import annotations
@@ -41,17 +41,17 @@ _SIZE = (11.0, 4.4)
 
 
 class GrowthPoint(NamedTuple):
-    """Of one engine at one size, per simulated second and trajectory."""
+    """Cost of one engine at one size, per simulated second and trajectory."""
 
     alone_s: float
     share_s: float
-    """In a batch."""
+    """Processor time in a batch [s]."""
     error_m: float
     memory_bytes: int
 
 
 def measure(name: str, engine: str) -> GrowthPoint:
-    """Time one scene in this process."""
+    """Measure one scene in this process."""
     scene = msgspec.structs.replace(registry.load_scene(name), clock=_CLOCK)
     adapter, batch = registry.load_adapter(engine), draw_batch(scene, range(_TOGETHER))
     settings = _settings(name, engine)
@@ -77,29 +77,29 @@ def _settings(name: str, engine: str, rtol: float = _RTOL) -> Settings:
 
 
 Costs = dict[tuple[str, str], list[GrowthPoint]]
-"""By family and engine, in the order of the sizes."""
+"""Measured points of each family and engine, in the order of the sizes."""
 
 
 def costs() -> Costs:
     """Measure every size of every family, one after the other."""
-    found: Costs = {}
+    points: Costs = {}
     for family, sizes in _FAMILIES.items():
         for engine in _METHODS:
-            found[family, engine] = [_apart(f"{size}{family}", engine) for size in sizes]
-    return found
+            points[family, engine] = [_apart(f"{size}{family}", engine) for size in sizes]
+    return points
 
 
 def _apart(name: str, engine: str) -> GrowthPoint:
     """Measure in a process of its own."""
     command = [sys.executable, "-m", "benchmarks.growth_of_cost", "--one", name, engine]
-    ended = subprocess.run(command, stdout=subprocess.PIPE, check=True)
-    return GrowthPoint(*json.loads(ended.stdout))
+    process = subprocess.run(command, stdout=subprocess.PIPE, check=True)
+    return GrowthPoint(*json.loads(process.stdout))
 
 
-def rows(found: Costs) -> Iterator[list[str]]:
+def rows(points: Costs) -> Iterator[list[str]]:
     for family, sizes in _FAMILIES.items():
         for place, size in enumerate(sizes):
-            own, other = (found[family, engine][place] for engine in _METHODS)
+            own, other = (points[family, engine][place] for engine in _METHODS)
             yield [
                 f"{size}{family}",
                 quantity.span(own.share_s),
@@ -111,19 +111,19 @@ def rows(found: Costs) -> Iterator[list[str]]:
             ]
 
 
-def picture(found: Costs) -> bytes:
-    """Draw cost over size, with what grows in proportion dotted."""
+def picture(points: Costs) -> bytes:
+    """Draw cost over size, with a dotted line for cost in proportion to size."""
 
     def draw(figure: Any) -> None:
         for axes, (family, sizes) in zip(figure.subplots(1, 2), _FAMILIES.items(), strict=True):
-            _draw(axes, family, sizes, found)
+            _draw(axes, family, sizes, points)
         figure.legend(*axes.get_legend_handles_labels(), loc="outside right upper", frameon=False)
 
     return themed.png(draw, _SIZE)
 
 
-def _draw(axes: Any, family: str, sizes: tuple[int, ...], found: Costs) -> None:
-    own, other = (found[family, engine] for engine in _METHODS)
+def _draw(axes: Any, family: str, sizes: tuple[int, ...], points: Costs) -> None:
+    own, other = (points[family, engine] for engine in _METHODS)
     colours = [themed.LIGHT[themed.engine_style(engine).colour] for engine in _METHODS]
     share = [cost.share_s for cost in own]
     axes.loglog(sizes, share, "d-", color=colours[0], label=f"reference, {_TOGETHER} at a time")
@@ -144,18 +144,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--png", type=Path)
     parser.add_argument("--one", nargs=2, help=argparse.SUPPRESS)
-    asked = parser.parse_args()
-    if asked.one:
-        print(json.dumps(measure(*asked.one)))
+    arguments = parser.parse_args()
+    if arguments.one:
+        print(json.dumps(measure(*arguments.one)))
         return
-    found = costs()
+    points = costs()
     print_table(
         f"scene|>reference, {_TOGETHER} at a time|>alone|>error|>memory [MiB]|>mujoco RK4|>error",
-        rows(found),
+        rows(points),
     )
     print_made(f"MuJoCo {registry.load_adapter('mujoco').version()}")
-    if asked.png is not None:
-        write_whole(asked.png, picture(found))
+    if arguments.png is not None:
+        write_whole(arguments.png, picture(points))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What the benchmarks share: work timed in turns, and pages with their command and machine."""
+"""Shared code of the benchmarks: work timed in turns, and pages with their command and machine."""
 
 from __future__ import annotations
 
@@ -19,36 +19,36 @@ Work = Callable[[], object]
 
 
 def print_head(title: str, command: str, text: str) -> None:
-    """Print how a page begins: its title, the command that writes it, and what it shows."""
+    """Print the head of a page: its title, the command that writes it, and its introduction."""
     paragraphs = (textwrap.fill(" ".join(part.split()), 100) for part in text.split("\n\n"))
     print(f"# {title}\n\n<!-- Written by: {command} -->\n")
     print("\n\n".join(paragraphs), end="\n\n")
 
 
 def print_table(headings: str, rows: Iterable[Iterable[str]]) -> None:
-    """Print rows of Markdown as they come, under headings parted by `|`; `>` before figures."""
+    """Print rows of Markdown as they come; `|` separates headings, `>` marks columns of figures."""
     for line in table_lines(map(str.strip, headings.split("|")), rows):
         print(line, flush=True)
 
 
 def print_made(*versions: str, on: str = "") -> None:
-    """Print on what, and with which versions, a page was made."""
-    told = ", ".join([on or machine(), f"Python {platform.python_version()}", *versions])
-    print(f"\nMade on {told}.")
+    """Print the machine and the versions that a page was made with."""
+    setup = ", ".join([on or machine(), f"Python {platform.python_version()}", *versions])
+    print(f"\nMade on {setup}.")
 
 
 def processor_s(work: Work) -> float:
-    """Time that this process spends on the processor [s]."""
+    """Measure the time that this process spends on the processor [s]."""
     return both_s(work)[0]
 
 
 def wall_s(work: Work) -> float:
-    """Time on the clock on the wall [s]."""
+    """Measure the wall-clock time [s]."""
     return both_s(work)[1]
 
 
 def both_s(work: Work) -> tuple[float, float]:
-    """Time of the processor, and on the wall [s]."""
+    """Measure processor time and wall-clock time [s]."""
     wall, cpu = time.perf_counter(), time.process_time()
     work()
     return time.process_time() - cpu, time.perf_counter() - wall
@@ -60,13 +60,13 @@ def take_turns(
     patience: float = 0.0,
     spent: Callable[[Work], Any] = processor_s,
 ) -> Array:
-    """Time pieces of work in turns, every other round backwards, after one that warms up.
+    """Time pieces of work in turns, every other round in reverse order, after one round of warm-up.
 
     Args:
-        works: Each is done once a round.
-        rounds: The least and the most.
-        patience: Time [s] that all rounds may take if there are enough of them.
-        spent: What is counted.
+        works: Pieces of work, each done once a round.
+        rounds: Least and greatest number of rounds.
+        patience: Time to fill with rounds within these limits [s].
+        spent: Function that measures one piece of work.
 
     Returns:
         Times [s], shape (round, work, …).
@@ -76,6 +76,6 @@ def take_turns(
     times = []
     for k in range(min(most, max(least, int(patience / first)))):
         order = range(len(works))[:: -1 if k % 2 else 1]
-        found = {place: spent(works[place]) for place in order}
-        times.append([found[place] for place in range(len(works))])
+        seconds = {place: spent(works[place]) for place in order}
+        times.append([seconds[place] for place in range(len(works))])
     return np.array(times)

@@ -1,7 +1,7 @@
-"""How long large scenes take to be shown: python -m benchmarks.large_scenes [SIZE …].
+"""Time to show large scenes: python -m benchmarks.large_scenes [SIZE …].
 
-Each cell is the processor time of `mbds-xsim show`, which runs in one thread, in a fresh process,
-the least of three. The aim is 2 s for 1 000 bodies and 30 s for 10 000.
+Each cell is the processor time of `mbds-xsim show`, which runs in one thread, in a fresh process:
+the least of three. The target is 2 s for 1 000 bodies and 30 s for 10 000.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _ROD = Inertia(1.0, (1 / 12, 1 / 12, 1e-3))
 
 
 def chain(count: int) -> Scene:
-    """Make a chain of hinged rods; each is turned, and turns, against the one above."""
+    """Make a chain of hinged rods; each starts turned, and turning, relative to the one above."""
     bodies = tuple(Body(f"b{k}", inertia=_ROD, position=(0, 0, -k - 0.5)) for k in range(count))
     names = ["world", *(body.name for body in bodies)]
     joints = tuple(

@@ -1,10 +1,11 @@
-"""How fast learned models train, and predict trajectories one by one and many at once.
+"""Speed of learned models: training, and predicting trajectories one by one or many at once.
 
 python -m benchmarks.learn_speed [SCENE…] > reports/learn-speed.md
 python -m benchmarks.learn_speed 3ladder --device cuda --tracks paper > reports/learn-speed-gpu.md
 
-The models are untrained, as time does not depend on weights. On a GPU training is measured as it
-is, in mixed precision, compiled to CUDA graphs, and both: `train --bf16` and `--compile`.
+The models are untrained, because time does not depend on weights. On a GPU, training is measured in
+single precision, in mixed precision (`train --bf16`), compiled to CUDA graphs (`--compile`), and
+with both.
 """
 
 from __future__ import annotations
@@ -40,17 +41,17 @@ MODELS, BATCHES, AIM = ("gns", "sgnn", "hgnn", "lgnn"), (1, 64, 512), 20
 FRAMES, STARTS = 5, 30
 ROUNDS = {"train": (7, 25), "roll": (3, 31)}
 PATIENCE = {"cpu": {"train": 10.0, "roll": 180.0}, "cuda": {"train": 2.0, "roll": 20.0}}
-"""Rounds, the least and the most, and the seconds they may take if they are enough."""
+"""Time to fill with rounds [s], within the least and greatest number in `ROUNDS`."""
 UNIT = {"cpu": "one thread, by the processor's time", "cuda": "on a GPU, until it is done"}
 WAYS = {"cpu": {"": (False, False)}, "cuda": {
     "float32": (False, False), "bf16": (True, False),
     "compiled": (False, True), "bf16, compiled": (True, True),
 }}  # fmt: skip
-"""Of training: whether in mixed precision, and whether compiled."""
+"""Ways of training: whether in mixed precision, and whether compiled."""
 
 
 def spent_on(device: str) -> Callable[[Work], float]:
-    """Count the time of one thread of the processor, or on a GPU until all is done."""
+    """Return a timer of one processor thread, or on a GPU of the wall time until all is done."""
 
     def on_gpu(work: Work) -> float:
         torch.cuda.synchronize()
@@ -63,15 +64,15 @@ def spent_on(device: str) -> Callable[[Work], float]:
 
 
 def still() -> Statistics:
-    """Changes are small, so that untrained models stay near the motions."""
-    one, small = (
+    """Return statistics with small changes, so that untrained models stay near the motions."""
+    unit, small = (
         Moments(torch.zeros(3).double(), torch.full((3,), size).double()) for size in (1.0, 1e-4)
     )
-    return Statistics(one, small, small, torch.ones(len(CHANNELS)).double())
+    return Statistics(unit, small, small, torch.ones(len(CHANNELS)).double())
 
 
 def training(name: str, track: str, device: str) -> Iterator[list[str]]:
-    """Graphs a second in training; models and ways take turns at a step on one batch."""
+    """Yield graphs per second in training; models and ways take turns at a step on one batch."""
     graph = Graph.of(load_scene(name))
     works: dict[tuple[str, bool, bool], Work] = {}
     weights, ways = [], WAYS[device]
@@ -96,7 +97,7 @@ def training(name: str, track: str, device: str) -> Iterator[list[str]]:
 
 
 def drawn(graph: Graph, horizon: int, device: str) -> Sample:
-    """A batch of random windows with so many frames to come."""
+    """Draw a batch of random windows with `horizon` frames to come."""
     generator = torch.Generator().manual_seed(0)
     shape = (BATCH, HISTORY + horizon, graph.particle_count, 3)
     near = graph.reference[: graph.particle_count].float()
@@ -109,7 +110,7 @@ def drawn(graph: Graph, horizon: int, device: str) -> Sample:
 
 
 def step(model: LearnedModel, graph: Graph, recipe: Recipe, device: str, *, mixed: bool) -> Work:
-    """A step of training: loss, gradient, new parameters."""
+    """Return a function that does one training step: loss, gradient, new parameters."""
     adam, sample = optimiser(model, recipe), drawn(graph, recipe.horizon, device)
 
     def descend() -> None:
@@ -123,33 +124,33 @@ def step(model: LearnedModel, graph: Graph, recipe: Recipe, device: str, *, mixe
 
 
 def rolling(name: str, device: str) -> Iterator[list[str]]:
-    """Milliseconds a trajectory and frame; models and batches take turns."""
+    """Yield milliseconds per trajectory and frame; models and batch sizes take turns."""
     graph = Graph.of(load_scene(name))
     models = [build(kind, graph, still(), track="lite") for kind in MODELS]
     known = starts(name, models, device)
     for model in models:
         put(model, device)
     works = [
-        functools.partial(carry_on, model, given.repeated(count))
-        for model, given in zip(models, known, strict=True)
+        functools.partial(carry_on, model, start.repeated(count))
+        for model, start in zip(models, known, strict=True)
         for count in BATCHES
     ]
     turns = take_turns(works, ROUNDS["roll"], PATIENCE[device]["roll"], spent_on(device))
-    each = turns.reshape(len(turns), len(MODELS), len(BATCHES)) / (np.array(BATCHES) * FRAMES)
-    for kind, rounds in zip(MODELS, np.moveaxis(each, 1, 0), strict=True):
+    costs = turns.reshape(len(turns), len(MODELS), len(BATCHES)) / (np.array(BATCHES) * FRAMES)
+    for kind, rounds in zip(MODELS, np.moveaxis(costs, 1, 0), strict=True):
         times = [f"{1e3 * seconds:.3g}" for seconds in np.median(rounds, axis=0)]
         low, middle, high = quantiles(rounds[:, 0] / rounds[:, -1], n=4)
         yield [name, kind, *times, f"{middle:.3g} ({low:.3g} … {high:.3g})"]
 
 
 def starts(name: str, models: list[LearnedModel], device: str) -> list[Known]:
-    """What each model is given of the same slow motions."""
+    """Return each model's known start and inputs, all from the same slow motions."""
     scene = load_scene(name)
     batch = draw_batch(scene, range(0, 3 * STARTS, 3), noise=False)
     settings = settings_for(scene, load_adapter("mujoco"), "matched")
     motion = simulate(scene, batch, "mujoco", settings).trajectory
-    given = [known_start(model, motion, batch).truncated(FRAMES) for model in models]
-    return [each.to(device) for each in given]
+    known = [known_start(model, motion, batch).truncated(FRAMES) for model in models]
+    return [start.to(device) for start in known]
 
 
 def main() -> None:

@@ -32,58 +32,58 @@ is shown and not judged, 0 is exact, and – is nothing to tell. What checks mea
 
 @dataclass(frozen=True, slots=True)
 class Worst:
-    """What comes nearest to its budget in a check, or goes furthest beyond it."""
+    """Finding of a check that is nearest to its budget, or furthest beyond it."""
 
     scene: str
     finding: FindingResult
 
     @property
     def share(self) -> float:
-        """Of the budget, the figure itself where there is none; no figure is the worst."""
+        """Share of the budget, or the figure itself without a budget; infinite if it is NaN."""
         figure = self.finding.figure
         return math.inf if math.isnan(figure) else figure / (self.finding.budget or 1.0)
 
     @property
     def place(self) -> tuple[bool, float]:
-        """What fails is worse than what passes."""
+        """Sort key: failed findings are worse than passed ones, then the larger share is worse."""
         return not self.finding.passed, self.share
 
 
 Found = dict[str, dict[str, Worst]]
-"""By check, then by engine."""
+"""Worst findings by check, then by engine."""
 
 
 def main(folder: Path) -> None:
     """Print the page."""
-    found: Found = {}
+    findings: Found = {}
     for file in sorted(folder.glob("*.json")):
-        _add(found, from_plain(msgspec.json.decode(file.read_bytes()), Validation))
-    engines = sorted({engine for worst in found.values() for engine in worst})
+        _add(findings, from_plain(msgspec.json.decode(file.read_bytes()), Validation))
+    engines = sorted({engine for worst in findings.values() for engine in worst})
     print_head("How near the budgets", _COMMAND, _TEXT)
     rows = (
         [check, *(_cell(worst.get(engine)) for engine in engines)]
-        for check, worst in _by_tightness(found)
+        for check, worst in _by_tightness(findings)
     )
     print_table("|".join(["check", *engines]), rows)
 
 
-def _add(found: Found, validation: Validation) -> None:
+def _add(findings: Found, validation: Validation) -> None:
     for engine in validation.engines:
         for finding in engine.findings:
             worst = Worst(validation.scene, finding)
-            kept = found.setdefault(finding.check, {}).setdefault(engine.engine, worst)
-            if worst.place > kept.place:
-                found[finding.check][engine.engine] = worst
+            previous = findings.setdefault(finding.check, {}).setdefault(engine.engine, worst)
+            if worst.place > previous.place:
+                findings[finding.check][engine.engine] = worst
 
 
-def _by_tightness(found: Found) -> Iterator[tuple[str, dict[str, Worst]]]:
-    """Tightest first, and last what is not judged."""
+def _by_tightness(findings: Found) -> Iterator[tuple[str, dict[str, Worst]]]:
+    """Yield the tightest checks first, and those without a budget last."""
 
     def place(item: tuple[str, dict[str, Worst]]) -> tuple[bool, float]:
         worst = item[1].values()
         return any(one.finding.budget is None for one in worst), -max(one.share for one in worst)
 
-    yield from sorted(found.items(), key=place)
+    yield from sorted(findings.items(), key=place)
 
 
 def _cell(worst: Worst | None) -> str:
@@ -103,8 +103,8 @@ def _cell(worst: Worst | None) -> str:
         share = f"<{100 * _LEAST} %"
     if finding.passed:
         return f"{share}: {figure}, {worst.scene}"
-    judged = [each for each in finding.figures if each is not None]
-    over = sum(each > finding.budget for each in judged)
+    judged = [value for value in finding.figures if value is not None]
+    over = sum(value > finding.budget for value in judged)
     return f"**{share}**, {over} of {len(judged)}: {figure}, {worst.scene}"
 
 

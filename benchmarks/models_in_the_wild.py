@@ -1,18 +1,17 @@
-"""Survey: published models, what of each is lost on import, and what engines' readers make of it.
+"""Survey of published models: losses of each on import, and readings by engines' own readers.
 
     python -m benchmarks.models_in_the_wild PACKAGES found.json
     python -m benchmarks.models_in_the_wild PACKAGES found.json --validate 60
     python -m benchmarks.models_in_the_wild found.json > reports/wild/models.md
 
-The last prints one table of all models, and writes a page of each wheel with a section a model
-beside found.json. There stands causes.toml, written by hand: what was found out about failed
-verdicts.
+The last form prints one table of all models and writes a page for each wheel, with a section for
+each model, next to found.json. The file causes.toml in the same folder is written by hand: it
+explains failed verdicts.
 
-PACKAGES is a folder into which the wheels of the extra `wild` are installed; nothing is copied from
-it. What was found of a model is kept by its content and the versions, so that an interrupted run
-goes on where it was. `--validate` also runs models in all engines: that many, smallest first. What
-engines' own readers make of the models is looked at last. Each model has a process of its own, and
-as many are at work as there are cores.
+PACKAGES is a folder with the installed wheels of the extra `wild`; nothing is copied from it.
+Findings are stored under a key of the model's content and the versions, so that an interrupted run
+continues. `--validate` also runs models in all engines: that many, smallest first. Engines' own
+readers come last. Each model has a process of its own; as many run at a time as there are cores.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ from mbds_xsim.base.files import write_whole
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.simulate.registry import read_model
-from mbds_xsim.studies.readers import Difference, compared
+from mbds_xsim.studies.readers import Difference, compare_imported
 
 _MOVES = {
     "mujoco": re.compile(r"<(joint|freejoint|include)\b"),
@@ -48,24 +47,24 @@ _MOVES = {
 _INCLUDES = re.compile(r"<include\s+file\s*=\s*[\"']([^\"']+)")
 _ROOT = re.compile(r"<(mujoco|robot)\b")
 _REVISION = 4
-"""Of what is found; raised, all models are looked at anew."""
+"""Revision of the findings; raise it to survey all models anew."""
 
 
 def main(words: list[str]) -> None:
-    """Survey, or present what was found."""
+    """Run the survey, or present its findings."""
     if len(words) == 1:
-        found = Path(words[0])
-        by_hand = found.with_name("causes.toml").read_bytes()
+        file = Path(words[0])
+        by_hand = file.with_name("causes.toml").read_bytes()
         causes = msgspec.toml.decode(by_hand, type=dict[str, list[Cause]])["causes"]
-        stored = msgspec.json.decode(found.read_bytes(), type=list[SurveyRow])
+        stored = msgspec.json.decode(file.read_bytes(), type=list[SurveyRow])
         print_page(stored, causes)
-        write_wheels(stored, causes, found.parent)
+        write_wheels(stored, causes, file.parent)
         return
     packages, target = map(Path, words[:2])
     old = msgspec.json.decode(target.read_bytes(), type=list[SurveyRow]) if target.exists() else []
-    known = {row.key: row for row in old}
+    by_key = {row.key: row for row in old}
     rows = [_begun(path.relative_to(packages), packages) for path in _models(packages)]
-    rows = [known.get(row.key, row) for row in rows]
+    rows = [by_key.get(row.key, row) for row in rows]
     _fill(looked_at, [row for row in rows if not (row.refused or row.bodies)], rows, words)
     if "--validate" in words:
         most = int(words[words.index("--validate") + 1])
@@ -84,7 +83,7 @@ def _fill(
     rows: list[SurveyRow],
     words: list[str],
 ) -> None:
-    """Fill rows, each in a process of its own, and keep every one as it comes."""
+    """Fill rows, each in a process of its own, and store every one as it comes."""
     packages, target = map(Path, words[:2])
     done = 0
 
@@ -92,10 +91,10 @@ def _fill(
         nonlocal done
         done += 1
         row = waiting[place]
-        told = filled.reason if isinstance(filled, Crash) else "done"
+        note = filled.reason if isinstance(filled, Crash) else "done"
         if fill is validated and not isinstance(filled, Crash):
-            told = ", ".join(f"{engine} {verdict}" for engine, verdict in filled.verdicts.items())
-        print(f"{fill.__name__} {done}/{len(waiting)} {row.path}: {told}", file=sys.stderr)
+            note = ", ".join(f"{engine} {verdict}" for engine, verdict in filled.verdicts.items())
+        print(f"{fill.__name__} {done}/{len(waiting)} {row.path}: {note}", file=sys.stderr)
         if not isinstance(filled, Crash):  # such a row is tried again by the next run
             rows[rows.index(row)] = filled
             write_whole(target, b"[\n%b\n]\n" % b",\n".join(map(msgspec.json.encode, rows)))
@@ -105,7 +104,7 @@ def _fill(
 
 
 def _models(packages: Path) -> Iterator[Path]:
-    """Give the files that are models with joints, and not parts that another includes."""
+    """Yield the files that are models with joints and are not included by another file."""
     texts = {
         path: path.read_text(errors="replace")
         for path in sorted([*packages.rglob("*.xml"), *packages.rglob("*.urdf")])
@@ -130,7 +129,7 @@ def _begun(inside: Path, packages: Path) -> SurveyRow:
 
 
 def looked_at(row: SurveyRow, packages: Path) -> SurveyRow:
-    """Import a model, and hold it against what two other readers make of it."""
+    """Import a model, and compare it with two other readings of its file."""
     path = packages / row.path
     begin = time.perf_counter()
     try:
@@ -150,7 +149,7 @@ def looked_at(row: SurveyRow, packages: Path) -> SurveyRow:
     row.lost = tuple(
         msgspec.structs.replace(fate, places=()) for fate in moving if fate.outcome != "kept"
     )
-    with suppress(ValueError):  # MuJoCo refuses masses that it was not given for the import
+    with suppress(ValueError):  # MuJoCo refuses some masses that the import takes as written
         row.from_compiled = from_compiled(path, imported)
     if row.format == "URDF":
         with suppress(ValueError):
@@ -161,17 +160,17 @@ def looked_at(row: SurveyRow, packages: Path) -> SurveyRow:
 def validated(row: SurveyRow, packages: Path) -> SurveyRow:
     """Run a model in all engines."""
     begin = time.perf_counter()
-    found = verdicts_on(packages / row.path, packages)
-    row.verdicts, row.reasons, row.reference = found.verdicts, found.reasons, found.reference
+    result = verdicts_on(packages / row.path, packages)
+    row.verdicts, row.reasons, row.reference = result.verdicts, result.reasons, result.reference
     row.validation_s = round(time.perf_counter() - begin, 1)
     return row
 
 
 def read_by_engines(row: SurveyRow, packages: Path) -> SurveyRow:
-    """Look at what engines' own readers make of a model that is imported."""
+    """Compare the readings of the engines' own readers with an imported model."""
     path = packages / row.path
     imported = read_model(path, folder=packages)
-    for reading in compared(imported, path, READERS).readings:
+    for reading in compare_imported(imported, path, READERS).readings:
         row.readers[reading.engine] = (
             f"refuses: {reading.refused}" if reading.refused else _fields(reading.differences)
         )

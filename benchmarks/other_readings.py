@@ -1,7 +1,7 @@
-"""How far an import is from what two other readers make of a file: MuJoCo's compiler and Pinocchio.
+"""Deviation of an import from two other readings of its file: MuJoCo's compiler and Pinocchio.
 
-Bodies are compared by the joint that holds them: mass, centre of mass, inertia, and the joint's
-place and axis. A deviation is the largest of these differences, over the model's own size.
+Bodies are matched by the joint that holds them. Compared are mass, centre of mass, inertia, and the
+joint's place and axis. The deviation is the largest of these differences, in relative terms.
 """
 
 from __future__ import annotations
@@ -19,30 +19,30 @@ from mbds_xsim.scene.mechanism import Mechanism
 
 
 def from_compiled(path: Path, imported: Imported) -> float:
-    """Compare with what MuJoCo compiles, body by body, those fixed to each other together."""
+    """Return the deviation from MuJoCo's compiled model, with bodies fixed together merged."""
     import mujoco
 
     spec = mujoco.MjSpec.from_file(str(path))
     if path.suffix == ".urdf":
         spec.compiler.inertiafromgeom = 0
-        spec.compiler.fusestatic = False  # it drops the inertia of what has no mass
+        spec.compiler.fusestatic = False  # fusing would drop the inertia of bodies without mass
         for item in [*spec.geoms, *spec.meshes]:
             spec.delete(item)
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    told = {}
+    reading = {}
     for j in range(model.njnt):
         body = model.jnt_bodyid[j]
         last = model.body_jntadr[body] + model.body_jntnum[body] - 1 == j
         own = np.flatnonzero(model.body_weldid == body) if last else np.array([], dtype=int)
         pose = data.xanchor[j].copy(), data.xaxis[j].copy()
-        told[model.joint(j).name] = (*_together(model, data, own), *pose)
-    return _deviation(imported, told)
+        reading[model.joint(j).name] = (*_together(model, data, own), *pose)
+    return _deviation(imported, reading)
 
 
 def from_pinocchio(path: Path, imported: Imported, packages: Path) -> float:
-    """Compare with what Pinocchio reads of a URDF; it adds up what is fixed to a link as well."""
+    """Return the deviation from Pinocchio's reading of a URDF, which merges such bodies too."""
     site.addsitedir(str(packages))
     import pinocchio
 
@@ -50,16 +50,16 @@ def from_pinocchio(path: Path, imported: Imported, packages: Path) -> float:
     data = model.createData()
     pose = pinocchio.neutral(model)
     pinocchio.computeJointJacobians(model, data, pose)
-    told = {}
+    reading = {}
     for j in range(1, model.njoints):
         place, body = data.oMi[j], model.inertias[j]
-        found = pinocchio.getJointJacobian(model, data, j, pinocchio.LOCAL_WORLD_ALIGNED)
-        column = np.reshape(found, (6, -1))[:, model.joints[j].idx_v]
+        jacobian = pinocchio.getJointJacobian(model, data, j, pinocchio.LOCAL_WORLD_ALIGNED)
+        column = np.reshape(jacobian, (6, -1))[:, model.joints[j].idx_v]
         axis = column[3:] if np.linalg.norm(column[3:]) > 0 else column[:3]
         com = place.act(body.lever)
         inertia = place.rotation @ body.inertia @ place.rotation.T
-        told[model.names[j]] = (body.mass, com, inertia, place.translation.copy(), axis)
-    return _deviation(imported, told)
+        reading[model.names[j]] = (body.mass, com, inertia, place.translation.copy(), axis)
+    return _deviation(imported, reading)
 
 
 def _together(model: Any, data: Any, bodies: Any) -> tuple[float, Array, Array]:
@@ -67,7 +67,7 @@ def _together(model: Any, data: Any, bodies: Any) -> tuple[float, Array, Array]:
     if not mass.sum() > 0:
         return 0.0, np.zeros(3), np.zeros((3, 3))
     turns = [data.xmat[body].reshape(3, 3) for body in bodies]
-    # `data.xipos` would round a centre of mass near the frame's origin to it.
+    # `data.xipos` would round a centre of mass near the frame's origin to the origin.
     arms = [turn @ model.body_ipos[body] for turn, body in zip(turns, bodies, strict=True)]
     places = data.xpos[bodies] + np.array(arms)
     com, inertia = mass @ places / mass.sum(), np.zeros((3, 3))
@@ -79,7 +79,7 @@ def _together(model: Any, data: Any, bodies: Any) -> tuple[float, Array, Array]:
 
 
 def _sound_bodies(imported: Imported) -> set[str]:
-    """Give the bodies whose mass is what the file states."""
+    """Return the bodies whose mass is as stated in the file."""
     changed = {
         place.split(":")[0]
         for fate in imported.fates
@@ -90,17 +90,17 @@ def _sound_bodies(imported: Imported) -> set[str]:
 
 
 def _deviation(
-    imported: Imported, told: dict[str, tuple[float, Array, Array, Array, Array]]
+    imported: Imported, reading: dict[str, tuple[float, Array, Array, Array, Array]]
 ) -> float:
-    """Compare bodies by the joint that holds them."""
+    """Return the largest deviation, with bodies matched by the joint that holds them."""
     scene, sound = imported.scene, _sound_bodies(imported)
     mechanism = Mechanism.of(scene)
     index = {body.name: k for k, body in enumerate(scene.bodies)}
     worst = 0.0
     for joint in scene.joints:
-        if joint.name not in told:
+        if joint.name not in reading:
             continue
-        mass, com, inertia, anchor, axis = told[joint.name]
+        mass, com, inertia, anchor, axis = reading[joint.name]
         apart = float(np.linalg.norm(np.array(joint.anchor) - anchor))
         worst = max(worst, apart / scene.length)
         if joint.axis is not None:

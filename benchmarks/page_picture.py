@@ -1,9 +1,9 @@
-"""README's picture: the page of a validation in a browser without a window.
+"""Picture for the README: the page of a validation in a headless browser.
 
 python benchmarks/page_picture.py out/3ladder docs/images/validate-3ladder.png
 
-Reads the page and the JSON of one validation, and writes the settings of its engines into the
-picture, so that a test can tell when they are others. Needs Chromium, or Chrome.
+Reads the page and the JSON of one validation. The settings of its engines are written into the
+picture, so that a test notices when they change. Needs Chromium or Chrome.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ SIZE = (1240, 1760)
 
 def main(base: str, target: str) -> None:
     stored = from_plain(msgspec.json.decode(Path(f"{base}.json").read_bytes()), Validation)
-    told = PngInfo()
+    metadata = PngInfo()
     lines = (settings_line(e.engine, e.method, e.step_s, e.options) for e in stored.engines)
-    told.add_text(SOURCE, "\n".join(lines))
+    metadata.add_text(SOURCE, "\n".join(lines))
     with Image.open(io.BytesIO(_shot(Path(f"{base}.html")))) as shot:
         stream = io.BytesIO()
-        few_colours(shot.convert("RGB")).save(stream, "png", optimize=True, pnginfo=told)
+        few_colours(shot.convert("RGB")).save(stream, "png", optimize=True, pnginfo=metadata)
     write_whole(Path(target), stream.getvalue())
 
 
 def settings_line(engine: str, method: str, step: float, options: Mapping[str, Any]) -> str:
-    """Say what an engine was set to."""
+    """Describe an engine's settings in one line."""
     return f"{engine} {method} {step:.9g} s {sorted(options.items())}"
 
 

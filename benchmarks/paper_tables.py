@@ -1,4 +1,4 @@
-"""Write reports/paper-tables.md: the paper's four tables, and what the stored studies have beside.
+"""Write reports/paper-tables.md: the paper's four tables next to results of the stored studies.
 
 python -m benchmarks.paper_tables reports/shift reports/lite > reports/paper-tables.md
 """
@@ -83,7 +83,7 @@ def _rows(
 
 
 def _here(shifts: Sequence[Shift], scene: str, model: str, frame: int, interval: str) -> str:
-    """Give the error of a model at home, or why there is none."""
+    """Return a model's error on its own training engines, or why there is none."""
     own = [
         shift
         for shift in shifts

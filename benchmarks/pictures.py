@@ -1,4 +1,4 @@
-"""Charts and maps drawn anew from the results that are stored beside them.
+"""Redraw charts and maps from the results stored next to them.
 
 python benchmarks/pictures.py reports
 """
@@ -39,22 +39,22 @@ def main(folder: Path) -> None:
 
 
 def stored_results(folder: Path) -> Iterator[Path]:
-    """Give what charts and maps are drawn from."""
+    """Yield the stored results that charts and maps are drawn from."""
     for kind in ("tradeoff", "models", "shift", "lite", "stability"):
-        found = sorted((folder / kind).glob("*.json*"))
-        yield from found
+        results = sorted((folder / kind).glob("*.json*"))
+        yield from results
         tables = (folder / kind).glob("*.csv")
-        yield from sorted(table for table in tables if table.with_suffix(".json") not in found)
+        yield from sorted(table for table in tables if table.with_suffix(".json") not in results)
     yield from folder.glob("releases.json.gz")
 
 
 def picture_of(stored: Path) -> Path:
-    """Name the picture that stands beside a stored result."""
+    """Return the path of the picture next to a stored result."""
     return stored.with_name(stored.name.partition(".")[0] + ".png")
 
 
 def drawn(stored: Path) -> bytes:
-    """Draw one."""
+    """Draw the picture of a stored result."""
     if stored.suffix == ".csv":
         return stability.to_png([sweep_of(stored.read_text("utf-8"))], stored.read_bytes())
     text = read_file(stored)
@@ -66,7 +66,7 @@ def drawn(stored: Path) -> bytes:
 
 
 def sweep_of(table: str) -> Survey:
-    """Read a map's cells from their CSV; what a picture does not show stays empty."""
+    """Read a map's cells from their CSV; fields that the picture does not show stay empty."""
     cells = [_cell(row) for row in csv.DictReader(io.StringIO(table))]
     study = study_named(cells[0].study)
     panels = _panels(cells)
@@ -94,10 +94,10 @@ def sweep_of(table: str) -> Survey:
 
 
 def _panels(cells: list[MapCell]) -> list[Panel]:
-    """Part the cells into panels: each begins at the first value.
+    """Split the cells into panels: each begins at the first value.
 
-    In stored tables a cell that is alike at matched and at native settings may have the profile
-    that it was run for, in both panels. Native is the later one.
+    In stored tables, a cell that is the same at matched and at native settings may carry the
+    profile that it was run for in both panels. The native panel is the later one.
     """
     parts: list[list[tuple[MapCell, ...]]] = []
     for value, row in itertools.groupby(cells, key=lambda cell: cell.value):

@@ -1,4 +1,4 @@
-"""Write docs/faults.md: every planted fault, what catches it, and what nothing can.
+"""Write docs/faults.md: every planted fault, the checks that catch it, and faults none can catch.
 
 PYTHONPATH=tests python benchmarks/planted_faults.py > docs/faults.md
 """
@@ -75,14 +75,14 @@ _NEVER = """
 class _Try:
     engine: str
     caught: bool
-    """On the motion alone, and no other engine failed."""
+    """Whether the fault is caught on the motion alone, and no other engine failed."""
     failed: frozenset[str]
     odd: bool
     told: bool
 
 
 def page() -> Iterator[str]:
-    """Give the page, line by line."""
+    """Yield the page line by line."""
     tries = {fault: [_try(fault, engine) for engine in fault.engines] for fault in FAULTS}
     clocks = ", ".join(f"{frames} of {name}" for name, frames in SCENES.items())
     yield _HEAD.format(clocks=textwrap.fill(clocks, 100))
@@ -104,41 +104,41 @@ def _try(fault: Fault, engine: str) -> _Try:
     return _Try(
         engine,
         bad == [engine],
-        frozenset(found.check for found in row.findings if not found.passed),
+        frozenset(finding.check for finding in row.findings if not finding.passed),
         motion.odd_one_out == f"{engine} matched",
         not fault.change.only_recorded and bool(told(fault.scene, fault, engine)),
     )
 
 
 def _count(tries: dict[Fault, list[_Try]]) -> Iterator[str]:
-    everything = [one for results in tries.values() for one in results]
-    caught = sum(one.caught for one in everything)
-    told = sum(one.told for one in everything)
-    whole = sum(all(one.caught for one in results) for results in tries.values())
-    either = sum(one.caught or one.told for one in everything)
+    plantings = [run for results in tries.values() for run in results]
+    caught = sum(run.caught for run in plantings)
+    readback = sum(run.told for run in plantings)
+    whole = sum(all(run.caught for run in results) for results in tries.values())
+    either = sum(run.caught or run.told for run in plantings)
     yield (
-        f"**{caught} of {len(everything)}** plantings are caught on the motion alone, {whole} of "
-        f"{len(tries)} faults in every engine they were planted in; {told} are told by reading "
+        f"**{caught} of {len(plantings)}** plantings are caught on the motion alone, {whole} of "
+        f"{len(tries)} faults in every engine they were planted in; {readback} are told by reading "
         f"the model back, and {either} by one or the other."
     )
 
 
 def _row(fault: Fault, results: list[_Try]) -> str:
-    caught = [one for one in results if one.caught]
-    engines = ", ".join(one.engine for one in caught) or "none"
+    caught = [run for run in results if run.caught]
+    engines = ", ".join(run.engine for run in caught) or "none"
     if caught and len(caught) < len(results):
         engines += f" ({len(caught)} of {len(results)})"
     return (
         f"| {fault.name} | {fault.scene} | {engines} | {_checks(fault, caught)} "
-        f"| {_share([one.odd for one in results])} | {_share([one.told for one in results])} |"
+        f"| {_share([run.odd for run in results])} | {_share([run.told for run in results])} |"
     )
 
 
 def _checks(fault: Fault, caught: list[_Try]) -> str:
-    """Give the checks that fail in every engine; where there is none, those it is for."""
+    """Return the checks that fail in every engine; if there is none, those meant for the fault."""
     if not caught:
         return "–"
-    always = frozenset.intersection(*(one.failed for one in caught))
+    always = frozenset.intersection(*(run.failed for run in caught))
     return ", ".join(sorted(always)) or " or ".join(fault.checks)
 
 
@@ -149,10 +149,10 @@ def _share(marks: list[bool]) -> str:
 def _unseen(tries: dict[Fault, list[_Try]]) -> Iterator[str]:
     for fault, results in tries.items():
         reasons: dict[str, list[str]] = {}
-        for one in results:
-            if not one.caught:
-                reason = fault.unseen.get(one.engine, "no reason is known")
-                reasons.setdefault(reason, []).append(one.engine)
+        for run in results:
+            if not run.caught:
+                reason = fault.unseen.get(run.engine, "no reason is known")
+                reasons.setdefault(reason, []).append(run.engine)
         for reason, engines in reasons.items():
             yield f"- {fault.name.capitalize()}, in {', '.join(engines)}: {reason}."
 

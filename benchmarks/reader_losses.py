@@ -1,4 +1,4 @@
-"""The page of what engines' own readers lose: a minimal file for each, read by all of them.
+"""Page about losses in engines' own readers: a minimal file for each, read by all of them.
 
 python -m benchmarks.reader_losses > docs/reader-losses.md
 """
@@ -14,7 +14,7 @@ from mbds_xsim.studies.readers import Difference, Readings, compare
 FOLDER = Path(__file__).parents[1] / "tests" / "models" / "losses"
 ENGINES = ("mujoco", "pybullet", "dart")
 
-# What each file shows: fields by engine, "" where the engine refuses the file.
+# Fields that each file shows as lost, by engine; "" where the engine refuses the file.
 SHOWN: dict[str, dict[str, str]] = {
     "inertia-from-shape.urdf": {"pybullet": "inertia"},
     "inertia-without-shape.urdf": {"pybullet": "inertia"},
@@ -54,7 +54,7 @@ Each of these losses has a minimal file in `tests/models/losses`. This page is m
 
 
 def shown(name: str, readings: Readings) -> Iterator[tuple[str, Difference | str]]:
-    """Give what a file is there to show: engine, and the difference or why it refuses."""
+    """Yield the losses that a file shows: engine, and the difference or why it refuses."""
     for reading in readings.readings:
         field = SHOWN[name].get(reading.engine)
         if field == "":
@@ -74,16 +74,16 @@ def _chapter(name: str) -> Iterator[str]:
     )
     yield f"\n```xml\n{model}```\n"
     yield "| engine | field | for | it has | file says |\n| :-- | :-- | :-- | :-- | :-- |"
-    for engine, what in shown(name, compare(FOLDER / name, ENGINES)):
-        if isinstance(what, str):
-            yield f"| {engine} | – | – | refuses: {in_markdown(what)} | – |"
+    for engine, loss in shown(name, compare(FOLDER / name, ENGINES)):
+        if isinstance(loss, str):
+            yield f"| {engine} | – | – | refuses: {in_markdown(loss)} | – |"
         else:
-            cells = (f"{what.field} of {what.of}", what.first or "–", what.read, what.stated)
+            cells = (f"{loss.field} of {loss.of}", loss.first or "–", loss.read, loss.stated)
             yield f"| {engine} | {' | '.join(map(in_markdown, cells))} |"
 
 
 def page() -> str:
-    """Write the page."""
+    """Return the whole page."""
     return "\n".join([_HEAD.rstrip(), *(line for name in SHOWN for line in _chapter(name))]) + "\n"
 
 

@@ -1,4 +1,4 @@
-"""The page that lists all stored reports: what each says in a sentence, and how it was made.
+"""Page that lists all stored reports: a one-sentence summary of each, and how it was made.
 
 python -m benchmarks.reports_page reports > reports/README.md
 """
@@ -30,7 +30,7 @@ CHAPTERS = (
     ("On a GPU", "make reports-learn-speed-gpu", "learn-speed-gpu.md"),
 )
 _COMMAND = re.compile(r"(?:Made by `|Written by: )(.+?)(?:`| -->)")
-# The files stand beside it.
+# Output files are dropped from commands: they are linked next to the report.
 _WRITES = re.compile(r" (?:--(?:json|csv|png|rollouts|markdown)|>) \S+")
 _SENTENCE = re.compile(r".+?\.(?=\s|$)")
 _SHORT = 260  # characters
@@ -49,11 +49,11 @@ between a new result and a stored one, use [`mbds-xsim diff`](../docs/diff.md).
 
 def main(folder: Path) -> None:
     print(_HEAD)
-    taken = {folder / "README.md", *(folder / pattern for _, _, pattern in CHAPTERS)}
+    listed = {folder / "README.md", *(folder / pattern for _, _, pattern in CHAPTERS)}
     for heading, target, pattern in CHAPTERS:
         exact = folder / pattern
         pages = (
-            [exact] if exact.is_file() else sorted(set(folder.glob(pattern)) - taken, key=_place)
+            [exact] if exact.is_file() else sorted(set(folder.glob(pattern)) - listed, key=_place)
         )
         if pages:
             print(f"## {heading}\n\n`{target}`\n")
@@ -62,19 +62,19 @@ def main(folder: Path) -> None:
 
 
 def row(page: Path, folder: Path) -> list[str]:
-    """Say of a page what it says, what is beside it, and how it was made."""
+    """Return a table row: the page's summary, files next to it, and the command that made it."""
     text = page.read_text("utf-8")
-    found = _COMMAND.search(text)
+    match = _COMMAND.search(text)
     return [
         link("in short" if page.stem == "README" else page.stem, page, folder),
         lead(text).replace("|", "\\|"),
         ", ".join(link(file.suffixes[0][1:], file, folder) for file in beside(page)),
-        f"`{_WRITES.sub('', found[1])}`" if found else "",
+        f"`{_WRITES.sub('', match[1])}`" if match else "",
     ]
 
 
 def _place(page: Path) -> tuple[bool, Path]:
-    """What sums up a folder comes first."""
+    """Return a sort key that puts the summary of a folder first."""
     return page.stem != "README", page
 
 
@@ -83,19 +83,19 @@ def link(name: str, file: Path, folder: Path) -> str:
 
 
 def beside(page: Path) -> list[Path]:
-    """Files of other kinds with the same name."""
+    """Return files of other kinds with the same name."""
     return [file for kind in _DATA if (file := page.with_suffix(kind)).is_file()]
 
 
 def lead(text: str) -> str:
-    """Give the first sentence of prose, and the second where both are short."""
+    """Return the first sentence of prose, and the second if both are short."""
     paragraphs = (part.strip() for part in text.split("\n\n"))
     prose = (part for part in paragraphs if part and not part.startswith(_NO_PROSE))
     first = " ".join(next(prose, "").split())
     sentences = [sentence.strip() for sentence in _SENTENCE.findall(first)]
     both = " ".join(sentences[:2])
-    told = both if len(both) <= _SHORT else sentences[0]
-    return f"{told[:1].upper()}{told[1:]}"
+    summary = both if len(both) <= _SHORT else sentences[0]
+    return f"{summary[:1].upper()}{summary[1:]}"
 
 
 if __name__ == "__main__":

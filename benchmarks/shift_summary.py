@@ -1,4 +1,4 @@
-"""Write reports/shift/README.md: the study of models under a change of engine, in short.
+"""Write reports/shift/README.md: a summary of the study of models under a change of engine.
 
 python -m benchmarks.shift_summary reports/shift > reports/shift/README.md
 
@@ -67,7 +67,7 @@ _FACTORS: dict[str, tuple[str, str] | str] = {
     "engine, native settings": "native",
     "engine, matched settings": "matched",
 }
-"""What differs between two domains: these, or the engines of one variant."""
+"""Domains that differ in one factor: a named pair, or the engines of one variant."""
 _SHORT = (
     "engine\nalone",
     "step",
@@ -76,7 +76,7 @@ _SHORT = (
     "native\nengines",
     "matched\nengines",
 )
-"""The same in a picture."""
+"""Short labels of the factors, for the picture."""
 _PANEL = (5.6, 3.4)  # width and height [in]
 _ALL = """
 ## All studies
@@ -107,7 +107,7 @@ _PICTURES = {
     "-rollouts": "Rollouts over the truth",
     "-curves": "Learning curves",
 }
-"""By how their names end."""
+"""Captions of pictures by the ending of their file names."""
 _NATIVE = "native"
 _HEADINGS = (
     "study, frame|data|model|>beside a formula|>change of engine|>resolved|>worst gap"
@@ -119,17 +119,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--png", type=Path)
-    asked = parser.parse_args()
-    files = sorted(asked.folder.glob("*.json.gz"))
+    arguments = parser.parse_args()
+    files = sorted(arguments.folder.glob("*.json.gz"))
     results = {file.name.removesuffix(".json.gz"): read_file(file) for file in files}
     studies = {name: msgspec.json.decode(text, type=Shift) for name, text in results.items()}
     several = {name: shift for name, shift in studies.items() if _factor_count(shift) > 1}
     page = io.StringIO()
     with contextlib.redirect_stdout(page):
-        _print(asked.folder, studies, several)
+        _print(arguments.folder, studies, several)
     print(page.getvalue(), end="")
-    if asked.png is not None:
-        write_whole(asked.png, _picture(list(several.values()), page.getvalue().encode()))
+    if arguments.png is not None:
+        write_whole(arguments.png, _picture(list(several.values()), page.getvalue().encode()))
 
 
 def _print(folder: Path, studies: Mapping[str, Shift], several: Mapping[str, Shift]) -> None:
@@ -144,7 +144,7 @@ def _print(folder: Path, studies: Mapping[str, Shift], several: Mapping[str, Shi
 
 
 def _costs(name: str, shift: Shift) -> Iterator[tuple[str, ...]]:
-    """Give a line for each model of a study: what each factor costs alone."""
+    """Yield a table row for each model of a study: the cost of each factor alone."""
     place = shift.frames.index(shift.at)
     for model in trained_models(shift):
         costs = [_cost(_dearest(shift, model, factor), place) for factor in _FACTORS]
@@ -156,7 +156,7 @@ def _factor_count(shift: Shift) -> int:
 
 
 def _dearest(shift: Shift, model: str, factor: str) -> Interaction | None:
-    """Give the dearest pair that is significant, or else the dearest."""
+    """Return the most costly pair, preferring significant ones; None if none is known."""
     place = shift.frames.index(shift.at)
     own = [pair for pair in shift.interactions if pair.model == model and _is(pair, factor)]
     known = [pair for pair in own if pair.value[place] is not None]
@@ -178,16 +178,16 @@ def _cost(pair: Interaction | None, place: int) -> str:
 
 
 def _picture(studies: Sequence[Shift], page: bytes) -> bytes:
-    """Draw a table for each model, on one scale of colours, for the page that says the same."""
+    """Draw a table for each model, on one colour scale, for the page with the same figures."""
     models = list(dict.fromkeys(model for shift in studies for model in trained_models(shift)))
-    found: dict[str, dict[tuple[int, int], tuple[float | None, bool]]] = {m: {} for m in models}
+    tables: dict[str, dict[tuple[int, int], tuple[float | None, bool]]] = {m: {} for m in models}
     for row, shift in enumerate(studies):
         place = shift.frames.index(shift.at)
         for model, (column, factor) in itertools.product(models, enumerate(_FACTORS)):
             pair = _dearest(shift, model, factor)
             if pair is not None:
-                found[model][row, column] = pair.value[place], pair.resolved[place]
-    most = max(value or 1.0 for costs in found.values() for value, _ in costs.values())
+                tables[model][row, column] = pair.value[place], pair.resolved[place]
+    most = max(value or 1.0 for costs in tables.values() for value, _ in costs.values())
     scenes = [shift.scene for shift in studies]
 
     def draw(figure: Any) -> None:
@@ -196,7 +196,7 @@ def _picture(studies: Sequence[Shift], page: bytes) -> bytes:
             if model is None:
                 axes.remove()
                 continue
-            draw_costs(axes, found[model], scenes, _SHORT, most)
+            draw_costs(axes, tables[model], scenes, _SHORT, most)
             axes.set_title(model)
         words = "How many times the squared error grows by which change"
         figure.suptitle(f"{words}, t = {studies[0].at} (framed: significant)")
@@ -205,7 +205,7 @@ def _picture(studies: Sequence[Shift], page: bytes) -> bytes:
 
 
 def rows_of(shift: Shift, name: str) -> Iterator[tuple[str, ...]]:
-    """Give a line of texts for each model on each variant of the data, with links by name."""
+    """Yield a table row for each model on each variant of the data, with links by name."""
     place = shift.frames.index(shift.at)
     for variant in _variants(shift):
         for model in trained_models(shift):
@@ -225,32 +225,32 @@ def rows_of(shift: Shift, name: str) -> Iterator[tuple[str, ...]]:
 
 
 def _over_scenes(studies: Iterable[Shift]) -> Iterator[tuple[str, ...]]:
-    """Give a line for each model: the geometric mean over scenes, whose errors do not add up."""
+    """Yield a row for each model: its geometric mean over scenes, as errors cannot be added."""
     native = {shift.scene: shift for shift in studies if _variants(shift) == [_NATIVE]}
     for model in dict.fromkeys(m for shift in native.values() for m in trained_models(shift)):
         own = [shift for shift in native.values() if model in trained_models(shift)]
         parts = [part for shift in own if (part := _beside_formula(shift, model, _NATIVE))]
         if len(own) > 1 and len(parts) == len(own):
-            told = number(statistics.geometric_mean(parts))
+            mean = number(statistics.geometric_mean(parts))
             scenes = f"geometric mean of {len(own)} scenes"
-            yield scenes, _NATIVE, model, told, *[NONE] * 6
+            yield scenes, _NATIVE, model, mean, *[NONE] * 6
 
 
 def _variants(shift: Shift) -> list[str]:
-    """Give the settings that are those of several engines."""
+    """Return the variants of settings that several engines share."""
     engines = Counter(domain.variant for domain in shift.domains if domain.variant)
     return [variant for variant, count in engines.items() if count > 1]
 
 
 def _within(gap: Gap, model: str, variant: str) -> bool:
-    """Whether it is one of a model's gaps between two engines of a variant."""
+    """Return whether a gap is one of the model's, between two engines of a variant."""
     ends = f"-{variant}"
     kind = gap.model == model and gap.kind == SINGLE
     return kind and gap.training.endswith(ends) and gap.test.endswith(ends)
 
 
 def _beside_formula(shift: Shift, model: str, variant: str) -> float | None:
-    """Mean over the engines of what a model leaves of the best formula's error."""
+    """Return the geometric mean over engines of a model's error over the best formula's."""
     pick = at(shift, shift.at)
     learned, formulas = matrix_of(shift, model, pick), best_formula(shift, pick)
     parts = []
@@ -265,19 +265,19 @@ def _beside_formula(shift: Shift, model: str, variant: str) -> float | None:
 
 
 def _change(shift: Shift, model: str, variant: str) -> str:
-    """Mean and largest interaction of pairs of engines, from the errors over all seeds."""
+    """Format mean and largest interaction of engine pairs, from the errors over all seeds."""
     matrix = matrix_of(shift, model, at(shift, shift.at))
     homes = [name for name in matrix.homes if name.endswith(f"-{variant}")]
-    found = []
+    interactions = []
     for one, two in itertools.combinations(homes, 2):
         errors = [matrix.entry(i, j) for i, j in ((one, two), (two, one), (one, one), (two, two))]
         if not all(errors):
             return NONE
         there, back, first, second = (x or 1.0 for x in errors)
-        found.append(math.sqrt(there * back / (first * second)))
-    if not found:
+        interactions.append(math.sqrt(there * back / (first * second)))
+    if not interactions:
         return NONE
-    return f"{statistics.geometric_mean(found):.3g}, {max(found):.3g}"
+    return f"{statistics.geometric_mean(interactions):.3g}, {max(interactions):.3g}"
 
 
 def _ratio(shift: Shift, kind: str, model: str, variant: str, place: int) -> str:

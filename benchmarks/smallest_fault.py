@@ -2,8 +2,8 @@
 
     PYTHONPATH=tests python benchmarks/smallest_fault.py [SCENE ...]
 
-Everything is what `validate` does by default, one engine at a time, but the native model is not
-read back: the verdict is on the motion alone. Where an engine fails without a fault, its steps are
+Everything is as `validate` does by default, one engine at a time, except that the native model is
+not read back: the verdict is on the motion alone. If an engine fails without a fault, its step is
 halved until it passes.
 """
 
@@ -31,11 +31,11 @@ _BODIES = {"pendulum": "link2", "ladder": "rung1"}
 _EARTH = 9.81
 _LARGEST = 0.1
 _REFINEMENTS = 5
-_HALVINGS = 3  # of a decade, by ratio: to 1/8 of it, a third
+_HALVINGS = 3  # bisections of the last decade in log scale: down to a factor of 10^(1/8), a third
 
 
 def table(scenes: tuple[str, ...] = SCENES) -> Iterator[str]:
-    """Give the lines of a table in Markdown."""
+    """Yield the lines of a table in Markdown."""
     yield "| scene | engine | method | step | mass of one body, relative | gravity, relative |"
     yield "| --- | --- | --- | --- | --- | --- |"
     for name in scenes:
@@ -63,21 +63,21 @@ def _passing(scene: Scene, engine: str) -> Choice:
 
 
 def _smallest(scene: Scene, choice: Choice, change: Callable[[float], Change]) -> float | None:
-    """Go down by decades to the first share that passes, then halve the last decade."""
+    """Step down by decades to a share that passes, then bisect; None if the largest passes."""
 
     def caught(share: float) -> bool:
         return _verdict(scene, choice, change(share)).verdict == "fail"
 
-    seen = _LARGEST
-    if not caught(seen):
+    upper = _LARGEST
+    if not caught(upper):
         return None
-    while caught(seen / 10):
-        seen /= 10
-    unseen = seen / 10
+    while caught(upper / 10):
+        upper /= 10
+    lower = upper / 10
     for _ in range(_HALVINGS):
-        middle = (seen * unseen) ** 0.5
-        seen, unseen = (middle, unseen) if caught(middle) else (seen, middle)
-    return seen
+        middle = (upper * lower) ** 0.5
+        upper, lower = (middle, lower) if caught(middle) else (upper, middle)
+    return upper
 
 
 def _verdict(scene: Scene, choice: Choice, change: Change | None) -> EngineResult:

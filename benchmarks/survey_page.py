@@ -1,4 +1,4 @@
-"""The survey of published models as one table, and what it comes to."""
+"""Survey of published models as one table, with its totals."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ reference. Verdicts are of an earlier run than the rest, of the same files and r
 
 
 def print_page(rows: list[SurveyRow], causes: list[Cause]) -> None:
-    """Print the survey as one table of all models, and what it comes to."""
+    """Print the survey: its totals, and one table of all models."""
     print_head("Models in the wild", "make reports-models-in-the-wild", _HEAD)
     read = [row for row in rows if not row.refused]
     print(f"{len(read)} of {len(rows)} files are imported.\n")
     print("## In short\n")
     print_table("what|>models", _summary(rows, read))
     print("\n## What is lost on import, by models\n")
-    lost = Counter(what for row in read for what in row.counts("dropped"))
-    near = Counter(what for row in read for what in row.counts("approximated"))
-    told = [("dropped", *pair) for pair in lost.most_common()]
-    told += [("approximated", *pair) for pair in near.most_common()]
-    print_table("|element and attribute|>models", ((a, b, str(c)) for a, b, c in told))
+    lost = Counter(name for row in read for name in row.counts("dropped"))
+    near = Counter(name for row in read for name in row.counts("approximated"))
+    losses = [("dropped", *pair) for pair in lost.most_common()]
+    losses += [("approximated", *pair) for pair in near.most_common()]
+    print_table("|element and attribute|>models", ((a, b, str(c)) for a, b, c in losses))
     print("\n## Model by model\n")
     heads = "model|>dof|>lost|>deviation|>from Pinocchio|mujoco|pybullet|dart|runs in"
     print_table(heads, (_cells(row) for row in read))
@@ -64,15 +64,15 @@ def _summary(rows: list[SurveyRow], read: list[SurveyRow]) -> Iterator[tuple[str
         str(sum(not row.lost for row in read)),
     )
     for name, key in (("MuJoCo's compiled model", "from_compiled"), ("Pinocchio", "from_second")):
-        held = [value for row in read if (value := getattr(row, key)) is not None]
-        near = sum(value <= 1e-9 for value in held)
-        yield f"as {name} has them to 1e-9 (of those that it reads)", f"{near} of {len(held)}"
+        deviations = [value for row in read if (value := getattr(row, key)) is not None]
+        near = sum(value <= 1e-9 for value in deviations)
+        yield f"as {name} has them to 1e-9 (of those that it reads)", f"{near} of {len(deviations)}"
     for engine in READERS:
-        told = [row.readers[engine] for row in read if engine in row.readers]
-        alike = told.count("alike")
-        refused = sum(what.startswith("refuses") for what in told)
-        yield f"{engine}'s own reader: as the file says", f"{alike} of {len(told)}"
-        yield f"{engine}'s own reader: refuses the file", f"{refused} of {len(told)}"
+        readings = [row.readers[engine] for row in read if engine in row.readers]
+        alike = readings.count("alike")
+        refused = sum(reading.startswith("refuses") for reading in readings)
+        yield f"{engine}'s own reader: as the file says", f"{alike} of {len(readings)}"
+        yield f"{engine}'s own reader: refuses the file", f"{refused} of {len(readings)}"
     all_alike = sum(set(row.readers.values()) == {"alike"} for row in read)
     yield "read alike by all three engines' own readers", f"{all_alike} of {len(read)}"
     ran = [row for row in read if row.verdicts]
@@ -95,13 +95,13 @@ def _summary(rows: list[SurveyRow], read: list[SurveyRow]) -> Iterator[tuple[str
 
 def _cells(row: SurveyRow) -> tuple[str, ...]:
     lost = sum(fate.count for fate in row.lost)
-    told = (
+    deviations = (
         "–" if value is None else f"{value:.0e}" for value in (row.from_compiled, row.from_second)
     )
     readers = (in_markdown(row.readers.get(engine, "–")) for engine in READERS)
     passed = [engine for engine, verdict in row.verdicts.items() if verdict == "pass"]
     runs = ", ".join(passed) or ("none" if row.verdicts else "–")
-    return (linked(row), str(row.degrees_of_freedom), str(lost), *told, *readers, runs)
+    return (linked(row), str(row.degrees_of_freedom), str(lost), *deviations, *readers, runs)
 
 
 def _failed(read: list[SurveyRow], causes: list[Cause]) -> Iterator[tuple[str, ...]]:

@@ -1,4 +1,4 @@
-"""What the survey of published models keeps of each, and what was found out about failures."""
+"""Stored findings about each published model, and the known causes of failed verdicts."""
 
 from __future__ import annotations
 
@@ -13,74 +13,74 @@ from mbds_xsim.scene.imported import Fate, Outcome
 from mbds_xsim.studies.readers import Difference
 
 READERS = ("mujoco", "pybullet", "dart")
-"""Engines whose own readers are looked at."""
+"""Engines whose own readers are surveyed."""
 
 
 class SurveyRow(msgspec.Struct, omit_defaults=True):
-    """What was found of one model."""
+    """Findings about one model."""
 
     key: str
     package: str
     path: str
     format: str = ""
     refused: str = ""
-    """Why it is not imported."""
+    """Reason why it is not imported; empty if it is."""
     bodies: int = 0
     degrees_of_freedom: int = 0
     import_s: float = 0.0
     kept: int = 0
-    """Elements and attributes that bear on the motion."""
+    """Number of kept kinds of elements and attributes that affect the motion."""
     lost: tuple[Fate, ...] = ()
-    """What else bears on the motion, without the places."""
+    """Other elements and attributes that affect the motion, without their places."""
     from_compiled: float | None = None
-    """Largest deviation of masses, places and axes from MuJoCo's compiled model, relative."""
+    """Largest relative deviation of masses, places and axes from MuJoCo's compiled model."""
     from_second: float | None = None
-    """The same from Pinocchio's reading of a URDF."""
+    """The same deviation from Pinocchio's reading of a URDF."""
     readers: dict[str, str] = {}
-    """By engine: "alike", "refuses: …", or the fields that its own reader has otherwise."""
+    """Results by engine: "alike", "refuses: …", or the fields that its reader reads differently."""
     differences: dict[str, tuple[Difference, ...]] = {}
-    """By engine, these fields."""
+    """Differences in these fields, by engine."""
     moved_m: dict[str, float] = {}
-    """By engine, how far the bodies are after 1 s from where the file has them go [m]."""
+    """Distance of each engine's bodies from the motion of the file after 1 s [m]."""
     verdicts: dict[str, str] = {}
-    """By engine, where it was validated: as in `Verdicts`."""
+    """Verdicts by engine, as in `Verdicts`; empty if not validated."""
     reasons: dict[str, str] = {}
-    """By engine, why it does not pass."""
+    """Reasons for not passing, by engine."""
     reference: str = ""
-    """Why the reference ends early, or is not there."""
+    """Reason why the reference ends early or is missing."""
     validation_s: float = 0.0
 
     def counts(self, outcome: Outcome) -> Counter[str]:
-        """Count what is dropped or approximated, by element and attribute."""
-        found: Counter[str] = Counter()
+        """Count dropped or approximated elements, by element and attribute."""
+        counts: Counter[str] = Counter()
         for fate in self.lost:
             if fate.outcome == outcome:
-                found[what_of(fate)] += fate.count
-        return found
+                counts[what_of(fate)] += fate.count
+        return counts
 
     @property
     def place(self) -> str:
-        """Package, folder and file."""
+        """Package, folder and file of the model."""
         return in_markdown(f"{self.package}: {Path(self.path).parent.name}/{Path(self.path).name}")
 
 
 def what_of(fate: Fate) -> str:
-    """Name an element, and its attribute where there is one."""
+    """Name an element, and its attribute if there is exactly one."""
     single = fate.properties if len(fate.properties) == 1 else ()
     return " ".join((fate.element, *single))
 
 
 class Cause(msgspec.Struct):
-    """What was found out about failed verdicts."""
+    """Known cause of failed verdicts."""
 
     models: str
-    """Pattern of their paths, as of a shell."""
+    """Shell pattern of the models' paths."""
     engine: str
     finding: str
-    """What the verdict's reason begins with: a cause does not outlive its finding."""
+    """Beginning of the verdict's reason; a cause does not outlive its finding."""
     why: str
 
     def explains(self, row: SurveyRow, engine: str) -> bool:
-        """Say whether this is why a model does not pass in an engine."""
-        told = row.reasons.get(engine, "").startswith(self.finding)
-        return told and engine == self.engine and fnmatch(row.path, self.models)
+        """Return whether this is why a model does not pass in an engine."""
+        matches = row.reasons.get(engine, "").startswith(self.finding)
+        return matches and engine == self.engine and fnmatch(row.path, self.models)

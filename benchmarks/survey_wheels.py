@@ -1,4 +1,4 @@
-"""The survey of published models, a page a wheel with a section a model."""
+"""Survey of published models: a page for each wheel, with a section for each model."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _HEAD = (
 
 
 def write_wheels(rows: Iterable[SurveyRow], causes: list[Cause], folder: Path) -> None:
-    """Write the pages, each named by its wheel."""
+    """Write the pages, each named after its wheel."""
     wheels: dict[str, list[SurveyRow]] = {}
     for row in rows:
         wheels.setdefault(row.package, []).append(row)
@@ -30,13 +30,13 @@ def write_wheels(rows: Iterable[SurveyRow], causes: list[Cause], folder: Path) -
 
 
 def linked(row: SurveyRow) -> str:
-    """Name a model by a link to its section, as Markdown renderers name headings."""
+    """Return a link to a model's section, with the anchor that renderers give its heading."""
     anchor = re.sub(r"[^\w\- ]", "", _title(row).lower()).replace(" ", "-")
     return f"[{row.place}]({row.package}.md#{anchor})"
 
 
 def _title(row: SurveyRow) -> str:
-    """Give the path inside the wheel's own folder."""
+    """Return the path inside the wheel's own folder."""
     return row.path.partition(f"{row.package}/")[2] or row.path
 
 
@@ -54,7 +54,7 @@ def _page(wheel: str, rows: list[SurveyRow], causes: list[Cause]) -> Report:
 
 
 def _said(row: SurveyRow, causes: list[Cause]) -> Iterator[tuple[str, str]]:
-    """Give subjects and what is said of them."""
+    """Yield subjects, and a remark on each."""
     if row.refused:
         yield "not imported", row.refused
         return
@@ -81,25 +81,25 @@ def _losses(row: SurveyRow) -> Iterator[tuple[str, str]]:
 
 def _deviations(row: SurveyRow) -> str:
     readers = {"MuJoCo's compiled model": row.from_compiled, "Pinocchio": row.from_second}
-    told = (f"{value:.0e} from {name}" for name, value in readers.items() if value is not None)
-    return ", ".join(told) or "no other reader takes the file as it is"
+    texts = (f"{value:.0e} from {name}" for name, value in readers.items() if value is not None)
+    return ", ".join(texts) or "no other reader takes the file as it is"
 
 
 def _reading(row: SurveyRow, engine: str) -> str:
     read = row.readers.get(engine, "not run")
     if read == "alike":
         return "as the file says"
-    told = [_otherwise(each) for each in row.differences.get(engine, ())] or [read]
+    clauses = [_otherwise(difference) for difference in row.differences.get(engine, ())] or [read]
     if (moved := row.moved_m.get(engine)) is not None:
-        told.append(f"after 1 s bodies are {quantity.length(moved)} off")
-    return "; ".join(told)
+        clauses.append(f"after 1 s bodies are {quantity.length(moved)} off")
+    return "; ".join(clauses)
 
 
-def _otherwise(found: Difference) -> str:
-    """Say what a reader has otherwise, as `mbds-xsim readers` does in a row of its table."""
-    one = f"{found.first} has {found.read}" if found.first else found.read
-    share = f"{found.count} of {found.among} {found.of}"
-    return f"{found.field} of {share} ({one}, the file says {found.stated})"
+def _otherwise(difference: Difference) -> str:
+    """Describe a reader's difference, as `mbds-xsim readers` does in a row of its table."""
+    example = f"{difference.first} has {difference.read}" if difference.first else difference.read
+    share = f"{difference.count} of {difference.among} {difference.of}"
+    return f"{difference.field} of {share} ({example}, the file says {difference.stated})"
 
 
 def _verdicts(row: SurveyRow, causes: list[Cause]) -> Iterator[tuple[str, str]]:
@@ -113,5 +113,5 @@ def _verdicts(row: SurveyRow, causes: list[Cause]) -> Iterator[tuple[str, str]]:
     for engine, verdict in row.verdicts.items():
         if verdict != "pass":
             why = next((cause.why for cause in causes if cause.explains(row, engine)), "")
-            told = (verdict, row.reasons.get(engine, ""), why)
-            yield f"in {engine}", "; ".join(filter(None, told))
+            parts = (verdict, row.reasons.get(engine, ""), why)
+            yield f"in {engine}", "; ".join(filter(None, parts))

@@ -1,6 +1,6 @@
-"""The command line: how a run of it ends, and what it says then.
+"""Entry point of the command line: exit codes, and errors in one line.
 
-What takes time to import is imported by `main`, when an interruption is already answered.
+`main` does the imports that take time, once it can already answer an interruption.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ _INTERRUPTED = 130
 def main() -> None:
     """Run the command line: 0 passed, 1 a check failed, 2 bad input, 130 interrupted."""
     ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN  # started in the background
-    # A request to end is as good as Ctrl-C: no process and no partial file may be left.
+    # A request to end is treated like Ctrl-C: no process and no partial file may be left.
     ends = (signal.SIGTERM,) if ignored else (signal.SIGTERM, signal.SIGINT)
     for number in ends:
         signal.signal(number, _end_at_once)
-    os.environ.pop("MPLBACKEND", None)  # pictures go into files, and a name of none ends the import
-    os.environ.setdefault("MUJOCO_GL", "disable")  # a toolkit for windows takes as long as MuJoCo
+    os.environ.pop("MPLBACKEND", None)  # pictures go to files; an unknown backend breaks the import
+    os.environ.setdefault("MUJOCO_GL", "disable")  # window toolkits take as long to load as MuJoCo
     import_module("mbds_xsim.commands")
     for number in ends:
         signal.signal(number, signal.default_int_handler)
@@ -39,7 +39,7 @@ def main() -> None:
 
 
 def _run(words: list[str]) -> int:
-    """Carry out one command line; what goes wrong is told in one line."""
+    """Run one command line and return its exit code; report errors in one line."""
     import typer
 
     from mbds_xsim.commands import app
@@ -62,13 +62,13 @@ def _run(words: list[str]) -> int:
 
 
 def _end_at_once(_number: int, _frame: FrameType | None) -> None:
-    """Nothing is begun: an exception in the midst of an import would only leave a traceback."""
+    """End at once: nothing has begun, and an exception during an import would leave a traceback."""
     os.write(sys.stderr.fileno(), b"mbds-xsim: interrupted\n")
     os._exit(_INTERRUPTED)
 
 
 def _interrupt_again(lost: sys.UnraisableHookArgs) -> None:
-    """An interruption that comes while an object is being freed is dropped by Python: repeat it."""
+    """Repeat an interruption that came while an object was being freed, which Python drops."""
     if issubclass(lost.exc_type, KeyboardInterrupt):
         threading.Timer(0.01, _thread.interrupt_main).start()
     else:
@@ -76,7 +76,7 @@ def _interrupt_again(lost: sys.UnraisableHookArgs) -> None:
 
 
 def _usage(error: Exception) -> str:
-    """Say what is wrong with the words of a command line, and where to read on."""
+    """Describe an error in the words of a command line, and name the help to read."""
     text = getattr(error, "format_message", error.__str__)()
     context = getattr(error, "ctx", None)
     command = context.command_path if context else "mbds-xsim"
@@ -84,7 +84,7 @@ def _usage(error: Exception) -> str:
 
 
 def _drop_output() -> None:
-    """Standard output cannot be written to: keep the interpreter from trying again at its end."""
+    """Discard standard output that cannot be written, or the interpreter would retry at exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 

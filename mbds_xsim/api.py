@@ -1,6 +1,6 @@
-"""What `import mbds_xsim` offers: the commands as functions that take and give Python values.
+"""Public functions of `import mbds_xsim`: the commands, taking and returning Python values.
 
-Whatever cannot be used raises `InputError` with the line that the command would print.
+Input that cannot be used raises `InputError` with the line that the command would print.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _MOST_STARTS = 10_000
 
 
 def load_scene(scene: Any) -> Scene:
-    """Make a scene from a built-in name, a family with a size, or a path; a `Scene` stays itself.
+    """Load a scene from a built-in name, a family with a size, or a path; return a `Scene` as is.
 
     Raises:
         InputError: There is no such scene, or its file is wrong; the text says where.
@@ -59,25 +59,25 @@ def validate(
     limit: float = LIMIT,
     page: str | Path | None = None,
 ) -> Validation:
-    """Run a scene in all engines, check every trajectory, and say which to trust.
+    """Run a scene in all engines, check every trajectory, and report which engines to trust.
 
     Args:
-        scene: What to validate: a scene, its name, or its file.
+        scene: Scene to validate: the scene itself, its name, or its file.
         engines: One name or several; all installed ones when empty.
         settings: "matched", "native" or both.
-        trajectories: Starts of each of the intervals low, medium and high.
+        trajectories: Number of starts in each of the intervals low, medium and high.
         seed: Seed of starts and inputs.
-        method: Step with this method; needs a single engine.
+        method: Integration method to use; needs a single engine.
         step: Step [s], a divisor of the frame interval.
         noise: Whether random forces act.
         inputs: Whether drawn inputs act: wind, drives.
         cache: Whether stored reference solutions may be used.
-        workers: Processes at a time; all cores when left out, for 0 this one alone, without limit.
-        limit: Longest that one piece of an engine's work may take [s].
-        page: Write a self-contained page into this file.
+        workers: Number of processes; all cores by default. 0 works in this process, without limit.
+        limit: Longest time that one piece of an engine's work may take [s].
+        page: File to write a self-contained page into.
 
     Raises:
-        InputError: Something that was given cannot be used.
+        InputError: An argument cannot be used.
     """
     from mbds_xsim.studies.validate import validate_with_evidence
 
@@ -129,23 +129,23 @@ def generate(
     workers: int | None = None,
     limit: float = LIMIT,
 ) -> Generated:
-    """Make data sets: simulate, check every trajectory, publish what passes.
+    """Make data sets: simulate, check every trajectory, publish those that pass.
 
-    Run again after any interruption, it goes on.
+    A call with the same arguments continues after an interruption.
 
     Args:
         scenes: One or several: scenes, their names, or their files.
         out: Folder of the data, made if needed.
         engines: One name or several; all installed ones when empty.
         settings: "matched" (certified), "native" (uncertified), or both.
-        trajectories: How many are drawn; rejected ones are not replaced.
+        trajectories: Number of trajectories to draw; rejected ones are not replaced.
         seed: Seed of starts and inputs.
         noise: Whether random forces act.
-        workers: Processes at a time; all cores when left out.
-        limit: Longest that one piece of an engine's work, a shard, may take [s].
+        workers: Number of processes; all cores by default.
+        limit: Longest time that one piece of an engine's work, a shard, may take [s].
 
     Raises:
-        InputError: Something that was given cannot be used.
+        InputError: An argument cannot be used.
     """
     from mbds_xsim.dataset.generate import Request
     from mbds_xsim.dataset.generate import generate as run
@@ -182,28 +182,28 @@ def audit(
     velocity_lag: float | None = None,
     contact_time: float | None = None,
 ) -> Audited:
-    """Check trajectories from anywhere: another engine, a lab, a learned model.
+    """Check trajectories from any source: another engine, a lab, a learned model.
 
     Args:
         file: npz, CSV or HDF5; docs/data-commands.md lists names and columns.
-        scene: What moves; left out, what the file says.
+        scene: Scene that moves; by default the one that the file names.
         index: Numbers of the starts, as 3, "0-9,15" or [0, 1]; the motion is compared with them.
         seed: Seed of those starts.
         noise: Whether their random forces acted.
-        order: Order of the method that made it; first when left out.
-        step: Its integration step [s]; the frame interval when left out.
-        velocity_lag: Velocities belong to frame time + lag [s].
-        contact_time: Time over which it spreads an impact [s].
+        order: Order of the method that made it; 1 by default.
+        step: Integration step [s]; the frame interval by default.
+        velocity_lag: Lag of the velocities [s]: they belong to frame time + lag.
+        contact_time: Time over which an impact is spread [s].
 
     Raises:
-        InputError: The file, or what is told of it, cannot be used.
+        InputError: The file, or what is stated about it, cannot be used.
     """
     from mbds_xsim.dataset.audit import audit_file
     from mbds_xsim.dataset.foreign import Provenance
 
     if noise is not None:
         _check(noise=noise)
-    told = Provenance(
+    origin = Provenance(
         index=None if index is None else _numbers(index),
         seed=None if seed is None else _whole("seed", seed, 0),
         noise=noise,
@@ -212,16 +212,16 @@ def audit(
         velocity_lag_s=_seconds("velocity_lag", velocity_lag),
         contact_time_s=_seconds("contact_time", contact_time),
     )
-    return audit_file(path_of("file", file), None if scene is None else load_scene(scene), told)
+    return audit_file(path_of("file", file), None if scene is None else load_scene(scene), origin)
 
 
 def verify(path: str | Path, *, seed: int | None = None, workers: int | None = None) -> Verified:
     """Check a data file, or a folder of them, again from its own contents alone.
 
     Args:
-        path: Of the file or folder.
-        seed: Chooses the trajectories that are simulated again; left out, nobody can foresee it.
-        workers: Processes at a time; all cores when left out.
+        path: Path of the file or folder.
+        seed: Seed that chooses the trajectories to simulate again; unpredictable by default.
+        workers: Number of processes; all cores by default.
 
     Raises:
         InputError: There is nothing to check.
@@ -234,13 +234,13 @@ def verify(path: str | Path, *, seed: int | None = None, workers: int | None = N
 
 
 def _numbers(index: str | int | Iterable[int]) -> tuple[int, ...]:
-    """Read numbers of starts."""
+    """Read the numbers of starts."""
     from mbds_xsim.dataset.read import parse_numbers
 
     if isinstance(index, str):
         return tuple(parse_numbers(index, "--index"))
-    each = index if isinstance(index, Iterable) else (index,)
-    return tuple(_whole("index", number, 0) for number in each)
+    indices = index if isinstance(index, Iterable) else (index,)
+    return tuple(_whole("index", number, 0) for number in indices)
 
 
 def _seconds(name: str, value: object) -> float | None:
@@ -253,7 +253,7 @@ def _seconds(name: str, value: object) -> float | None:
 
 
 def _check(workers: int | None = None, limit: object = LIMIT, **flags: object) -> None:
-    """Refuse, of flags, also what Python would take for true, as the text "no"."""
+    """Refuse bad arguments; a flag may not be another value that Python takes for true."""
     if workers is not None:
         _whole("workers", workers, 0)
     if not isinstance(limit, int | float) or not limit >= 1.0:

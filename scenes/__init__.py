@@ -1,1 +1,1 @@
-"""Built-in scenes: one family a file, and scene files found by name."""
+"""Built-in scenes: one family per file, and scene files found by name."""

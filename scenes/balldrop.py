@@ -13,11 +13,11 @@ from .paper import GROUND, NOISE, SOURCE
 from .particles import Cell, Point, neighbours
 
 SPACING = 2.0 * PARTICLE_RADIUS
-"""Between neighbouring particles, which touch [m]."""
+"""Spacing of neighbouring particles, which touch [m]."""
 RADIUS = 5.0 * PARTICLE_RADIUS
-"""Of the contact sphere, which reaches as far as the outermost particles [m]."""
+"""Radius of the contact sphere, which reaches as far as the outermost particles [m]."""
 LOWEST, HIGHEST = 1.0, 3.0
-"""Height of the centre at the start [m]."""
+"""Range of the centre's height at the start [m]."""
 _CENTRE = (0.0, 0.0, LOWEST)
 _RINGS = 2
 _NONE = (0.0, 0.0)
@@ -51,7 +51,7 @@ def balldrop() -> Scene:
 
 
 def _hexagon() -> list[Cell]:
-    """Cells of a hexagonal grid, whose three coordinates add up to 0, from the middle outwards."""
+    """Return cells of a hexagonal grid, whose coordinates add up to 0, from the middle outwards."""
     reach = range(-_RINGS, _RINGS + 1)
     cells = [(p, q, -p - q) for p, q in product(reach, reach) if abs(p + q) <= _RINGS]
     return sorted(cells, key=lambda cell: max(map(abs, cell)))

@@ -16,12 +16,12 @@ RODS_PER_RUNG = 6
 HALF_WIDTH = 0.3
 """Distance of a rope from the middle [m]."""
 RUNG_PARTICLES = (-0.2, -0.1, 0.0, 0.1, 0.2)
-"""Their y in the rung [m]; its massless ends reach the ropes."""
+"""Positions of a rung's particles along y [m]; its massless ends reach the ropes."""
 _SIDES = {"left": -HALF_WIDTH, "right": HALF_WIDTH}
 
 
 def ladder(rungs: int) -> Scene:
-    """Make the ladder of `rungs` rungs: 13 bodies, 17 particles and one closed loop a rung.
+    """Make the ladder of `rungs` rungs: 13 bodies, 17 particles and one closed loop per rung.
 
     The paper gives particles, gravity, frames and the wind's role; the geometry and the intervals
     are this project's.
@@ -65,7 +65,7 @@ def ladder(rungs: int) -> Scene:
 
 
 def _edges(rungs: int) -> tuple[tuple[int, int], ...]:
-    """Ropes from their anchors, rungs, and each rung's end particles to their knots."""
+    """Return edges of ropes from their anchors, of rungs, and from rung ends to their knots."""
     rods, across = RODS_PER_RUNG * rungs, len(RUNG_PARTICLES)
     first_rung, particle_count = 2 * rods, 2 * rods + rungs * across
     edges: list[tuple[int, int]] = []

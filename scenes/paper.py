@@ -1,4 +1,4 @@
-"""What the scenes take from the paper, and what they say of it."""
+"""Parameters that the scenes take from the paper, and texts that credit it."""
 
 from __future__ import annotations
 
@@ -7,18 +7,17 @@ import math
 from mbds_xsim.scene.scene import Ground
 
 NOISE = 0.1
-"""Standard deviation of the noise force on a particle [N]; the paper has noise, this figure is
-the project's."""
+"""Standard deviation of the noise force on a particle [N]; the figure is not the paper's."""
 DAMPING_RATIO = 0.022
-"""The paper's ζ, read as that of the contact: a half-period of a damped oscillator."""
+"""The paper's ζ, read as that of the contact: half a period of a damped oscillator."""
 GROUND = Ground(
     friction=0.43,
     restitution=math.exp(-math.pi * DAMPING_RATIO / math.sqrt(1.0 - DAMPING_RATIO**2)),
 )
-"""The restitution is what is left of the velocity after half a period of such an oscillator."""
+"""Ground; its restitution is the share of velocity that half a period of such a contact leaves."""
 SOURCE = (
     "MBDS paper (particles, gravity, frames, friction, damping ratio); geometry, intervals and "
     "reading the damping ratio as restitution: mbds-xsim"
 )
 SMOOTH_SOURCE = "MBDS paper (particles, gravity, frames); geometry and intervals: mbds-xsim"
-"""Of scenes without contact."""
+"""Source of scenes without contact."""

@@ -13,7 +13,7 @@ from .particles import PARTICLES, Edge, Point, neighbours, ties, wheel, wheel_ed
 LENGTHS = (-0.4, -0.2, 0.0, 0.2, 0.4)
 WIDTHS = (-0.15, 0.15)
 HEIGHTS = (0.2, 0.3)
-"""Where the chassis has particles along x, y and z [m]."""
+"""Positions of the chassis particles along x, y and z [m]."""
 WHEEL = 0.2
 """Radius of a wheel's contact sphere, and height of its hub [m]."""
 _HUBS: dict[str, Point] = {

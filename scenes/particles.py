@@ -1,4 +1,4 @@
-"""Bodies of particles: grids, wheels, and who is whose neighbour in them."""
+"""Bodies of particles: grids, wheels, and the edges between neighbours."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PARTICLES = RING + 1
 
 
 def neighbours(cells: Sequence[Cell], *, apart: int = 1) -> list[Edge]:
-    """Pairs of cells whose coordinates differ by `apart` in all, numbered as the cells are."""
+    """Return pairs of cells whose coordinates differ by `apart` in total, as cell numbers."""
     return [
         (a, b)
         for (a, here), (b, there) in combinations(enumerate(cells), 2)
@@ -28,14 +28,14 @@ def neighbours(cells: Sequence[Cell], *, apart: int = 1) -> list[Edge]:
 
 
 def ties(hub: int, point: Point, body: Sequence[Point]) -> list[Edge]:
-    """Edges from a hub to all the nearest of a body's particles, which are numbered from 0."""
+    """Return edges from a hub to all the nearest of a body's particles, numbered from 0."""
     distances = [math.dist(point, particle) for particle in body]
     nearest = min(distances)
     return [(k, hub) for k, distance in enumerate(distances) if distance < nearest + 1e-9]
 
 
 def wheel(name: str, hub: Point, axis: Point, first: Point, radius: float) -> Body:
-    """Make the body: its hub, then its ring from the direction `first` on, turning about `axis`.
+    """Make a wheel's body: its hub, then its ring from the direction `first` on, about `axis`.
 
     Both directions are unit and normal to each other; `radius` is that of the ring's centres [m].
     """
@@ -50,7 +50,7 @@ def wheel(name: str, hub: Point, axis: Point, first: Point, radius: float) -> Bo
 
 
 def wheel_edges(hub: int) -> list[Edge]:
-    """Spokes and ring of the wheel whose hub has this number."""
+    """Return the spokes and the ring of the wheel whose hub has this number."""
     ring = range(hub + 1, hub + PARTICLES)
     return [
         *((hub, k) for k in ring),

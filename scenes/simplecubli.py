@@ -12,13 +12,13 @@ from .paper import GROUND, NOISE, SOURCE
 from .particles import PARTICLES, Cell, Edge, Point, neighbours, ties, wheel, wheel_edges
 
 SIDE = 0.4
-"""Of the cube through its corner particles [m]."""
+"""Side of the cube through its corner particles [m]."""
 OFFSET = 0.12
-"""Of a flywheel's hub from the middle, along its axis [m]."""
+"""Distance of a flywheel's hub from the middle, along its axis [m]."""
 RING = 0.06
 """Radius of the ring of a flywheel's particles [m]."""
 LOWEST, HIGHEST = 0.6, 1.5
-"""Height of the middle at the start [m]."""
+"""Range of the middle's height at the start [m]."""
 _ENDS = (0, 3)  # an edge of the cube has its particles at 0, 1, 2, 3 thirds of the side
 _AXES: dict[str, Point] = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
@@ -68,7 +68,7 @@ def simplecubli() -> Scene:
 
 
 def _frame() -> list[Cell]:
-    """Cells along the edges of the cube, in thirds of its side."""
+    """Return cells along the edges of the cube, in thirds of its side."""
     thirds = range(4)
     cells = product(thirds, thirds, thirds)
     return [(i, j, k) for i, j, k in cells if sum(n in _ENDS for n in (i, j, k)) >= 2]

@@ -1,4 +1,4 @@
-"""What a call of the command line came to, and what takes a while to happen."""
+"""Outcome of a command line, waiting for a condition, and a small scene."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Ended:
 
     @property
     def refusal(self) -> str:
-        """The one line that says what was wrong with the words."""
+        """The one line that says what is wrong with the command line."""
         assert self.code == 2
         assert self.err.strip().count("\n") == 0
         return self.err

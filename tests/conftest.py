@@ -27,9 +27,9 @@ _WITHOUT = quick._without
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Have interruptions work, and machine code there before many processes need it.
+    """Make interruptions work, and compile machine code before many processes need it.
 
-    A shell has what it starts in the background ignore SIGINT, which tests send.
+    Programs that a shell starts in the background ignore SIGINT, which tests send.
     """
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -69,7 +69,7 @@ def grounded(adapter: Adapter) -> Adapter:
 
 @pytest.fixture(scope="session")
 def cornered(grounded: Adapter) -> Adapter:
-    """Skip an engine that stands balls on the ground and nothing else."""
+    """Skip an engine that has contact of balls only."""
     if Feature.LINKED_CONTACT in grounded.limits:
         pytest.skip(f"{grounded.name} has contact of balls only")
     return grounded
@@ -77,7 +77,7 @@ def cornered(grounded: Adapter) -> Adapter:
 
 @pytest.fixture(scope="session", autouse=True)
 def _presets() -> Iterator[None]:
-    """Leave out the search for settings, seconds an engine, where a test does not ask for it."""
+    """Skip the search for settings (seconds per engine) unless a test asks for it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(quick, "_without", lambda *_: [])
         yield
@@ -115,7 +115,7 @@ def farm(tmp_path: Path) -> Iterator[Farm]:
 
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """Stand in an empty folder, with stored references and temporary files of its own."""
+    """Change into an empty folder, with stored references in a cache of its own."""
     kept = signal.getsignal(signal.SIGTERM)
     folder = tmp_path / "here"
     folder.mkdir()

@@ -9,7 +9,7 @@ import sys
 import time
 from pathlib import Path
 
-# What a worker's Python does first where the package is not to be found.
+# Start-up code of a worker's Python that cannot find the package.
 _BARE = """
 import sys
 from importlib import metadata
@@ -41,7 +41,7 @@ class Farm:
         self.address = str(json.loads(_when_written(file))["address"])
 
     def worker(self, *, bare: bool = False) -> subprocess.Popen[bytes]:
-        """Start a worker, maybe one that does not have the package."""
+        """Start a worker; a bare one does not have the package."""
         if bare:
             (self._folder / "bare").mkdir(exist_ok=True)
             (self._folder / "bare/sitecustomize.py").write_text(_BARE)
@@ -50,10 +50,10 @@ class Farm:
             path=str(self._folder / "bare") if bare else "",
         )  # fmt: skip
 
-    def _start(self, what: str, *words: str, path: str = "") -> subprocess.Popen[bytes]:
-        with (self._folder / f"{what}.log").open("ab") as log:
+    def _start(self, role: str, *words: str, path: str = "") -> subprocess.Popen[bytes]:
+        with (self._folder / f"{role}.log").open("ab") as log:
             program = subprocess.Popen(
-                [sys.executable, "-m", "distributed.cli.dask_" + what, *words],
+                [sys.executable, "-m", "distributed.cli.dask_" + role, *words],
                 stdout=log,
                 stderr=log,
                 cwd=self._folder,
@@ -63,7 +63,7 @@ class Farm:
         return program
 
     def wait_for(self, workers: int) -> None:
-        """Wait until so many have arrived."""
+        """Wait until so many workers have arrived."""
         from distributed import Client
 
         with Client(self.address, set_as_default=False) as client:  # type: ignore[no-untyped-call]

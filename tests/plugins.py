@@ -115,11 +115,11 @@ def installed(
     """Install a package for this process and those it starts.
 
     Args:
-        folder: Where it is put.
+        folder: Folder that it is put into.
         modules: Source of each of its modules.
-        engines: Of each engine the place of its adapter, "module:Class".
-        matched: Of each engine the folder of its matched settings.
-        models: Of each learned model the place of its class.
+        engines: Place of the adapter of each engine, "module:Class".
+        matched: Folder of the matched settings of each engine.
+        models: Place of the class of each learned model.
     """
     name = folder.name.replace("-", "_")
     metadata = folder / f"{name}-1.0.dist-info"

@@ -1,4 +1,4 @@
-"""Random mechanisms and states: what a formula must hold for beyond the scenes one thinks of."""
+"""Random mechanisms and states, for which formulas must hold as for the built-in scenes."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 
 from mbds_xsim.studies.match import SCHEMA as MATCH
-from mbds_xsim.studies.match import Found, Match
+from mbds_xsim.studies.match import Match, MatchedSettings
 from mbds_xsim.studies.stability import SCHEMA as STABILITY
 from mbds_xsim.studies.stability import MapCell, Panel, Survey
 from mbds_xsim.studies.tradeoff import SCHEMA, CurveResult, Point, Tradeoff
@@ -63,9 +63,9 @@ def tradeoff(*curves: CurveResult, **other: Any) -> Tradeoff:
     return msgspec.structs.replace(plain, **other)
 
 
-def found(**other: Any) -> Found:
+def found(**other: Any) -> MatchedSettings:
     """Settings of an engine that keep the budgets."""
-    plain = Found(
+    plain = MatchedSettings(
         **_WAY,
         steps_per_frame=2,
         step_s=0.01,
@@ -87,7 +87,7 @@ def found(**other: Any) -> Found:
     return msgspec.structs.replace(plain, **other)
 
 
-def matched(*engines: Found, **other: Any) -> Match:
+def matched(*engines: MatchedSettings, **other: Any) -> Match:
     """Matched settings of a scene called pair."""
     plain = Match(
         schema=MATCH,

@@ -1,4 +1,4 @@
-"""The study on the page for those who add one does what the page says."""
+"""The example study of the page on adding a study does what the page says."""
 
 from __future__ import annotations
 

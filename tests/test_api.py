@@ -1,4 +1,4 @@
-"""What `import mbds_xsim` offers, and what it says of values that it cannot use."""
+"""The interface of `import mbds_xsim`, and its messages about unusable values."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_one_engine_is_one_engine(engines: Any) -> None:
 def test_a_validation_takes_method_step_noise_and_page(tmp_path: Path) -> None:
     page = tmp_path / "page.html"
 
-    found = mbds_xsim.validate(
+    validation = mbds_xsim.validate(
         load_scene("2pendulum"),
         engines="mujoco",
         trajectories=np.int64(1),  # type: ignore[arg-type]
@@ -63,9 +63,9 @@ def test_a_validation_takes_method_step_noise_and_page(tmp_path: Path) -> None:
         page=page,
     )
 
-    (row,) = found.engines
+    (row,) = validation.engines
     assert (row.method, row.step_s) == ("Euler", 0.002)
-    assert found.to_frame()[["engine", "method"]].values.tolist() == [["mujoco", "Euler"]]
+    assert validation.to_frame()[["engine", "method"]].values.tolist() == [["mujoco", "Euler"]]
     assert "2pendulum" in page.read_text("utf-8")
 
 
@@ -97,11 +97,11 @@ def test_a_validation_takes_method_step_noise_and_page(tmp_path: Path) -> None:
     ],
 )
 def test_what_cannot_be_used_is_told_in_one_line(arguments: dict[str, Any], line: str) -> None:
-    with pytest.raises(InputError) as told:
+    with pytest.raises(InputError) as refused:
         mbds_xsim.validate(**{"scene": "2pendulum"} | arguments)
 
-    assert line in str(told.value)
-    assert "\n" not in str(told.value)
+    assert line in str(refused.value)
+    assert "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize(
@@ -127,11 +127,11 @@ def test_what_cannot_be_used_is_told_in_one_line(arguments: dict[str, Any], line
 def test_other_calls_are_refused_in_one_line_too(
     call: str, given: list[Any], options: dict[str, Any], line: str, here: Path
 ) -> None:
-    with pytest.raises(InputError) as told:
+    with pytest.raises(InputError) as refused:
         getattr(mbds_xsim, call)(*given, **options)
 
-    assert line in str(told.value)
-    assert "\n" not in str(told.value)
+    assert line in str(refused.value)
+    assert "\n" not in str(refused.value)
     assert list(here.iterdir()) == []
 
 

@@ -19,7 +19,7 @@ from mbds_xsim.simulate.registry import PAPER_SCENES, load_scene
 
 CONTACT_SCENES = ("ballscroll", "balldrop", "particlecar", "simplecubli")
 OWN = 6.17e-4
-"""Inertia of a particle of 1 kg, hence its radius."""
+"""Inertia of a particle of 1 kg [kg m²], from which its radius follows."""
 R = math.sqrt(5 * OWN / 2)
 WHEELS = {
     "front_left": (0.4, 0.25, 0.2),
@@ -28,7 +28,7 @@ WHEELS = {
     "rear_right": (-0.4, -0.25, 0.2),
 }
 MIDDLE = np.array([0.0, 0.0, 0.6])
-"""Of the cubli at its reference pose."""
+"""Centre of the cubli at its reference pose [m]."""
 
 
 def _inertia(name: str, body: str) -> Array:

@@ -36,7 +36,7 @@ def _of_interval(values: Array, interval: int) -> Array:
 
 
 def _assert_uniform(values: Array, low: float, high: float) -> None:
-    """Bounds, and Kolmogorov and Smirnov's test; the draws are always the same."""
+    """Check bounds and the Kolmogorov-Smirnov test; the draws are always the same."""
     assert low <= values.min()
     assert values.max() <= high
     assert stats.kstest(values, "uniform", (low, high - low)).pvalue > 0.01
@@ -138,7 +138,7 @@ def test_starts_lie_in_the_scenes_dimensions(name: str) -> None:
 
 
 def _sphere_bottoms(scene: Scene, batch: Batch) -> Array:
-    """Height of each contact sphere's lowest point [m], shape (trajectory, sphere)."""
+    """Return the height of each contact sphere's lowest point [m], shape (trajectory, sphere)."""
     mechanism = Mechanism.of(scene)
     turn = mechanism.native_rotation(batch.orientation)[:, mechanism.sphere_body]
     arms = rotation.rotate(turn, mechanism.sphere_offset)

@@ -127,7 +127,7 @@ def test_a_hinge_loop_made_as_a_ball_fails_in_space_alone(name: str, mutation: A
 
 
 def test_an_engine_without_ball_joints_passes() -> None:
-    """What it does not claim is refused, and the suite asks no more of it."""
+    """Features that an engine does not claim are refused, and the suite asks no more of it."""
     mutant = _mutant("mujoco")
     reason = "its joints turn about one axis"
     balls = dict.fromkeys((Feature.BALL, Feature.LOOP_BALL), reason)

@@ -1,4 +1,4 @@
-"""The pages about engines are what the code says and does today."""
+"""The pages about engines match the code."""
 
 from __future__ import annotations
 
@@ -62,10 +62,10 @@ def _run(package: Path, *words: str) -> subprocess.CompletedProcess[str]:
 def test_the_tree_of_the_page_is_as_printed_there(package: Path) -> None:
     done = _run(package, "tree.py")
 
-    (told,) = re.findall(
+    (expected,) = re.findall(
         r"^It prints\n\n```text\n(.*?)^```$", (DOCS / "add-an-engine.md").read_text(), re.M | re.S
     )
-    assert (done.stdout, done.stderr) == (told, "")
+    assert (done.stdout, done.stderr) == (expected, "")
 
 
 @pytest.mark.slow
@@ -86,9 +86,9 @@ def test_the_engine_of_the_page_is_validated_beside_mujoco(package: Path) -> Non
     words += ["--step", "0.01"]
     done = _run(package, "-c", program, *words)
 
-    told = json.loads((package / "v.json").read_text())
-    row, beside = told["engines"]
-    # A slow machine tells how far it is.
+    result = json.loads((package / "v.json").read_text())
+    row, beside = result["engines"]
+    # A slow machine reports its progress.
     assert [line for line in done.stderr.splitlines() if " left " not in line] == []
     assert (row["engine"], row["version"], row["failures"]) == ("plain", "1.0", [])
     assert row["error_1s_m"] < 1e-6

@@ -15,7 +15,7 @@ from mbds_xsim.simulate.registry import load_scene
 
 OWN = 6.17e-4
 RUNG = 5 * OWN + 2 * (0.2**2 + 0.1**2)
-"""Of a rung about an axis across it: five particles, two 0.2 m and two 0.1 m off its middle."""
+"""Inertia of a rung about an axis across it: five particles, 0, ±0.1 and ±0.2 m off its middle."""
 
 
 @pytest.mark.parametrize(

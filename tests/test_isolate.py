@@ -15,49 +15,49 @@ import pytest
 
 from mbds_xsim.base import isolate
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
-from mbds_xsim.base.process import held_back
+from mbds_xsim.base.process import hold_interruptions
 from mbds_xsim.simulate import registry, timed
 from tests.command_line import wait
 
 
 def test_answers_come_in_the_order_of_the_tasks() -> None:
-    seen: list[int] = []
+    places: list[int] = []
 
     answers = run_tasks(
         [Task(math.factorial, (5,)), Task(math.hypot, (3.0, 4.0))],
-        finished=lambda place, _: seen.append(place),
+        finished=lambda place, _: places.append(place),
     )
 
     assert answers == [120, 5.0]
-    assert sorted(seen) == [0, 1]
+    assert sorted(places) == [0, 1]
 
 
 def test_a_task_waits_for_the_one_that_it_comes_after_even_if_that_crashes(tmp_path: Path) -> None:
-    told: list[int] = []
+    starts: list[int] = []
     mark = tmp_path / "mark"
     code = f"import os, time; time.sleep(0.2); open({str(mark)!r}, 'w').close(); os.abort()"
     tasks = [Task(exec, (code,)), Task(mark.exists, (), after=0), Task(math.factorial, (3,))]
 
-    _, *answers = run_tasks(tasks, workers=3, started=told.append)
+    _, *answers = run_tasks(tasks, workers=3, started=starts.append)
 
     assert answers == [True, 6]
-    assert told == [0, 2, 1]
+    assert starts == [0, 2, 1]
 
 
 def test_what_hears_of_an_end_works_in_place_of_a_task_and_can_be_interrupted() -> None:
-    told: list[int] = []
+    places: list[int] = []
 
     def interrupted(place: int, _answer: object) -> None:
-        told.append(place)
+        places.append(place)
         signal.raise_signal(signal.SIGINT)
-        told.append(-1)
+        places.append(-1)
 
     with pytest.raises(KeyboardInterrupt):
         run_tasks(
-            [Task(math.factorial, (3,))] * 2, workers=1, started=told.append, finished=interrupted
+            [Task(math.factorial, (3,))] * 2, workers=1, started=places.append, finished=interrupted
         )
 
-    assert told == [0, 0]
+    assert places == [0, 0]
 
 
 def test_no_task_needs_no_process(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -106,16 +106,16 @@ def test_nothing_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 
 
 def test_no_workers_run_the_tasks_here_and_raise_their_errors() -> None:
-    seen: list[int] = []
+    places: list[int] = []
 
     answers = run_tasks(
         [Task(os.getpid, ()), Task(math.factorial, (4,))],
         workers=0,
-        finished=lambda place, _: seen.append(place),
+        finished=lambda place, _: places.append(place),
     )
 
     assert answers == [os.getpid(), 24]
-    assert seen == [0, 1]
+    assert places == [0, 1]
     with pytest.raises(ValueError, match="negative"):
         run_tasks([Task(math.factorial, (-1,))], workers=0)
 
@@ -133,18 +133,18 @@ def test_an_error_that_names_a_file_of_no_utf_8_can_be_written_down() -> None:
 
 
 def test_no_task_outlives_a_parent_that_is_killed(tmp_path: Path) -> None:
-    told = tmp_path / "number"
-    parent = subprocess.Popen([sys.executable, "-c", _PARENT.format(told=str(told))])
-    wait(lambda: told.exists() and bool(told.read_text()))
+    file = tmp_path / "number"
+    parent = subprocess.Popen([sys.executable, "-c", _PARENT.format(told=str(file))])
+    wait(lambda: file.exists() and bool(file.read_text()))
 
     parent.kill()
     parent.wait()
 
-    wait(lambda: not _alive(int(told.read_text())))
+    wait(lambda: not _alive(int(file.read_text())))
 
 
 _PARENT = """
-from mbds_xsim.base.process import held_back
+from mbds_xsim.base.process import hold_interruptions
 from mbds_xsim.base.isolate import Task, run_tasks
 code = "import os, time; open({told!r}, 'w').write(str(os.getpid())); time.sleep(60)"
 run_tasks([Task(exec, (code,))])
@@ -203,7 +203,7 @@ except KeyboardInterrupt:
 
 
 def test_tasks_of_a_program_that_ignores_interruptions_ignore_them() -> None:
-    """As in `for scene in …; do mbds-xsim … & done; wait`, which Ctrl-C leaves at work."""
+    """An example is `for scene in …; do mbds-xsim … & done; wait`, which Ctrl-C leaves at work."""
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         assert run_tasks([Task(signal.raise_signal, (signal.SIGINT,))], workers=1) == [None]
@@ -212,12 +212,12 @@ def test_tasks_of_a_program_that_ignores_interruptions_ignore_them() -> None:
 
 
 def _interrupted(reached: list[str], number: int) -> None:
-    with held_back() as held:
-        held.let_through()
+    with hold_interruptions() as interruptions:
+        interruptions.let_through()
         signal.raise_signal(number)
         reached.append("the next step")
         if number == signal.SIGINT:
-            held.let_through()
+            interruptions.let_through()
         reached.append("the end")
 
 

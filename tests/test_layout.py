@@ -1,4 +1,4 @@
-"""How the program is laid out: imports go downward, and a name of the package stands once."""
+"""Layout of the program: imports go downward, class names are unique, docstrings stand alone."""
 
 from __future__ import annotations
 
@@ -23,7 +23,9 @@ _FLOORS = (
     ("studies",),
     ("api", "__init__", "commands", "__main__"),
 )
-"""Packages, and modules beside them, from the bottom; one imports those of its own and below."""
+"""Packages and top-level modules from the bottom up; each imports from its own floor and below."""
+_FRAGMENTS = ("Of ", "Its ", "Their ", "Whose ", "In which ", "By which ", "Beside ")
+"""Openings of docstrings that only continue the name above them."""
 _MOST_LINES = 400
 _FLOOR = {name: floor for floor, names in enumerate(_FLOORS) for name in names}
 
@@ -48,7 +50,7 @@ def _tree(module: str) -> ast.Module:
 
 
 def _imported(tree: ast.AST, *, types: bool) -> Iterator[str]:
-    """Give the modules of the program that a module imports, in functions too."""
+    """Yield the modules of the program that a module imports, also inside functions."""
     for node in ast.iter_child_nodes(tree):
         if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING" and not types:
             continue
@@ -113,7 +115,7 @@ def test_no_class_name_stands_twice() -> None:
 
 
 def test_no_module_imports_private_names() -> None:
-    found = [
+    private = [
         f"{name} imports {alias.name} of {node.module}"
         for name in _MODULES
         for node in ast.walk(_tree(name))
@@ -122,10 +124,23 @@ def test_no_module_imports_private_names() -> None:
         if alias.name.startswith("_")
     ]
 
-    assert not found
+    assert not private
 
 
 def test_modules_are_short() -> None:
     lines = {name: path.read_text("utf-8").count("\n") for name, path in _MODULES.items()}
 
     assert {name: count for name, count in lines.items() if count > _MOST_LINES} == {}
+
+
+def test_docstrings_stand_alone() -> None:
+    fragments = [
+        f"{name}:{node.lineno}: {text}"
+        for name in _MODULES
+        for node in ast.walk(_tree(name))
+        if isinstance(node, ast.Expr)
+        and isinstance(node.value, ast.Constant)
+        and (text := str(node.value.value)).startswith(_FRAGMENTS)
+    ]
+
+    assert not fragments

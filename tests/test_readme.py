@@ -1,4 +1,4 @@
-"""README and the page of reports say what is stored, and point at what is there."""
+"""README and the page of reports state the stored results, and their links exist."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ def _printed(script: str, *words: str) -> str:
 
 
 def test_the_table_of_readme_is_that_of_the_reports() -> None:
-    (found,) = _TABLE.findall((_ROOT / "README.md").read_text("utf-8"))
+    (table,) = _TABLE.findall((_ROOT / "README.md").read_text("utf-8"))
 
-    assert found.strip() == _printed("choose_table", "reports/tradeoff").strip(), "make readme"
+    assert table.strip() == _printed("choose_table", "reports/tradeoff").strip(), "make readme"
 
 
 @pytest.mark.parametrize(
@@ -48,16 +48,16 @@ def test_the_table_of_readme_is_that_of_the_reports() -> None:
     }.items(),
 )
 def test_a_page_says_what_the_stored_results_say(page: str, script: str) -> None:
-    found = (_ROOT / "reports" / page).read_text("utf-8")
+    text = (_ROOT / "reports" / page).read_text("utf-8")
 
-    assert found == _printed(*script.split()), f"python -m benchmarks.{script} > reports/{page}"
+    assert text == _printed(*script.split()), f"python -m benchmarks.{script} > reports/{page}"
 
 
 def test_all_scenes_and_studies_are_reported() -> None:
     command = ["make", "-n", "reports-tradeoff", "reports-stability"]
-    told = subprocess.run(command, cwd=_ROOT, check=True, capture_output=True, text=True).stdout
-    (scenes,) = re.findall(r"for scene in (.+);", told)
-    (studies,) = re.findall(r"for study in (.+);", told)
+    commands = subprocess.run(command, cwd=_ROOT, check=True, capture_output=True, text=True).stdout
+    (scenes,) = re.findall(r"for scene in (.+);", commands)
+    (studies,) = re.findall(r"for study in (.+);", commands)
 
     assert studies.split() == list(STUDIES)
     assert {f"{scene}.md" for scene in scenes.split()} == {
@@ -99,13 +99,13 @@ def test_charts_and_maps_are_those_of_the_stored_results() -> None:
 def test_the_picture_of_all_scenes_is_of_the_page(tmp_path: Path) -> None:
     _printed("shift_summary", "reports/shift", "--png", str(tmp_path / "factors.png"))
     folder = _ROOT / "reports/shift"
-    told = {_told(path / "factors.png") for path in (folder, tmp_path)}
+    sources = {_told(path / "factors.png") for path in (folder, tmp_path)}
 
-    assert told == {checksum((folder / "README.md").read_bytes())}, "make reports-shift"
+    assert sources == {checksum((folder / "README.md").read_bytes())}, "make reports-shift"
 
 
 def test_the_pictures_of_pages_show_what_is_stored() -> None:
-    """But for pictures of trainings and rollouts, of contact and of costs, which are not stored."""
+    """Pictures of trainings, rollouts, contact and costs are exempt: their data are not stored."""
     kept = {picture_of(result) for result in stored_results(_ROOT / "reports")}
     pages = [_ROOT / "README.md", *(_ROOT / "docs").glob("*.md")]
     shown = {
@@ -129,10 +129,10 @@ def test_the_pictures_of_pages_show_what_is_stored() -> None:
 
 def test_the_first_picture_is_of_the_settings_in_use() -> None:
     scene = load_scene("3ladder")
-    found, _ = Choice.parse(engines="dart,exudyn,mujoco,pybullet").contenders(scene)
+    contenders, _ = Choice.parse(engines="dart,exudyn,mujoco,pybullet").contenders(scene)
     now = [
         settings_line(each.engine, each.settings.method, each.settings.step, each.settings.options)
-        for each in found
+        for each in contenders
     ]
 
     assert _told(_ROOT / "docs/images/validate-3ladder.png").splitlines() == now, "make readme"
@@ -140,15 +140,15 @@ def test_the_first_picture_is_of_the_settings_in_use() -> None:
 
 @pytest.mark.parametrize("study", STUDIES)
 def test_the_page_of_a_map_says_what_its_cells_say(study: str) -> None:
-    """Every line but those of what was left out and how it was made, which cells do not know."""
+    """Lines about left-out engines and how the map was made are exempt: cells do not know them."""
     base = _ROOT / "reports" / "stability" / study
     table = base.with_suffix(".csv").read_text("utf-8")
     sweep = sweep_of(table)
 
-    written, found = to_markdown([present(sweep)]), base.with_suffix(".md").read_text("utf-8")
+    fresh, stored = to_markdown([present(sweep)]), base.with_suffix(".md").read_text("utf-8")
 
     assert rows_csv(sweep.cells, "silent").decode() == table
-    assert _of_cells(written) == _of_cells(found), f"mbds-xsim stability {study}"
+    assert _of_cells(fresh) == _of_cells(stored), f"mbds-xsim stability {study}"
 
 
 def _of_cells(page: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""The exact cases of the car, against what they must sum up to."""
+"""Exact cases of the car, against laws that they must obey."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def wheel_inertia(scene: Scene) -> float:
 
 
 def rates(scene: Scene, run: Trajectory) -> Array:
-    """Of front and rear wheels, shape (frame, 2)."""
+    """Return the rates of a front and a rear wheel [rad/s], shape (frame, 2)."""
     by_name = {body.name: k for k, body in enumerate(scene.bodies)}
     return run.angular_velocity[0][:, [by_name["front_left"], by_name["rear_right"]], 1]
 
@@ -55,7 +55,7 @@ def test_slides_at_the_friction_and_ends_rolling(car: Scene, speed: float, spin:
 
 
 def test_loads_decide_which_axle_grips_first(car: Scene) -> None:
-    """Braking loads the front wheels, which the friction then turns up faster."""
+    """Braking loads the front wheels, which friction then spins up faster."""
     _, run = straight_run(car, speed=8.0, rates=(0.0, 0.0))
     mechanism = Mechanism.of(car)
     height = mechanism.mass @ mechanism.com[:, 2] / mechanism.mass.sum()

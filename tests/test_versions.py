@@ -1,4 +1,4 @@
-"""A version that stored results are named by is raised whenever what it stands for changes."""
+"""Versions that name stored results are raised whenever the results change."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ def test_golden_checks() -> None:
         truth = solve(scene, batch, cache=False)
         shaken = 1e-4 * np.sin(np.arange(truth.position.size)).reshape(truth.position.shape)
         motion = dataclasses.replace(truth, position=truth.position + shaken)
-        for found in audit(scene, batch, motion, method, step=scene.clock.frame, contact_time=0.0):
-            figures[f"{name} {found.check}"] = shadow(found.series)
+        for result in audit(scene, batch, motion, method, step=scene.clock.frame, contact_time=0.0):
+            figures[f"{name} {result.check}"] = shadow(result.series)
 
     check_golden("checks", versions.CHECKS, figures, rtol=1e-6)
 
@@ -60,7 +60,7 @@ def test_golden_checks() -> None:
 def test_golden_adapter(adapter: Adapter) -> None:
     """Single precision gives other last bits on other processors, in each of a hundred numbers."""
     figures, method = {}, next(iter(adapter.methods.values()))
-    rounded = rounding.stepped(method, 20 * _FRAMES)
+    rounded = rounding.step_error(method, 20 * _FRAMES)
     for name in _SCENES:
         scene, batch = _drawn(name)
         settings = Settings(method.name, scene.clock.frame / 20)

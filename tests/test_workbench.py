@@ -28,13 +28,13 @@ Slip = Callable[[Scene, Batch], tuple[Scene, Batch]]
 
 SCENE = registry.load_scene("workbench")
 VISIBLE = 2.0 * SCENE.budget.error_1s * SCENE.length
-"""What a slip has to move the particles by within a second [m]."""
+"""Least motion of the particles within a second by which a slip shows [m]."""
 
 _STEPS = 50
 
 
 def test_has_all_that_the_other_scenes_lack() -> None:
-    wanted = {
+    expected = {
         Feature.HINGE,
         Feature.SLIDER,
         Feature.FIXED,
@@ -45,7 +45,7 @@ def test_has_all_that_the_other_scenes_lack() -> None:
         Feature.FULL_INERTIA,
     }
 
-    assert features_of(SCENE) == wanted
+    assert features_of(SCENE) == expected
     assert degrees_of_freedom(Mechanism.of(SCENE)) == 6
 
 
@@ -91,9 +91,9 @@ def test_the_redundant_rows_of_the_loop_are_told_in_a_batch_as_alone() -> None:
     state = start_states(mechanism, batch)
     near = state + 1e-8 * np.random.default_rng(0).standard_normal((40, *state.shape[1:]))
     loads = batch.force[:, 0], batch.torque[:, 0]
-    held = [np.repeat(load, len(near), axis=0) for load in loads]
+    repeated = [np.repeat(load, len(near), axis=0) for load in loads]
 
-    together = dynamics.derivative(near, held[0], held[1])
+    together = dynamics.derivative(near, repeated[0], repeated[1])
 
     alone = [dynamics.derivative(one[None], *loads)[0] for one in near]
     assert np.abs(together - np.array(alone)).max() < 1e-9
@@ -139,7 +139,7 @@ def _no_products(inertia: Inertia) -> Inertia:
 
 
 def _quaternion_order_swapped(scene: Scene, batch: Batch) -> tuple[Scene, Batch]:
-    """Read wxyz as xyzw: what turns is the inertia, the rest is given in W."""
+    """Read wxyz as xyzw: only the inertia turns, the rest is given in W."""
 
     def turned(body: Body) -> Body:
         w, x, y, z = body.orientation
@@ -149,7 +149,7 @@ def _quaternion_order_swapped(scene: Scene, batch: Batch) -> tuple[Scene, Batch]
 
 
 def _axis_flipped(name: str) -> Slip:
-    """The start is the same motion, so that what shows is the torque alone."""
+    """Flip a joint's axis; the start is the same motion, so that only the torque shows."""
 
     def slip(scene: Scene, batch: Batch) -> tuple[Scene, Batch]:
         def flipped(joint: Joint) -> Joint:

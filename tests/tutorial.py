@@ -34,9 +34,9 @@ def walk(page: str) -> None:
 
 def _run_examples(text: str, names: dict[str, object], page: str) -> None:
     test = doctest.DocTestParser().get_doctest(text, names, page, page, 0)
-    said: list[str] = []
+    output: list[str] = []
     runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS)
-    ended = runner.run(test, out=said.append, clear_globs=False)
+    ended = runner.run(test, out=output.append, clear_globs=False)
     assert ended.attempted
-    assert not ended.failed, "".join(said)
+    assert not ended.failed, "".join(output)
     names |= test.globs

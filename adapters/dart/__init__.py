@@ -18,13 +18,13 @@ from .stepping import STEPPERS
 __all__ = ["Dart"]
 
 _NATIVE_STEP = 1e-3
-# Keeps the budgets of the pendulums; in a scene that moves faster, a hundredth of a frame.
+# Step that keeps the pendulums' budgets [s], and fewest steps in a frame for faster scenes.
 _CAREFUL_STEP, _CAREFUL_COUNT = 2e-5, 100
-# That a spring's oscillation turns by, and a damper's motion decays, in a step at most.
+# Largest phase [rad] of a spring's oscillation, and decay of a damper's motion, in one step.
 _SPRING_ANGLE, _DECAY = 0.5, 0.5
-# Keeps the ball scenes' budgets; what follows on an impact of several spheres knows none.
+# Keeps the ball scenes' budgets; motion after an impact of several spheres has no budget.
 _CONTACT_STEP = 1e-4
-# The gap falls up to 1, where an error that is put right too late would be put right twice.
+# The gap shrinks as this share rises; at 1, an error corrected late would be corrected twice.
 _LOOP_ERROR_REDUCTION = 0.8
 _ERROR_REDUCTION = "error_reduction"
 _DETECTOR, _FRICTION = "collision_detector", "friction_solver"

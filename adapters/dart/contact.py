@@ -1,19 +1,19 @@
-"""Spheres on the ground plane and on each other: the calls that build them, and what DART does
-silently to them.
+"""Spheres on the ground plane and on each other: the calls that build them, and DART's rules.
 
-DART takes the smaller friction of a pair and the product of its restitutions, so the ground gets
-the pair's friction and a restitution of 1; where bodies collide with each other, spheres have their
-friction and the root of their restitution, and the ground what is then missing. Measured on 6.20:
+DART takes the smaller friction of a pair and the product of its restitutions. So spheres carry the
+pair's coefficients, and the ground the pair's friction and a restitution of 1. Where bodies also
+collide with each other, spheres carry the collisions' friction and the square root of their
+restitution, and the ground makes up for the difference. Measured on 6.20:
 
-- Its own solver (Dantzig) bounds friction by a box along x and y, which at 45° holds √2 times too
+- Its own solver (Dantzig) bounds friction by a box along x and y, which at 45° allows √2 times too
   much; `NsgsFrictionSolver` has the round cone.
-- All its detectors give the overlap of sphere and plane to rounding, at any distance from the
-  origin, and miss none, but they differ in where the point of contact lies: at the sphere's lowest
-  point (ode, bullet), on the plane (dart) or half-way (fcl).
+- All its detectors find every overlap of sphere and plane, exact to rounding at any distance from
+  the origin, but they place the point of contact differently: at the sphere's lowest point
+  (ode, bullet), on the plane (dart) or half-way (fcl).
 - A rebound below 0.1 m/s does not happen and one above 100 m/s is cut; both limits are compiled in.
-- What is reflected has gravity's share of the step h in it, so that an impact at v delivers about
-  e + 2 g h / v. With e = 0.93 and steps of 1 ms the last bounces, 1 mm high, never die out; with
-  0.5 ms they do.
+- The reflected velocity includes the part that gravity adds in the step h, so an impact at v has a
+  restitution of about e + 2 g h / v. With e = 0.93 and steps of 1 ms the last bounces, 1 mm high,
+  never die out; with 0.5 ms they do.
 """
 
 from __future__ import annotations
@@ -49,26 +49,25 @@ CONTACT_LAW = ContactLaw(
     "has gravity's share of a step in it, so that the matched steps are short; rebounds above "
     "100 m/s, which DART cuts, are a failure.",
 )
-"""What contact is in the engine."""
 
 DETECTORS = ("fcl", "ode", "bullet", "dart")
 SOLVERS = ("dantzig", "nsgs")
-# Coefficients that DART takes for none.
+# DART treats coefficients up to this one as 0.
 _NONE = 1e-3
 _FASTEST_REBOUND = 100.0
-# Of it, as what falls gains speed between frame and impact.
+# Share of it that counts as reached: a falling body gains speed between frame and impact.
 _NEARLY = 0.99
 _SOLVER = """\
 options = dart.constraint.NsgsFrictionSolver.Options()
 options.tolerance = {tolerance!r}
 options.maxSweeps = {sweeps}
 world.getConstraintSolver().setBoxedLcpSolver(dart.constraint.NsgsFrictionSolver(options))"""
-# Of the velocity that gravity adds in a step, allowed as violation of the contact law. DART's own
-# tolerance of 1e-5 m/s leaves to chance how four wheels share a car's weight: its regularisation,
-# which makes them share evenly, is as weak as that.
+# Allowed violation of the contact law, as a share of the velocity that gravity adds in a step.
+# DART's own tolerance of 1e-5 m/s leaves to chance how four wheels share a car's weight: the
+# regularisation that makes them share evenly is as weak as that.
 _TOLERANCE = 5e-6
-# Of the solver over the contacts of a step. DART's 100 leave four wheels 3 mm/s open now and then;
-# hardly any step takes more.
+# Most sweeps of the solver over the contacts of a step. DART's 100 sometimes leave an error of
+# 3 mm/s at four wheels; hardly any step takes more.
 _SWEEPS = 1000
 _EARTH = 9.81
 # Violation of the contact law that counts as a failure [m/s].
@@ -76,7 +75,7 @@ _WRONG = 1e-3
 
 
 def _detection(detector: str) -> str:
-    """Write the call that has contacts found by one of DART's detectors."""
+    """Return the call that selects one of DART's collision detectors."""
     if hasattr(dartpy.simulation.World, "setCollisionDetector"):
         kind = f"dart.simulation.CollisionDetectorType.{detector.upper()}"
         return f"world.setCollisionDetector({kind})"
@@ -87,19 +86,19 @@ def _detection(detector: str) -> str:
 def contact_statements(
     mechanism: Mechanism, step: float, detector: str, solver: str
 ) -> Iterator[str]:
-    """Write the calls that put spheres on `bodies` and a ground into `world`; none without.
+    """Yield the calls that put spheres on `bodies` and a ground into `world`, if the scene has any.
 
     Raises:
-        Unsupported: DART takes a coefficient that is not 0 for 0, or another one for it.
+        Unsupported: DART would replace a coefficient, by 0 or by another value.
     """
     ground, collisions = mechanism.scene.ground, mechanism.scene.collisions
     if not mechanism.scene.contacts:
         return
-    (plane_friction, friction), (plane_rebound, rebound) = _parted(ground, collisions)
+    (plane_friction, friction), (plane_restitution, restitution) = _split(ground, collisions)
     yield _detection(detector)
     if solver == "nsgs":
-        pull = float(np.linalg.norm(mechanism.scene.gravity)) or _EARTH
-        yield _SOLVER.format(tolerance=_TOLERANCE * pull * step, sweeps=_SWEEPS)
+        gravity = float(np.linalg.norm(mechanism.scene.gravity)) or _EARTH
+        yield _SOLVER.format(tolerance=_TOLERANCE * gravity * step, sweeps=_SWEEPS)
     yield "shapes = []"
     for body, centre, radius in zip(
         mechanism.sphere_body.tolist(),
@@ -114,7 +113,7 @@ def contact_statements(
     yield "    shape.createCollisionAspect()"
     yield "    shape.createDynamicsAspect()"
     yield f"    shape.getDynamicsAspect().setFrictionCoeff({friction!r})"
-    yield f"    shape.getDynamicsAspect().setRestitutionCoeff({rebound!r})"
+    yield f"    shape.getDynamicsAspect().setRestitutionCoeff({restitution!r})"
     if ground is not None:
         yield from (
             "ground = dart.dynamics.Skeleton()",
@@ -123,45 +122,45 @@ def contact_statements(
             "floor.createCollisionAspect()",
             "floor.createDynamicsAspect()",
             f"floor.getDynamicsAspect().setFrictionCoeff({plane_friction!r})",
-            f"floor.getDynamicsAspect().setRestitutionCoeff({plane_rebound!r})",
+            f"floor.getDynamicsAspect().setRestitutionCoeff({plane_restitution!r})",
             "world.addSkeleton(ground)",
         )
     if collisions is not None:
-        yield from _filtered(mechanism)
+        yield from _collision_filter(mechanism)
 
 
-def _filtered(mechanism: Mechanism) -> Iterator[str]:
-    """Let bodies collide that may, by a list of those that may not."""
-    met = {frozenset(pair) for pair in mechanism.sphere_body[mechanism.sphere_pairs].tolist()}
+def _collision_filter(mechanism: Mechanism) -> Iterator[str]:
+    """Yield the calls that enable collisions of bodies, and exclude the pairs that cannot touch."""
+    pairs = {frozenset(pair) for pair in mechanism.sphere_body[mechanism.sphere_pairs].tolist()}
     carriers = np.unique(mechanism.sphere_body).tolist()
     yield "skeleton.enableSelfCollisionCheck()"
     yield "skeleton.enableAdjacentBodyCheck()"
     yield "apart = world.getConstraintSolver().getCollisionOption().collisionFilter"
     for pair in itertools.combinations(carriers, 2):
-        if frozenset(pair) not in met:
+        if frozenset(pair) not in pairs:
             yield f"apart.addBodyNodePairToBlackList(bodies[{pair[0]}], bodies[{pair[1]}])"
 
 
-def _parted(
+def _split(
     ground: Ground | None, collisions: Collisions | None
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Give what the ground and spheres have of friction, then of restitution.
+    """Return the friction of ground and spheres, then their restitution.
 
     Raises:
-        Unsupported: No such two give both pairs their coefficients.
+        Unsupported: No such values give ground and collisions their coefficients.
     """
     for where, law in (("ground", ground), ("collisions", collisions)):
-        for what in ("friction", "restitution") if law else ():
-            if 0.0 < (value := getattr(law, what)) <= _NONE:
-                msg = f"{where}.{what}: got {value}, DART takes {_NONE} and less for 0"
+        for name in ("friction", "restitution") if law else ():
+            if 0.0 < (value := getattr(law, name)) <= _NONE:
+                msg = f"{where}.{name}: got {value}, DART takes {_NONE} and less for 0"
                 raise Unsupported(msg)
     if collisions is None:
         assert ground is not None
         return (ground.friction, ground.friction), (1.0, ground.restitution)
-    own = math.sqrt(collisions.restitution)
+    root = math.sqrt(collisions.restitution)
     if ground is None:
-        return (0.0, collisions.friction), (0.0, own)
-    if ground.friction > collisions.friction or ground.restitution > own:
+        return (0.0, collisions.friction), (0.0, root)
+    if ground.friction > collisions.friction or ground.restitution > root:
         msg = (
             f"dart: collisions: got friction {collisions.friction:g} and restitution "
             f"{collisions.restitution:g}, allowed is as much friction as the ground's, "
@@ -169,13 +168,13 @@ def _parted(
             f"{ground.restitution**2:g} on, the ground's squared, as their product does"
         )
         raise Unsupported(msg)
-    return (ground.friction, collisions.friction), (ground.restitution / (own or 1.0), own)
+    return (ground.friction, collisions.friction), (ground.restitution / (root or 1.0), root)
 
 
 def contacts(shapes: list[Any], floor: Any) -> Array | None:
-    """Radius, friction and restitution of each sphere on the ground by DART's rules, (sphere, 3).
+    """Return radius, friction and restitution of each sphere on the ground, (sphere, 3).
 
-    Coefficients are NaN where there is no ground, None.
+    DART's rules mix the coefficients; they are NaN without ground (`floor` is None).
     """
     if not shapes:
         return None
@@ -185,9 +184,9 @@ def contacts(shapes: list[Any], floor: Any) -> Array | None:
 
 
 def collisions(shapes: list[Any], mechanism: Mechanism) -> Array:
-    """Friction and restitution of each pair of spheres by DART's rules, (pair, 2)."""
-    found = [_law(shapes[one], shapes[other]) for one, other in mechanism.sphere_pairs.tolist()]
-    return np.array(found).reshape(-1, 2)
+    """Return friction and restitution of each pair of spheres by DART's rules, (pair, 2)."""
+    laws = [_law(shapes[one], shapes[other]) for one, other in mechanism.sphere_pairs.tolist()]
+    return np.array(laws).reshape(-1, 2)
 
 
 def _law(*shapes: Any) -> tuple[float, float]:
@@ -199,14 +198,14 @@ def _law(*shapes: Any) -> tuple[float, float]:
 
 
 def centers(shapes: list[Any]) -> Array | None:
-    """Centres of the spheres in W as the model stands [m], shape (sphere, 3)."""
+    """Return the centres of the spheres in W in the present state [m], shape (sphere, 3)."""
     if not shapes:
         return None
     return np.array([shape.getWorldTransform().translation() for shape in shapes])
 
 
 class ContactSolver:
-    """Tells whether the solver did solve; where it did not, DART goes on without a word."""
+    """Monitor of the contact solver, whose failures DART itself does not report."""
 
     def __init__(self, world: Any) -> None:
         solver = world.getConstraintSolver().getBoxedLcpSolver()
@@ -214,12 +213,12 @@ class ContactSolver:
         self._solver = solver if hasattr(solver, "getStats") else None
 
     def restart(self) -> None:
-        """Forget what has been."""
+        """Reset the statistics."""
         if self._solver is not None:
             self._solver.resetStats()
 
     def trouble(self) -> str | None:
-        """Say what went wrong since the restart."""
+        """Describe what went wrong since the restart; None if nothing did."""
         if self._solver is None:
             return None
         stats = self._solver.getStats()
@@ -233,16 +232,16 @@ class ContactSolver:
 def contact_failures(
     mechanism: Mechanism, bodies: BodyStates, frame: float
 ) -> tuple[Failure | None, ...]:
-    """Say of each trajectory where a contact was first lost or a rebound may have been cut.
+    """Return each trajectory's first failure: a lost contact, or a rebound that DART may have cut.
 
     Args:
-        mechanism: The scene's.
-        bodies: States, shape (trajectory, frame, body, …); NaN is passed over.
+        mechanism: Mechanism of the scene.
+        bodies: States, shape (trajectory, frame, body, …); NaN is ignored.
         frame: Interval between frames [s].
     """
-    gap, approach, back, names = _touches(mechanism, bodies)
-    # What is two frames from a touch may come to it before the next one.
-    cut = (back * approach > _NEARLY * _FASTEST_REBOUND) & (gap < 2.0 * approach * frame)
+    gap, approach, restitution, names = _touches(mechanism, bodies)
+    # A sphere less than two frames away from a touch may touch before the next frame.
+    cut = (restitution * approach > _NEARLY * _FASTEST_REBOUND) & (gap < 2.0 * approach * frame)
     lost = passed(mechanism, bodies.position, bodies.native)
 
     def reason(row: int, frame: int) -> str:
@@ -261,21 +260,21 @@ def contact_failures(
 def _touches(
     mechanism: Mechanism, bodies: BodyStates
 ) -> tuple[Array, Array, Array, list[tuple[str, str]]]:
-    """Gaps [m] of what may touch, and approaches [m/s], (…, touch); restitutions; names."""
-    scene, at, radius = mechanism.scene, mechanism.sphere_body, mechanism.sphere_radius
-    place = bodies.points(at, mechanism.sphere_offset)
-    speed = bodies.speeds(at, mechanism.sphere_offset)
+    """Return gaps [m], closing speeds [m/s] (…, touch), restitutions and names of touches."""
+    scene, body, radius = mechanism.scene, mechanism.sphere_body, mechanism.sphere_radius
+    place = bodies.points(body, mechanism.sphere_offset)
+    speed = bodies.speeds(body, mechanism.sphere_offset)
     one, other = mechanism.sphere_pairs.T
     apart = place[..., one, :] - place[..., other, :]
     distance = rotation.norm(apart)
-    between = distance - radius[one] - radius[other]
+    pair_gap = distance - radius[one] - radius[other]
     closing = rotation.dot(speed[..., other, :] - speed[..., one, :], apart / distance[..., None])
-    spheres = [f"contact sphere {k}" for k in range(len(at))]
+    spheres = [f"contact sphere {k}" for k in range(len(body))]
     names = [(spheres[i], spheres[j]) for i, j in mechanism.sphere_pairs.tolist()]
-    back = [scene.collisions.restitution if scene.collisions else 0.0] * len(names)
+    restitution = [scene.collisions.restitution if scene.collisions else 0.0] * len(names)
     if scene.ground is None:
-        return between, closing, np.array(back), names
+        return pair_gap, closing, np.array(restitution), names
     names = [(sphere, "the ground") for sphere in spheres] + names
-    back = [scene.ground.restitution] * len(at) + back
-    gap = np.concatenate([place[..., 2] - radius, between], axis=-1)
-    return gap, np.concatenate([-speed[..., 2], closing], axis=-1), np.array(back), names
+    restitution = [scene.ground.restitution] * len(body) + restitution
+    gap = np.concatenate([place[..., 2] - radius, pair_gap], axis=-1)
+    return gap, np.concatenate([-speed[..., 2], closing], axis=-1), np.array(restitution), names

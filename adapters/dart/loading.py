@@ -1,4 +1,4 @@
-"""What DART's own readers make of a file."""
+"""Facts about a model file as DART's own readers load it."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def load(path: Path, floating: bool) -> ModelFacts:
         loader.setOptions(options)
         for name in set(_PACKAGE.findall(path.read_text(errors="replace"))):
             for above in path.absolute().parents:
-                if (above / name).is_dir():  # where PyBullet finds it, too
+                if (above / name).is_dir():  # PyBullet finds it there, too
                     loader.addPackageDirectory(name, str(above / name))
                     break
         skeletons = [loader.parseSkeleton(str(path))]
@@ -52,7 +52,7 @@ def load(path: Path, floating: bool) -> ModelFacts:
     if not skeletons or None in skeletons:
         msg = "it gives no skeleton"
         raise InputError(msg)
-    for skeleton in skeletons:  # it starts inside the limits, wherever zero is
+    for skeleton in skeletons:  # DART starts it inside the limits, even if 0 lies outside
         skeleton.setPositions(np.zeros(skeleton.getNumDofs()))
     nodes = [node for skeleton in skeletons for node in skeleton.getBodyNodes()]
     links = tuple(_link(node) for node in nodes)

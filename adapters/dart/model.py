@@ -1,4 +1,4 @@
-"""A scene as DART holds it, and the way between its coordinates and body states."""
+"""The DART model of a scene, and conversion between its coordinates and body states."""
 
 from __future__ import annotations
 
@@ -47,19 +47,19 @@ class SkeletonModel:
         return int(self.skeleton.getNumDofs())
 
     def armature(self) -> Array:
-        """What rotors add to the mass matrix, shape (coordinate, coordinate)."""
-        added = np.zeros(self.coordinate_count)
+        """Return the rotors' part of the mass matrix, shape (coordinate, coordinate)."""
+        diagonal = np.zeros(self.coordinate_count)
         joints = (self.mechanism.links[k].joint for k in self.scalar)
-        added[self.scalar_at] = [joint.armature if joint else 0.0 for joint in joints]
-        return np.diag(added)
+        diagonal[self.scalar_at] = [joint.armature if joint else 0.0 for joint in joints]
+        return np.diag(diagonal)
 
     def set_state(self, q: Array, u: Array) -> None:
-        """Put the skeleton at generalised coordinates q and velocities u."""
+        """Set the skeleton's generalised coordinates q and velocities u."""
         self.skeleton.setPositions(q)
         self.skeleton.setVelocities(u)
 
     def coordinates(self, bodies: BodyStates) -> tuple[Array, Array]:
-        """Generalised coordinates and velocities (…, coordinate) of body states."""
+        """Convert body states to generalised coordinates and velocities (…, coordinate)."""
         links = to_links(self.mechanism, bodies)
         q = np.zeros((*links.coordinate.shape[:-1], self.coordinate_count))
         u = np.zeros_like(q)
@@ -75,7 +75,7 @@ class SkeletonModel:
         return q, u
 
     def body_states(self, q: Array, u: Array) -> BodyStates:
-        """Body states of generalised coordinates and velocities (…, coordinate)."""
+        """Convert generalised coordinates and velocities (…, coordinate) to body states."""
         links = LinkStates.still((*q.shape[:-1], self.mechanism.body_count))
         links.rotation[..., self.turning, :] = rotation.from_vector(q[..., self.turning_at])
         links.angular_velocity[..., self.turning, :] = u[..., self.turning_at]
@@ -90,10 +90,10 @@ class SkeletonModel:
         return to_bodies(self.mechanism, links)
 
     def _columns(self, kind: str | None, first: int, last: int) -> tuple[Index, Index]:
-        """Links whose joint is of a kind, and where their coordinates stand in the skeleton's."""
+        """Return the links with joints of a kind, and their coordinates' skeleton indices."""
         links = self.mechanism.links
-        own = [k for k, x in enumerate(links) if (x.joint.kind if x.joint else None) == kind]
-        held = [self.joints[links[k].body] for k in own]
-        at = [[joint.getIndexInSkeleton(c) for c in range(first, last)] for joint in held]
+        indices = [k for k, x in enumerate(links) if (x.joint.kind if x.joint else None) == kind]
+        joints = [self.joints[links[k].body] for k in indices]
+        at = [[joint.getIndexInSkeleton(c) for c in range(first, last)] for joint in joints]
         columns = np.array(at, dtype=np.int64).reshape(-1, last - first)
-        return np.array(own, dtype=np.int64), columns
+        return np.array(indices, dtype=np.int64), columns

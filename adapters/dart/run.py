@@ -1,4 +1,4 @@
-"""A loaded scene: trajectories out of it, and what DART says of its model."""
+"""A scene loaded into DART: its rollouts, and the readback of its native model."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ _INPUTS = """
 
 
 class DartRun(Run):
-    """A world of its own, stepped frame by frame.
+    """A run in a DART world of its own, stepped frame by frame.
 
     Args:
-        scene: What is simulated.
-        settings: How.
-        stepper: Its method.
+        scene: The scene to simulate.
+        settings: Method, step and options.
+        stepper: Stepper of the method.
         error_reduction: Share of a loop's gap that is closed in a step.
         contact: Statements that put spheres and the ground into the model.
     """
@@ -82,15 +82,15 @@ class DartRun(Run):
         q = np.full((len(batch), batch.steps + 1, model.coordinate_count), np.nan)
         u = np.full_like(q, np.nan)
         inputs = with_pushes(self._mechanism.drives, batch.torque)
-        with _error_reduction(self._error_reduction), _caught_warnings() as caught:
+        with _error_reduction(self._error_reduction), _capture_warnings() as warnings:
             failures = tuple(
-                self._roll((batch.force[row], inputs[row]), *start, caught)
+                self._roll((batch.force[row], inputs[row]), *start, warnings)
                 for row, start in enumerate(zip(start_q, start_u, q, u, strict=True))
             )
         bodies = model.body_states(q, u)
         if self._mechanism.scene.contacts:
-            found = contact_failures(self._mechanism, bodies, self._frame)
-            failures = earlier(failures, found)
+            violations = contact_failures(self._mechanism, bodies, self._frame)
+            failures = earlier(failures, violations)
         motion = recorded(self._mechanism, bodies, failures)
         orientation = rotation.continuous(motion.orientation, batch.orientation)
         return dataclasses.replace(motion, orientation=orientation)
@@ -102,19 +102,19 @@ class DartRun(Run):
         start_u: Array,
         q: Array,
         u: Array,
-        caught: _Warnings,
+        warnings: _Warnings,
     ) -> Failure | None:
-        """Fill q and u (frame, coordinate) with one trajectory."""
-        skeleton, printed = self._model.skeleton, caught.size()
+        """Fill q and u (frame, coordinate) with one trajectory; return its failure, if any."""
+        skeleton, size = self._model.skeleton, warnings.size()
         self._model.set_state(start_q, start_u)
         self._contact.restart()
         q[0], u[0] = start_q, start_u
-        for k, held in enumerate(zip(*inputs, strict=True)):
-            self._loads.hold(*held)
+        for k, loads in enumerate(zip(*inputs, strict=True)):
+            self._loads.hold(*loads)
             self._stepper.advance(self._step_count)
             here, rate = skeleton.getPositions(), skeleton.getVelocities()
-            if caught.size() > printed:
-                return Failure(k + 1, f"DART: {caught.first_since(printed)}")
+            if warnings.size() > size:
+                return Failure(k + 1, f"DART: {warnings.first_since(size)}")
             fastest = float(np.abs(rate).max())
             if not (fastest < _BLOW_UP and np.isfinite(here).all()):
                 return Failure(k + 1, f"blow-up: a joint rate of {fastest:.3g} rad/s or m/s")
@@ -149,9 +149,11 @@ class DartRun(Run):
             spring=self._loads.springs(),
             law=joint_laws(self._mechanism, self._law),
             drive=np.array([drive.as_read() for drive in self._mechanism.drives]),
-            armature=np.array(list(map(self._rotor, self._mechanism.rotors, self._held("rotors")))),
-            friction=np.array([j.getCoulombFriction(0) for j in self._held("frictional")]),
-            limits=np.array([self._limits(joint) for joint in self._held("limited")]).reshape(
+            armature=np.array(
+                list(map(self._rotor, self._mechanism.rotors, self._joints("rotors")))
+            ),
+            friction=np.array([j.getCoulombFriction(0) for j in self._joints("frictional")]),
+            limits=np.array([self._limits(joint) for joint in self._joints("limited")]).reshape(
                 -1, 2
             ),
         )
@@ -168,18 +170,18 @@ class DartRun(Run):
         below = joint.getTransformFromChildBodyNode().translation()
         return above, body.getWorldTransform().multiply(below)
 
-    def _law(self, link: Link, asked: PlacedJoint) -> tuple[float, float, float]:
+    def _law(self, link: Link, placed: PlacedJoint) -> tuple[float, float, float]:
         joint = self._model.joints[link.body]
-        damping = joint.getDampingCoefficient(0) - asked.armature / self._step
+        damping = joint.getDampingCoefficient(0) - placed.armature / self._step
         return joint.getSpringStiffness(0), damping, joint.getRestPosition(0)
 
-    def _rotor(self, asked: PlacedJoint, joint: Any) -> float:
-        return float(self._step * (joint.getDampingCoefficient(0) - asked.damping))
+    def _rotor(self, placed: PlacedJoint, joint: Any) -> float:
+        return float(self._step * (joint.getDampingCoefficient(0) - placed.damping))
 
-    def _held(self, which: str) -> list[Any]:
-        """Give DART's joints of a property of the mechanism."""
+    def _joints(self, name: str) -> list[Any]:
+        """Return DART's joints for a property of the mechanism such as "rotors"."""
         bodies = self._mechanism.carried
-        return [self._model.joints[bodies[j.index]] for j in getattr(self._mechanism, which)]
+        return [self._model.joints[bodies[j.index]] for j in getattr(self._mechanism, name)]
 
     def _limits(self, joint: Any) -> tuple[float, float]:
         if not (joint.areLimitsEnforced() or self._mechanism.rotors):
@@ -188,17 +190,17 @@ class DartRun(Run):
 
     def _damping(self) -> Array:
         carried = {link.body: link.joint for link in self._mechanism.links}
-        found = []
+        excess = []
         for body, joint in enumerate(self._model.joints):
-            asked = carried[body]
+            placed = carried[body]
             for k in range(joint.getNumDofs()):
                 stiffness, damping = joint.getSpringStiffness(k), joint.getDampingCoefficient(k)
                 friction = joint.getCoulombFriction(k)
-                if asked is not None:
-                    stiffness, friction = stiffness - asked.stiffness, friction - asked.friction
-                    damping -= asked.damping + asked.armature / self._step
-                found += [damping, friction, stiffness]
-        return np.array(found)
+                if placed is not None:
+                    stiffness, friction = stiffness - placed.stiffness, friction - placed.friction
+                    damping -= placed.damping + placed.armature / self._step
+                excess += [damping, friction, stiffness]
+        return np.array(excess)
 
     def native(self, batch: Batch) -> str:
         q, u = self._start(batch)
@@ -214,14 +216,14 @@ class DartRun(Run):
 
 
 @contextlib.contextmanager
-def _caught_warnings() -> Iterator[_Warnings]:
+def _capture_warnings() -> Iterator[_Warnings]:
     sys.stderr.flush()
     with tempfile.TemporaryFile() as file, redirected((2,), file.fileno()):
         yield _Warnings(file.fileno())
 
 
 class _Warnings:
-    """What DART prints, by the descriptor of the file that it goes to."""
+    """DART's printed warnings, read from the descriptor of the file that collects them."""
 
     def __init__(self, file: int) -> None:
         self._file = file
@@ -231,14 +233,14 @@ class _Warnings:
         return os.fstat(self._file).st_size
 
     def first_since(self, size: int) -> str:
-        """Give the first line printed after so many bytes, without its colours."""
+        """Return the first line printed after the first `size` bytes, without its colours."""
         line = os.pread(self._file, 400, size).decode(errors="replace").partition("\n")[0]
         return re.sub(r"\x1b\[[0-9;]*m", "", line).strip()
 
 
 @contextlib.contextmanager
 def _error_reduction(value: float) -> Iterator[None]:
-    """Set DART's process-wide parameter, and put it back."""
+    """Set DART's process-wide error reduction parameter, and restore it afterwards."""
     kinds = (dartpy.constraint.BallJointConstraint, dartpy.constraint.WeldJointConstraint)
     before = [kind.getErrorReductionParameter() for kind in kinds]
     try:

@@ -1,7 +1,7 @@
-"""The native model as a program: the calls that build it, and what runs it to the end.
+"""The native model as a program: a listing that builds it, and a script that runs it to the end.
 
-The building part is run to build the model. What follows in a listing to be shown are shapes, the
-start, springs, steps, and what came of it.
+The adapter executes the listing to build its model. The script that follows is only for users: it
+adds shapes, the start, springs and steps, and prints the result.
 """
 
 from __future__ import annotations
@@ -74,11 +74,11 @@ for body in sorted(bodies):  # centre of mass, rotation matrix, velocity, angula
 def build_listing(
     mechanism: Mechanism, step: float, error_reduction: float, contact: Iterable[str]
 ) -> str:
-    """Write the program that leaves `world`, `skeleton`, `bodies`, `joints` and `shapes` behind.
+    """Return the program that defines `world`, `skeleton`, `bodies`, `joints` and `shapes`.
 
     Bodies are keyed by their number in the scene, joints by the body they carry; the statements
-    of `contact` put shapes on them. The model is left at the reference pose, where constraints
-    take their anchor points from.
+    of `contact` put shapes on them. The model stays in the reference pose, from which constraints
+    take their anchor points.
     """
     return "\n".join([_HEAD, *_model(mechanism, step, error_reduction, contact), ""])
 
@@ -90,7 +90,7 @@ def _model(
     yield f"world.setTimeStep({step!r})"
     for link in mechanism.links:
         yield from _body(mechanism, link, step)
-        # Beside rotors stops are not DART's, see `stops`.
+        # With rotors, the toolkit replaces DART's stops; see `stops`.
         if link.joint and link.joint.limits and not mechanism.rotors:
             yield f"joints[{link.body}].setLimitEnforcement(True)"
     yield from contact
@@ -131,9 +131,9 @@ def _body(mechanism: Mechanism, link: Link, step: float) -> Iterator[str]:
     if joint.kind in ("hinge", "slider"):
         yield f"joints[{k}].setAxis({_vector(joint.axis)})"
     if joint.complies or joint.armature:
-        # DART's dampers d are implicit: in a step h a rate changes as if d h were inertia beside
-        # the bodies'. For a rotor's, what else it does, a torque of -d times the rate, is undone
-        # by a load.
+        # DART's dampers d are implicit: in a step h they act as an additional inertia d h and as a
+        # torque of -d times the rate. So a damper can represent a rotor's inertia; a load undoes
+        # its torque.
         damping = joint.damping + joint.armature / step
         yield f"joints[{k}].setSpringStiffness(0, {joint.stiffness!r})"
         yield f"joints[{k}].setDampingCoefficient(0, {damping!r})"
@@ -150,7 +150,7 @@ def _closure(mechanism: Mechanism, joint: PlacedJoint) -> Iterator[str]:
     if joint.kind == "fixed":
         yield f"solver.addConstraint(dart.constraint.WeldJointConstraint({ends}))"
         return
-    # Of a hinge two points of the axis: RevoluteJointConstraint pumps energy in, this does not.
+    # Pin a hinge at two points of its axis: RevoluteJointConstraint would pump energy in.
     half = 0.5 * _reach(mechanism, joint) * joint.axis
     pins = (joint.anchor - half, joint.anchor + half) if joint.kind == "hinge" else (joint.anchor,)
     for pin in pins:
@@ -158,7 +158,7 @@ def _closure(mechanism: Mechanism, joint: PlacedJoint) -> Iterator[str]:
 
 
 def _reach(mechanism: Mechanism, joint: PlacedJoint) -> float:
-    """Distance of the two pins [m]: the bodies' own size, so that both get like impulses."""
+    """Return the distance of the two pins [m]: the bodies' size, so that impulses are similar."""
     arms = [np.linalg.norm(joint.in_child)]
     if joint.parent != WORLD_INDEX:
         arms.append(np.linalg.norm(joint.in_parent))
@@ -170,14 +170,14 @@ def _vector(v: Array) -> str:
 
 
 def script(mechanism: Mechanism, q: Array, u: Array, step: str, count: int) -> str:
-    """Write what follows on the listing.
+    """Return the script that follows the listing.
 
     Args:
-        mechanism: The scene's.
+        mechanism: Mechanism of the scene.
         q: Generalised coordinates at the start.
         u: Generalised velocities at the start.
-        step: The call of a step; empty where the engine has none.
-        count: Steps.
+        step: The engine's call for one step; empty if it has none.
+        count: Number of steps.
     """
     return "\n".join(_running(mechanism, q, u, step, count))
 
@@ -199,8 +199,8 @@ def _running(mechanism: Mechanism, q: Array, u: Array, step: str, count: int) ->
             yield f"    {at}.setForce(0, {at}.getForce(0) + {drive.formula()})"
         for joint in mechanism.rotors:
             at = f"joints[{bodies[joint.index]}]"
-            taken = f"{joint.armature!r} / world.getTimeStep() * {at}.getVelocity(0)"
-            yield f"    {at}.setForce(0, {at}.getForce(0) + {taken})"
+            torque = f"{joint.armature!r} / world.getTimeStep() * {at}.getVelocity(0)"
+            yield f"    {at}.setForce(0, {at}.getForce(0) + {torque})"
         for spring in mechanism.springs:
             yield pull_call(spring, "bodies[{}]".format, spring.in_body)
         yield "\n"

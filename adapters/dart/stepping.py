@@ -1,4 +1,4 @@
-"""What acts on the bodies of a DART model, and the ways of stepping it over a frame."""
+"""Loads on the bodies of a DART model, and the methods that step it over a frame."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from .model import SkeletonModel
 from .stops import ImplicitStops
 
 _NEXT, _AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])
-# Below it sin(x)/x is 1; squares of smaller numbers vanish.
+# Below this, sin(x)/x is 1; squares of smaller numbers vanish.
 _TINY = 1e-150
 
 
 class FrameLoads:
-    """Applies the loads of a frame.
+    """Loads of a frame, applied in each of its steps.
 
     DART keeps external forces in the axes of the body they act on, so a force that is constant in
     W is set again at every configuration; joint torques stay as set. Loop hinges have no joint to
@@ -34,11 +34,11 @@ class FrameLoads:
     def __init__(self, model: SkeletonModel, step: float) -> None:
         self._model = model
         self._springs = [_Spring(pair, model.bodies) for pair in model.mechanism.springs]
-        self._pulled = {k for spring in self._springs for k in spring.moving}
+        self._spring_bodies = {k for spring in self._springs for k in spring.moving}
         self.forces: list[tuple[Callable[[Array], None], Array]] = []
-        """What to call first in each step, with which force [N]."""
+        """First calls of each step, each with its force in W [N]."""
         self.others: list[Callable[[], None]] = []
-        """What to call then."""
+        """Further calls of each step."""
         loops = {joint.index for joint in model.mechanism.loops}
         hinges = list(enumerate(model.mechanism.hinges))
         carried = model.mechanism.carried
@@ -51,40 +51,40 @@ class FrameLoads:
         drives = defaultdict[int, list[tuple[int, PlacedDrive]]](list)
         for k, drive in enumerate(model.mechanism.drives, len(hinges)):
             drives[drive.joint.index].append((k, drive))
-        led = {joint.index: joint for joint in model.mechanism.joints if joint.driven}
-        led |= {joint.index: joint for joint in model.mechanism.rotors}
-        self._led = [
+        joints = {joint.index: joint for joint in model.mechanism.joints if joint.driven}
+        joints |= {joint.index: joint for joint in model.mechanism.rotors}
+        self._actuated = [
             (model.joints[carried[k]], joint, drives[k], joint.armature / step)
-            for k, joint in led.items()
+            for k, joint in joints.items()
         ]
         self.stops = ImplicitStops(model, step)
 
     def hold(self, force: Array, torque: Array) -> None:
-        """Take the inputs of a frame.
+        """Set the inputs of a frame.
 
         Args:
-            force: In W, shape (body, 3) [N].
-            torque: Of hinges, and behind them pushes of drives, shape (hinge + drive,) [N·m or N].
+            force: Forces in W, shape (body, 3) [N].
+            torque: Hinge torques, then pushes of drives, shape (hinge + drive,) [N·m or N].
         """
         bodies = self._model.bodies
         for k, joint in self._driven:
             joint.setForce(0, torque[k])
         twist = self._twist(torque)
-        pushed = {*np.flatnonzero(force.any(axis=-1)).tolist(), *twist, *self._pulled}
+        pushed = {*np.flatnonzero(force.any(axis=-1)).tolist(), *twist, *self._spring_bodies}
         self._model.skeleton.clearExternalForces()
         self.forces = [(bodies[k].setExtForce, force[k]) for k in sorted(pushed)]
         self.others = [partial(bodies[k].addExtTorque, twist[k], True) for k in sorted(twist)]
         self.others += [spring.pull for spring in self._springs]
-        for joint, placed, servos, undone in self._led:
-            turning = placed in self._model.mechanism.hinges
-            held = joint.getForce(0) if turning else 0.0  # what hinges have was set just above
+        for joint, placed, servos, damping in self._actuated:
+            is_hinge = placed in self._model.mechanism.hinges
+            load = joint.getForce(0) if is_hinge else 0.0  # a hinge's input was set just above
             laws = [partial(servo.at, float(torque[k])) for k, servo in servos]
-            self.others.append(partial(_lead, joint, laws, undone, held))
+            self.others.append(partial(_lead, joint, laws, damping, load))
         if self.stops.all:
             self.others.append(self.stops.hold)
 
     def _twist(self, torque: Array) -> dict[int, Array]:
-        """Torques of the driven loop hinges, by body and in its native frame [N·m]."""
+        """Return the torques of driven loop hinges, by body and in its native frame [N·m]."""
         twist: dict[int, Array] = {}
         for k, hinge in self._looped:
             for body, sign in ((hinge.child, 1.0), (hinge.parent, -1.0)):
@@ -93,7 +93,7 @@ class FrameLoads:
         return twist
 
     def springs(self) -> Array:
-        """Give what `Readback.spring` tells, in the present configuration."""
+        """Return `Readback.spring` in the present configuration."""
         return np.array([spring.as_read() for spring in self._springs]).reshape(-1, 4)
 
     def apply(self) -> None:
@@ -105,15 +105,15 @@ class FrameLoads:
 
 
 def _lead(
-    joint: Any, laws: Sequence[Callable[[float, float], float]], undone: float, held: float
+    joint: Any, laws: Sequence[Callable[[float, float], float]], damping: float, load: float
 ) -> None:
-    """Let servos act on a joint at its present place and rate, beside what is held.
+    """Set a joint's force: its load, plus its servos' efforts at the present state.
 
-    And undo what the damper that is a rotor's does against the rate.
+    Also undo the torque of the damper that represents a rotor.
     """
     place, rate = joint.getPosition(0), joint.getVelocity(0)
     effort = sum(law(place, rate) for law in laws)
-    joint.setForce(0, held + effort + undone * rate)
+    joint.setForce(0, load + effort + damping * rate)
 
 
 class _Spring:
@@ -125,11 +125,11 @@ class _Spring:
         self.moving = [k for k in pair.bodies if k != WORLD_INDEX]
 
     def as_read(self) -> tuple[float, float, float, float]:
-        """Give what `Readback.spring` tells."""
+        """Return this spring's row of `Readback.spring`."""
         return self._pair.as_read(self._line()[0])
 
     def _line(self) -> tuple[Array, Array]:
-        """From the first end to the second in W [m], and its rate [m/s]."""
+        """Return the line from the first end to the second in W [m], and its rate [m/s]."""
         (first, first_rate), (second, second_rate) = (
             _motion(end, point) for end, point in zip(self._ends, self._pair.in_body, strict=True)
         )
@@ -144,7 +144,7 @@ class _Spring:
 
 
 def _motion(body: Any, point: Array) -> tuple[Array, Array]:
-    """Position and velocity in W of a point given in the native frame (W for the world)."""
+    """Return position and velocity in W of a point of the native frame (of W for the world)."""
     if body is None:
         return point, np.zeros(3)
     place = body.getWorldTransform()
@@ -152,10 +152,10 @@ def _motion(body: Any, point: Array) -> tuple[Array, Array]:
 
 
 class DartStepper(ABC):
-    """Moves the skeleton from where it is."""
+    """A method that steps the skeleton from its present state."""
 
     call: ClassVar[str]
-    """The engine's call of a step; empty where it has none."""
+    """The engine's call for one step; empty if it has none."""
 
     def __init__(self, model: SkeletonModel, loads: FrameLoads, step: float) -> None:
         self.model = model
@@ -164,7 +164,7 @@ class DartStepper(ABC):
 
     @abstractmethod
     def advance(self, step_count: int) -> None:
-        """Take steps under the loads that are held."""
+        """Take `step_count` steps under the held loads."""
 
 
 class SemiImplicitEuler(DartStepper):
@@ -175,7 +175,7 @@ class SemiImplicitEuler(DartStepper):
     def advance(self, step_count: int) -> None:
         step, loads = self.model.world.step, self.loads
         for _ in range(step_count):
-            # As `FrameLoads.apply`, whose call in each step would be felt.
+            # `FrameLoads.apply`, inlined: a call in each step would take noticeable time.
             for push, force in loads.forces:
                 push(force)
             for act in loads.others:
@@ -184,8 +184,9 @@ class SemiImplicitEuler(DartStepper):
 
 
 class ForwardDynamicsRK4(DartStepper):
-    """The toolkit's `TurningRK4` on DART's `computeForwardDynamics`, whose `integratePositions`
-    takes a rotation's increments.
+    """The toolkit's `TurningRK4` on DART's `computeForwardDynamics`.
+
+    Within a step, DART's `integratePositions` applies the increments.
     """
 
     call = ""
@@ -194,7 +195,7 @@ class ForwardDynamicsRK4(DartStepper):
         super().__init__(model, loads, step)
         # Springs and dampers of joints are implicit over the skeleton's own step.
         model.skeleton.setTimeStep(_TINY)
-        # A ball's increments stand on the right of its rotation, a free body's on the left.
+        # A ball's increments multiply its rotation from the right, a free body's from the left.
         self._turns = np.concatenate([model.turning_at, model.free_turn_at])
         self._side = np.repeat([1.0, -1.0], [len(model.turning_at), len(model.free_turn_at)])
         self._armature = model.armature()
@@ -214,24 +215,24 @@ class ForwardDynamicsRK4(DartStepper):
         skeleton.setVelocities(u)
         self.loads.apply()
         skeleton.computeForwardDynamics()
-        found = skeleton.getAccelerations()
+        acceleration = skeleton.getAccelerations()
         if self._armature.any():
             mass = skeleton.getMassMatrix()
-            found = np.linalg.solve(mass + self._armature, mass @ found)
-        return found
+            acceleration = np.linalg.solve(mass + self._armature, mass @ acceleration)
+        return acceleration
 
     def _moved(self, q: Array, increment: Array) -> Array:
-        """Move q for good. DART cuts its exponential's series off below 1e-3 rad; this does not."""
+        """Return q moved by an increment, exactly; DART truncates its series below 1e-3 rad."""
         moved = q + increment
         turns = self._turns
-        moved[turns] = _composed(q[turns], increment[turns], self._side)
+        moved[turns] = _compose(q[turns], increment[turns], self._side)
         return moved
 
 
-def _composed(q: Array, increment: Array, side: Array) -> Array:
-    """Rotation vectors of exp(q)·exp(increment), or exp(increment)·exp(q) where side is −1.
+def _compose(q: Array, increment: Array, side: Array) -> Array:
+    """Return rotation vectors of exp(q)·exp(increment), or exp(increment)·exp(q) if side is −1.
 
-    Written out, as it is called once a step; shapes (rotation, 3) and (rotation,).
+    Written out because it runs in every step; shapes (rotation, 3) and (rotation,).
     """
     count = len(q)
     half = 0.5 * np.concatenate([q, increment])
@@ -244,12 +245,12 @@ def _composed(q: Array, increment: Array, side: Array) -> Array:
     v += side[:, None] * (a[:, _NEXT] * b[:, _AFTER] - a[:, _AFTER] * b[:, _NEXT])
     sine = np.sqrt(np.einsum("ij,ij->i", v, v))
     # Of the quaternions (w, v) and (−w, −v), the one with w ≥ 0 turns by at most π.
-    turned = 2.0 * np.copysign(np.arctan2(sine, np.abs(w)), w)
-    return v * (turned / np.maximum(sine, _TINY) + 2.0 * (sine < _TINY))[:, None]
+    turn = 2.0 * np.copysign(np.arctan2(sine, np.abs(w)), w)
+    return v * (turn / np.maximum(sine, _TINY) + 2.0 * (sine < _TINY))[:, None]
 
 
 STEPPERS: Mapping[str, type[DartStepper]] = {
     "semi-implicit-euler": SemiImplicitEuler,
     "forward-dynamics-RK4": ForwardDynamicsRK4,
 }
-"""By the method's name."""
+"""Steppers by the name of their method."""

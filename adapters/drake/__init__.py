@@ -1,4 +1,4 @@
-"""Drake (https://drake.mit.edu): Runge–Kutta, or steps of its own."""
+"""Drake (https://drake.mit.edu): Runge–Kutta integrators, or plants that step themselves."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ __all__ = ["Drake"]
 
 _OWN = "semi-implicit-euler"
 _IMPACT = "impact_steps"
-# What Drake takes by default.
+# Drake's default step [s].
 _NATIVE_STEP = 1e-3
-# Keeps the budgets of the pendulums by far.
+# Step [s] that keeps the pendulums' budgets by far, and fewest steps in a frame.
 _CAREFUL_STEP, _CAREFUL_COUNT = 0.005, 4
-# Of Drake's own steps, whose order is 1; in a scene that moves faster, a hundredth of a frame.
+# The same for Drake's own steps, whose order is 1.
 _OWN_STEP, _OWN_COUNT = 2e-4, 100
-# That an impact lasts [s].
+# Longest duration of an impact [s].
 _IMPACT_TIME = 5e-3
-# That a spring's oscillation turns by, and a damper's motion decays, in a step at most.
+# Largest phase [rad] of a spring's oscillation, and decay of a damper's motion, in one step.
 _SPRING_ANGLE, _DECAY = 0.15, 0.5
 _ONLY_OWN = "Drake's integrators take no constraints; plants that step themselves do"
 _NO_IMPACTS = "an integrator takes the ground for Hunt and Crossley's: a rebound depends on speed"
@@ -77,10 +77,10 @@ class Drake(Adapter):
         for spring in Mechanism.of(scene).springs:
             if spring.length <= 0.0:
                 return f"the spring {spring.name!r} has no rest length, Drake takes more than 0 m"
-        back = scene.ground.restitution if scene.ground and scene.contacts else 0.0
-        if back and not LEAST_REBOUND <= back <= MOST_REBOUND:
-            held = f"Drake's steps give back 0, or {LEAST_REBOUND:g} to {MOST_REBOUND:g}, alike"
-            return f"the ground's restitution is {back:g}, {held}"
+        restitution = scene.ground.restitution if scene.ground and scene.contacts else 0.0
+        if restitution and not LEAST_REBOUND <= restitution <= MOST_REBOUND:
+            bounds = f"Drake's steps give back 0, or {LEAST_REBOUND:g} to {MOST_REBOUND:g}, alike"
+            return f"the ground's restitution is {restitution:g}, {bounds}"
         return ""
 
     def contact_scales(self, settings: Settings) -> ContactScales:
@@ -90,8 +90,8 @@ class Drake(Adapter):
     def settings(self, scene: Scene, profile: Profile) -> Settings:
         frame = scene.clock.frame
         if profile == "native":
-            own = {_IMPACT: 0.0} if scene.contacts else {}
-            return Settings(_OWN, nearest_step(frame, _NATIVE_STEP), own)
+            options = {_IMPACT: 0.0} if scene.contacts else {}
+            return Settings(_OWN, nearest_step(frame, _NATIVE_STEP), options)
         springs = spring_step(scene, angle=_SPRING_ANGLE, decay=_DECAY)
         method = next((m for m in self.methods if not self.refusals(scene, m)), _OWN)
         if method != _OWN:

@@ -1,15 +1,15 @@
-"""Spheres on the ground: the calls that build them, and which spring gives a rebound.
+"""Spheres on the ground: the calls that build them, and the spring that yields a restitution.
 
 Drake has no coefficient of restitution: the ground is a spring with Hunt and Crossley's damper,
 k d (1 − c v), whose rebound depends on speed. Measured on 1.51, in plants that step themselves:
 
-- The spring is taken at the step's end. Without a damper that alone takes speed, the same share at
-  every speed: of an impact of n steps comes back exp(−π² / 2n). From 22 steps on this does not
-  depend on where in a step it begins.
-- With c = 1000 s/m nothing comes back faster than 1 mm/s.
+- The spring acts by its length at the step's end. Even without a damper this costs speed, the same
+  share at every speed: an impact of n steps has a restitution of exp(−π² / 2n). From 22 steps on
+  this does not depend on where in a step the impact begins.
+- With c = 1000 s/m nothing rebounds faster than 1 mm/s.
 - Drake's default solver (SAP) stops at a residual of 1e-6 of the momentum, whatever the step. A
   ball that rolls at 10 m/s is 14 mm off in 4 s at steps of 63 µs and 33 mm at 16 µs. TAMSI, which
-  knows no constraints, converges: 2.6 mm at 63 µs, 0.7 mm at 31 µs, in a quarter of the time.
+  supports no constraints, converges: 2.6 mm at 63 µs, 0.7 mm at 31 µs, in a quarter of the time.
 
 https://drake.mit.edu/doxygen_cxx/group__contact__engineering.html
 """
@@ -33,14 +33,13 @@ CONTACT_LAW = ContactLaw(
     "the damper takes all. Contact is solved by TAMSI: Drake's default solver stops at a share of "
     "the momentum that is too much for what is fast.",
 )
-"""What contact is in the engine."""
 
 OWN_TIME = math.pi * math.sqrt(1e-3 / 9.81)
-"""Half a period of Drake's own spring, which weight presses by 1 mm [s]."""
+"""Half a period of Drake's own spring, which a body's weight compresses by 1 mm [s]."""
 STICTION = 1e-4
-"""Slip up to which Drake's friction is less than Coulomb's, by default [m/s]."""
+"""Drake's default of the slip below which its friction is less than Coulomb's [m/s]."""
 LEAST_REBOUND, MOST_REBOUND = 0.8, 0.98
-"""What is given back alike wherever an impact begins, and in steps that are not too many."""
+"""Range of restitutions that hold wherever an impact begins and do not take too many steps."""
 _DEAD_STEPS, _DEAD = 10.0, 1e3
 _STATEMENTS = """\
 plant.set_contact_model(ContactModel.kPoint)
@@ -59,19 +58,19 @@ _TAMSI = "plant.set_discrete_contact_approximation(DiscreteContactApproximation.
 
 
 def steps_of_impact(restitution: float) -> float:
-    """Give how many steps an impact takes that leaves so much of a speed."""
+    """Return the number of steps that an impact with this restitution takes."""
     if restitution == 0.0:
         return _DEAD_STEPS
     return -(math.pi**2) / 2.0 / math.log(min(restitution, MOST_REBOUND))
 
 
 def contact_lines(mechanism: Mechanism, step: float, count: float) -> Iterator[str]:
-    """Write what adds the ground and the spheres.
+    """Yield the lines that add the ground and the spheres.
 
     Args:
-        mechanism: Of the scene.
-        step: [s]
-        count: Steps that an impact takes; 0 leaves Drake's own material and solver.
+        mechanism: Mechanism of the scene.
+        step: Step of the plant [s].
+        count: Number of steps that an impact takes; 0 for Drake's own material and solver.
     """
     ground = mechanism.scene.ground
     if ground is None or not len(mechanism.sphere_body):
@@ -81,7 +80,7 @@ def contact_lines(mechanism: Mechanism, step: float, count: float) -> Iterator[s
     if count:
         yield _TAMSI
         stiffness = mechanism.mass[mechanism.sphere_body] * (math.pi / count / step) ** 2
-        # In series with the ground's; the one that each pair has is its own.
+        # In series with the ground's, so that each pair gets the stiffness of its own sphere.
         hard = 2.0 * float(stiffness.max())
         damper = f"hunt_crossley_dissipation={0.0 if ground.restitution else _DEAD}"
         surfaces = [
@@ -92,7 +91,7 @@ def contact_lines(mechanism: Mechanism, step: float, count: float) -> Iterator[s
     yield "spheres = []"
     for k, body in enumerate(mechanism.sphere_body.tolist()):
         shape = f"Sphere({float(mechanism.sphere_radius[k])!r})"
-        what = f'bodies[{body}], {mechanism.sphere_offset[k].tolist()}, {shape}, "sphere {k}"'
-        yield f"spheres.append(add_geometry({what}{surfaces[k + 1]}))"
+        args = f'bodies[{body}], {mechanism.sphere_offset[k].tolist()}, {shape}, "sphere {k}"'
+        yield f"spheres.append(add_geometry({args}{surfaces[k + 1]}))"
     yield "among = CollisionFilterDeclaration().ExcludeWithin(GeometrySet(spheres))"
     yield "scene_graph.collision_filter_manager().Apply(among)"

@@ -1,4 +1,4 @@
-"""A scene as Drake holds it: the program that builds it, and its coordinates."""
+"""The Drake model of a scene: the program that builds it, and its coordinates."""
 
 from __future__ import annotations
 
@@ -61,17 +61,17 @@ plant.WeldFrames(plant.world_frame(), anchor.body_frame())"""
 
 
 def listing(mechanism: Mechanism, time_step: float, impact_steps: float) -> str:
-    """Write the program that leaves `system`, `plant`, `bodies` and `joints` behind.
+    """Return the program that defines `system`, `plant`, `bodies` and `joints`.
 
     Args:
-        mechanism: With the spanning tree that the model has.
-        time_step: Of a plant that steps itself [s]; 0: an integrator does.
-        impact_steps: Steps that an impact takes; 0: what Drake makes of it.
+        mechanism: Mechanism with the model's spanning tree.
+        time_step: Step of a plant that steps itself [s]; 0 if an integrator steps it.
+        impact_steps: Number of steps that an impact takes; 0 for Drake's own contact.
     """
     lines = [_HEAD % (time_step, list(mechanism.scene.gravity))]
     for k, body in enumerate(mechanism.scene.bodies):
-        held = f"{float(mechanism.mass[k])!r}, {mechanism.inertia[k].tolist()}"
-        lines.append(f"bodies[{k}] = add_body({body.name!r}, {held})")
+        properties = f"{float(mechanism.mass[k])!r}, {mechanism.inertia[k].tolist()}"
+        lines.append(f"bodies[{k}] = add_body({body.name!r}, {properties})")
     for link in mechanism.links:
         lines += _link(mechanism, link)
     lines += _springs(mechanism)
@@ -118,24 +118,24 @@ def _springs(mechanism: Mechanism) -> Iterator[str]:
 
 
 def _servos(mechanism: Mechanism) -> Iterator[str]:
-    """Add actuators with a controller, which acts at each step's end and within its limit."""
+    """Yield actuators whose controllers act by the state at each step's end, within a limit."""
     native = mechanism.carried
     for k, drive in enumerate(mechanism.drives):
         limit = "np.inf" if drive.servo.limit is None else repr(drive.servo.limit)
-        what = f"'servo {k}', joints[{native[drive.joint.index]}], {limit}"
-        yield f"servos.append(plant.AddJointActuator({what}))  # {drive.joint.name!r}"
+        args = f"'servo {k}', joints[{native[drive.joint.index]}], {limit}"
+        yield f"servos.append(plant.AddJointActuator({args}))  # {drive.joint.name!r}"
         gains = f"p={drive.servo.stiffness!r}, d={drive.servo.damping!r}"
         yield f"servos[-1].set_controller_gains(tree.PdControllerGains({gains}))"
 
 
 def _loops(mechanism: Mechanism) -> Iterator[str]:
-    """Tie points, two on a hinge's axis, frames, and joints."""
+    """Yield constraints that tie points (two on a hinge's axis), frames and joints."""
     tied = {end for j in mechanism.loops for end in (j.parent, j.child)}
     if WORLD_INDEX in tied.union(*(pair.bodies for pair in mechanism.distances)):
         yield _ANCHOR
-    welded = _welded(mechanism)
+    welded = _representatives(mechanism)
     for joint in mechanism.loops:
-        if welded[joint.parent] != welded[joint.child]:  # what is one body needs no tie
+        if welded[joint.parent] != welded[joint.child]:  # bodies welded into one need no tie
             yield from _closure(mechanism, joint)
     for link in mechanism.distances:
         ends = _ends(link.bodies, link.in_body)
@@ -146,8 +146,8 @@ def _loops(mechanism: Mechanism) -> Iterator[str]:
         yield f"plant.AddCouplerConstraint({pair}, {each.ratio!r}, {each.offset!r})"
 
 
-def _welded(mechanism: Mechanism) -> dict[int, int]:
-    """Give, by body, which one stands for all that it is welded to."""
+def _representatives(mechanism: Mechanism) -> dict[int, int]:
+    """Map each body to the one that represents all bodies welded to it."""
     first = {WORLD_INDEX: WORLD_INDEX}
     for link in mechanism.links:
         fixed = link.joint is not None and link.joint.kind == "fixed"
@@ -168,7 +168,7 @@ def _closure(mechanism: Mechanism, joint: PlacedJoint) -> Iterator[str]:
 
 
 def _ends(bodies: tuple[int, int], points: tuple[Array, Array], each: str = "{}") -> str:
-    """Write two bodies and a place in each, for a constraint."""
+    """Return the arguments of a constraint: two bodies and a point in each."""
     return ", ".join(
         f"{_body(body, 'anchor')}, {each.format(point.tolist())}"
         for body, point in zip(bodies, points, strict=True)
@@ -184,22 +184,22 @@ def _frame(body: int, point: Array) -> str:
 
 
 class DrakeCoordinates:
-    """The way between a plant's coordinates and those of links.
+    """Conversion between a plant's coordinates and the states of links.
 
-    Balls have roll, pitch and yaw in a frame on their parent, which is turned on the way, and
-    angular velocities in that frame's axes; free bodies quaternions, and those in W.
+    Ball joints have roll, pitch and yaw relative to a frame on their parent, which the stepper
+    turns, and angular velocities along its axes. Free bodies have quaternions and velocities in W.
 
     Args:
-        mechanism: With the spanning tree.
-        joints: Of Drake, by body.
-        size: Of coordinates and of velocities.
+        mechanism: Mechanism with the model's spanning tree.
+        joints: Drake's joints by body.
+        size: Number of coordinates and of velocities.
     """
 
     def __init__(self, mechanism: Mechanism, joints: dict[int, Any], size: tuple[int, int]) -> None:
         kinds = np.array([link.joint.kind if link.joint else "free" for link in mechanism.links])
-        held = [joints[link.body] for link in mechanism.links]
-        q = np.array([joint.position_start() for joint in held])
-        v = np.array([joint.velocity_start() for joint in held])
+        by_link = [joints[link.body] for link in mechanism.links]
+        q = np.array([joint.position_start() for joint in by_link])
+        v = np.array([joint.velocity_start() for joint in by_link])
         self._size = size
         self.ball, self._free = np.flatnonzero(kinds == "ball"), np.flatnonzero(kinds == "free")
         self._scalar = np.flatnonzero((kinds == "hinge") | (kinds == "slider"))
@@ -210,10 +210,10 @@ class DrakeCoordinates:
         )
         self._shift_q, self._speed_v = self._turn_q[:, :3] + 4, self._spin_v + 3
         self._scalar_q, self._scalar_v = q[self._scalar], v[self._scalar]
-        self.balls = [held[k] for k in self.ball]
+        self.balls = [by_link[k] for k in self.ball]
 
     def of_links(self, links: LinkStates) -> tuple[Array, Array, Array]:
-        """Give coordinates (…, nq), velocities (…, nv) and turns of the balls' frames (…, 4)."""
+        """Return coordinates (…, nq), velocities (…, nv) and turns of ball frames (…, ball, 4)."""
         lead = links.coordinate.shape[:-1]
         q, v = (np.zeros((*lead, count)) for count in self._size)
         v[..., self._ball_v] = links.angular_velocity[..., self.ball, :]
@@ -226,7 +226,7 @@ class DrakeCoordinates:
         return q, v, links.rotation[..., self.ball, :]
 
     def to_links(self, q: Array, v: Array, turns: Array, count: int) -> LinkStates:
-        """Give the states of so many links."""
+        """Return the states of `count` links."""
         links = LinkStates.still((*q.shape[:-1], count))
         here = of_angles(q[..., self._ball_q])
         links.rotation[..., self.ball, :] = rotation.multiply(turns, here)

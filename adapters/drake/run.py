@@ -1,4 +1,4 @@
-"""A loaded scene: trajectories out of it, and what Drake says of its model."""
+"""A scene loaded into Drake: its rollouts, and the readback of its native model."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from .stepping import DrakeStepper
 
 
 class DrakeRun(Run):
-    """One system, in which trajectories are stepped one after the other.
+    """A run in one system that steps trajectories one after the other.
 
     Args:
-        scene: What is simulated.
-        settings: How.
-        scheme: Of Drake's integrator; "" where the plant steps itself.
-        impact_steps: Steps that an impact on the ground takes; 0: what Drake makes of it.
+        scene: The scene to simulate.
+        settings: Method, step and options.
+        scheme: Name of Drake's integrator; "" if the plant steps itself.
+        impact_steps: Number of steps that an impact takes; 0 for Drake's own contact.
     """
 
     def __init__(self, scene: Scene, settings: Settings, scheme: str, impact_steps: float) -> None:
@@ -73,13 +73,13 @@ class DrakeRun(Run):
             self._simulate(batch, row, q[row], v[row], turns[row]) for row in range(len(batch))
         ]
         count = self._mechanism.body_count
-        # What blows up may pass any number before it is left out.
+        # A motion that blows up may overflow before it is cut off.
         with np.errstate(over="ignore", invalid="ignore"):
             bodies = to_bodies(self._mechanism, self._coordinates.to_links(q, v, turns, count))
             return until_blow_up(self._mechanism, bodies, failures)
 
     def _simulate(self, batch: Batch, row: int, q: Array, v: Array, turns: Array) -> Failure | None:
-        """Fill in a trajectory; give what ended it."""
+        """Fill in a trajectory; return the failure that ended it, if any."""
         self._put(batch[[row]])
         for frame in range(batch.steps + 1):
             q[frame] = self._plant.GetPositions(self._context)
@@ -95,28 +95,28 @@ class DrakeRun(Run):
         return None
 
     def _actuation(self, push: Array) -> Array:
-        """Give what targets of servos exert on coordinates and rates of 0, by actuator."""
-        held = np.zeros(self._plant.num_actuators())
-        held[[servo.input_start() for servo in self._servos]] = push
-        return held
+        """Return the efforts of servos' targets at coordinates and rates of 0, by actuator."""
+        actuation = np.zeros(self._plant.num_actuators())
+        actuation[[servo.input_start() for servo in self._servos]] = push
+        return actuation
 
     def _advance(self, force: Array, torque: Array) -> None:
         """Take the steps of a frame."""
-        held = np.zeros(self._plant.num_velocities())
-        held[self._driven_at] = torque[self._driven]
-        self._plant.get_applied_generalized_force_input_port().FixValue(self._context, held)
-        # An axis that both bodies have turns with them.
+        efforts = np.zeros(self._plant.num_velocities())
+        efforts[self._driven_at] = torque[self._driven]
+        self._plant.get_applied_generalized_force_input_port().FixValue(self._context, efforts)
+        # The axis of a hinge that closes a loop turns with its bodies within the frame.
         twisted = any(torque[k] for k, _ in self._looped)
         for count in [1] * self._count if twisted else [self._count]:
             self._push(force, torque)
             self._stepper.advance(count)
 
     def _push(self, force: Array, torque: Array) -> None:
-        """Apply forces at centres of mass, and torques of hinges that close loops."""
+        """Apply forces at centres of mass and the torques of hinges that close loops."""
         moment = np.zeros_like(force)
         for k, hinge in self._looped:
             if torque[k]:
-                axis = self._turned(hinge.child, hinge.axis)
+                axis = self._to_world(hinge.child, hinge.axis)
                 for body, sign in ((hinge.child, 1.0), (hinge.parent, -1.0)):
                     if body != WORLD_INDEX:
                         moment[body] += sign * torque[k] * axis
@@ -128,7 +128,7 @@ class DrakeRun(Run):
             loads.append(load)
         self._plant.get_applied_spatial_force_input_port().FixValue(self._context, loads)
 
-    def _turned(self, body: int, axis: Array) -> Array:
+    def _to_world(self, body: int, axis: Array) -> Array:
         """Turn an axis that is fixed in a body into W."""
         if body == WORLD_INDEX:
             return axis
@@ -139,18 +139,18 @@ class DrakeRun(Run):
 
     def readback(self, batch: Batch) -> Readback:
         self._put(batch[:1])
-        count = range(self._mechanism.body_count)
-        held = [self._bodies[k].CalcSpatialInertiaInBodyFrame(self._context) for k in count]
-        poses = [self._pose(k) for k in count]
+        bodies = range(self._mechanism.body_count)
+        inertias = [self._bodies[k].CalcSpatialInertiaInBodyFrame(self._context) for k in bodies]
+        poses = [self._pose(k) for k in bodies]
         speeds = [
             self._plant.EvalBodySpatialVelocityInWorld(self._context, self._bodies[k])
-            for k in count
+            for k in bodies
         ]
         native = rotation.from_matrix(np.array([pose.rotation().matrix() for pose in poses]))
         return Readback(
-            mass=np.array([each.get_mass() for each in held]),
-            inertia=np.array([_central(each) for each in held]),
-            com=np.array([p @ h.get_com() for p, h in zip(poses, held, strict=True)]),
+            mass=np.array([each.get_mass() for each in inertias]),
+            inertia=np.array([_central(each) for each in inertias]),
+            com=np.array([p @ i.get_com() for p, i in zip(poses, inertias, strict=True)]),
             orientation=self._mechanism.body_orientation(native),
             velocity=np.array([speed.translational() for speed in speeds]),
             angular_velocity=np.array([speed.rotational() for speed in speeds]),
@@ -169,8 +169,8 @@ class DrakeRun(Run):
         )
 
     def _undue_damping(self, link: Link) -> Array:
-        asked = link.joint.damping if link.joint else 0.0
-        return np.asarray(self._joints[link.body].GetDampingVector(self._context) - asked)
+        damping = link.joint.damping if link.joint else 0.0
+        return np.asarray(self._joints[link.body].GetDampingVector(self._context) - damping)
 
     def _axis(self, link: Link) -> Array:
         joint = self._joints[link.body]
@@ -189,8 +189,8 @@ class DrakeRun(Run):
     def _spring(self, spring: Any) -> tuple[float, float, float, float]:
         ends = (spring.bodyA(), spring.p_AP()), (spring.bodyB(), spring.p_BQ())
         first, second = (self._at(body.body_frame()) @ point for body, point in ends)
-        apart = float(np.linalg.norm(second - first))
-        return spring.stiffness(), spring.damping(), spring.free_length(), apart
+        length = float(np.linalg.norm(second - first))
+        return spring.stiffness(), spring.damping(), spring.free_length(), length
 
     def _law(self, link: Link, joint: PlacedJoint) -> tuple[float, float, float]:
         damping, law = self._joints[link.body].default_damping(), self._laws.get(link.body)
@@ -204,11 +204,11 @@ class DrakeRun(Run):
         return float(self._rotors[self._native[joint.index]].default_reflected_inertia())
 
     def _limits(self, joint: PlacedJoint) -> tuple[float, float]:
-        held = self._joints[self._native[joint.index]]
-        return held.position_lower_limit(), held.position_upper_limit()
+        native = self._joints[self._native[joint.index]]
+        return native.position_lower_limit(), native.position_upper_limit()
 
     def _contact(self, sphere: Any) -> tuple[float, float, float]:
-        """Give a sphere's radius and friction; Drake has no coefficient of restitution."""
+        """Return a sphere's radius and friction; Drake has no coefficient of restitution."""
         surface = self._geometry.GetProximityProperties(sphere)
         friction = surface.GetProperty("material", "coulomb_friction").dynamic_friction()
         return self._geometry.GetShape(sphere).radius(), friction, np.nan
@@ -235,7 +235,7 @@ class DrakeRun(Run):
         )
 
     def _put(self, batch: Batch) -> None:
-        """Put the system at the start of the only trajectory."""
+        """Set the system to the start of a batch of one trajectory."""
         self._stepper.start(*(part[0] for part in self._start(batch)))
 
     def _start(self, batch: Batch) -> tuple[Array, Array, Array]:
@@ -251,21 +251,21 @@ def _gains(servo: Any) -> tuple[float, float, float]:
     return gains.p, gains.d, limit if np.isfinite(limit) else 0.0
 
 
-def _central(held: Any) -> Array:
-    """Give a spatial inertia's tensor about the centre of mass."""
-    about = held.Shift(held.get_com()).CalcRotationalInertia()
-    return np.asarray(about.CopyToFullMatrix3())
+def _central(inertia: Any) -> Array:
+    """Return a spatial inertia's tensor about the centre of mass."""
+    tensor = inertia.Shift(inertia.get_com()).CalcRotationalInertia()
+    return np.asarray(tensor.CopyToFullMatrix3())
 
 
 def _rows(mechanism: Mechanism) -> int:
-    """Count rows that are solved beside the coordinates, contacts apart."""
+    """Count the constraint rows, contacts excluded."""
     rows = {"ball": 3, "hinge": 6, "fixed": 6, "slider": 5}
     closing = sum(rows[joint.kind] for joint in mechanism.loops)
     return closing + len(mechanism.distances) + len(mechanism.couplings)
 
 
 def _bare(source: str) -> str:
-    """Leave out a module's docstring and what the toolkit gives it."""
+    """Strip a module's docstring and its imports from the toolkit."""
     return re.sub(r"^from mbds_xsim.*\n", "", source.partition('"""\n\n')[2], flags=re.M)
 
 

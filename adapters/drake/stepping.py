@@ -1,7 +1,7 @@
-"""Steps of a Drake system, with ball joints kept off the pitch where they are singular.
+"""Steps of a Drake system that keep ball joints away from their singular pitch.
 
-It needs nothing but Drake and functions on quaternions, as a script that is shown to users has it
-in it.
+The module needs only Drake and quaternion functions, because the scripts shown to users contain
+its source.
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ from mbds_xsim.base.rotation import conjugate, from_vector, multiply, norm, rota
 
 
 class DrakeStepper:
-    """Advances a system by equal steps.
+    """A stepper that advances a system by equal steps.
 
     Drake's ball joint has roll, pitch and yaw, singular at a pitch of 90°. Its frame on the parent
-    is a parameter, which is turned to where the joint has got, and the angles are 0 again.
+    is a parameter: turning that frame to the joint's present rotation resets the angles to 0.
 
     Args:
-        system: That is simulated.
-        plant: In it.
-        balls: Its ball joints.
-        scheme: Of the integrator; "" where the plant steps itself.
-        step: [s]
+        system: The system to simulate.
+        plant: Its plant.
+        balls: The plant's ball joints.
+        scheme: Name of the integrator; "" if the plant steps itself.
+        step: Step [s].
     """
 
-    # Of roll, pitch or yaw, from which on frames are turned [rad].
+    # Roll, pitch or yaw from which on frames are turned [rad].
     _turn = 0.3
 
     def __init__(
         self, system: Any, plant: Any, balls: Sequence[Any], scheme: str, step: float
     ) -> None:
         self._plant, self._scheme, self._step = plant, scheme, step
-        # Drake warns that the ground meets nothing deformable.
+        # Silence Drake's warning that the ground meets nothing deformable.
         logger = logging.getLogger("drake")
         level = logger.level
         logger.setLevel(logging.ERROR)
@@ -59,7 +59,7 @@ class DrakeStepper:
         self._angles, self._spins = at[:, 0], at[:, 1]
 
     def start(self, q: Array, v: Array, turns: Array) -> None:
-        """Put the system at coordinates, velocities and turns of the balls' frames (ball, 4)."""
+        """Set coordinates, velocities and the turns of the balls' frames (ball, 4) at time 0."""
         self._done = 0
         self._root.SetTime(0.0)
         self._put(q, v, turns)
@@ -73,17 +73,17 @@ class DrakeStepper:
             frame.SetPoseInParentFrame(self.context, RigidTransform(Quaternion(turn), point))
 
     def actuate(self, push: Array) -> None:
-        """Let actuators push, and controllers lead coordinates and rates to 0 beside."""
+        """Set the actuators' pushes; their controllers also lead coordinates and rates to 0."""
         if len(push):
             self._plant.get_actuation_input_port().FixValue(self.context, push)
             desired = self._plant.get_desired_state_input_port(default_model_instance())
             desired.FixValue(self.context, np.zeros(2 * len(push)))
 
     def advance(self, count: int) -> None:
-        """Take so many steps."""
+        """Take `count` steps."""
         for each in [1] * count if self._frames else [count]:
             self._done += each
-            # A plant that steps itself does so where an advance begins: the next step is due then.
+            # A plant steps itself at a step's start; half a step early, the next is not yet due.
             early = 0.0 if self._scheme else 0.5
             self._simulator.AdvanceTo((self._done - early) * self._step, False)
             if self._frames:
@@ -97,8 +97,8 @@ class DrakeStepper:
                 return
             turn = of_angles(angles)
         else:
-            # A plant that steps itself adds a step's turn to the angles, which were 0. As angles
-            # they would not be the turn of its angular velocity, but in the first order.
+            # A plant that steps itself adds a step's rotation vector to the angles, which were 0.
+            # Read as angles, it would be the turn of the angular velocity to first order only.
             turn = from_vector(angles)
         v = self._plant.GetVelocities(self.context)
         v[self._spins] = rotate(conjugate(turn), v[self._spins])
@@ -107,6 +107,6 @@ class DrakeStepper:
 
 
 def of_angles(angles: Array) -> Array:
-    """Give the rotations by roll, pitch and yaw, shape (…, 4)."""
+    """Return the rotations with given roll, pitch and yaw, shape (…, 4)."""
     roll, pitch, yaw = (from_vector(angles[..., [k]] * np.eye(3)[k]) for k in range(3))
     return multiply(yaw, multiply(pitch, roll))

@@ -27,16 +27,16 @@ from .tree import KinematicTree
 __all__ = ["Exudyn"]
 
 _USUAL_STEP = 1e-3
-# Keeps the budgets of the pendulums; in a scene that moves faster, a twentieth of a frame.
+# Step that keeps the pendulums' budgets [s], and fewest steps in a frame for faster scenes.
 _CAREFUL_STEP, _CAREFUL_COUNT = 6.25e-4, 20
-# Where friction or stops of joints act, which are off by a step's way [s].
+# Step where joints have friction or stops, whose error is the distance moved in a step [s].
 _CAREFUL_LIMIT_STEP = 1.25e-4
-# A ball that rolls up a slope creeps by as much: 1 mm a second at 1e-2, 8 µm at 1e-4 [m/s].
+# Slip speed [m/s]; a ball that rolls up a slope creeps 1 mm a second at 1e-2, 8 µm at 1e-4.
 _CAREFUL_SLIP = 1e-4
-# Without gravity a step ends on the touch to the last bit, and the next, which begins outside, goes
-# in with its whole length: of the speed up to (π / n)² / 2 too much comes back.
+# Without gravity a step ends on the touch to the last bit. The next one begins outside and goes in
+# by its whole length, so an impact of n steps returns up to (π / n)² / 2 of the speed too much.
 _CAREFUL_IMPACT = {"impact_steps": 48, "contact_substeps": 40}
-# The slip speed is the engine's default; its contacts have no other one.
+# The slip speed is the engine's default, the only one that its contacts have.
 _NATIVE_OPTIONS: dict[str, float | int | bool | str] = {
     "linear_solver": "EXUdense",
     "contact_substeps": 1,
@@ -70,7 +70,7 @@ _ONLY_A_TREE = {
 
 
 class Exudyn(Adapter):
-    """Rigid bodies with six coordinates each; joints are constraints with multipliers."""
+    """Exudyn: rigid bodies with six coordinates each; joints are constraints with multipliers."""
 
     name = "exudyn"
     revision = 5
@@ -126,17 +126,17 @@ class Exudyn(Adapter):
     contact_law = CONTACT_LAW
 
     def settings(self, scene: Scene, profile: Profile) -> Settings:
-        # `SolveDynamic` knows no step, it makes 100 of any time; the engine's examples of such
-        # mechanisms mostly take 1 ms.
+        # `SolveDynamic` has no default step, it divides any time into 100; the engine's examples
+        # of such mechanisms mostly use 1 ms.
         frame = scene.clock.frame
         if profile == "native":
             step = nearest_step(frame, _USUAL_STEP)
             return Settings("generalised-alpha", step, _NATIVE_OPTIONS)
-        # Newton's method does not end for the trapezoidal rule where constraints are redundant.
+        # With redundant constraints, Newton's method does not converge in the trapezoidal rule.
         mechanism = Mechanism.of(scene)
         damped = has_redundant_constraints(mechanism) or mechanism.couplings
         method = "generalised-alpha" if damped else "trapezoidal"
-        # A Jacobian that is kept leaves an error of 2e-8 m that does not fall with the step.
+        # A kept Jacobian leaves an error of 2e-8 m that does not shrink with the step.
         options: dict[str, bool | float] = {"modified_newton": False}
         if scene.contacts:
             options["slip_speed"] = _CAREFUL_SLIP

@@ -1,11 +1,12 @@
-"""What acts on coordinates of joints in Exudyn's terms: dry friction, stops, gears and servos.
+"""Dry friction, stops, gears, rotors and servos on joint coordinates, as Exudyn objects.
 
-Friction and stops are as hard as a step h resolves, by what a coordinate moves, m with all other
-joints free, M with all held. A stop is a damper d of 2m/h, with the largest m of many poses: what
-moves so much loses its rate in a step, what moves less in some, in which it is still past its limit
-however its rate turns. It is a spring of d²/4M, too, with the largest M, which so never overtakes
-the damper; as that also pulls, there is no rebound. Friction is in proportion to the rate up to
-F h/m, with m at the scene's start, at which it would stop the joint in a step.
+Friction and stops are as hard as a step h resolves, given the inertia at a coordinate: m with all
+other joints free, M with all held. A stop is a damper d = 2m/h, with the largest m of many poses. A
+joint of this inertia loses its rate in one step. One of less inertia needs several and stays past
+its limit meanwhile, however its rate changes sign. The stop is also a spring d²/4M, with the
+largest M, so it never overtakes the damper. As the damper also pulls, there is no rebound. Friction
+is proportional to the rate up to F h/m, with m at the scene's start; at that rate it would stop the
+joint in one step.
 """
 
 from __future__ import annotations
@@ -37,34 +38,34 @@ _KINDS = {"hinge": "Rotation", "slider": "Translation"}
 
 
 def brakes_listing(mechanism: Mechanism, step: float) -> Iterator[str]:
-    """Lines that make `brakes`: of joints with friction, then of those with limits.
+    """Yield lines that make `brakes`: for joints with friction, then for those with limits.
 
-    A joint with both has two, as one such object of Exudyn has either.
+    A joint with both gets two, as one such object of Exudyn can have only one of them.
 
     Args:
-        mechanism: Of the scene.
-        step: Of the solver [s].
+        mechanism: Mechanism of the scene.
+        step: Step of the solver [s].
     """
-    rough, limited = mechanism.frictional, mechanism.limited
-    joints = (*rough, *limited)
+    frictional, limited = mechanism.frictional, mechanism.limited
+    joints = (*frictional, *limited)
     if joints or mechanism.drives:
         yield _FIXED
     if not joints:
         return
     least, most = moved_inertias(mechanism, joints, poses(mechanism))
-    laws = [_friction(*pair, step) for pair in zip(rough, least[0].tolist(), strict=False)]
-    lightly, heavily = (values[:, len(rough) :].max(axis=0).tolist() for values in (least, most))
-    laws += [_stops(*each, step) for each in zip(limited, lightly, heavily, strict=True)]
+    laws = [_friction(*pair, step) for pair in zip(frictional, least[0].tolist(), strict=False)]
+    small, large = (values[:, len(frictional) :].max(axis=0).tolist() for values in (least, most))
+    laws += [_stops(*each, step) for each in zip(limited, small, large, strict=True)]
     for joint, law in zip(joints, laws, strict=True):
-        given = ", ".join(f"{key}={value!r}" for key, value in law.items())
+        parameters = ", ".join(f"{key}={value!r}" for key, value in law.items())
         yield (
             f"brakes.append(mbs.AddObject(items.CoordinateSpringDamperExt(markerNumbers=[fixed, "
-            f"{_coordinate(joint)}], nodeNumber={_data(3)}, {given})))"
+            f"{_coordinate(joint)}], nodeNumber={_data(3)}, {parameters})))"
         )
 
 
 def drives_listing(mechanism: Mechanism) -> Iterator[str]:
-    """Lines that make `drives`, whose offsets are what their targets exert."""
+    """Yield lines that make `drives`; their offsets are the pushes of their targets."""
     if mechanism.drives:
         yield _SATURATED
     for drive in mechanism.drives:
@@ -82,7 +83,7 @@ def _number(value: float) -> str:
 
 
 def couplings_listing(mechanism: Mechanism) -> Iterator[str]:
-    """Lines that make `couplings`."""
+    """Yield lines that make `couplings`."""
     for each in mechanism.couplings:
         ends = f"{_coordinate(each.leader)}, {_coordinate(each.follower)}"
         yield (
@@ -92,28 +93,28 @@ def couplings_listing(mechanism: Mechanism) -> Iterator[str]:
 
 
 def rotors_listing(mechanism: Mechanism) -> Iterator[str]:
-    """Lines that make `rotors`: masses with a coordinate each, whose rate is that of a joint."""
+    """Yield lines that make `rotors`: masses with one coordinate, whose rate is a joint's."""
     for joint in mechanism.rotors:
         yield (
             "rotors.append(mbs.AddObject(items.ObjectMass1D("
             f"mass={joint.armature!r}, nodeNumber=mbs.AddNode(items.Node1D()))))"
         )
-        own = (
+        marker = (
             "mbs.AddMarker(items.MarkerNodeCoordinate("
             "nodeNumber=mbs.GetObject(rotors[-1])['nodeNumber'], coordinate=0))"
         )
         yield (
             "mbs.AddObject(items.CoordinateConstraint("
-            f"markerNumbers=[{_coordinate(joint)}, {own}], velocityLevel=True))"
+            f"markerNumbers=[{_coordinate(joint)}, {marker}], velocityLevel=True))"
         )
 
 
-def held(names: Mapping[str, Any], mechanism: Mechanism) -> tuple[Array, Array]:
-    """Read friction, shape (joint,), and limits, shape (joint, 2), of the brakes back."""
+def read_brakes(names: Mapping[str, Any], mechanism: Mechanism) -> tuple[Array, Array]:
+    """Read back the brakes' friction, shape (joint,), and limits, shape (joint, 2)."""
     brakes, count = names["brakes"], len(mechanism.frictional)
-    told = [names["mbs"].GetObject(number) for number in brakes]
-    friction = np.array([each["dynamicFrictionForce"] for each in told[:count]])
-    limits = [[each[key] for key in _LIMITS] for each in told[count:]]
+    objects = [names["mbs"].GetObject(number) for number in brakes]
+    friction = np.array([each["dynamicFrictionForce"] for each in objects[:count]])
+    limits = [[each[key] for key in _LIMITS] for each in objects[count:]]
     return friction, np.array(limits).reshape(-1, len(_LIMITS))
 
 

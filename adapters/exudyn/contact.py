@@ -1,30 +1,29 @@
-"""Contact spheres on the ground, one large triangle, and on each other: Exudyn's penalty contacts.
+"""Exudyn's penalty contacts of spheres with each other and with the ground, one large triangle.
 
-- Normal: a spring so stiff that an impact lasts a given number of the finest steps, and the
-  damping of the next paragraph. What rests sinks by its weight over the stiffness. That law has no
-  restitution of 0, for which a linear damper takes its place, critical for the mass of all bodies:
-  what is lighter creeps back to the surface, and nothing rebounds.
+- Normal: a spring so stiff that an impact lasts a given number of the finest steps, and the damping
+  explained below. A resting body sinks by its weight over the stiffness. The law has no restitution
+  of 0. There a linear damper takes its place, critical for the mass of all bodies: lighter ones
+  creep back to the surface, and nothing rebounds.
 - Tangential: Coulomb's friction against the slip, isotropic; below `slip_speed` it is
   proportional to the slip.
-- The solver is let shorten a step so that it ends where a sphere touches down. Otherwise the
-  spring acts from the start of that step, and an impact gains or loses up to (π / n)² of its
-  energy where it lasts n steps.
+- The solver may shorten a step so that it ends where a sphere touches down. Otherwise the spring
+  would act from the start of that step, and an impact of n steps would gain or lose up to (π / n)²
+  of its energy.
 - The triangle has two sides and no inside: a sphere is pushed out as long as its centre is above
   the ground, and falls for ever once it is below.
 
 An impact is a spring with a damping that grows with depth, F = k d (1 + c d'/v), where v is the
-speed of the impact. Gonthier's law (`impactModel=2`) takes c from a coefficient of
-restitution ε, by a formula that fits what comes out to ε within 5e-3. What does come out has a
-closed form: with w the speed over v, w dw/(1 + c w) is in proportion to -d dd, whose integral
-from w = 1 to w = -e, both at d = 0, vanishes, so that
+speed of the impact. Gonthier's law (`impactModel=2`) computes c from a coefficient of restitution
+ε, by a formula whose actual restitution e agrees with ε within 5e-3. There is a closed form for e:
+with w the speed over v, w dw/(1 + c w) is proportional to -d dd, whose integral from w = 1 to
+w = -e, both at d = 0, vanishes, so that
 
     c (1 + e) = log((1 + c) / (1 - c e)).
 
-It knows neither mass, stiffness nor speed, so here the ε is found that delivers the scene's e.
-
-The trapezoidal rule adds to it: measured at 0.3 to 8 m/s, of e = 0.9332 impacts that
-last 4, 6, 8, 12, 24 and 32 steps deliver 0.944, 0.939, 0.937, 0.935, 0.9335 and 0.9333, within
-1e-3 at every speed, and of e = 1 always 1.0000.
+It depends on neither mass, stiffness nor speed, so the adapter solves for the ε that delivers the
+scene's e. The trapezoidal rule adds an error: measured at 0.3 to 8 m/s for e = 0.9332, impacts of
+4, 6, 8, 12, 24 and 32 steps deliver 0.944, 0.939, 0.937, 0.935, 0.9335 and 0.9333, within 1e-3 at
+every speed; for e = 1 they always deliver 1.0000.
 
 Y. Gonthier et al., Multibody System Dynamics 11 (2004), doi:10.1023/B:MUBO.0000029392.21648.bc
 """
@@ -56,20 +55,19 @@ CONTACT_LAW = ContactLaw(
     "touches. A sphere with its centre below the ground, whose triangle has no inside, or in "
     "another one is a failure.",
 )
-"""What contact is in the engine."""
 Marker = Callable[[int, Array], str]
 
-# No body gets as far within a trajectory; the ground ends there [m].
+# Extent of the ground [m]; no body gets that far within a trajectory.
 _FAR = 1e4
-# Slower impacts, of what comes to rest, are damped as if they had this speed [m/s], or the one that
-# this acceleration makes within an impact [m/s²]. What rests on stiffer ground trembles faster and
-# must be damped in fewer seconds: friction of turning wheels feeds the trembling in every cycle.
+# Slower impacts, of bodies that come to rest, are damped as if they had this speed [m/s], or the
+# lower one that this acceleration makes within an impact [m/s²]. A body on stiffer ground trembles
+# faster and must be damped sooner: friction of turning wheels feeds the trembling in every cycle.
 _SLOWEST_IMPACT, _SLOWEST_GAIN = 1e-2, 20.0
-# How far a sphere may get within a frame, in lengths of its path under gravity alone.
+# Safety factor on the path of a sphere within a frame, and on its acceleration in the last one.
 _REACH = 2.0
-# Smallest restitution: the law has none of 0, and gets stiff on the way there.
+# Smallest restitution other than 0, towards which the law gets ever stiffer.
 _LEAST = 0.01
-# From here to 1 both agree within 1e-9, and the logarithms cancel.
+# From here to 1, ε and e agree within 1e-9, and the logarithms cancel.
 _ELASTIC = 1.0 - 1e-3
 _CHANGE = 1.0 / 3.0
 _REACHING = """
@@ -110,21 +108,21 @@ def may_touch(duration):  # whether a sphere can get to the ground or another wi
 
 @dataclass(frozen=True)
 class PenaltyContact:
-    """How hard the ground is."""
+    """Parameters of the penalty contacts."""
 
     duration: float
-    """Shortest time that an impact lasts [s]."""
+    """Shortest duration of an impact [s]."""
     slip_speed: float
-    """Slip from which on friction is Coulomb's [m/s]."""
+    """Slip above which friction is Coulomb's [m/s]."""
 
 
 def contact_listing(mechanism: Mechanism, contact: PenaltyContact, marker: Marker) -> Iterator[str]:
-    """Lines that make `spheres`, markers at the centres, and `contacts`, in the order of `gaps`.
+    """Yield lines that make `spheres`, markers at centres, and `contacts`, in the order of `gaps`.
 
     Args:
-        mechanism: With contact spheres.
-        contact: How hard the ground is.
-        marker: Writes a marker at a point of a body's native frame.
+        mechanism: A mechanism with contact spheres.
+        contact: Parameters of the contacts.
+        marker: Function that writes a marker at a point of a body's native frame.
     """
     scene, radius = mechanism.scene, mechanism.sphere_radius.tolist()
     yield "spheres, contacts = [], []"
@@ -158,7 +156,7 @@ def contact_listing(mechanism: Mechanism, contact: PenaltyContact, marker: Marke
 
 
 def _contact(kind: str, markers: str) -> Iterator[str]:
-    # Gap, speed of the slip and of the impact, and one that is not used.
+    # Data of a contact: gap, slip speed, impact speed, and a number that is not used.
     yield "node = mbs.AddNode(items.NodeGenericData("
     yield "    initialCoordinates=[1.0, 0.0, 0.0, 0.0], numberOfDataCoordinates=4))"
     yield f"contacts.append(mbs.AddObject(items.ObjectContactSphere{kind}("
@@ -168,7 +166,7 @@ def _contact(kind: str, markers: str) -> Iterator[str]:
 def _law(
     where: str, mechanism: Mechanism, spheres: list[int], contact: PenaltyContact
 ) -> Iterator[str]:
-    """Lines with the coefficients of a contact of a sphere, or of two."""
+    """Yield the lines with the coefficients of a contact of one sphere or two."""
     law = getattr(mechanism.scene, where)
     if 0.0 < law.restitution < _LEAST:
         msg = (
@@ -176,13 +174,13 @@ def _law(
             "1: its law of impact gets too stiff to be integrated on the way to 0"
         )
         raise Unsupported(msg)
-    # On such a spring the spheres' bodies alone bounce in that time. Joints only add to the mass
-    # that a body turns against a push, so impacts last longer.
+    # On this spring the spheres' bodies alone bounce within `duration`. Joints only add to a body's
+    # effective mass, so impacts last longer with them.
     yielding = sum(_yielding(mechanism, sphere) for sphere in spheres)
     stiffness = (math.pi / contact.duration) ** 2 / yielding
     yield f"    contactStiffness={stiffness!r},"
     if law.restitution:
-        # Model 1 misses the restitution.
+        # `impactModel=1` would miss the restitution.
         yield f"    impactModel=2, restitutionCoefficient={coefficient(law.restitution)!r},"
         slowest = min(_SLOWEST_IMPACT, _SLOWEST_GAIN * contact.duration)
         yield f"    minimumImpactVelocity={slowest!r},"
@@ -194,7 +192,7 @@ def _law(
 
 
 def _yielding(mechanism: Mechanism, sphere: int) -> float:
-    """How much a sphere's body alone yields to a push on it at most [1/kg]."""
+    """Return the largest inverse effective mass of a sphere's body alone, at its centre [1/kg]."""
     body = mechanism.sphere_body[sphere]
     x, y, z = mechanism.sphere_offset[sphere]
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -203,7 +201,7 @@ def _yielding(mechanism: Mechanism, sphere: int) -> float:
 
 
 class TouchingSpheres:
-    """The contact spheres of a model that is built."""
+    """The contact spheres of a built model."""
 
     def __init__(self, mechanism: Mechanism, names: Mapping[str, Any]) -> None:
         self._mbs, self._contacts = names["mbs"], names["contacts"]
@@ -213,12 +211,12 @@ class TouchingSpheres:
         least = self._radius[self._pairs].min(axis=1)
         self._deepest = -np.append(self._radius[: self._grounded], least)
 
-    def sunk(self) -> bool:
-        """Whether the centre of a sphere is in the ground, or in another one."""
+    def has_penetration(self) -> bool:
+        """Return whether a sphere's centre is in the ground or in another sphere."""
         return bool(np.any(self._gaps() < self._deepest))
 
     def memory(self) -> Array:
-        """What the contacts' nodes hold where they know of no impact, from the state as it is."""
+        """Return the data of contacts in the present state, with no impact under way."""
         velocity, spin = self._outputs("Velocity"), self._outputs("AngularVelocity")
         slip_x = velocity[:, 0] - spin[:, 1] * self._radius
         slip_y = velocity[:, 1] + spin[:, 0] * self._radius
@@ -226,48 +224,50 @@ class TouchingSpheres:
         normal = place[one] - place[other]
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         turning = spin * self._radius[:, None]
-        passing = velocity[one] - velocity[other] - np.cross(turning[one] + turning[other], normal)
-        passing -= np.vecdot(passing, normal)[:, None] * normal
+        slip = velocity[one] - velocity[other] - np.cross(turning[one] + turning[other], normal)
+        slip -= np.vecdot(slip, normal)[:, None] * normal
         slips = np.hypot(slip_x, slip_y)[: self._grounded]
-        slips = np.append(slips, np.linalg.norm(passing, axis=1))
-        none = np.zeros_like(slips)
-        return np.stack([self._gaps(), slips, none, none], axis=-1).ravel()
+        slips = np.append(slips, np.linalg.norm(slip, axis=1))
+        zeros = np.zeros_like(slips)
+        return np.stack([self._gaps(), slips, zeros, zeros], axis=-1).ravel()
 
     def centers(self) -> Array:
-        """In W as the model stands [m], shape (sphere, 3)."""
+        """Return the spheres' centres in W in the present state [m], shape (sphere, 3)."""
         return np.asarray(self._outputs("Position"))
 
     def coefficients(self) -> Array:
-        """Radius, friction and the restitution that is delivered, shape (sphere, 3)."""
+        """Return radius, friction and delivered restitution on the ground, shape (sphere, 3)."""
         contacts = [self._mbs.GetObject(number) for number in self._contacts[: self._grounded]]
         if not contacts:
             return np.column_stack([self._radius, np.full((len(self._radius), 2), np.nan)])
         radii = [contact["sphereRadius"] for contact in contacts]
-        return np.column_stack([radii, [_given(contact) for contact in contacts]])
+        return np.column_stack([radii, [_coefficients(contact) for contact in contacts]])
 
     def collisions(self) -> Array:
-        """Friction and the restitution that is delivered, shape (pair, 2)."""
+        """Return friction and delivered restitution of pairs of spheres, shape (pair, 2)."""
         contacts = [self._mbs.GetObject(number) for number in self._contacts[self._grounded :]]
-        return np.array([_given(contact) for contact in contacts]).reshape(-1, 2)
+        return np.array([_coefficients(contact) for contact in contacts]).reshape(-1, 2)
 
 
-def _given(contact: Mapping[str, Any]) -> tuple[float, float]:
-    # Model 0 has a damper alone.
-    back = delivered(contact["restitutionCoefficient"]) if contact["impactModel"] else 0.0
-    return contact["dynamicFriction"], back
+def _coefficients(contact: Mapping[str, Any]) -> tuple[float, float]:
+    # `impactModel=0` is a linear damper alone.
+    restitution = (
+        delivered_restitution(contact["restitutionCoefficient"]) if contact["impactModel"] else 0.0
+    )
+    return contact["dynamicFriction"], restitution
 
 
 @functools.cache
 def coefficient(restitution: float) -> float:
-    """Give the ε with which an impact comes back at e times its speed."""
+    """Return the ε with which an impact delivers a restitution e."""
     if restitution >= _ELASTIC:
         return restitution
     damping = _root(lambda c: _rest(c, restitution), 0.5 * (1.0 - restitution), 1.0 / restitution)
     return _root(lambda value: _damping(value) - damping, 0.1 * _LEAST, 1.0)
 
 
-def delivered(value: float) -> float:
-    """Give the restitution that comes of an ε."""
+def delivered_restitution(value: float) -> float:
+    """Return the restitution that an ε delivers."""
     if value >= _ELASTIC:
         return value
     damping = _damping(value)
@@ -275,16 +275,16 @@ def delivered(value: float) -> float:
 
 
 def _damping(value: float) -> float:
-    """c of an ε, as Exudyn computes it."""
+    """Return the c of an ε, as Exudyn computes it."""
     if value > _CHANGE:
         return 1.5 * (1.0 - value) * (11.0 - value) / (1.0 + 9.0 * value)
     return (1.0 - value**2) / value
 
 
 def _rest(damping: float, restitution: float) -> float:
-    # Below e for log1p's sake; at c e = 1 the sphere takes for ever to leave.
-    left = max(1.0 - damping * restitution, 1e-300)
-    return math.log1p(damping) - math.log(left) - damping * (1.0 + restitution)
+    # Kept above 0 for the logarithm; at c e = 1 the sphere takes for ever to leave.
+    remaining = max(1.0 - damping * restitution, 1e-300)
+    return math.log1p(damping) - math.log(remaining) - damping * (1.0 + restitution)
 
 
 def _root(function: Callable[[float], float], low: float, high: float) -> float:

@@ -1,4 +1,4 @@
-"""A mechanism in Exudyn's terms: what every way of putting it must tell, and rigid bodies.
+"""Formulations of a mechanism in Exudyn: their common interface, and rigid bodies.
 
 Rigid bodies have six coordinates each and are held together by constraints.
 """
@@ -21,7 +21,7 @@ from mbds_xsim.scene.shapes import THIN, shapes
 
 from .brakes import brakes_listing, couplings_listing, drives_listing, rotors_listing
 
-# Exudyn wants names that no other item has, so the scene's names are comments.
+# Exudyn requires unique names of items, so the scene's names are comments.
 HEAD = """\
 import exudyn as exu
 import exudyn.itemInterface as items
@@ -38,7 +38,7 @@ _CALLS = {
     "hinge": "CreateRevoluteJoint",
     "slider": "CreatePrismaticJoint",
 }
-_CENTRED = 1e-14  # of the scene's length: what is so near to a centre of mass is there
+_OFFSET = 1e-14  # share of the scene's length that counts as 0 off a centre of mass
 _AXIS_COLUMN = {"JointRevoluteZ": 2, "JointPrismaticX": 0}
 # Exudyn keeps the inertia tensor as xx, yy, zz, yz, xz, xy.
 _VOIGT = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
@@ -46,33 +46,33 @@ _VOIGT = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
 
 @dataclass(frozen=True, eq=False)
 class MassProperties:
-    """Mass properties as Exudyn holds them, in native frames, body by body."""
+    """Mass properties of the Exudyn model, in native frames, body by body."""
 
     mass: Array
-    """[kg], shape (body,)."""
+    """Mass [kg], shape (body,)."""
     inertia: Array
-    """About the centre of mass [kg·m²], shape (body, 3, 3)."""
+    """Inertia about the centre of mass [kg·m²], shape (body, 3, 3)."""
     com: Array
-    """From the body's marker in `frames` [m], shape (body, 3): nil if all is well."""
+    """Centre of mass relative to the body's marker in `frames` [m], shape (body, 3); 0 if right."""
     gravity: Array
-    """Acting on each body [m/s²], shape (body, 3)."""
+    """Gravity on each body [m/s²], shape (body, 3)."""
 
 
 class Formulation(ABC):
     """A mechanism in Exudyn's terms.
 
-    `names` are those that the listing leaves behind, among them `mbs` and, body by body, `frames`:
-    markers at the centres of mass, parallel to the native frames; `centres` are as good for forces.
+    `names` are the variables that the listing defines. Among them are `mbs` and, body by body,
+    `frames`: markers at centres of mass, parallel to native frames. `centres` suffice for forces.
     """
 
     def __init__(self, mechanism: Mechanism, step: float) -> None:
         self.mechanism = mechanism
         self.step = step
-        """Of the solver [s]."""
+        """Step of the solver [s]."""
 
     @final
     def statements(self) -> Iterator[str]:
-        """Lines that build the model, after `HEAD`."""
+        """Yield the lines that build the model, after `HEAD`."""
         yield from self.bodies()
         for spring in self.mechanism.springs:
             yield (
@@ -84,27 +84,27 @@ class Formulation(ABC):
 
     @abstractmethod
     def bodies(self) -> Iterator[str]:
-        """Lines that make bodies, joints, distance links, `frames` and `centres`."""
+        """Yield the lines that make bodies, joints, distance links, `frames` and `centres`."""
 
     @abstractmethod
     def ends(self, pair: PointPair) -> str:
-        """Write the ends of a spring."""
+        """Return the arguments that give the ends of a spring."""
 
     @abstractmethod
     def graphics(self) -> Iterator[str]:
-        """Lines that give bodies something to be seen by, where the engine draws nothing."""
+        """Yield the lines that make bodies visible, if the engine itself draws nothing."""
 
     @abstractmethod
     def marker(self, body: int, point: Array) -> str:
-        """Write a marker at a point of a body's native frame, parallel to it."""
+        """Return the call for a marker at a point of a body's native frame, parallel to it."""
 
     @abstractmethod
     def from_bodies(self, bodies: BodyStates) -> tuple[Array, Array]:
-        """Coordinates and velocities of body states, each of shape (…, coordinate)."""
+        """Convert body states to coordinates and velocities, each of shape (…, coordinate)."""
 
     @abstractmethod
     def to_bodies(self, coordinates: Array, velocities: Array) -> BodyStates:
-        """Body states of coordinates and velocities."""
+        """Convert coordinates and velocities to body states."""
 
     @abstractmethod
     def mass_properties(self, names: Mapping[str, Any]) -> MassProperties:
@@ -112,26 +112,26 @@ class Formulation(ABC):
 
     @abstractmethod
     def anchors(self, names: Mapping[str, Any], com: Array, turn: Array) -> Array:
-        """Anchors in the parent and in the child, in W as the bodies are, shape (joint, 2, 3)."""
+        """Return anchors fixed in parent and child, in W at the present state, (joint, 2, 3)."""
 
     @abstractmethod
     def laws(self, names: Mapping[str, Any]) -> Array:
-        """Read back what `Readback.law` tells."""
+        """Read back `Readback.law`."""
 
     @abstractmethod
     def armature(self, names: Mapping[str, Any]) -> Array:
-        """Read back what `Readback.armature` tells."""
+        """Read back `Readback.armature`."""
 
     @abstractmethod
     def joint_axes(self, names: Mapping[str, Any], turn: Array) -> Array:
-        """Axes of hinges and sliders in W, with the bodies' rotations (body, 3, 3) as they are."""
+        """Return the axes of hinges and sliders in W, given the bodies' rotations (body, 3, 3)."""
 
 
 class RigidBodies(Formulation):
-    """Coordinates: displacement from the reference position and rotation vector of each body.
+    """Rigid bodies; each has a displacement from its reference position and a rotation vector.
 
-    Their velocities are the body's velocity in W and its angular velocity in its own frame. What
-    rotors have turned by since the start follows.
+    Their velocities are the body's velocity in W and its angular velocity in its own frame. The
+    turns of rotors since the start follow as further coordinates.
     """
 
     def bodies(self) -> Iterator[str]:
@@ -141,7 +141,7 @@ class RigidBodies(Formulation):
         for joint in mechanism.joints:
             yield f"# {joint.name!r}"
             ball = joint.kind == "ball"
-            yield _ball(joint, nil=_CENTRED * mechanism.scene.length) if ball else _joint(joint)
+            yield _ball(joint, nil=_OFFSET * mechanism.scene.length) if ball else _joint(joint)
         for link in mechanism.distances:
             yield f"mbs.CreateDistanceConstraint({self.ends(link)}, distance={link.length!r})"
         for joint in mechanism.compliant:
@@ -171,9 +171,9 @@ class RigidBodies(Formulation):
         yield ""
         size = 2.0 * THIN * self.mechanism.scene.length
         yield f"container.visualizationSettings.connectors.defaultSize = {size!r}"
-        for body, drawn in parts.items():
-            made = ", ".join(drawn)
-            yield f"mbs.SetObjectParameter(bodies[{body}], 'VgraphicsData', [{made}])"
+        for body, drawings in parts.items():
+            text = ", ".join(drawings)
+            yield f"mbs.SetObjectParameter(bodies[{body}], 'VgraphicsData', [{text}])"
 
     def marker(self, body: int, point: Array) -> str:
         return (
@@ -186,16 +186,16 @@ class RigidBodies(Formulation):
         spin = rotation.rotate(rotation.conjugate(bodies.native), bodies.angular_velocity)
         world = bodies.with_world()
         rates = [joint_rate(joint, world)[..., None] for joint in self.mechanism.rotors]
-        places = _joined(shift, rotation.to_vector(bodies.native))
+        places = _join(shift, rotation.to_vector(bodies.native))
         return (
             np.concatenate([places, *(np.zeros_like(rate) for rate in rates)], axis=-1),
-            np.concatenate([_joined(bodies.velocity, spin), *rates], axis=-1),
+            np.concatenate([_join(bodies.velocity, spin), *rates], axis=-1),
         )
 
     def to_bodies(self, coordinates: Array, velocities: Array) -> BodyStates:
-        of_bodies = 6 * self.mechanism.body_count
-        shift, vector = _parted(coordinates[..., :of_bodies])
-        velocity, spin = _parted(velocities[..., :of_bodies])
+        count = 6 * self.mechanism.body_count
+        shift, vector = _split(coordinates[..., :count])
+        velocity, spin = _split(velocities[..., :count])
         native = rotation.from_vector(vector)
         position = self.mechanism.com + shift
         return BodyStates(position, native, velocity, rotation.rotate(native, spin))
@@ -210,7 +210,7 @@ class RigidBodies(Formulation):
         )
 
     def anchors(self, names: Mapping[str, Any], com: Array, turn: Array) -> Array:
-        del com, turn  # the engine places its markers itself
+        del com, turn  # the engine computes its markers' places itself
         mbs, place = names["mbs"], exudyn.OutputVariableType.Position
         joints = [mbs.GetObject(number)["markerNumbers"] for number in names["joints"]]
         ends = [[mbs.GetMarkerOutput(end, place) for end in pair] for pair in joints]
@@ -219,8 +219,8 @@ class RigidBodies(Formulation):
     def laws(self, names: Mapping[str, Any]) -> Array:
         objects = [names["mbs"].GetObject(number) for number in names["laws"]]
         keys = ("stiffness", "damping", "offset")
-        told = [[np.ravel(each[key])[0] for key in keys] for each in objects]
-        return np.array(told).reshape(-1, len(keys))
+        laws = [[np.ravel(each[key])[0] for key in keys] for each in objects]
+        return np.array(laws).reshape(-1, len(keys))
 
     def armature(self, names: Mapping[str, Any]) -> Array:
         return np.array([names["mbs"].GetObject(number)["mass"] for number in names["rotors"]])
@@ -239,8 +239,8 @@ class RigidBodies(Formulation):
 
 def _body(mechanism: Mechanism, k: int) -> Iterator[str]:
     yield f"# {mechanism.scene.bodies[k].name!r}"
-    # A rotation vector is what every solver of Exudyn takes: the explicit ones refuse Euler
-    # parameters. It does not run into its singularity at 2π, the Lie-group update wraps it.
+    # Every solver of Exudyn takes rotation vectors; the explicit ones refuse Euler parameters. A
+    # rotation vector never reaches its singularity at 2π: the Lie-group update wraps it.
     yield (
         f"bodies.append(mbs.CreateRigidBody(referencePosition={mechanism.com[k].tolist()!r}, "
         f"inertia={inertia_text(mechanism.mass[k], mechanism.inertia[k], np.zeros(3))}, "
@@ -262,7 +262,7 @@ def _joint(joint: PlacedJoint) -> str:
 
 
 def _ball(joint: PlacedJoint, nil: float) -> str:
-    """Write a joint of two points; one at a centre of mass takes no rotation matrix to compute."""
+    """Return the call for a ball joint; points at a centre of mass need no rotation matrix."""
     ends = ((joint.parent, joint.in_parent), (joint.child, joint.in_child))
     markers = ", ".join(
         f"centres[{body}]"
@@ -304,7 +304,7 @@ def _item(body: int) -> str:
 
 
 def _gravity(names: Mapping[str, Any]) -> Array:
-    """Sum of the loads per mass on each body: without gravity Exudyn makes none."""
+    """Sum up the loads per mass on each body; without gravity Exudyn makes none."""
     mbs, bodies = names["mbs"], [int(body) for body in names["bodies"]]
     gravity = np.zeros((len(bodies), 3))
     for k in range(mbs.systemData.NumberOfLoads()):
@@ -315,18 +315,18 @@ def _gravity(names: Mapping[str, Any]) -> Array:
     return gravity
 
 
-def _joined(first: Array, second: Array) -> Array:
+def _join(first: Array, second: Array) -> Array:
     both = np.concatenate([first, second], axis=-1)
     return both.reshape(*both.shape[:-2], -1)
 
 
-def _parted(values: Array) -> tuple[Array, Array]:
+def _split(values: Array) -> tuple[Array, Array]:
     parts = values.reshape(*values.shape[:-1], -1, 6)
     return parts[..., :3], parts[..., 3:]
 
 
 def loads_listing(mechanism: Mechanism) -> Iterator[str]:
-    """Lines that make `forces`, one a body, and `torques`, pairs (child, parent) of a hinge."""
+    """Yield lines that make `forces`, one per body, and `torques`, (child, parent) per hinge."""
     for k in range(mechanism.body_count):
         yield f"forces.append(mbs.CreateForce(itemNumber=centres[{k}]))"
     for joint in mechanism.hinges:
@@ -341,7 +341,7 @@ def loads_listing(mechanism: Mechanism) -> Iterator[str]:
 
 
 def inertia_text(mass: float, inertia: Array, com: Array) -> str:
-    """Write mass properties; the tensor is about the centre of mass."""
+    """Return the text of mass properties; the tensor is about the centre of mass."""
     return (
         f"RigidBodyInertia(mass={float(mass)!r}, inertiaTensor=np.array({inertia.tolist()!r}), "
         f"com=np.array({com.tolist()!r}), inertiaTensorAtCOM=True)"

@@ -1,4 +1,4 @@
-"""What a listing reads like for earlier releases of Exudyn, which have other names for the same."""
+"""Translation of listings for earlier releases of Exudyn, which use other names."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import re
 
 import exudyn
 
-# Before which release, a pattern of today's listing, and what stands in its place.
+# First release with today's name, pattern in today's listing, and the text used before.
 _EARLIER = (
     ((1, 13), r"\.solution\.file\.write", ".solutionSettings.writeSolutionToFile"),
     ((1, 13), r"\.solution\.sensors\.active", ".solutionSettings.sensorsStoreAndWriteFiles"),
@@ -26,7 +26,7 @@ _EARLIER = (
 
 
 def silence() -> None:
-    """Let Exudyn print nothing."""
+    """Stop Exudyn from printing."""
     if hasattr(exudyn, "config"):
         exudyn.config.printToConsole = False
         exudyn.config.suppressWarnings = True
@@ -36,7 +36,7 @@ def silence() -> None:
 
 
 def in_its_words(listing: str) -> str:
-    """Give a listing in the words of the release that is installed."""
+    """Return a listing with the names of the installed release."""
     release = tuple(int(number) for number in exudyn.__version__.split(".")[:2])
     for until, pattern, earlier in _EARLIER:
         if release < until:

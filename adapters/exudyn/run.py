@@ -1,4 +1,4 @@
-"""A loaded scene: trajectories frame by frame, and what the engine says of its model."""
+"""A scene loaded into Exudyn: its rollouts, and the readback of its native model."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from mbds_xsim.simulate.adapter import (
     too_fast,
 )
 
-from .brakes import held
+from .brakes import read_brakes
 from .contact import PenaltyContact, TouchingSpheres, contact_listing
 from .model import HEAD, Formulation
 from .older import in_its_words, silence
@@ -49,7 +49,7 @@ for body, frame in enumerate(frames):  # centre of mass, rotation matrix, veloci
 
 
 class ExudynRun(Run):
-    """Runs the listing, then the solver once a frame."""
+    """A run that executes the listing, then the solver once per frame."""
 
     def __init__(
         self, mechanism: Mechanism, model: Formulation, stepping: Stepping, contact: PenaltyContact
@@ -59,7 +59,7 @@ class ExudynRun(Run):
         listing = _listing(mechanism, model, contact) + stepping.listing(mechanism)
         self._listing = in_its_words(listing)
         silence()
-        # The listing is the model: running it leaves no call that it does not show.
+        # The listing is the model: it shows every call that builds the model.
         self._names: dict[str, Any] = {}
         exec(compile(self._listing, "<exudyn model>", "exec"), self._names)
         self._mbs = self._names["mbs"]
@@ -67,7 +67,7 @@ class ExudynRun(Run):
         self.size = ModelSize(data.ODE2Size(), data.AEsize(), count_pairs(mechanism))
         touching = bool(mechanism.scene.contacts)
         self._spheres = TouchingSpheres(mechanism, self._names) if touching else None
-        # Also the multipliers, which a later trajectory would start Newton's method from.
+        # Includes the multipliers, from which a later trajectory would start Newton's method.
         self._rest = data.GetSystemState(exudyn.ConfigurationType.Initial)
 
     def rollout(self, batch: Batch) -> Trajectory:
@@ -89,7 +89,7 @@ class ExudynRun(Run):
         return self._model.from_bodies(BodyStates.of(self._mechanism, batch))
 
     def _put(self, coordinates: Array, velocities: Array) -> None:
-        """Start afresh, without the solver's memory of an earlier trajectory."""
+        """Set a start without the solver's memory of an earlier trajectory."""
         data = self._mbs.systemData
         for configuration in (
             exudyn.ConfigurationType.Initial,
@@ -106,16 +106,16 @@ class ExudynRun(Run):
             data.SetDataCoordinates(memory, exudyn.ConfigurationType.Current)
 
     def _memory(self) -> Array:
-        """What springs of hinges hold, which are listed first and count turns, and contacts."""
+        """Return the data coordinates of a start: zeros for joints, then those of contacts."""
         assert self._spheres is not None
         memory = self._spheres.memory()
         return np.concatenate([np.zeros(self._mbs.systemData.DataSize() - len(memory)), memory])
 
     def _record(self, row: Batch, positions: Array, velocities: Array) -> str | None:
-        """Step through one trajectory; tell what the solver stumbled over, if it did.
+        """Step through one trajectory; return why it failed, or None.
 
-        Every frame is a run of the solver that begins with the accelerations of its own loads:
-        carried on from the last frame's, a jump of the loads would cost an order of accuracy.
+        Every frame is a run of the solver that begins with the accelerations of its own loads.
+        With the last frame's, a jump of the loads would cost an order of accuracy.
         """
         self._put(positions[0], velocities[0])
         data, torque = self._mbs.systemData, with_pushes(self._mechanism.drives, row.torque)
@@ -125,7 +125,7 @@ class ExudynRun(Run):
                 self._names["next_frame"]()
             except Exception as error:
                 return _reason(self._mbs.sys["dynamicSolver"], error)
-            if self._spheres is not None and self._spheres.sunk():
+            if self._spheres is not None and self._spheres.has_penetration():
                 return "a contact sphere is in the ground, or in another, up to its centre"
             positions[k + 1] = data.GetODE2Coordinates()
             velocities[k + 1] = data.GetODE2Coordinates_t()
@@ -156,9 +156,9 @@ class ExudynRun(Run):
         spin = self._output("AngularVelocity")
         arm = np.einsum("kij,kj->ki", turn, properties.com)
         com = self._output("Position") + arm
-        alike = not np.ptp(properties.gravity, axis=0).any()
+        uniform = not np.ptp(properties.gravity, axis=0).any()
         stepping = self._names["settings"].timeIntegration
-        friction, limits = held(self._names, self._mechanism)
+        friction, limits = read_brakes(self._names, self._mechanism)
         return Readback(
             mass=properties.mass,
             inertia=properties.inertia,
@@ -166,7 +166,7 @@ class ExudynRun(Run):
             orientation=self._mechanism.body_orientation(rotation.from_matrix(turn)),
             velocity=self._output("Velocity") + np.cross(spin, arm),
             angular_velocity=spin,
-            gravity=properties.gravity[0] if alike else np.full(3, np.nan),
+            gravity=properties.gravity[0] if uniform else np.full(3, np.nan),
             step=(stepping.endTime - stepping.startTime) / stepping.numberOfSteps,
             joint_axis=self._model.joint_axes(self._names, turn),
             damping=None,
@@ -188,7 +188,7 @@ class ExudynRun(Run):
         return 1.0 / tie["factor1"], tie["offset"] / tie["factor1"]
 
     def _drive(self, number: Any) -> tuple[float, float, float]:
-        """Its limit is in the function that makes its force, of which Exudyn tells nothing."""
+        """Return stiffness, damping and NaN: Exudyn cannot report the force function's limit."""
         law = self._mbs.GetObject(number)
         return law["stiffness"], law["damping"], np.nan
 
@@ -200,7 +200,7 @@ class ExudynRun(Run):
         return np.column_stack(columns)
 
     def _output(self, name: str) -> Array:
-        """What the engine says of the markers at the centres of mass."""
+        """Return an output variable of the markers at the centres of mass."""
         variable = getattr(exudyn.OutputVariableType, name)
         frames = self._names["frames"]
         return np.array([self._mbs.GetMarkerOutput(frame, variable) for frame in frames])
@@ -228,7 +228,7 @@ def _listing(mechanism: Mechanism, model: Formulation, contact: PenaltyContact) 
 
 
 def _reason(solver: Any, error: Exception) -> str:
-    """One line out of what a solver that gave up knows."""
+    """Describe in one line why the solver gave up."""
     state = solver.conv
     if state.linearSolverFailed:
         return "the linear solver failed: the system is singular"

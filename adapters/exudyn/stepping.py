@@ -1,4 +1,4 @@
-"""How a frame is stepped: Exudyn's simulation settings, as text that is run to make them."""
+"""Exudyn's simulation settings for a frame, as program text that creates them."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ SOLVERS = {
 LINEAR_SOLVERS = ("auto", "EXUdense", "EigenDense", "EigenSparse")
 
 _ROWS = {"fixed": 6, "hinge": 5, "slider": 5, "ball": 3}
-# Exudyn's default of Newton's method; with the finer steps near the ground it would leave more of
-# an error in a flight than the steps do.
+# Tolerances of Newton's method: Exudyn's default, and one for the finer steps near the ground, with
+# which the default would leave a larger error in a flight than the steps do.
 _USUAL, _TIGHT = 1e-8, 1e-10
-# A step may be shortened, down to a share, to end where a sphere touches down or leaves, and is
-# back at its full length some steps later. By default it would stay short after a step that took
-# Newton's method many iterations, as very short ones do for their rounding.
+# Share to which a step may be shortened to end where a sphere touches down or leaves. Some steps
+# later it is back at its full length. By default it would stay short after a step that took
+# Newton's method many iterations, as very short steps do because of rounding.
 _SHORTEST_SHARE = 1e-5
-# A touch is met well enough where the error of the contact force is that of a shortest step's way
-# at this speed; if even a shortest step misses it, the solver gives up [m/s].
+# Speed [m/s] whose path in a shortest step sets the tolerance of the contact force at a touch. The
+# solver gives up if even a shortest step misses that tolerance.
 _FASTEST_IMPACT = 100.0
-# Forces of stops that begin or cease in a step; by default 1 N or N·m are let pass, and a joint may
-# be pulled by the stop that it leaves.
+# Tolerance for forces of stops that begin or end within a step. By default it is 1 N or N·m, and a
+# stop may pull on the joint that leaves it.
 _KINK = 0.0
-# Of places some metres off, and so of what a damper makes of them in a step: Newton's method
-# cannot get below it, and tries for ever where all is at rest.
+# Rounding error of positions some metres off. A damper turns it into a force within a step, and
+# Newton's method cannot get below that force: it would try for ever where all is at rest.
 _ROUNDING = 1e-15
 _NEAR_GROUND = """\
 near_ground = steps_of_a_frame({count})
@@ -61,7 +61,7 @@ _SPARSE_FROM = 8
 
 @dataclass(frozen=True)
 class Stepping:
-    """Everything the solver is told."""
+    """All settings of the solver."""
 
     method: str
     frame: float
@@ -70,13 +70,13 @@ class Stepping:
     spectral_radius: float
     modified_newton: bool
     division: int = 0
-    """Finer steps of a step near the ground; 0 where the scene has no contact."""
+    """Number of finer steps in a step near the ground; 0 if the scene has no contact."""
     braked: bool = False
-    """Whether joints have friction or limits, whose laws have kinks that Newton's method may go
-    back and forth between: a step in which it does not end is taken in shorter ones."""
+    """Whether joints have friction or limits. Newton's method may go back and forth between the
+    kinks of their laws; a step on which it does not converge is divided into shorter ones."""
 
     def listing(self, mechanism: Mechanism) -> str:
-        """Write the program that makes `settings`, and `next_frame` to call once a frame."""
+        """Return the program that defines `settings`, and `next_frame` to call once per frame."""
         redundant = has_redundant_constraints(mechanism)
         return f"""
 
@@ -116,7 +116,7 @@ def step_frame(settings=settings):
 """
 
     def _near_ground(self) -> str:
-        """Write `near_ground`, the settings of a frame in which a sphere may touch."""
+        """Return the program for `near_ground`, settings of frames in which a sphere may touch."""
         return (
             _NEAR_GROUND.format(
                 count=self.substeps * self.division,
@@ -136,7 +136,7 @@ def step_frame(settings=settings):
 
 
 def has_redundant_constraints(mechanism: Mechanism) -> bool:
-    """Tell whether constraint rows hang on each other at the reference pose.
+    """Return whether constraint rows are linearly dependent at the reference pose.
 
     Exudyn's solvers then need its dense solver that ignores a singular Jacobian.
     """

@@ -19,10 +19,10 @@ _TYPES = {"hinge": "RevoluteZ", "slider": "PrismaticZ"}
 
 
 class KinematicTree(Formulation):
-    """Coordinates: the angle or displacement of each link of the spanning tree.
+    """A tree whose coordinates are the angle or displacement of each link.
 
-    Exudyn puts a link's frame at its joint; here its z axis is the joint's, so that one joint
-    type serves every axis.
+    Exudyn puts a link's frame at its joint. The adapter turns its z axis into the joint's, so that
+    one joint type serves every axis.
     """
 
     def __init__(self, mechanism: Mechanism, step: float) -> None:
@@ -39,11 +39,11 @@ class KinematicTree(Formulation):
         offsets = f", jointPositionOffsetVector={rest!r}" if mechanism.compliant else ""
         yield f"tree = mbs.CreateKinematicTree(listOfTreeLinks=links, gravity={gravity!r}{offsets})"
         if mechanism.rotors:
-            beside = np.diag([_joint(link).armature for link in mechanism.links]).tolist()
+            armature = np.diag([_joint(link).armature for link in mechanism.links]).tolist()
             node = "mbs.GetObject(tree)['nodeNumber']"
             yield (
                 "rotors.append(mbs.AddObject(items.ObjectGenericODE2("
-                f"nodeNumbers=[{node}], massMatrix={beside!r})))"
+                f"nodeNumbers=[{node}], massMatrix={armature!r})))"
             )
         for k in range(mechanism.body_count):
             yield f"frames.append({self.marker(k, np.zeros(3))})"
@@ -64,7 +64,7 @@ class KinematicTree(Formulation):
         yield (
             f"links.append(TreeLink({inertia_text(mechanism.mass[link.body], inertia, com)}, "
             f"jointType=exu.JointType.{_TYPES[joint.kind]}, parent={parent}, "
-            f"jointHT={_placed(above.T @ frame, above.T @ offset)}, graphicsDataList=[]{law}))"
+            f"jointHT={_transform(above.T @ frame, above.T @ offset)}, graphicsDataList=[]{law}))"
         )
 
     def graphics(self) -> Iterator[str]:
@@ -76,7 +76,7 @@ class KinematicTree(Formulation):
         back = _frame(joint).T
         return (
             "mbs.AddMarker(items.MarkerKinematicTreeRigid(objectNumber=tree, "
-            f"linkNumber={number}, localHT={_placed(back, back @ (point - joint.in_child))}))"
+            f"linkNumber={number}, localHT={_transform(back, back @ (point - joint.in_child))}))"
         )
 
     def ends(self, pair: PointPair) -> str:
@@ -141,15 +141,15 @@ class KinematicTree(Formulation):
     def armature(self, names: Mapping[str, Any]) -> Array:
         places = {_joint(link).index: k for k, link in enumerate(self.mechanism.links)}
         rotors = [places[joint.index] for joint in self.mechanism.rotors]
-        held = [names["mbs"].GetObject(number)["massMatrix"] for number in names["rotors"]]
-        return np.array([np.diag(mass.Convert2DenseMatrix())[rotors] for mass in held]).ravel()
+        matrices = [names["mbs"].GetObject(number)["massMatrix"] for number in names["rotors"]]
+        return np.array([np.diag(mass.Convert2DenseMatrix())[rotors] for mass in matrices]).ravel()
 
     def joint_axes(self, names: Mapping[str, Any], turn: Array) -> Array:
         link_frames = turn @ np.swapaxes(self._back(names), -1, -2)
         return joint_axes(self.mechanism, lambda link: link_frames[link.body][:, 2])
 
     def _back(self, names: Mapping[str, Any]) -> Array:
-        """Native frames as seen in link frames, from the markers; shape (body, 3, 3)."""
+        """Read rotations from native frames to link frames off the markers, shape (body, 3, 3)."""
         markers = [names["mbs"].GetMarker(frame) for frame in names["frames"]]
         return np.array([marker["localHT"][:3, :3] for marker in markers])
 
@@ -160,11 +160,11 @@ def _joint(link: Link) -> PlacedJoint:
 
 
 def _frame(joint: PlacedJoint) -> Array:
-    """Axes of a link's frame in W at the reference pose, z along the joint's axis."""
+    """Return the axes of a link's frame in W at the reference pose, z along the joint's axis."""
     return np.column_stack([*rotation.normal_to(joint.axis), joint.axis])
 
 
-def _placed(turn: Array, offset: Array) -> str:
+def _transform(turn: Array, offset: Array) -> str:
     place = np.eye(4)
     place[:3, :3], place[:3, 3] = turn, offset
     return f"np.array({place.tolist()!r})"

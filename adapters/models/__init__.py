@@ -1,1 +1,1 @@
-"""Models of other formats: each reader gives a scene and says what became of all that was read."""
+"""Readers and writers of other model formats, which report the fate of all they convert."""

@@ -1,4 +1,4 @@
-"""Parts become a scene: what is fixed is one body, what has several joints a chain of bodies."""
+"""Assembly of parts into a scene: fixed parts merge, several joints make a chain of bodies."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ from .facts import facts_of
 from .floor import floor_of, on_the_floor
 from .masses import SHARE, physical, small
 from .parts import Closing, Drive, Freedom, Line, Mass, ModelCoupling, Part, Parts, Property
-from .starts import check_above_ground, kept_limits, starts
+from .starts import check_above_ground, drop_limits, starts
 
 _AS_IS = "on the joint, as it is"
-_KEPT = {"limits": "stops of the joint, which give nothing of a speed back"}
+_NOTES = {"limits": "stops of the joint, which give nothing of a speed back"}
 _SCALAR = "the scene description has it for hinges and sliders alone"
 _NOTHING = Mass(0.0, np.zeros(3), np.zeros((3, 3)))
-_FAR = 1e9  # [rad or m]: limits beyond it are none
+_FAR = 1e9  # [rad or m]: limits beyond this are dropped
 _TIES_NOTHING = "it holds what does not move, or is not there"
-_TOGETHER = 1e-9  # [m], between anchors that are one
-_INDEPENDENT = 1e-3  # least volume that three unit axes span
+_TOGETHER = 1e-9  # [m]: anchors this close count as one point
+_INDEPENDENT = 1e-3  # least volume spanned by three independent unit axes
 
 
 def assemble(model: Parts, *, file: str, kind: str, reader: str, fates: Iterable[Fate]) -> Imported:
-    """Make the scene.
+    """Assemble the scene, with the report on everything in the file.
 
     Args:
-        model: What a reader has made of the file.
-        file: Its name.
-        kind: Of the format.
-        reader: Name and version.
-        fates: What has become of the rest of the file.
+        model: The model that a reader has made of the file.
+        file: Name of the file.
+        kind: Name of the format.
+        reader: Name and version of the reader.
+        fates: Fates of what the reader has handled itself.
     """
     floor = floor_of(model)
     _check_finite(model)
@@ -64,19 +64,19 @@ def assemble(model: Parts, *, file: str, kind: str, reader: str, fates: Iterable
         length=builder.length,
         gravity=model.gravity.tolist(),
     )
-    touching: list[Fate] = []
+    contact_fates: list[Fate] = []
     if model.solids is not None:
-        contacts, ground, touching = contacts_of(model.solids, floor, builder.body_of)
+        contacts, ground, contact_fates = contacts_of(model.solids, floor, builder.body_of)
         scene = msgspec.structs.replace(scene, contacts=contacts, ground=ground)
     scene = msgspec.structs.replace(scene, sampling=starts(scene, builder.limits))
-    scene, more = kept_limits(scene, model.labels.get("limits", ("joint", "limits")))
+    scene, limit_fates = drop_limits(scene, model.labels.get("limits", ("joint", "limits")))
     check_above_ground(scene)
-    told = gathered([*fates, *builder.fates, *touching, *more])
-    return Imported(scene, file, kind, reader, told, facts_of(model, reader))
+    report = gathered([*fates, *builder.fates, *contact_fates, *limit_fates])
+    return Imported(scene, file, kind, reader, report, facts_of(model, reader))
 
 
 def _check_finite(model: Parts) -> None:
-    """Raise SceneError where a mass or place is no number, or too large to reckon with."""
+    """Raise SceneError if a mass or position is not finite, or too large to compute with."""
     for part in model.parts:
         values: dict[str, Any] = {"position": part.position, "orientation": part.orientation}
         values |= {"mass": part.mass.mass, "centre of mass": part.mass.com}
@@ -87,7 +87,7 @@ def _check_finite(model: Parts) -> None:
 
 
 class _Builder:
-    """Bodies and joints, and what was done to make them."""
+    """Bodies, joints and elements of the scene, with the fates of the parts."""
 
     def __init__(self, model: Parts) -> None:
         self._model, self._parts = model, model.parts
@@ -95,12 +95,12 @@ class _Builder:
         self.joints: list[Joint] = []
         self.fates: list[Fate] = []
         self.limits: dict[str, tuple[float, float]] = {}
-        """Of hinges and sliders by name."""
+        """Limits of hinges and sliders, keyed by joint name."""
         self._names: set[str] = {WORLD}
         self._joint_names: dict[str, str] = {}
-        """Of the scene, by the model's."""
+        """Joint names in the scene, keyed by those in the model."""
         self._owner = self._owners()
-        """Part as which each part moves; −1: the world."""
+        """Index of the part that each part moves with; −1 is the world."""
         self._own = [_NOTHING] * len(self._parts)
         for k, owner in enumerate(self._owner):
             if owner >= 0:
@@ -128,7 +128,7 @@ class _Builder:
             self._couple(coupling)
 
     def body_of(self, part: int) -> str | None:
-        """Name the body that a part is; none where it is not there."""
+        """Return the name of the body that a part belongs to; None if that body was dropped."""
         return self._body_names.get(self._owner[part] if part >= 0 else -1)
 
     def _above(self, k: int) -> int:
@@ -143,13 +143,13 @@ class _Builder:
             if not part.freedoms and owner >= 0:
                 reason = "one with the body that it is fixed to: masses and inertias are added"
                 place = f"{part.name} in {self._parts[owner].name}"
-                self._tell("kept", "body", reason, place)
+                self._report("kept", "body", reason, place)
             elif not part.freedoms:
                 reason = "fixed in the world, where its mass moves nothing"
-                self._tell("kept", "body", reason, part.name, moves=False)
+                self._report("kept", "body", reason, part.name, moves=False)
         return owners
 
-    def _tell(
+    def _report(
         self, outcome: str, element: str, reason: str, place: str, *, moves: bool = True
     ) -> None:
         self.fates.append(Fate(element, (), outcome, reason, moves, (place,)))  # type: ignore[arg-type]
@@ -160,13 +160,13 @@ class _Builder:
         above = self._body_names.get(self._above(k))
         if not (carried.mass > 0 or np.trace(carried.inertia) > 0) or above is None:
             reason = "it has no mass and carries none: nothing determines its motion"
-            self._tell("dropped", "body", reason, part.name, moves=False)
+            self._report("dropped", "body", reason, part.name, moves=False)
             return
         mass = self._sound(part, self._own[k], carried)
-        *between, last = self._simplified(part)
-        name = self._named(part.name)
+        *between, last = self._merge_joints(part)
+        name = self._unique_name(part.name)
         for freedom in between:
-            middle = self._named(f"{part.name} after {freedom.name}")
+            middle = self._unique_name(f"{part.name} after {freedom.name}")
             self.bodies.append(_body(middle, part, small(carried, freedom.anchor)))
             self._join(freedom, above, middle)
             above = middle
@@ -175,41 +175,41 @@ class _Builder:
                 "several joints of one body: between two of them stands a body of "
                 f"{SHARE:g} of the mass and inertia that they carry"
             )
-            self._tell("approximated", "joint", reason, part.name)
+            self._report("approximated", "joint", reason, part.name)
         self.bodies.append(_body(name, part, mass))
         self._join(last, above, name)
         self._body_names[k] = name
 
-    def _named(self, wanted: str) -> str:
+    def _unique_name(self, wanted: str) -> str:
         name = _unique(wanted, self._names)
         self._names.add(name)
         return name
 
     def _sound(self, part: Part, own: Mass, carried: Mass) -> Mass:
-        """Give a mass and an inertia that a body can have."""
+        """Return a physically possible mass and inertia, and report every change."""
         if own.mass <= 0 and np.trace(own.inertia) <= 0:
             reason = f"no mass: it gets {SHARE:g} of the mass and inertia that it carries"
-            self._tell("approximated", "inertial", reason, part.name)
+            self._report("approximated", "inertial", reason, part.name)
             return small(carried, part.position)
         if own.mass <= 0:
             reason = f"inertia without mass: it gets {SHARE:g} of the mass that it carries"
-            self._tell("approximated", "inertial", reason, part.name)
+            self._report("approximated", "inertial", reason, part.name)
             own = dataclasses.replace(own, mass=SHARE * (carried.mass or 1.0))
         if np.trace(own.inertia) <= 0:
             reason = f"mass without inertia: it gets {SHARE:g} of its mass times the model's reach²"
-            self._tell("approximated", "inertial", reason, part.name)
+            self._report("approximated", "inertial", reason, part.name)
             moment = SHARE * own.mass * self.length**2
             own = dataclasses.replace(own, inertia=moment * np.eye(3))
-        lifted = physical(own.inertia)
-        if lifted is None:
+        nearest = physical(own.inertia)
+        if nearest is None:
             return own
-        change = np.linalg.norm(lifted - own.inertia) / np.linalg.norm(own.inertia)
+        change = np.linalg.norm(nearest - own.inertia) / np.linalg.norm(own.inertia)
         reason = "no body has such moments (A + B < C): the nearest that one can have"
-        self._tell("approximated", "inertial", reason, f"{part.name}: by {change:.2g} of it")
-        return dataclasses.replace(own, inertia=lifted)
+        self._report("approximated", "inertial", reason, f"{part.name}: by {change:.2g} of it")
+        return dataclasses.replace(own, inertia=nearest)
 
-    def _simplified(self, part: Part) -> tuple[Freedom, ...]:
-        """Take three sliders and a turn as a free body, and three hinges in a point as a ball."""
+    def _merge_joints(self, part: Part) -> tuple[Freedom, ...]:
+        """Merge three hinges at a point into a ball, three sliders and a ball into a free body."""
         freedoms = part.freedoms
         model = self._model
         driven = {drive.joint for drive in model.drives}
@@ -221,74 +221,76 @@ class _Builder:
         if kinds[-3:] == ["hinge"] * 3 and _span(last) and _in_a_point(last):
             ball = Freedom(last[-1].name, "ball", last[-1].anchor, np.zeros(3))
             freedoms, kinds = (*freedoms[:-3], ball), [*kinds[:-3], "ball"]
-            self._tell("kept", "joint", "three hinges in a point are a ball joint", part.name)
+            self._report("kept", "joint", "three hinges in a point are a ball joint", part.name)
         if kinds == ["slider"] * 3 + ["ball"] and _span(freedoms[:3]):
-            self._tell("kept", "joint", "three sliders and a ball joint are a free body", part.name)
+            self._report(
+                "kept", "joint", "three sliders and a ball joint are a free body", part.name
+            )
             return (Freedom(freedoms[-1].name, "free", freedoms[-1].anchor, np.zeros(3)),)
         return freedoms
 
     def _join(self, freedom: Freedom, parent: str, child: str) -> None:
-        kept: dict[str, Any] = {}
+        properties: dict[str, Any] = {}
         for key, value in freedom.properties.items():
             scalar = freedom.kind in ("hinge", "slider")
             reason = ("" if scalar else _SCALAR) or _wrong(key, value, freedom)
             if not reason:
-                kept[key] = value
+                properties[key] = value
             element, attribute = self._model.labels[key]
-            told = f"{freedom.name}: {_shown(value)}"
-            outcome, how = ("dropped", reason) if reason else ("kept", _KEPT.get(key, _AS_IS))
-            self.fates.append(Fate(element, (attribute,), outcome, how, True, (told,)))  # type: ignore[arg-type]
+            place = f"{freedom.name}: {_format(value)}"
+            outcome, note = ("dropped", reason) if reason else ("kept", _NOTES.get(key, _AS_IS))
+            self.fates.append(Fate(element, (attribute,), outcome, note, True, (place,)))  # type: ignore[arg-type]
         if freedom.kind == "free":
             return
         name = _unique(freedom.name, {joint.name for joint in self.joints})
         self._joint_names[freedom.name] = name
         axis = freedom.axis.tolist() if freedom.kind in ("hinge", "slider") else None
-        if "limits" in kept:
-            self.limits[name] = kept["limits"]
+        if "limits" in properties:
+            self.limits[name] = properties["limits"]
         with located(f"joint {name!r}"):
             anchor = freedom.anchor.tolist()
-            self.joints.append(Joint(name, freedom.kind, parent, child, anchor, axis, **kept))
+            self.joints.append(Joint(name, freedom.kind, parent, child, anchor, axis, **properties))
 
     def _close(self, closing: Closing) -> None:
         ends = self._ends(closing.parts)
         if ends is None:
-            self._tell("dropped", "equality", _TIES_NOTHING, closing.name, moves=False)
+            self._report("dropped", "equality", _TIES_NOTHING, closing.name, moves=False)
             return
         name = _unique(closing.name, {joint.name for joint in self.joints})
         axis = None if closing.axis is None else closing.axis.tolist()
         anchor = closing.anchor.tolist()
         self.joints.append(Joint(name, closing.kind, *ends, anchor=anchor, axis=axis))
         reason = "a rigid joint that closes a loop, where the engine's own is soft"
-        self._tell("approximated", "equality", reason, closing.name)
+        self._report("approximated", "equality", reason, closing.name)
 
     def _draw(self, line: Line) -> None:
         ends = self._ends(line.parts)
         if ends is None:
-            self._tell("dropped", "tendon", _TIES_NOTHING, line.name, moves=False)
+            self._report("dropped", "tendon", _TIES_NOTHING, line.name, moves=False)
             return
         points = (line.points[0].tolist(), line.points[1].tolist())
         if line.rigid:
             self.links.append(DistanceLink(line.name, ends, points, line.length))
             reason = "a rigid distance link, where the engine's own is soft"
-            self._tell("approximated", "tendon", reason, line.name)
+            self._report("approximated", "tendon", reason, line.name)
         else:
             k, c = line.stiffness, line.damping
             self.springs.append(SpringDamper(line.name, ends, points, k, c, line.length))
-            self._tell("kept", "tendon", "a spring and damper between two points", line.name)
+            self._report("kept", "tendon", "a spring and damper between two points", line.name)
 
     def _drive(self, drive: Drive) -> None:
         joint = self._joint_names.get(drive.joint)
         element, _ = self._model.labels.get("drive", ("actuator", ""))
         if joint is None:
-            self._tell("dropped", element, _TIES_NOTHING, drive.name, moves=False)
+            self._report("dropped", element, _TIES_NOTHING, drive.name, moves=False)
             return
         k, c, place, speed = drive.stiffness, drive.damping, (drive.position,), (drive.velocity,)
         self.servos.append(Servo(joint, place, speed, k, c, limit=drive.limit))
-        if drive.unkept:
-            reason = f"a servo {drive.led}, without the limit of its torque: {drive.unkept}"
-            self._tell("approximated", element, reason, drive.name)
+        if drive.limit_loss:
+            reason = f"a servo {drive.target}, without the limit of its torque: {drive.limit_loss}"
+            self._report("approximated", element, reason, drive.name)
         else:
-            self._tell("kept", element, f"a servo {drive.led}", drive.name)
+            self._report("kept", element, f"a servo {drive.target}", drive.name)
 
     def _couple(self, coupling: ModelCoupling) -> None:
         element, attribute = self._model.labels["coupling"]
@@ -303,12 +305,12 @@ class _Builder:
         else:
             self.couplings.append(Coupling(follower, leader, ratio, offset))
             reason = ""
-        how = reason or "a rigid coupling"
+        note = reason or "a rigid coupling"
         outcome: Outcome = "dropped" if reason else "kept"
-        self.fates.append(Fate(element, (attribute,), outcome, how, True, (place,)))
+        self.fates.append(Fate(element, (attribute,), outcome, note, True, (place,)))
 
     def _ends(self, parts: tuple[int, int]) -> tuple[str, str] | None:
-        """Name the bodies that parts are; none where they are one, or not there."""
+        """Return the names of two parts' bodies; None if they are the same or one was dropped."""
         first, second = map(self.body_of, parts)
         return None if first is None or second is None or first == second else (first, second)
 
@@ -327,11 +329,11 @@ def _body(name: str, part: Part, mass: Mass) -> Body:
     return Body(name, inertia=inertia, position=place, orientation=turn.tolist())
 
 
-def _reach(parts: tuple[Part, ...], own: list[Mass]) -> float:
-    """Give the largest extent of all centres of mass and joints, and of the bodies themselves."""
-    points = [mass.com for mass in own if mass.mass > 0]
+def _reach(parts: tuple[Part, ...], masses: list[Mass]) -> float:
+    """Return the extent of all centres of mass and joints, or of the largest body if larger [m]."""
+    points = [mass.com for mass in masses if mass.mass > 0]
     points += [freedom.anchor for part in parts for freedom in part.freedoms]
-    sizes = [math.sqrt(max(np.trace(m.inertia), 0.0) / m.mass) for m in own if m.mass > 0]
+    sizes = [math.sqrt(max(np.trace(m.inertia), 0.0) / m.mass) for m in masses if m.mass > 0]
     extent = float(np.linalg.norm(np.ptp(points, axis=0))) if points else 0.0
     return max([extent, *sizes]) or 1.0
 
@@ -350,7 +352,7 @@ def _unique(wanted: str, taken: set[str]) -> str:
 
 
 def _wrong(key: str, value: Property, freedom: Freedom) -> str:
-    """Say why a value of a property cannot be kept."""
+    """Return why a property's value cannot be kept, or "" if it can."""
     if isinstance(value, float):
         return "it is negative" if key in ("stiffness", "damping") and value < 0 else ""
     if not value[0] < value[1]:
@@ -361,5 +363,5 @@ def _wrong(key: str, value: Property, freedom: Freedom) -> str:
     return "they are all more than half a turn from the reference pose" if far else ""
 
 
-def _shown(value: float | tuple[float, float]) -> str:
+def _format(value: float | tuple[float, float]) -> str:
     return f"{value:g}" if isinstance(value, float) else f"{value[0]:g} to {value[1]:g}"

@@ -1,4 +1,4 @@
-"""Collision shapes as contact spheres: what of a shape a plane can meet."""
+"""Contact spheres that stand for a collision shape where it meets a plane."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ import numpy as np
 from mbds_xsim.base.arrays import Array
 
 SHARE = 0.1
-"""Radius of the spheres in edges of a shape, over its smallest half-size."""
+"""Radius of the spheres in corners and rims of a shape, over its smallest half-size."""
 RIM = 8
-"""Spheres in each rim of a cylinder, as many as PyBullet has room for on a body; half-way between
-two they lack 7.6 % of its radius."""
+"""Number of spheres in each rim of a cylinder, as many as PyBullet can hold on a body. Half-way
+between two of them, up to 7.6 % of the cylinder's radius is missing."""
 
 
 @dataclass(frozen=True, eq=False)
 class Balls:
-    """Spheres of one radius inside a shape, in its frame."""
+    """Spheres of equal radius inside a shape."""
 
     centers: Array
-    """[m], shape (sphere, 3)."""
+    """Centres in the shape's frame [m], shape (sphere, 3)."""
     radius: float
     """[m]"""
     short: float = 0.0
-    """By how much a plane may be nearer to the shape than to the nearest of them, at most [m]."""
+    """Largest amount by which a plane can be nearer to the shape than to the spheres [m]."""
     how: str = ""
-    """In words."""
+    """Description for the report."""
 
 
 def _sphere(size: Array) -> Balls:
@@ -42,7 +42,7 @@ def _capsule(size: Array) -> Balls:
 
 
 def _box(size: Array) -> Balls:
-    # In a corner they lack r (|n|₁ − 1) along n, from nothing on a face to most on the diagonal.
+    # Along n, a corner's sphere falls short by r (|n|₁ − 1): 0 on a face, most on the diagonal.
     radius = SHARE * float(size.min())
     corners = np.array(list(product((-1.0, 1.0), repeat=3))) * (size - radius)
     how = "eight spheres in its corners, which touch its faces; it lacks at most what is said"
@@ -66,4 +66,4 @@ BALLS: Mapping[str, Callable[[Array], Balls]] = {
     "box": _box,
     "cylinder": _cylinder,
 }
-"""By kind, of half-sizes: the radius; the radius and half the length along z; along x, y and z."""
+"""Spheres by kind of shape, from half-sizes: radius; radius and half-length along z; x, y and z."""

@@ -1,8 +1,8 @@
-"""MJCF and URDF, as MuJoCo's compiler resolves them.
+"""Reader of MJCF and URDF, as MuJoCo's compiler resolves them.
 
-Defaults, includes, frames, limits' units and the inertia of geometry are the compiler's to know.
-What a URDF says of masses is taken as it is written, before MuJoCo refuses or mends it: links have
-the inertia that is stated, none where none is, and meshes are not read.
+The compiler resolves defaults, includes, frames, units of limits and the inertia of geometry.
+Masses in a URDF are taken as written, before MuJoCo refuses or repairs them: a link has the stated
+inertia, or none if none is stated, and meshes are not read.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from .drives import drives
 from .facts import facts_of
 from .fates import COLLISION, fates_of
 from .geoms import PAIRING, Geoms
-from .mending import mended_mjcf, mended_urdf, without_unknown
+from .mending import mend_mjcf, mend_urdf, remove_unknown
 from .parts import Drive, Freedom, Mass, Part, Parts, Property
 from .source import read_source
-from .ties import Ties, named
+from .ties import Ties, element_name
 
 _LABELS = {
     "mujoco": {
@@ -51,19 +51,19 @@ _LABELS = {
         "coupling": ("mimic", "multiplier"),
     },
 }
-"""Element and attribute of each property."""
+"""Element and attribute that state each property, by root element of the format."""
 _MECHANICAL = {
     "link", "inertial", "mass", "inertia", "origin", "joint", "parent", "child", "axis", "limit",
     "dynamics", "mimic",
 }  # fmt: skip
-"""Elements of a URDF that say how it moves."""
+"""URDF elements that describe the mechanism."""
 _SOLID = {"collision", "geometry", "sphere", "capsule", "cylinder", "box"}
-"""Elements of a URDF that say what of it meets the ground."""
+"""URDF elements that describe collision shapes."""
 _TOUCHING = {
     "geom": [(tag, key) for tag, keys in PAIRING.items() for key in keys],
     "collision": [("collision", ""), ("collision", "name")],
 }
-"""What is told of shapes on the ground, by what the format calls a shape."""
+"""Elements and attributes reported for each shape on the ground, by the format's word for it."""
 _ALIASES = {
     ("joint", "limited"): "limits",
     ("joint", "springdamper"): "damping",
@@ -81,13 +81,13 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            stated = {}
+            masses = {}
             if root.tag == "mujoco":
-                spec, model, mends = _compiled(mujoco, root, path)
+                spec, model, mends = _compile(mujoco, root, path)
             else:
-                mends = [*mended_urdf(root), *(_without_meshes(root) if ground else ())]
+                mends = [*mend_urdf(root), *(_without_meshes(root) if ground else ())]
                 spec = _mechanics(mujoco, root, path, _MECHANICAL | (_SOLID if ground else set()))
-                stated = _stated(spec, floating)
+                masses = _replace_masses(spec, floating)
                 model = spec.compile()
         except (ValueError, mujoco.FatalError) as error:
             raise InputError(_line(str(error))) from error
@@ -95,20 +95,20 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
         msg = "--floating is for URDF; an MJCF file says itself which of its bodies are free"
         raise InputError(msg)
     shape = "" if not ground else "geom" if root.tag == "mujoco" else "collision"
-    reading = Reading(mujoco, model, stated, shape)
+    reading = Reading(mujoco, model, masses, shape)
     parts = reading.model(str(spec.modelname).strip() or path.stem, _LABELS[root.tag])
-    had = {key for part in parts.parts for freedom in part.freedoms for key in freedom.properties}
-    told = {label: key in had for key, label in _LABELS[root.tag].items()}
-    told |= {label: key in had for label, key in _ALIASES.items()}
-    told |= dict.fromkeys(_TOUCHING.get(shape, ()), True)
-    fates = [*mends, *fates_of(root, told), *reading.fates()]
+    keys = {key for part in parts.parts for freedom in part.freedoms for key in freedom.properties}
+    reported = {label: key in keys for key, label in _LABELS[root.tag].items()}
+    reported |= {label: key in keys for label, key in _ALIASES.items()}
+    reported |= dict.fromkeys(_TOUCHING.get(shape, ()), True)
+    fates = [*mends, *fates_of(root, reported), *reading.fates()]
     kind = "MJCF" if root.tag == "mujoco" else "URDF"
     reader = f"MuJoCo {mujoco.__version__}"
     return assemble(parts, file=path.name, kind=kind, reader=reader, fates=fates)
 
 
 def load(path: Path, floating: bool) -> ModelFacts:
-    """Say what MuJoCo makes of a file by itself; see `mbds_xsim.simulate.registry`."""
+    """Return what MuJoCo itself reads from a file; see `mbds_xsim.studies.readers`."""
     import mujoco
 
     if path.suffix.lower() not in (".xml", ".urdf"):
@@ -118,7 +118,7 @@ def load(path: Path, floating: bool) -> ModelFacts:
         warnings.simplefilter("ignore")
         try:
             spec = mujoco.MjSpec.from_file(str(path))
-            spec.compiler.fusestatic = False  # names links, and moves nothing
+            spec.compiler.fusestatic = False  # keeps the links' names; the motion stays the same
             if floating:
                 spec.worldbody.first_body().add_freejoint()
             reading = Reading(mujoco, spec.compile(), {})
@@ -127,27 +127,27 @@ def load(path: Path, floating: bool) -> ModelFacts:
     return facts_of(reading.model("", {}), f"MuJoCo {mujoco.__version__}")
 
 
-def _compiled(mujoco: Any, root: Element, path: Path) -> tuple[Any, Any, list[Fate]]:
-    """Give specification and model of an MJCF file, mended where the compiler refuses it."""
+def _compile(mujoco: Any, root: Element, path: Path) -> tuple[Any, Any, list[Fate]]:
+    """Return spec and model of an MJCF file, and the repairs made if the compiler refused it."""
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         return spec, spec.compile(), []
     except ValueError as error:
         mends: list[Fate] = []
-        more = [*mended_mjcf(root), *without_unknown(root, str(error))]
-        while more:
-            mends += more
+        latest = [*mend_mjcf(root), *remove_unknown(root, str(error))]
+        while latest:
+            mends += latest
             try:
                 spec = mujoco.MjSpec.from_string(tostring(root, encoding="unicode"))
                 spec.modelfiledir = str(path.parent)
                 return spec, spec.compile(), mends
             except ValueError as again:
-                more = [*without_unknown(root, str(again))]
+                latest = [*remove_unknown(root, str(again))]
         raise error
 
 
 def _without_meshes(root: Element) -> Iterator[Fate]:
-    """Take collision shapes out of a URDF that have no contact spheres, and say so."""
+    """Remove a URDF's collision meshes, for which there are no contact spheres, and report them."""
     for link in root.iter("link"):
         for shape in link.findall("collision"):
             if shape.find("geometry/mesh") is not None:
@@ -157,7 +157,7 @@ def _without_meshes(root: Element) -> Iterator[Fate]:
 
 
 def _mechanics(mujoco: Any, root: Element, path: Path, tags: set[str]) -> Any:
-    """Give the specification of what some elements of a URDF say."""
+    """Return the spec of a URDF reduced to elements with the given tags."""
     for joint in root.iter("joint"):
         axis = joint.find("axis")
         normal = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
@@ -167,25 +167,26 @@ def _mechanics(mujoco: Any, root: Element, path: Path, tags: set[str]) -> Any:
                 "takes for 0 0 1; turn its origin so that the normal is that"
             )
             raise InputError(msg)
-    kept = copy.deepcopy(root)
-    for parent in list(kept.iter()):
+    reduced = copy.deepcopy(root)
+    for parent in list(reduced.iter()):
         for child in [child for child in parent if child.tag not in tags]:
             parent.remove(child)
     try:
-        return mujoco.MjSpec.from_string(tostring(kept, encoding="unicode"))
+        return mujoco.MjSpec.from_string(tostring(reduced, encoding="unicode"))
     except ValueError:
-        mujoco.MjSpec.from_file(str(path))  # tells the line of the file itself
+        mujoco.MjSpec.from_file(str(path))  # raises with the line in the file itself
         raise
 
 
-def _stated(spec: Any, floating: bool) -> dict[str, Any]:
-    """Take the masses out of a specification, with all that cannot matter to the rest.
+def _replace_masses(spec: Any, floating: bool) -> dict[str, Any]:
+    """Replace all masses in a spec by a unit mass and inertia; free its bases if `floating`.
 
     Returns:
-        Mass, place and turn of the axes in the link's frame, and inertia along these, by link.
+        Stated mass, position and orientation of its axes in the link's frame, and inertia along
+        these axes, keyed by link; links that state none are absent.
     """
     spec.compiler.fusestatic = False
-    stated = {}
+    masses = {}
     for body in spec.bodies[1:]:
         full = np.array(body.fullinertia)
         xx, yy, zz, xy, xz, yz = full
@@ -193,7 +194,7 @@ def _stated(spec: Any, floating: bool) -> dict[str, Any]:
         if np.isnan(full[0]):
             tensor = np.diag(body.inertia)
         if body.explicitinertial:
-            stated[body.name] = (body.mass, np.array(body.ipos), np.array(body.iquat), tensor)
+            masses[body.name] = (body.mass, np.array(body.ipos), np.array(body.iquat), tensor)
         body.mass, body.inertia, body.ipos, body.iquat = 1.0, np.ones(3), np.zeros(3), [1, 0, 0, 0]
         body.fullinertia = [math.nan] + 5 * [0.0]
         body.explicitinertial = True
@@ -201,11 +202,11 @@ def _stated(spec: Any, floating: bool) -> dict[str, Any]:
         for body in [body for body in spec.bodies[1:] if body.parent.name == "world"]:
             if not body.joints:
                 body.add_freejoint()
-    return stated
+    return masses
 
 
 def _line(text: str) -> str:
-    """Make a line of what the compiler says, and leave out what names nothing."""
+    """Return a compiler message as one line, without parts that name nothing."""
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     kept = [line for line in lines if line not in ("Element name ''", "Element name '', id 0")]
     return "; ".join(kept).replace("XML Error: ", "").replace("Error: ", "")
@@ -217,18 +218,18 @@ class Reading:
     Args:
         mujoco: The module.
         model: The compiled model.
-        stated: Masses that count in place of the compiled ones, by body.
-        shape: What the format calls a shape on the ground; "" where there is none.
+        stated: Masses that replace the compiled ones, keyed by body.
+        shape: The format's word for a shape; "" if there is no ground.
     """
 
     def __init__(self, mujoco: Any, model: Any, stated: dict[str, Any], shape: str = "") -> None:
-        self._mujoco, self._model, self._stated = mujoco, model, stated
+        self._mujoco, self._model, self._stated_masses = mujoco, model, stated
         self._data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, self._data)
         flags = mujoco.mjtDisableBit
-        parts = ("GRAVITY", "SPRING", "DAMPER", "LIMIT", "FRICTIONLOSS", "EQUALITY", "CONTACT")
+        names = ("GRAVITY", "SPRING", "DAMPER", "LIMIT", "FRICTIONLOSS", "EQUALITY", "CONTACT")
         self._off = {
-            part: bool(model.opt.disableflags & getattr(flags, f"mjDSBL_{part}")) for part in parts
+            name: bool(model.opt.disableflags & getattr(flags, f"mjDSBL_{name}")) for name in names
         }
         if model.opt.disableflags & flags.mjDSBL_CONSTRAINT:
             self._off |= dict.fromkeys(("LIMIT", "FRICTIONLOSS", "EQUALITY", "CONTACT"), True)
@@ -238,7 +239,7 @@ class Reading:
         self._drives = tuple(drives(mujoco, model))
 
     def model(self, name: str, labels: Mapping[str, tuple[str, str]]) -> Parts:
-        """Give the parts."""
+        """Return the model's parts."""
         return Parts(
             name=name,
             parts=tuple(self._parts()),
@@ -272,11 +273,11 @@ class Reading:
         model, data = self._model, self._data
         place, quat = data.xpos[k], data.xquat[k]
         mass, com, turn, tensor = 0.0, np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros((3, 3))
-        if not self._stated and model.body_mass[k] > 0:
+        if not self._stated_masses and model.body_mass[k] > 0:
             mass, com, turn = model.body_mass[k], model.body_ipos[k], model.body_iquat[k]
             tensor = np.diag(model.body_inertia[k])
-        elif self._stated:
-            mass, com, turn, tensor = self._stated.get(
+        elif self._stated_masses:
+            mass, com, turn, tensor = self._stated_masses.get(
                 self._name("BODY", k), (mass, com, turn, tensor)
             )
         axes = rotation.matrix(quat) @ rotation.matrix(turn / np.linalg.norm(turn))
@@ -299,30 +300,30 @@ class Reading:
         model, off = self._model, self._off
         dof, place = model.jnt_dofadr[j], model.jnt_qposadr[j]
         start = model.qpos0[place] if has_axis else 0.0
-        found: dict[str, Property] = {
+        properties: dict[str, Property] = {
             "stiffness": 0.0 if off["SPRING"] else float(model.jnt_stiffness[j]),
             "damping": 0.0 if off["DAMPER"] else float(model.dof_damping[dof]),
             "armature": float(model.dof_armature[dof]),
             "friction": 0.0 if off["FRICTIONLOSS"] else float(model.dof_frictionloss[dof]),
         }
-        if found["stiffness"] and has_axis:
-            found["rest"] = float(model.qpos_spring[place] - start)
+        if properties["stiffness"] and has_axis:
+            properties["rest"] = float(model.qpos_spring[place] - start)
         if model.jnt_limited[j] and not off["LIMIT"]:
             low, high = model.jnt_range[j] - start
-            found["limits"] = (float(low), float(high))
-        return {key: value for key, value in found.items() if value}
+            properties["limits"] = (float(low), float(high))
+        return {key: value for key, value in properties.items() if value}
 
     def fates(self) -> Iterator[Fate]:
-        """Say what becomes of contact, equalities, tendons and actuators that lead no hinge."""
+        """Report the fates of contact, equalities, tendons and actuators that are not servos."""
         model = self._model
-        solid = [g for g in range(model.ngeom) if model.geom_contype[g] | model.geom_conaffinity[g]]
+        geoms = [g for g in range(model.ngeom) if model.geom_contype[g] | model.geom_conaffinity[g]]
         if self._geoms is not None:
             yield from self._geoms.fates()
-        elif (len(solid) > 1 or model.npair) and not self._off["CONTACT"]:
-            names = tuple(named(self._mujoco, model, "GEOM", g) for g in solid)
-            yield Fate("geom", ("contact",), "dropped", COLLISION, True, names, len(solid))
+        elif (len(geoms) > 1 or model.npair) and not self._off["CONTACT"]:
+            names = tuple(element_name(self._mujoco, model, "GEOM", g) for g in geoms)
+            yield Fate("geom", ("contact",), "dropped", COLLISION, True, names, len(geoms))
         yield from self._ties.fates()
         yield from (fate for fate in self._drives if isinstance(fate, Fate))
 
     def _name(self, kind: str, k: int) -> str:
-        return named(self._mujoco, self._model, kind, k)
+        return element_name(self._mujoco, self._model, kind, k)

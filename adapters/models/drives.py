@@ -1,4 +1,4 @@
-"""What the actuators of a compiled model do to its joints while nobody commands them."""
+"""Servos that stand for the actuators of a compiled model at a command of 0."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from mbds_xsim.scene.imported import Fate
 
 from .parts import Drive
-from .ties import named
+from .ties import element_name
 
 _IDLE = "exerts nothing without a command, and a scene has none"
 _NO_LIMIT = (-np.inf, np.inf)
@@ -18,15 +18,15 @@ _NOT_LINEAR = "its force is not linear in place and rate"
 
 
 def drives(mujoco: Any, model: Any) -> Iterator[Drive | Fate]:
-    """Give each actuator as a servo with its command held at 0, or say why it is none."""
+    """Yield each actuator as a servo at a command of 0, or its fate if it cannot be one."""
     if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_ACTUATION:
         return
     for k in range(model.nu):
-        name, found = named(mujoco, model, "ACTUATOR", k), _drive(mujoco, model, k)
-        if isinstance(found, Drive):
-            yield found
+        name, drive_or_text = element_name(mujoco, model, "ACTUATOR", k), _drive(mujoco, model, k)
+        if isinstance(drive_or_text, Drive):
+            yield drive_or_text
         else:
-            yield Fate("actuator", (), "dropped", found, found != _IDLE, (name,))
+            yield Fate("actuator", (), "dropped", drive_or_text, drive_or_text != _IDLE, (name,))
 
 
 def _drive(mujoco: Any, model: Any, k: int) -> Drive | str:
@@ -35,7 +35,7 @@ def _drive(mujoco: Any, model: Any, k: int) -> Drive | str:
     linear = linear and model.actuator_biastype[k] <= int(mujoco.mjtBias.mjBIAS_AFFINE)
     if not linear or model.actuator_dyntype[k] > int(mujoco.mjtDyn.mjDYN_FILTEREXACT):
         return _NOT_LINEAR
-    act, still = _activation(model, k)
+    act, constant = _activation(model, k)
     gain, bias, gear = model.actuator_gainprm[k], model.actuator_biasprm[k], model.actuator_gear[k]
     if model.actuator_biastype[k] == mujoco.mjtBias.mjBIAS_NONE:
         bias = 0.0 * bias
@@ -50,15 +50,15 @@ def _drive(mujoco: Any, model: Any, k: int) -> Drive | str:
     kinds = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
     if model.jnt_type[joint] not in kinds:
         return "the scene description has servos of hinges and sliders alone"
-    if not still:
+    if not constant:
         return "its activation changes by itself"
     if stiffness < 0 or damping < 0 or not (stiffness or damping):
         return "it has a negative gain, or none"
     push *= gear[0]
     start = float(model.qpos0[model.jnt_qposadr[joint]])
     return Drive(
-        name=named(mujoco, model, "ACTUATOR", k),
-        joint=named(mujoco, model, "JOINT", joint),
+        name=element_name(mujoco, model, "ACTUATOR", k),
+        joint=element_name(mujoco, model, "JOINT", joint),
         stiffness=float(stiffness),
         damping=float(damping),
         position=float(push / stiffness) - start if stiffness else 0.0,
@@ -68,22 +68,22 @@ def _drive(mujoco: Any, model: Any, k: int) -> Drive | str:
 
 
 def _limits(model: Any, k: int, joint: int, gear: float) -> dict[str, Any]:
-    """Give the limit of an actuator's torque, or why there is none, as `Drive` has it."""
+    """Return the torque limit of an actuator, or why it is not kept, as fields of `Drive`."""
     own = gear * model.actuator_forcerange[k] if model.actuator_forcelimited[k] else _NO_LIMIT
     whole = model.jnt_actfrcrange[joint] if model.jnt_actfrclimited[joint] else _NO_LIMIT
     shared = np.count_nonzero(model.actuator_trnid[:, 0] == joint) > 1
     if shared and np.isfinite(whole).any():
-        return {"unkept": "several actuators share the limit of their joint"}
+        return {"limit_loss": "several actuators share the limit of their joint"}
     low, high = max(own[0], whole[0]), min(own[1], whole[1])
     if np.isinf(high) and np.isinf(low):
         return {}
     if not 0 < high == -low:
-        return {"unkept": f"{low:g} to {high:g} is not as much either way"}
+        return {"limit_loss": f"{low:g} to {high:g} is not as much either way"}
     return {"limit": float(high)}
 
 
 def _activation(model: Any, k: int) -> tuple[float, bool]:
-    """Give what the gain multiplies at a command of 0, within its range, and whether it stays."""
+    """Return the gain's input at a command of 0, in its range, and whether it stays constant."""
     command = _within(0.0, model.actuator_ctrllimited[k], model.actuator_ctrlrange[k])
     if not model.actuator_dyntype[k]:
         return command, True

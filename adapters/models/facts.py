@@ -1,4 +1,4 @@
-"""What a model says, in the terms in which readers are held against each other."""
+"""Facts about a model, in the form in which readers are compared."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from .parts import Freedom, Parts
 
 
 def facts_of(model: Parts, reader: str) -> ModelFacts:
-    """Give the named links that can move, also those fixed to another, and the named joints."""
-    body: list[str] = []
+    """Return facts about named joints and named links that move, fixed to another or not."""
+    bodies: list[str] = []
     for part in model.parts:
-        above = body[part.parent] if part.parent >= 0 else ""
-        body.append(part.name if part.freedoms else above)
-    parts = [(part, own) for part, own in zip(model.parts, body, strict=True) if own]
+        above = bodies[part.parent] if part.parent >= 0 else ""
+        bodies.append(part.name if part.freedoms else above)
+    parts = [(part, body) for part, body in zip(model.parts, bodies, strict=True) if body]
     return ModelFacts(
         reader,
         tuple(
-            LinkFacts.of(part.name, part.mass.mass, part.mass.com, part.mass.inertia, own)
-            for part, own in parts
+            LinkFacts.of(part.name, part.mass.mass, part.mass.com, part.mass.inertia, body)
+            for part, body in parts
             if part.named
         ),
         tuple(_joint(freedom) for part, _ in parts for freedom in part.freedoms if freedom.named),

@@ -1,8 +1,8 @@
-"""What becomes of every element and attribute of MJCF and URDF, as one table.
+"""Fates of all elements and attributes of MJCF, URDF and SDF, in one table for each format.
 
-Keys are `element` and `element@attribute`; the latter counts first, and what stands in no row is
-dropped as unknown. Properties of joints have a table of their own
-(`assembling.PROPERTIES`), and what the compiled model tells better is told from there.
+Keys are `element` and `element@attribute`; the latter takes precedence, and anything in no row is
+dropped as unknown. Properties of joints are in the readers' own tables (`_LABELS`), and elements
+that a compiled model describes better are reported from there.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from xml.etree.ElementTree import Element
 from mbds_xsim.scene.imported import Fate, Outcome
 
 _Row = tuple[Outcome, bool, str, str]
-"""Outcome, whether it bears on the motion, the reason, keys."""
+"""Outcome, whether the motion depends on it, reason, and keys separated by spaces."""
 
 _APART = "no collisions of bodies are made of a model"
 COLLISION = f"{_APART}; with --ground they meet a plane"
 _SOLVER = "a setting of an engine, not of the mechanism"
-_DRAWN = "drawn only"
-_Looked = tuple[Outcome, bool, str]
-_UNKNOWN: _Looked = ("dropped", True, "unknown to this reader")
-_NONE: _Looked = ("kept", True, "none, or zero")
+_VISUAL = "drawn only"
+_Entry = tuple[Outcome, bool, str]
+_UNKNOWN: _Entry = ("dropped", True, "unknown to this reader")
+_NONE: _Entry = ("kept", True, "none, or zero")
 
 _MJCF: tuple[_Row, ...] = (
     (
@@ -64,7 +64,7 @@ _MJCF: tuple[_Row, ...] = (
     (
         "dropped",
         False,
-        _DRAWN,
+        _VISUAL,
         "visual site camera light texture material skin geom@material geom@rgba geom@group "
         "joint@group mesh@material bone layer",
     ),
@@ -86,7 +86,7 @@ _URDF: tuple[_Row, ...] = (
         "parent@link child@link axis@xyz",
     ),
     ("dropped", False, "names of other formats", "robot@xmlns:xacro robot@version"),
-    ("dropped", False, _DRAWN, "visual material"),
+    ("dropped", False, _VISUAL, "visual material"),
     ("dropped", True, COLLISION, "collision"),
     ("dropped", False, "a limit of the drive", "limit@effort limit@velocity"),
     (
@@ -108,7 +108,7 @@ _SDF: tuple[_Row, ...] = (
     ),
     ("kept", True, "as the format says", "inertial mass inertia ixx ixy ixz iyy iyz izz"),
     ("kept", True, "it names no frame", "pose@frame"),
-    ("dropped", False, _DRAWN, "visual light scene gui material"),
+    ("dropped", False, _VISUAL, "visual light scene gui material"),
     ("dropped", True, COLLISION, "collision"),
     ("kept", True, "who meets whom", "surface collide_bitmask collide_without_contact"),
     ("dropped", True, "a restitution counts at all speeds", "threshold"),
@@ -127,41 +127,41 @@ _SDF: tuple[_Row, ...] = (
      "gearbox_ratio gearbox_reference_body"),
 )  # fmt: skip
 _TABLES = {"mujoco": _MJCF, "robot": _URDF, "sdf": _SDF}
-_TOLD_ELSEWHERE = {"mujoco": {"equality", "tendon", "actuator"}, "robot": {"mimic"}, "sdf": set()}
-"""Elements of which the compiled model says more."""
+_REPORTED = {"mujoco": {"equality", "tendon", "actuator"}, "robot": {"mimic"}, "sdf": set()}
+"""Elements that are reported from the compiled model instead."""
 _WHOLE = {"visual", "custom", "sensor", "keyframe", "collision", "gazebo", "transmission",
           "material", "extension", "plugin", "skin", "ros2_control", "contact", "physics",
           "velocity_decay", "light", "gui", "scene", "geometry", "torsional"}  # fmt: skip
-"""Elements whose children have their fate."""
+"""Elements whose children share their fate."""
 _OPEN = {"mujoco": {"contact"}, "robot": set(), "sdf": {"contact"}}
-"""Those of a format whose children have one each."""
+"""Exceptions in each format: their children have fates of their own."""
 _NONE_AT_ZERO = {"density", "viscosity", "wind", "magnetic", "gravcomp"}
 
 
 def fates_of(
-    root: Element, told: Mapping[tuple[str, str], bool], *, touching: bool = False
+    root: Element, reported: Mapping[tuple[str, str], bool], *, touching: bool = False
 ) -> Iterator[Fate]:
-    """Walk a document, and say of each element and attribute what becomes of it.
+    """Walk a document and yield the fates of its elements and attributes.
 
     Args:
-        root: Of the document.
-        told: Elements and attributes that say a property of joints; true where one has it, and
-            its fate is told for each joint.
-        touching: Whether what is in collision shapes has a fate of its own.
+        root: Root element of the document.
+        reported: Elements and attributes that the caller reports, such as properties of joints:
+            true leaves one out here, false reports it as none or zero.
+        touching: Whether elements in collision shapes have fates of their own.
     """
     table = {key: row[:3] for row in _TABLES[root.tag] for key in row[3].split()}
-    found: dict[tuple[str, _Looked], list[tuple[str, Element]]] = defaultdict(list)
+    by_fate: dict[tuple[str, _Entry], list[tuple[str, Element]]] = defaultdict(list)
     whole = _WHOLE - _OPEN[root.tag] - ({"collision"} if touching else set())
     for element in _walk(root, whole):
         for attribute in element.attrib or ("",):
-            if (said := told.get((element.tag, attribute))) is None:
+            if (is_reported := reported.get((element.tag, attribute))) is None:
                 fate = _look_up(table, element, attribute, exact=root.tag != "mujoco")
-            elif said:
+            elif is_reported:
                 continue
             else:
                 fate = _NONE
-            found[element.tag, fate].append((attribute, element))
-    for (tag, fate), pairs in found.items():
+            by_fate[element.tag, fate].append((attribute, element))
+    for (tag, fate), pairs in by_fate.items():
         outcome, moves, reason = fate
         elements = {id(element): element for _, element in pairs}
         yield Fate(
@@ -176,25 +176,25 @@ def fates_of(
 
 
 def _walk(root: Element, whole: set[str]) -> Iterator[Element]:
-    """Give each element that says something; of some, what is in them goes unsaid."""
-    waiting = [root]
-    while waiting:
-        element = waiting.pop()
-        if element.tag in _TOLD_ELSEWHERE[root.tag]:
+    """Yield the elements to report; those inside an element of `whole` are left out."""
+    stack = [root]
+    while stack:
+        element = stack.pop()
+        if element.tag in _REPORTED[root.tag]:
             continue
         if element.attrib or element.tag in whole or not len(element):
             yield element
         if element.tag not in whole:
-            waiting += reversed(element)
+            stack += reversed(element)
 
 
 def _look_up(
-    table: Mapping[str, _Looked], element: Element, attribute: str, *, exact: bool
-) -> _Looked:
-    """Find the fate of an attribute, or of its element's attributes where it has none itself.
+    table: Mapping[str, _Entry], element: Element, attribute: str, *, exact: bool
+) -> _Entry:
+    """Return the fate of an attribute, or of its element if the table does not name it.
 
-    With `exact` no attribute is kept that the table does not name: a format whose reader ignores
-    what it does not know.
+    With `exact`, only attributes that the table names are kept: the readers of such formats ignore
+    any other.
     """
     fate = table.get(f"{element.tag}@{attribute}")
     if fate is None:

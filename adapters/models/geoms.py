@@ -11,12 +11,12 @@ from .parts import Pair, Solid, Solids
 
 _KINDS = ("plane", "height field", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh",
           "signed distance field")  # fmt: skip
-"""As MuJoCo counts them."""
+"""Kinds of geoms, in the order of MuJoCo's `mjtGeom`."""
 PAIRING = {
     "geom": ("contype", "conaffinity", "condim", "priority", "friction"),
     "exclude": ("name", "body1", "body2"),
 }
-"""Elements and attributes of MJCF that say how shapes meet."""
+"""MJCF elements and attributes that decide how shapes collide."""
 
 
 class Geoms:
@@ -24,16 +24,16 @@ class Geoms:
 
     Args:
         model: The compiled model.
-        data: Its places.
-        element: What the format calls a shape.
-        active: Whether there is contact at all.
+        data: Its `MjData`, with positions at the reference pose.
+        element: The format's word for a shape.
+        active: Whether contact is switched on.
     """
 
     def __init__(self, model: Any, data: Any, element: str, *, active: bool) -> None:
         self._model, self._data, self._element, self._active = model, data, element, active
 
     def solids(self) -> Solids:
-        """Give all but what is drawn only."""
+        """Return all shapes but those that are only drawn."""
         return Solids(self._element, tuple(map(self._solid, self._touching())), self._pair)
 
     def _solid(self, g: int) -> Solid:
@@ -49,12 +49,12 @@ class Geoms:
         )
 
     def fates(self) -> Iterator[Fate]:
-        """Say how shapes are paired with the ground."""
-        how = "as MuJoCo pairs each shape with the ground"
+        """Report how shapes are paired with the ground."""
+        reason = "as MuJoCo pairs each shape with the ground"
         if self._element == "geom":
-            yield Fate("geom", PAIRING["geom"], "kept", how, True)
+            yield Fate("geom", PAIRING["geom"], "kept", reason, True)
         if self._model.nexclude:
-            yield Fate("exclude", (), "kept", how, True)
+            yield Fate("exclude", (), "kept", reason, True)
 
     def _touching(self) -> Iterator[int]:
         model = self._model
@@ -73,7 +73,7 @@ class Geoms:
         return Pair(friction, None, self._apart(g, plane), rolls)
 
     def _apart(self, g: int, plane: int | None) -> str:
-        """Say why a shape passes through the ground, "" where it does not."""
+        """Return why a shape passes through the ground, or "" if it does not."""
         model = self._model
         if not self._active:
             return "contact is switched off in the file"
@@ -83,7 +83,7 @@ class Geoms:
                 return "the file excludes contact of its body and the ground"
         masks = model.geom_contype, model.geom_conaffinity
         own = [mask[g] for mask in masks]
-        other = [1, 1] if plane is None else [mask[plane] for mask in masks]  # as planes by default
+        other = [1, 1] if plane is None else [mask[plane] for mask in masks]  # a plane's default
         meets = own[0] & other[1] or other[0] & own[1]
         return "" if meets else "by contype and conaffinity it passes through the ground"
 
@@ -91,13 +91,13 @@ class Geoms:
         return int(max(self._model.geom_condim[k] for k in self._deciding(g, plane)))
 
     def _friction(self, g: int, plane: int | None) -> float:
-        """Give a shape's coefficient with the ground, by MuJoCo's rule."""
+        """Return a shape's friction coefficient with the ground, by MuJoCo's rule."""
         if self._dimension(g, plane) == 1:
             return 0.0
         return float(max(self._model.geom_friction[k, 0] for k in self._deciding(g, plane)))
 
     def _deciding(self, g: int, plane: int | None) -> list[int]:
-        """Give the geoms whose numbers count: those of the higher priority; the larger ones do."""
-        both = [g] if plane is None else [g, plane]
-        most = max(self._model.geom_priority[k] for k in both)
-        return [k for k in both if self._model.geom_priority[k] == most]
+        """Return the geoms of the highest priority; the largest of their values counts."""
+        geoms = [g] if plane is None else [g, plane]
+        highest = max(self._model.geom_priority[k] for k in geoms)
+        return [k for k in geoms if self._model.geom_priority[k] == highest]

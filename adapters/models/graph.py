@@ -1,4 +1,4 @@
-"""Bodies and joints in any order and sense become a tree, with what closes loops beside it."""
+"""Spanning tree of bodies and joints given in any order and sense; other joints close loops."""
 
 from __future__ import annotations
 
@@ -25,48 +25,46 @@ class Node:
 
 @dataclass(frozen=True, eq=False)
 class Tie:
-    """A joint between two bodies by position (−1 is the world)."""
+    """A joint between two bodies, given by index (−1 is the world)."""
 
     name: str
     ends: tuple[int, int]
     freedoms: tuple[Freedom, ...]
-    """Of the second end relative to the first; none: fixed."""
+    """Freedoms of the second end relative to the first; empty if the joint is fixed."""
     anchor: Array
 
 
 def tree_of(nodes: list[Node], ties: list[Tie]) -> tuple[tuple[Part, ...], tuple[Closing, ...]]:
-    """Take joints from the world outwards, nearest first; what is left over closes loops.
+    """Grow a tree of joints from the world, in their given order; the remaining ones close loops.
 
     Raises:
         InputError: A joint that closes a loop has several freedoms.
     """
-    order: list[int] = []
     parts: list[Part] = []
-    left = list(ties)
+    remaining = list(ties)
     reached = {-1: -1}
     while len(parts) < len(nodes):
-        tie = next((t for t in left if (t.ends[0] in reached) != (t.ends[1] in reached)), None)
-        if tie is None:  # nothing holds the next body
+        tie = next((t for t in remaining if (t.ends[0] in reached) != (t.ends[1] in reached)), None)
+        if tie is None:  # no joint leads to the next body
             body = next(k for k in range(len(nodes)) if k not in reached)
             free = Freedom(f"{nodes[body].name} floats", "free", nodes[body].position, np.zeros(3))
             parent = -1
             freedoms: tuple[Freedom, ...] = (free,)
         else:
-            left.remove(tie)
+            remaining.remove(tie)
             forward = tie.ends[0] in reached
             parent, body = tie.ends if forward else tie.ends[::-1]
-            freedoms = tie.freedoms if forward else tuple(map(_turned, tie.freedoms[::-1]))
+            freedoms = tie.freedoms if forward else tuple(map(_reverse, tie.freedoms[::-1]))
         node = nodes[body]
         reached[body] = len(parts)
-        order.append(body)
         parts.append(
             Part(node.name, reached[parent], node.position, node.orientation, node.mass, freedoms)
         )
-    return tuple(parts), tuple(_closing(tie, reached) for tie in left)
+    return tuple(parts), tuple(_closing(tie, reached) for tie in remaining)
 
 
-def _turned(freedom: Freedom) -> Freedom:
-    """Give the same coordinate, of the first end relative to the second."""
+def _reverse(freedom: Freedom) -> Freedom:
+    """Return the freedom with the same coordinate, of the first end relative to the second."""
     return dataclasses.replace(freedom, axis=-freedom.axis)
 
 

@@ -1,7 +1,7 @@
-"""What older programs and lax readers let pass in MJCF and URDF, put as MuJoCo's compiler takes it.
+"""Repairs of MJCF and URDF that older or lax readers accept, but MuJoCo's compiler does not.
 
-Each mend changes the document and is told in the report. What it does not make plain stays as it
-is, for the compiler to refuse.
+Each repair changes the document and is listed in the report. Anything ambiguous stays as it is, for
+the compiler to refuse.
 """
 
 from __future__ import annotations
@@ -19,81 +19,81 @@ _SINGLE_NUMBERS = (
     *("multiplier", "offset", "ixx", "ixy", "ixz", "iyy", "iyz", "izz"),
 )
 _NUMBERS = {"xyz": 3, "rpy": 3} | dict.fromkeys(_SINGLE_NUMBERS, 1)
-"""Attributes of a URDF, and how many numbers each has."""
+"""URDF attributes, with the number of values that each has."""
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 _SINGLE = {"inertial", "mass", "inertia", "origin", "axis", "limit", "dynamics", "mimic"}
 _UNRECOGNIZED = re.compile(r"unrecognized attribute: '([^']+)'\s+Element '([^']+)'")
-_TURNED = {"quat", "axisangle", "xyaxes", "zaxis", "euler"}
-_PLACED = ("joint", "geom", "site", "inertial")
+_ORIENTATIONS = {"quat", "axisangle", "xyaxes", "zaxis", "euler"}
+_POSITIONED = ("joint", "geom", "site", "inertial")
 
 
-def mended_urdf(root: Element) -> Iterator[Fate]:
-    """Mend the document of a URDF, and say what was mended."""
+def mend_urdf(root: Element) -> Iterator[Fate]:
+    """Repair a URDF document, and report each repair."""
     for holder in root:
         place = holder.get("name", "")
         for parent in (holder, *holder.findall("inertial")):
             for element in parent:
                 if element.tag in _SINGLE:
-                    yield from _with_plain_numbers(element, place)
-            yield from _stated_once(parent, place)
+                    yield from _clean_numbers(element, place)
+            yield from _remove_duplicates(parent, place)
         if holder.tag == "link" and place == "world":
             for element in holder.findall("inertial"):
-                yield _removed(holder, element, "kept", "the world does not move")
+                yield _remove(holder, element, "kept", "the world does not move")
 
 
-def _with_plain_numbers(element: Element, place: str) -> Iterator[Fate]:
+def _clean_numbers(element: Element, place: str) -> Iterator[Fate]:
     for key, text in element.attrib.items():
-        if (read := _read_as(text, _NUMBERS.get(key, 0))) != text:
-            element.set(key, read)
-            told = f"{place}: {text} read as {read}"
-            yield _fate(element, "approximated", "not plain numbers", key, told)
+        if (plain := _leading_numbers(text, _NUMBERS.get(key, 0))) != text:
+            element.set(key, plain)
+            detail = f"{place}: {text} read as {plain}"
+            yield _fate(element, "approximated", "not plain numbers", key, detail)
 
 
-def _stated_once(parent: Element, place: str) -> Iterator[Fate]:
-    seen: dict[str, Element] = {}
+def _remove_duplicates(parent: Element, place: str) -> Iterator[Fate]:
+    firsts: dict[str, Element] = {}
     for element in list(parent):
-        first = seen.setdefault(element.tag, element)
+        first = firsts.setdefault(element.tag, element)
         if first is not element and element.tag in _SINGLE:
             parent.remove(element)
             outcome: Outcome = "kept" if first.attrib == element.attrib else "approximated"
             yield _fate(element, outcome, "stated again; the first counts", place=place)
 
 
-def mended_mjcf(root: Element) -> Iterator[Fate]:
-    """Mend the document of an MJCF file, but for attributes unknown to the compiler."""
-    yield from _with_local_coordinates(root)
+def mend_mjcf(root: Element) -> Iterator[Fate]:
+    """Repair an MJCF document, except for attributes unknown to the compiler."""
+    yield from _make_local(root)
     settings = {key: value for c in root.iter("compiler") for key, value in c.attrib.items()}
     materials = {"", *(element.get("name", "") for element in root.iter("material"))}
-    seen: set[tuple[str, str]] = set()
+    assets: set[tuple[str, str]] = set()
     for parent in root.iter():
         for child in list(parent):
             if child.get("material", "") not in materials:
-                yield _without(child, "material", "there is no such material", moves=False)
+                yield _strip(child, "material", "there is no such material", moves=False)
             if parent.tag == "asset" and child.tag in ("material", "texture"):
-                if (known := (child.tag, child.get("name", ""))) in seen and known[1]:
-                    yield _removed(parent, child, "dropped", "drawn only; defined twice", False)
-                seen.add(known)
+                if (asset := (child.tag, child.get("name", ""))) in assets and asset[1]:
+                    yield _remove(parent, child, "dropped", "drawn only; defined twice", False)
+                assets.add(asset)
             if child.tag == "joint" and child.get("type") == "fixed":
-                yield _removed(parent, child, "kept", "no freedom at all")
+                yield _remove(parent, child, "kept", "no freedom at all")
             if child.tag == "inertial" and settings.get("inertiafromgeom") == "true":
                 reason = "the compiler is told to take masses from geometry"
-                yield _removed(parent, child, "dropped", reason)
+                yield _remove(parent, child, "dropped", reason)
 
 
-def without_unknown(root: Element, complaint: str) -> Iterator[Fate]:
-    """Take out of an MJCF document an attribute that the compiler complains of."""
+def remove_unknown(root: Element, complaint: str) -> Iterator[Fate]:
+    """Remove the attributes from an MJCF document that a compiler message calls unrecognized."""
     for attribute, tag in _UNRECOGNIZED.findall(complaint):
         for element in root.iter(tag):
             if attribute in element.attrib:
-                yield _without(element, attribute, "unknown to MuJoCo's compiler")
+                yield _strip(element, attribute, "unknown to MuJoCo's compiler")
 
 
-def _with_local_coordinates(root: Element) -> Iterator[Fate]:
-    """Put a model whose places all are in W into bodies whose frames are W's, as they may be."""
+def _make_local(root: Element) -> Iterator[Fate]:
+    """Rewrite global coordinates, if possible, as local ones in body frames equal to W."""
     bodies = [*root.iter("body")]
-    inside = [child for body in bodies for child in body if child.tag in _PLACED]
-    turned = any(_TURNED & body.attrib.keys() for body in bodies)
-    placed = all({"pos", "fromto"} & element.attrib.keys() for element in inside)
+    children = [child for body in bodies for child in body if child.tag in _POSITIONED]
+    turned = any(_ORIENTATIONS & body.attrib.keys() for body in bodies)
+    placed = all({"pos", "fromto"} & element.attrib.keys() for element in children)
     for compiler in root.iter("compiler"):
         if compiler.get("coordinate") == "global" and placed and not turned:
             del compiler.attrib["coordinate"]
@@ -104,17 +104,17 @@ def _with_local_coordinates(root: Element) -> Iterator[Fate]:
             )
 
 
-def _read_as(text: str, count: int) -> str:
-    """Give the numbers that a text begins with each word, or the text where they are not those."""
+def _leading_numbers(text: str, count: int) -> str:
+    """Return the leading number of each word, `count` at most, or the text if there are too few."""
     text = DEFAULT.sub(r"\1", text)
     words = re.split(r"[\s,]+", text.strip(" \t\r\n,"))
-    numbers = [found[0] for word in words if (found := _NUMBER.match(word))]
+    numbers = [match[0] for word in words if (match := _NUMBER.match(word))]
     if not count or len(numbers) < min(len(words), count) or text.split() == numbers[:count]:
         return text
     return " ".join(numbers[:count])
 
 
-def _removed(
+def _remove(
     parent: Element, child: Element, outcome: Outcome, reason: str, moves: bool = True
 ) -> Fate:
     parent.remove(child)
@@ -122,10 +122,10 @@ def _removed(
     return _fate(child, outcome, reason, place=place, moves=moves)
 
 
-def _without(element: Element, attribute: str, reason: str, *, moves: bool = True) -> Fate:
+def _strip(element: Element, attribute: str, reason: str, *, moves: bool = True) -> Fate:
     value, place = element.attrib.pop(attribute), element.get("name", "")
-    told = f"{place}: {value}" if place else value
-    return _fate(element, "dropped", reason, attribute, told, moves=moves)
+    detail = f"{place}: {value}" if place else value
+    return _fate(element, "dropped", reason, attribute, detail, moves=moves)
 
 
 def _fate(

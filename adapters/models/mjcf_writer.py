@@ -15,7 +15,7 @@ from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.servo import Servo
 
-from .writing import dropped, first_targets, lacking, no_model, without_servos
+from .writing import dropped_fate, first_targets, lacking, no_model, without_servos
 
 _LACKS = {"joints.restitution": "a softness of limits stands for it in MuJoCo"}
 _NO_LAW = "a joint that closes a loop is an equality, on which nothing acts"
@@ -46,7 +46,7 @@ def write(scene: Scene) -> Written:
         for servo in servos:
             _servo(actuators, servo)
     fates = [*no_model(scene), *lacking(scene, _LACKS), *_loops(mechanism), *first_targets(scene)]
-    fates += [dropped("servos", _NO_LAW, [s.joint]) for s in scene.servos if s.joint in loops]
+    fates += [dropped_fate("servos", _NO_LAW, [s.joint]) for s in scene.servos if s.joint in loops]
     return Written(indented(root), gathered(fates))
 
 
@@ -55,7 +55,7 @@ def _loops(mechanism: Mechanism) -> Iterator[Fate]:
         reason = "points of it are kept together, by a solver that is soft"
         yield Fate("joints", (), "approximated", reason, True, (joint.name,))
         if joint.complies:
-            yield dropped("joints", _NO_LAW, [joint.name], "stiffness", "damping")
+            yield dropped_fate("joints", _NO_LAW, [joint.name], "stiffness", "damping")
     for pair in mechanism.distances:
         reason = "a tendon of constant length, by a solver that is soft"
         yield Fate("distance_links", (), "approximated", reason, True, (pair.name,))
@@ -65,7 +65,7 @@ def _loops(mechanism: Mechanism) -> Iterator[Fate]:
 
 
 def _servo(actuators: Element, servo: Servo) -> None:
-    """Write a servo that is at its first target without a command, which moves the target."""
+    """Write a servo as an actuator: command 0 keeps its first target, other commands move it."""
     from ..mujoco.model import limit_force
 
     push = servo.stiffness * servo.position[0] + servo.damping * servo.velocity[0]

@@ -1,4 +1,4 @@
-"""What a reader makes of a model's file: moving parts and the freedoms that each has."""
+"""A model as readers produce it, whatever its format: moving parts and their freedoms."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ class Mass:
     com: Array
     """[m], shape (3,)."""
     inertia: Array
-    """About the centre of mass, along the axes of W [kg·m²], shape (3, 3)."""
+    """Inertia about the centre of mass, along the axes of W [kg·m²], shape (3, 3)."""
 
     def __add__(self, other: Mass) -> Mass:
-        """Give that of both together."""
+        """Combine two masses."""
         mass = self.mass + other.mass
         com = (self.mass * self.com + other.mass * other.com) / mass if mass > 0 else self.com
         inertia = sum(m.inertia + m.mass * _about(m.com - com) for m in (self, other))
@@ -42,12 +42,11 @@ class Freedom:
     name: str
     kind: Literal["hinge", "slider", "ball", "free"]
     anchor: Array
-    """In W at the reference pose [m], shape (3,)."""
+    """Anchor in W at the reference pose [m], shape (3,)."""
     axis: Array
-    """Unit, in W at the reference pose, shape (3,); zero where the kind has none."""
+    """Unit axis in W at the reference pose, shape (3,); zero if the kind has none."""
     properties: Mapping[str, Property] = field(default_factory=dict)
-    """Those that are not zero, by the names of `PROPERTIES`; places count from the reference
-    pose."""
+    """Nonzero properties, by field of `Joint`; coordinates count from the reference pose."""
     named: bool = True
     """Whether the file names it."""
 
@@ -58,41 +57,41 @@ class Part:
 
     name: str
     parent: int
-    """Position of a part listed before; −1 is the world."""
+    """Index of a part listed before; −1 is the world."""
     position: Array
-    """Origin of its frame in W at the reference pose [m], shape (3,)."""
+    """Origin of the part's frame in W at the reference pose [m], shape (3,)."""
     orientation: Array
-    """Its frame to W, wxyz."""
+    """Rotation from the part's frame to W at the reference pose, wxyz."""
     mass: Mass
     freedoms: tuple[Freedom, ...]
-    """In the order in which they follow each other from the parent; none: fixed to it."""
+    """Freedoms in order from the parent outwards; empty if fixed to it."""
     named: bool = True
     """Whether the file names it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Closing:
-    """What closes a loop."""
+    """A joint that closes a loop."""
 
     name: str
     kind: Literal["fixed", "hinge", "slider", "ball"]
     parts: tuple[int, int]
     anchor: Array
-    """In W at the reference pose [m], shape (3,)."""
+    """Anchor in W at the reference pose [m], shape (3,)."""
     axis: Array | None = None
-    """Of a hinge or slider."""
+    """Axis of a hinge or slider in W at the reference pose, shape (3,)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A massless line between two points: a spring and damper, or of constant length."""
+    """A massless line between two points: a spring and damper, or a link of constant length."""
 
     name: str
     parts: tuple[int, int]
     points: tuple[Array, Array]
-    """In W at the reference pose [m]."""
+    """End points in W at the reference pose [m], shape (3,) each."""
     length: float
-    """Without force, or of a rigid one [m]."""
+    """Rest length of a spring, or constant length of a rigid line [m]."""
     stiffness: float = 0.0
     damping: float = 0.0
     rigid: bool = False
@@ -105,26 +104,26 @@ class ModelCoupling:
     joint: str
     follows: str
     polynomial: tuple[float, ...]
-    """Of the followed coordinate, from its constant term on; both are 0 at the reference pose."""
+    """Coefficients in the followed coordinate, constant first; both are 0 at the reference pose."""
 
 
 @dataclass(frozen=True)
 class Drive:
-    """A motor that leads a hinge or slider to a target."""
+    """A motor that drives a hinge or slider to a target."""
 
     name: str
     joint: str
     stiffness: float
     damping: float
     position: float
-    """[rad or m], counted from the reference pose."""
+    """Target coordinate [rad or m], counted from the reference pose."""
     velocity: float
     limit: float | None = None
-    """Of its torque [N·m] or force [N], either way."""
-    unkept: str = ""
-    """Why a limit of the file is not kept."""
-    led: str = "at its command of 0"
-    """To what, in words."""
+    """Largest torque [N·m] or force [N], either way; None if unlimited."""
+    limit_loss: str = ""
+    """Reason why a limit of the file is not kept."""
+    target: str = "at its command of 0"
+    """Description of the target, for the report."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,33 +132,33 @@ class Solid:
 
     name: str
     part: int
-    """That it is fixed in; −1 is the world."""
+    """Index of the part that the shape is fixed to; −1 is the world."""
     kind: str
     """A key of `balls.BALLS`, "plane", or another word."""
     size: Array
-    """As `balls.BALLS` has it [m], shape (3,)."""
+    """Half-sizes as `balls.BALLS` takes them [m], shape (3,)."""
     place: Array
-    """Of its middle in W at the reference pose [m], shape (3,)."""
+    """Centre in W at the reference pose [m], shape (3,)."""
     axes: Array
-    """Its own in W, as columns, shape (3, 3); the third is the normal of a plane."""
+    """Axes of the shape in W, as columns, shape (3, 3); the third is the normal of a plane."""
     own: Any = None
-    """What its reader knows of how it touches others."""
+    """Data that the reader needs for `Solids.pair`."""
 
 
 @dataclass(frozen=True)
 class Pair:
-    """How a shape meets the ground."""
+    """Contact of a shape with the ground."""
 
     friction: float | None
-    """Coefficient; None: the format states none."""
+    """Friction coefficient; None if the format states none."""
     restitution: float | None
-    """None: the format states none."""
+    """Restitution coefficient; None if the format states none."""
     apart: str = ""
-    """Why the shape passes through the ground."""
+    """Reason why the shape passes through the ground; empty if it does not."""
     rolls: bool = False
-    """Whether it has torsional or rolling friction there."""
+    """Whether the file states torsional or rolling friction."""
     note: str = ""
-    """What of both has no effect."""
+    """Remark on a coefficient that has no effect."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,15 +166,15 @@ class Solids:
     """The collision shapes of a model."""
 
     element: str
-    """What the format calls one."""
+    """The format's word for a shape."""
     shapes: tuple[Solid, ...]
     pair: Callable[[Solid, Solid | None], Pair]
-    """Takes a shape and the plane that is the ground; None: the file has none."""
+    """Function of a shape and the plane that is the ground (None if the file has none)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """A model without its format."""
+    """A model, independent of its format."""
 
     name: str
     parts: tuple[Part, ...]
@@ -185,7 +184,7 @@ class Parts:
     couplings: tuple[ModelCoupling, ...] = ()
     lines: tuple[Line, ...] = ()
     labels: Mapping[str, tuple[str, str]] = field(default_factory=dict)
-    """Element and attribute that the format has for each property of a freedom."""
+    """Element and attribute in the format, by property of a freedom, "coupling" or "drive"."""
     drives: tuple[Drive, ...] = ()
     solids: Solids | None = None
-    """None: there is no ground."""
+    """Collision shapes; None if there is no ground."""

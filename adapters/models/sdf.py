@@ -1,4 +1,4 @@
-"""SDF, as DART parses it: poses and joints are its reader's, masses are those of the file."""
+"""Reader of SDF: poses and joints as DART parses them, masses as the file states them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from mbds_xsim.simulate.adapter import version_of
 from .assembling import assemble
 from .fates import fates_of
 from .parts import Freedom, Mass, Part, Parts, Property, Solid, Solids
-from .sdf_shapes import TOLD, pair, shapes_of
+from .sdf_shapes import REPORTED, pair, shapes_of
 from .sdf_values import masses_of, numbers
 from .source import read_source
 
@@ -36,14 +36,14 @@ _LABELS = {
 }
 _KINDS = {"RevoluteJoint": "hinge", "PrismaticJoint": "slider", "BallJoint": "ball",
           "FreeJoint": "free"}  # fmt: skip
-_FAR = 1e10  # a limit beyond is none
+_FAR = 1e10  # [rad or m]: a limit beyond this means no limit
 _VERSIONS = ("1.5", "1.6", "1.7", "1.8", "1.9", "1.10", "1.11")
-"""Until 1.4 axes were in the frame of the model, which DART does not tell apart."""
+"""Accepted versions. Up to 1.4, axes were in the model's frame, a difference that DART ignores."""
 _FRAMES = ("relative_to", "expressed_in", "frame", "degrees", "rotation_format")
 _ONE = "DART's parser takes one joint for each link, between links that are there"
 _OFF = ("0", "false")
 _LAW = ("damping", "friction", "spring_stiffness", "spring_reference")
-_NOT_READ = ("include", "frame", "experimental:params")
+_UNSUPPORTED = ("include", "frame", "experimental:params")
 
 
 def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
@@ -57,54 +57,54 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     models = list(root.iter("model"))
     for each in models:
         _check_numbers(each)
-    stated = [masses_of(each) for each in models]
+    masses = [masses_of(each) for each in models]
     try:
         skeletons, gravity = _skeletons(dartpy.utils.SdfParser, root)
-    except (RuntimeError, ValueError) as error:  # the latter of numbers that are none
+    except (RuntimeError, ValueError) as error:  # ValueError: malformed numbers
         raise InputError(f"DART's parser refuses it: {error}") from error
     if len(models) != len(skeletons):
         msg = f"DART's parser gives {len(skeletons)} of its {len(models)} models"
         raise InputError(msg)
     parts: list[Part] = []
     shapes: list[Solid] = []
-    untaken: list[str] = []
-    for skeleton, element, own in zip(skeletons, models, stated, strict=True):
-        untaken += _untaken(skeleton, element)
+    skipped: list[str] = []
+    for skeleton, element, link_masses in zip(skeletons, models, masses, strict=True):
+        skipped += _skipped_joints(skeleton, element)
         skeleton.setPositions(np.zeros(skeleton.getNumDofs()))
         first = len(parts)
-        parts += _parts(skeleton, first, own)
+        parts += _parts(skeleton, first, link_masses)
         shapes += shapes_of(element, parts[first:], first) if ground else ()
-    named = models[0].get("name") or path.stem
+    name = models[0].get("name") or path.stem
     solids = Solids("collision", tuple(shapes), pair) if ground else None
-    model = Parts(named, tuple(parts), _stated(root, gravity), labels=_LABELS, solids=solids)
-    had = {key for part in parts for freedom in part.freedoms for key in freedom.properties}
-    told = {label: key in had for key, label in _LABELS.items()}
-    told["upper", ""] = told["lower", ""]
-    told |= dict.fromkeys(TOLD if ground else (), True)
+    model = Parts(name, tuple(parts), _gravity(root, gravity), labels=_LABELS, solids=solids)
+    keys = {key for part in parts for freedom in part.freedoms for key in freedom.properties}
+    reported = {label: key in keys for key, label in _LABELS.items()}
+    reported["upper", ""] = reported["lower", ""]
+    reported |= dict.fromkeys(REPORTED if ground else (), True)
     _mark(root)
     reader = f"DART {version_of('dartpy')}"
-    fates = [*fates_of(root, told, touching=ground)]
-    if untaken:
-        fates.append(Fate("joint", (), "dropped", _ONE, True, tuple(untaken), len(untaken)))
+    fates = [*fates_of(root, reported, touching=ground)]
+    if skipped:
+        fates.append(Fate("joint", (), "dropped", _ONE, True, tuple(skipped), len(skipped)))
     return assemble(model, file=path.name, kind="SDF", reader=reader, fates=fates)
 
 
 def _mark(root: Element) -> None:
-    """Name elements as the table of fates has them where it takes more than a name to know."""
+    """Rename or remove elements whose fate depends on more than their name."""
     for link in root.iter("link"):
-        if (own := link.find("gravity")) is not None and (own.text or "").strip() in _OFF:
-            own.tag = "link/gravity"
+        if (gravity := link.find("gravity")) is not None and (gravity.text or "").strip() in _OFF:
+            gravity.tag = "link/gravity"
     for ode in root.iter("ode"):
         if (across := ode.find("mu2")) is not None and across.text == ode.findtext("mu"):
-            ode.remove(across)  # nothing is lost of it
+            ode.remove(across)  # the same as mu: nothing is lost
 
 
 def _skeletons(parser: Any, root: Element) -> tuple[list[Any], Array]:
-    """Let DART read the models, without shapes: it crashes on meshes that it does not find."""
+    """Let DART read the models without shapes, since it crashes on missing meshes."""
     bare = copy.deepcopy(root)
-    bare.set("version", "1.6")  # the last that it takes a world of; without frames all are alike
+    bare.set("version", "1.6")  # the last whose worlds DART reads; without frames versions agree
     for joint in bare.iter("joint"):
-        if joint.get("type") == "continuous":  # which it does not know
+        if joint.get("type") == "continuous":  # unknown to DART
             joint.set("type", "revolute")
             for limit in joint.findall("axis/limit"):
                 limit.clear()
@@ -128,14 +128,14 @@ def _skeletons(parser: Any, root: Element) -> tuple[list[Any], Array]:
     return skeletons, gravity
 
 
-def _stated(root: Element, parsed: Array) -> Array:
-    """Give the world's own gravity, which SDF has from 1.6 on and DART's parser passes over."""
+def _gravity(root: Element, parsed: Array) -> Array:
+    """Return the world's own gravity (an element since SDF 1.6), which DART's parser ignores."""
     world = root.find("world")
     return parsed if world is None else numbers(world, "gravity", (*parsed,))
 
 
 def _refuse(root: Element) -> None:
-    """Raise where DART's parser would pass over what moves things."""
+    """Raise InputError if DART's parser would ignore something that affects the motion."""
     if root.tag != "sdf":
         msg = f"its outermost element is <{root.tag}>, allowed is <sdf>"
         raise InputError(msg)
@@ -143,17 +143,17 @@ def _refuse(root: Element) -> None:
         msg = f"it is of version {number or 'unsaid'}; DART's parser reads {', '.join(_VERSIONS)}"
         raise InputError(msg)
     for element in root.iter():
-        framed = [key for key in _FRAMES if element.get(key)]
+        frame_keys = [key for key in _FRAMES if element.get(key)]
         nested = element.tag not in ("sdf", "world") and element.find("model") is not None
-        if element.tag in _NOT_READ or framed or nested:
-            within = f"a model in a {element.tag}" if nested else element.tag
-            what = f"{framed[0]}=" if framed else within
-            msg = f"<{element.tag}> has what DART's parser does not read ({what}); resolve it first"
+        if element.tag in _UNSUPPORTED or frame_keys or nested:
+            construct = f"a model in a {element.tag}" if nested else element.tag
+            item = f"{frame_keys[0]}=" if frame_keys else construct
+            msg = f"<{element.tag}> has what DART's parser does not read ({item}); resolve it first"
             raise InputError(msg)
 
 
 def _check_numbers(model: Element) -> None:
-    """Raise where a number is none: DART's parser goes on with another in its place."""
+    """Raise InputError on a malformed number, for which DART's parser silently takes another."""
     joints = model.findall("joint")
     for element in (model, *model.findall("link"), *joints):
         numbers(element, "pose", (0.0,) * 6)
@@ -163,8 +163,8 @@ def _check_numbers(model: Element) -> None:
             numbers(joint, f"{axis}/dynamics/{key}", (0.0,))
 
 
-def _untaken(skeleton: Any, model: Element) -> list[str]:
-    """Name the joints that DART's parser does not take; raise where it leaves out links."""
+def _skipped_joints(skeleton: Any, model: Element) -> list[str]:
+    """Return the names of joints that DART's parser skips; raise InputError if it skips links."""
     nodes = skeleton.getBodyNodes()
     links, joints = {n.getName() for n in nodes}, {n.getParentJoint().getName() for n in nodes}
     for link in model.findall("link"):
@@ -177,17 +177,17 @@ def _untaken(skeleton: Any, model: Element) -> list[str]:
     return [n for joint in model.findall("joint") if (n := joint.get("name", "")) not in joints]
 
 
-def _parts(skeleton: Any, first: int, stated: Mapping[str, tuple[float, Array]]) -> Iterator[Part]:
+def _parts(skeleton: Any, first: int, masses: Mapping[str, tuple[float, Array]]) -> Iterator[Part]:
     order = list(_downwards(skeleton))
-    place = {node.getName(): first + k for k, node in enumerate(order)}
+    index = {node.getName(): first + k for k, node in enumerate(order)}
     for node in order:
         above = node.getParentBodyNode()
         frame = node.getTransform()
         axes = np.array(frame.rotation())
-        mass, inertia = stated[node.getName()]
+        mass, inertia = masses[node.getName()]
         yield Part(
             name=node.getName(),
-            parent=place[above.getName()] if above is not None else -1,
+            parent=index[above.getName()] if above is not None else -1,
             position=np.array(frame.translation()),
             orientation=rotation.from_matrix(axes),
             mass=Mass(mass, np.array(node.getCOM()), axes @ inertia @ axes.T),
@@ -196,11 +196,11 @@ def _parts(skeleton: Any, first: int, stated: Mapping[str, tuple[float, Array]])
 
 
 def _downwards(skeleton: Any) -> Iterator[Any]:
-    waiting = [node for node in skeleton.getBodyNodes() if node.getParentBodyNode() is None]
-    while waiting:
-        node = waiting.pop(0)
+    queue = [node for node in skeleton.getBodyNodes() if node.getParentBodyNode() is None]
+    while queue:
+        node = queue.pop(0)
         yield node
-        waiting += [node.getChildBodyNode(k) for k in range(node.getNumChildBodyNodes())]
+        queue += [node.getChildBodyNode(k) for k in range(node.getNumChildBodyNodes())]
 
 
 def _freedoms(node: Any) -> Iterator[Freedom]:
@@ -222,14 +222,14 @@ def _freedoms(node: Any) -> Iterator[Freedom]:
 
 
 def _properties(joint: Any, k: int) -> dict[str, Property]:
-    found: dict[str, Property] = {
+    properties: dict[str, Property] = {
         "stiffness": float(joint.getSpringStiffness(k)),
         "damping": float(joint.getDampingCoefficient(k)),
         "friction": float(joint.getCoulombFriction(k)),
     }
-    if found["stiffness"]:
-        found["rest"] = float(joint.getRestPosition(k))
+    if properties["stiffness"]:
+        properties["rest"] = float(joint.getRestPosition(k))
     limits = (float(joint.getPositionLowerLimit(k)), float(joint.getPositionUpperLimit(k)))
     if all(map(math.isfinite, limits)) and max(map(abs, limits)) < _FAR:
-        found["limits"] = limits
-    return {key: value for key, value in found.items() if value}
+        properties["limits"] = limits
+    return {key: value for key, value in properties.items() if value}

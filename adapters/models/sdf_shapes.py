@@ -1,7 +1,7 @@
 """Collision shapes of SDF, and how two of them touch.
 
-The format says what each surface is like and leaves open what counts where two differ: the smaller
-friction and restitution do, as in Gazebo, for which it was made.
+The format describes each surface but not how two of them combine. The smaller friction and
+restitution count here, as in Gazebo, for which the format was made.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from .parts import Pair, Part, Solid
 from .sdf_values import number, numbers, pose
 
 _TAGS = ("collision", "geometry", "mu", "restitution_coefficient", "torsional")
-TOLD = (("collision", "name"), *((tag, "") for tag in _TAGS))
-"""Elements and attributes of which `contacts` says more."""
+REPORTED = (("collision", "name"), *((tag, "") for tag in _TAGS))
+"""Elements and attributes that `contacts` reports shape by shape."""
 _DIMENSIONS = {
     "sphere": ("radius",),
     "capsule": ("radius", "length"),
@@ -30,30 +30,30 @@ _DIMENSIONS = {
     "box": ("size",),
 }
 _ALL = 0xFFFF
-"""The mask of what states none."""
-_NEVER = 1e5  # [m/s], from which on a surface rebounds that states no speed
+"""Collision mask of shapes that state none."""
+_NEVER = 1e5  # [m/s]: default of the speed from which a surface rebounds
 _SURFACE = (
     ("friction/ode/mu", 1.0),
     ("bounce/restitution_coefficient", 0.0),
     ("bounce/threshold", _NEVER),
 )
-"""Numbers of a surface, and what counts where one is not stated."""
+"""Paths to the numbers of a surface, each with its default."""
 
 
 def shapes_of(model: Element, parts: Sequence[Part], first: int) -> Iterator[Solid]:
-    """Give the shapes of a model.
+    """Yield the collision shapes of a model.
 
     Args:
-        model: The element.
-        parts: Of this model, in the order of all.
-        first: Place of its first one among all.
+        model: The `<model>` element.
+        parts: Parts of this model, in the order in which they stand among all parts.
+        first: Index of the first of them among all parts.
 
     Raises:
-        InputError: A pose or size is no number that it can be.
+        InputError: A pose or size is malformed or out of range.
     """
-    place = {part.name: k for k, part in enumerate(parts)}
+    index = {part.name: k for k, part in enumerate(parts)}
     for link in model.findall("link"):
-        k = place[link.get("name", "")]
+        k = index[link.get("name", "")]
         turn = rotation.matrix(parts[k].orientation)
         for shape in link.findall("collision"):
             middle, axes = pose(shape)
@@ -70,21 +70,21 @@ def shapes_of(model: Element, parts: Sequence[Part], first: int) -> Iterator[Sol
 
 
 def _size(shape: Element, kind: str) -> Array:
-    """Give half-sizes, as `balls.BALLS` has them."""
+    """Return half-sizes as `balls.BALLS` takes them."""
     size = np.zeros(3)
     for k, tag in enumerate(_DIMENSIONS.get(kind, ())):
         path = f"geometry/{kind}/{tag}"
-        found = numbers(shape, path, (0.0,) * (3 if tag == "size" else 1))
-        if not (found > 0).all():
-            told = shape.findtext(path, "not there")
-            msg = f"<{tag}> of <collision> {shape.get('name', '')!r} is {told}, allowed is above 0"
+        dimensions = numbers(shape, path, (0.0,) * (3 if tag == "size" else 1))
+        if not (dimensions > 0).all():
+            text = shape.findtext(path, "not there")
+            msg = f"<{tag}> of <collision> {shape.get('name', '')!r} is {text}, allowed is above 0"
             raise InputError(msg)
-        size[k : k + len(found)] = found / (1.0 if tag == "radius" else 2.0)
+        size[k : k + len(dimensions)] = dimensions / (1.0 if tag == "radius" else 2.0)
     return size
 
 
 def _normal(shape: Element) -> Array:
-    """Give axes of which the third is a plane's normal."""
+    """Return axes in columns, the third of which is a plane's normal."""
     normal = numbers(shape, "geometry/plane/normal", (0.0, 0.0, 1.0))
     if not normal.any():
         msg = f"<normal> of <collision> {shape.get('name', '')!r} is 0 0 0, allowed is any other"
@@ -94,7 +94,7 @@ def _normal(shape: Element) -> Array:
 
 
 def pair(shape: Solid, floor: Solid | None) -> Pair:
-    """Say how a shape meets the ground; see `parts.Solids`."""
+    """Return how a shape meets the ground; see `parts.Solids`."""
     sides: list[Element] = [each.own for each in (shape, floor) if each is not None]
     friction, restitution, threshold = (
         min(number(side, f"surface/{path}", unstated) for side in sides)
@@ -119,9 +119,9 @@ def _apart(sides: list[Element]) -> str:
 
 
 def _mask(shape: Element) -> int:
-    words = shape.findtext("surface/contact/collide_bitmask", str(_ALL))
+    text = shape.findtext("surface/contact/collide_bitmask", str(_ALL))
     try:
-        return int(words, 0)
+        return int(text, 0)
     except ValueError as error:
-        msg = f"<collide_bitmask> of {shape.get('name', '')!r} is {words!r}, allowed is an integer"
+        msg = f"<collide_bitmask> of {shape.get('name', '')!r} is {text!r}, allowed is an integer"
         raise InputError(msg) from error

@@ -13,29 +13,29 @@ from mbds_xsim.base.errors import InputError
 
 
 def numbers(element: Element, path: str, unstated: tuple[float, ...]) -> Array:
-    """Read the numbers of an element below another.
+    """Read the numbers in an element below another.
 
     Args:
-        element: The other.
-        path: To what is read, as in `surface/friction/ode/mu`.
-        unstated: What counts where it is not there; as many are read.
+        element: The element to start from.
+        path: Path to the element that is read, such as `surface/friction/ode/mu`.
+        unstated: Values if that element is absent; if present, it must have as many.
 
     Raises:
-        InputError: There are fewer or more, or one is not a finite number.
+        InputError: There are fewer or more numbers, or one is not finite.
     """
-    words = element.findtext(path)
-    if words is None:
+    text = element.findtext(path)
+    if text is None:
         return np.array(unstated)
     try:
-        found = [float(word) for word in words.split()]
+        values = [float(word) for word in text.split()]
     except ValueError:
-        found = []
-    if len(found) != len(unstated) or not all(map(math.isfinite, found)):
+        values = []
+    if len(values) != len(unstated) or not all(map(math.isfinite, values)):
         tag = path.rpartition("/")[2]
         count = {1: "a number", 3: "three numbers", 6: "six numbers"}[len(unstated)]
-        msg = f"<{tag}> of <{element.tag}> {element.get('name', '')!r} is {words!r}, "
+        msg = f"<{tag}> of <{element.tag}> {element.get('name', '')!r} is {text!r}, "
         raise InputError(f"{msg}allowed is {count}")
-    return np.array(found)
+    return np.array(values)
 
 
 def number(element: Element, path: str, unstated: float) -> float:
@@ -44,35 +44,35 @@ def number(element: Element, path: str, unstated: float) -> float:
 
 
 def pose(element: Element, path: str = "pose") -> tuple[Array, Array]:
-    """Give place [m], shape (3,), and axes as columns, shape (3, 3), of an element's pose."""
-    found = numbers(element, path, (0.0,) * 6)
-    turns = (rotation.from_vector(v) for v in np.diag(found[3:]))
+    """Return position [m], shape (3,), and axes as columns, shape (3, 3), of an element's pose."""
+    values = numbers(element, path, (0.0,) * 6)
+    turns = (rotation.from_vector(v) for v in np.diag(values[3:]))
     about_x, about_y, about_z = map(rotation.matrix, turns)
-    return found[:3], np.asarray(about_z @ about_y @ about_x)
+    return values[:3], np.asarray(about_z @ about_y @ about_x)
 
 
 def masses_of(model: Element) -> dict[str, tuple[float, Array]]:
-    """Read the masses of a model's links, and refuse names that stand twice.
+    """Read the masses of a model's links, and refuse duplicate names.
 
     Returns:
-        Mass [kg], and inertia about its centre along the link's axes [kg·m²], shape (3, 3), by
-        link. Where a file states none they are DART's: 1 kg, and moments of 1 m² times the mass.
+        Mass [kg], and inertia about its centre along the link's axes [kg·m²], shape (3, 3), keyed
+        by link. Defaults are DART's: 1 kg, and moments of 1 m² times the mass.
 
     Raises:
-        InputError: A mass or moment is none that it can be, or two links have one name.
+        InputError: A number is malformed, a moving mass is not above 0, or two links share a name.
     """
     links = model.findall("link")
-    found = {link.get("name", ""): _mass(link) for link in links}
-    for name, (mass, _) in found.items():
+    masses = {link.get("name", ""): _mass(link) for link in links}
+    for name, (mass, _) in masses.items():
         if mass <= 0 and model.findtext("static") not in ("1", "true"):
             msg = f"<mass> of <link> {name!r} is {mass:g}, allowed is above 0; what does not "
             raise InputError(f"{msg}move needs one, too, and a fixed joint to the world")
-    if len(found) < len(links):
+    if len(masses) < len(links):
         names = [link.get("name", "") for link in links]
-        twice = next(name for name in names if names.count(name) > 1)
-        msg = f"<model> {model.get('name', '')!r} has two links called {twice!r}, allowed is one"
+        repeated = next(name for name in names if names.count(name) > 1)
+        msg = f"<model> {model.get('name', '')!r} has two links called {repeated!r}, allowed is one"
         raise InputError(msg)
-    return found
+    return masses
 
 
 def _mass(link: Element) -> tuple[float, Array]:

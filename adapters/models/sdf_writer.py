@@ -1,7 +1,7 @@
-"""Scenes as SDF 1.6: frames of links are at their centres of mass, and nothing is turned.
+"""Scenes as SDF 1.6: link frames are at the centres of mass, and no frame is rotated.
 
-Elements: http://sdformat.org/spec?ver=1.6; DART takes no later worlds. That links and joints have
-no names in common is a rule of later versions, which Drake holds these to.
+Elements: http://sdformat.org/spec?ver=1.6; DART reads no later worlds. Links and joints share no
+names: later versions forbid it, and Drake applies that rule to this version as well.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from mbds_xsim.scene.imported import Written, gathered
 from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint
 from mbds_xsim.scene.scene import Scene
 
-from .writing import dropped, lacking, name_of, no_model, tensor_words, unlike, without_servos
+from .writing import dropped_fate, lacking, name_of, no_model, tensor_words, unlike, without_servos
 
 _KINDS = {"hinge": "revolute", "slider": "prismatic", "ball": "ball", "fixed": "fixed"}
-_UNLIMITED = (-1e16, 1e16)  # what the specification has without limits, which it requires
+_UNLIMITED = (-1e16, 1e16)  # the specification's defaults; limits are required
 _LAW = {"damping": "damping", "friction": "friction", "spring_reference": "rest",
         "spring_stiffness": "stiffness"}  # fmt: skip
 _TREE = "programs that read SDF hold each link by one joint"
@@ -46,7 +46,7 @@ def write(scene: Scene) -> Written:
             name = names["joints", link.joint.name]
             _joint(model, mechanism, link.joint, name)
     fates += [*no_model(scene), *lacking(scene, _LACKS)]
-    fates += [dropped("joints", _TREE, [joint.name]) for joint in mechanism.loops]
+    fates += [dropped_fate("joints", _TREE, [joint.name]) for joint in mechanism.loops]
     return Written(indented(root), gathered(fates))
 
 
@@ -67,7 +67,7 @@ def _joint(model: Element, mechanism: Mechanism, joint: PlacedJoint, name: str) 
         _texts(axis, {"xyz": numbers(joint.axis)})
         limits = zip(("lower", "upper"), joint.limits or _UNLIMITED, strict=True)
         _texts(SubElement(axis, "limit"), {key: repr(value) for key, value in limits})
-        law = {key: repr(float(getattr(joint, own))) for key, own in _LAW.items()}
+        law = {key: repr(float(getattr(joint, field))) for key, field in _LAW.items()}
         _texts(SubElement(axis, "dynamics"), law)
 
 
@@ -75,6 +75,6 @@ def _pose(point: Iterable[float]) -> str:
     return numbers((*point, 0.0, 0.0, 0.0))
 
 
-def _texts(parent: Element, words: Mapping[str, str]) -> None:
-    for tag, text in words.items():
+def _texts(parent: Element, texts: Mapping[str, str]) -> None:
+    for tag, text in texts.items():
         SubElement(parent, tag).text = text

@@ -1,8 +1,8 @@
-"""What a model's files say, before a compiler forgets what it ignores.
+"""XML of a model's files as written, before a compiler drops what it ignores.
 
-Nothing is resolved here: this reads the elements for the report on losses, and refuses what no
-compiler should be given: documents that define entities or nest without end, files that include
-each other, and paths that leave the model's folder.
+Nothing is resolved here. The elements are read for the report on losses, and anything that no
+compiler should be given is refused: documents that define entities or nest without end, files that
+include each other, and paths that leave the model's folder.
 """
 
 from __future__ import annotations
@@ -16,28 +16,28 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.files import read_file
 
 _LARGEST_FILE = 16 * 10**6  # bytes
-_DEEPEST = 400  # levels, of the 500 that the compiler takes
+_DEEPEST = 400  # levels; the compiler accepts 500
 _MOST_FILES = 1000
 _MACRO = re.compile(r"\$[{(]")
 DEFAULT = re.compile(r"\$\(optenv\s+\S+\s+([^()$]*)\)")
-"""What xacro takes where the environment says nothing; it needs no expanding."""
+"""Macro of xacro for an environment variable with a default, which needs no expansion."""
 _FOLDERS = ("meshdir", "texturedir", "assetdir")
 
 
 def read_source(path: Path, folder: Path) -> Element:
-    """Read a model's XML; the elements of what it includes stand where it does so.
+    """Read a model's XML, with the elements of included files in place of the includes.
 
     Args:
-        path: Of the main file.
-        folder: That nothing may leave.
+        path: Path of the main file.
+        folder: Folder that all files must be in.
 
     Raises:
-        InputError: Something cannot be read, or is none of the files that may be.
+        InputError: Something cannot be read or is not allowed.
     """
     reader = _Reader(path.parent, folder.resolve())
     root = reader.document(path, ())
     _refuse_macros(root)
-    if root.tag == "mujoco":  # what others name is not read
+    if root.tag == "mujoco":  # files that other formats name are not read
         reader.check_files(root)
     return root
 
@@ -47,7 +47,7 @@ class _Reader:
         self._base, self._folder, self._read = base, folder, 0
 
     def document(self, path: Path, above: tuple[Path, ...]) -> Element:
-        """Read a file with what it includes."""
+        """Read a file and everything it includes."""
         if path in above:
             msg = f"{path.name} includes itself, by way of {above[-1].name}"
             raise InputError(msg)
@@ -59,23 +59,23 @@ class _Reader:
         for element in list(root.iter()):
             for k, child in reversed(list(enumerate(element))):
                 if child.tag == "include" and root.tag not in ("robot", "sdf"):
-                    element[k : k + 1] = list(self._included(child, path, above))
+                    element[k : k + 1] = list(self._include(child, path, above))
                 elif child.tag == "model" and "file" in child.attrib:
-                    child.extend(self._included(child, path, above))
+                    child.extend(self._include(child, path, above))
         return root
 
-    def _included(self, include: Element, path: Path, above: tuple[Path, ...]) -> Element:
+    def _include(self, include: Element, path: Path, above: tuple[Path, ...]) -> Element:
         name = include.get("file", "")
         places = [self._base / name, path.parent / name]
-        found = next((place for place in places if place.is_file()), None)
-        if found is None:
+        file = next((place for place in places if place.is_file()), None)
+        if file is None:
             msg = f"{path.name} includes {name!r}, which is not there"
             raise InputError(msg)
-        self.check(found, name)
-        return self.document(found, (*above, path))
+        self.check(file, name)
+        return self.document(file, (*above, path))
 
     def check_files(self, root: Element) -> None:
-        """Raise where a file that an element names is out of the folder."""
+        """Raise InputError if an element names a file outside the folder."""
         compilers = list(root.iter("compiler"))
         folders = {compiler.get(key, "") for compiler in compilers for key in _FOLDERS} | {""}
         for element in root.iter():
@@ -85,7 +85,7 @@ class _Reader:
                         self.check(self._base / folder / name, str(Path(folder) / name))
 
     def check(self, path: Path, name: str) -> None:
-        """Raise where a path leads out of the folder."""
+        """Raise InputError if a path leads out of the folder."""
         if not path.resolve().is_relative_to(self._folder):
             msg = (
                 f"names {name!r}, which is not in {self._folder}; where that is meant, "

@@ -1,4 +1,4 @@
-"""What a compiled model ties together beside its tree: equalities and tendons."""
+"""Ties of a compiled model in addition to its tree: equalities and tendons."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from mbds_xsim.scene.imported import Fate
 
 from .parts import Closing, Line, ModelCoupling
 
-_APART = 1e-9  # [m] or turn: ends of an equality that is not met at the reference pose
+_APART = 1e-9  # [m or turn]: largest gap of an equality that is met at the reference pose
 _NOT_YET = "not yet in the scene description"
 
 
-def named(mujoco: Any, model: Any, kind: str, k: int) -> str:
-    """Give the name of an element, or its kind and number."""
-    what = getattr(mujoco.mjtObj, f"mjOBJ_{kind}")
-    return mujoco.mj_id2name(model, what, k) or f"{kind.lower()} {k}"
+def element_name(mujoco: Any, model: Any, kind: str, k: int) -> str:
+    """Return the name of an element, or its kind and number if it has none."""
+    object_type = getattr(mujoco.mjtObj, f"mjOBJ_{kind}")
+    return mujoco.mj_id2name(model, object_type, k) or f"{kind.lower()} {k}"
 
 
 class Ties:
@@ -30,7 +30,7 @@ class Ties:
     Args:
         mujoco: The module.
         model: The compiled model.
-        data: Its places.
+        data: Its `MjData`, with positions at the reference pose.
         active: Whether equalities hold at all.
     """
 
@@ -41,10 +41,10 @@ class Ties:
         self._points = (int(kinds.mjEQ_CONNECT), int(kinds.mjEQ_WELD))
         rigid = [e for e in self._active if self._rigid(e)]
         self._longer = {int(model.eq_obj1id[e]): float(model.eq_data[e, 0]) for e in rigid}
-        """Tendons whose length is kept, and by how much it is longer than at their places [m]."""
+        """Length of each rigid tendon in excess of that at the reference pose [m], by index."""
 
     def closings(self) -> Iterator[Closing]:
-        """Give what closes loops: two points of the same two bodies make a hinge."""
+        """Yield the joints that close loops; two points between the same bodies make a hinge."""
         connects: dict[tuple[int, int], list[Closing]] = defaultdict(list)
         for e in self._active:
             if kind := self._holds(e):
@@ -64,7 +64,7 @@ class Ties:
             yield Closing(balls[0].name, "hinge", balls[0].parts, middle, axis)
 
     def couplings(self) -> Iterator[ModelCoupling]:
-        """Give joints that follow another."""
+        """Yield the joints that follow another."""
         model = self._model
         for e in self._active:
             followed = int(model.eq_obj2id[e])
@@ -76,7 +76,7 @@ class Ties:
                 )
 
     def lines(self) -> Iterator[Line]:
-        """Give tendons between two points, as springs or of constant length."""
+        """Yield tendons between two points, as springs or as links of constant length."""
         model = self._model
         for t in range(model.ntendon):
             if not self._straight(t):
@@ -99,20 +99,20 @@ class Ties:
                 yield Line(line.name, line.parts, line.points, length, rigid=True)
 
     def fates(self) -> Iterator[Fate]:
-        """Say what is not given, and why."""
+        """Report equalities and tendons that are not converted, with the reasons."""
         model = self._model
         for e in self._active:
-            joint = model.eq_type[e] == self._mujoco.mjtEq.mjEQ_JOINT and model.eq_obj2id[e] >= 0
-            if not (self._holds(e) or self._rigid(e) or joint):
+            couples = model.eq_type[e] == self._mujoco.mjtEq.mjEQ_JOINT and model.eq_obj2id[e] >= 0
+            if not (self._holds(e) or self._rigid(e) or couples):
                 name = self._name("EQUALITY", e)
                 yield Fate("equality", (), "dropped", self._why(e), True, (name,))
         for t in range(model.ntendon):
             keys = ["frictionloss", "limited", "armature"]
             keys += [] if self._straight(t) else ["stiffness", "damping"]
-            lost = tuple(key for key in keys if np.any(getattr(model, f"tendon_{key}")[t]))
+            properties = tuple(key for key in keys if np.any(getattr(model, f"tendon_{key}")[t]))
             place = (self._name("TENDON", t),)
-            if lost:
-                yield Fate("tendon", lost, "dropped", _NOT_YET, True, place)
+            if properties:
+                yield Fate("tendon", properties, "dropped", _NOT_YET, True, place)
             elif not self._straight(t):
                 yield Fate("tendon", (), "dropped", "it exerts nothing by itself", False, place)
 
@@ -136,7 +136,7 @@ class Ties:
         )
 
     def _holds(self, e: int) -> Literal["fixed", "ball", ""]:
-        """Say which joint an equality is; none where its ends are apart."""
+        """Return the joint that an equality stands for; "" if none, or if its ends are apart."""
         kind = int(self._model.eq_type[e])
         if kind not in self._points or self._gap(e) > _APART:
             return ""
@@ -150,7 +150,7 @@ class Ties:
         return f"equalities of tendons and flexes are {_NOT_YET}"
 
     def _ends(self, e: int) -> tuple[tuple[int, Array], tuple[int, Array]]:
-        """Give the bodies of an equality, and the points that it keeps together, in W."""
+        """Return the bodies of an equality, and the points that it keeps together, in W."""
         mujoco, model, data = self._mujoco, self._model, self._data
         ids = (int(model.eq_obj1id[e]), int(model.eq_obj2id[e]))
         if model.eq_objtype[e] == mujoco.mjtObj.mjOBJ_SITE:
@@ -176,4 +176,4 @@ class Ties:
         return gap
 
     def _name(self, kind: str, k: int) -> str:
-        return named(self._mujoco, self._model, kind, k)
+        return element_name(self._mujoco, self._model, kind, k)

@@ -13,7 +13,7 @@ from mbds_xsim.scene.imported import Fate, Written, gathered
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism
 from mbds_xsim.scene.scene import GRAVITY, WORLD, Scene
 
-from .writing import dropped, lacking, name_of, no_model, tensor_words, untaken, without_servos
+from .writing import dropped_fate, lacking, name_of, no_model, tensor_words, unique, without_servos
 
 _KINDS = {"hinge": "continuous", "slider": "prismatic", "fixed": "fixed", None: "floating"}
 _LIMITED = {"hinge": "revolute", "slider": "prismatic"}
@@ -41,14 +41,14 @@ def write(scene: Scene) -> Written:
     for link in mechanism.links:
         _link(root, mechanism, link, frames)
     fates = [*no_model(scene), *lacking(scene, _LACKS)]
-    fates += [dropped("joints", _TREE, [joint.name]) for joint in mechanism.loops]
+    fates += [dropped_fate("joints", _TREE, [joint.name]) for joint in mechanism.loops]
     if scene.gravity != GRAVITY:
         fates.append(Fate("gravity", (), "dropped", "URDF has no gravity", True))
     return Written(indented(root), gathered(fates))
 
 
 def _link(root: Element, mechanism: Mechanism, link: Link, frames: dict[int, Array]) -> None:
-    """Write a link whose frame is at its joint and parallel to W, and the joint."""
+    """Write a joint and its link, whose frame is at the joint and parallel to W."""
     joint, body = link.joint, link.body
     kind = None if joint is None else joint.kind
     if kind not in _KINDS:
@@ -63,23 +63,23 @@ def _link(root: Element, mechanism: Mechanism, link: Link, frames: dict[int, Arr
     SubElement(inertial, "mass", value=repr(float(mechanism.mass[body])))
     SubElement(inertial, "inertia", tensor_words(mechanism.inertia[body]))
     floats = f"{name} floats"
-    own = joint.name if joint else untaken(floats, {each.name for each in mechanism.joints})
-    hold = SubElement(root, "joint", name=own)
-    hold.set("type", str(_KINDS[kind]))
-    SubElement(hold, "parent", link=name_of(mechanism, link.parent))
-    SubElement(hold, "child", link=name)
-    SubElement(hold, "origin", xyz=numbers(frames[body] - frames[link.parent]), rpy="0 0 0")
+    joint_name = joint.name if joint else unique(floats, {each.name for each in mechanism.joints})
+    joint_node = SubElement(root, "joint", name=joint_name)
+    joint_node.set("type", str(_KINDS[kind]))
+    SubElement(joint_node, "parent", link=name_of(mechanism, link.parent))
+    SubElement(joint_node, "child", link=name)
+    SubElement(joint_node, "origin", xyz=numbers(frames[body] - frames[link.parent]), rpy="0 0 0")
     if joint is not None and joint.axis.any():
-        SubElement(hold, "axis", xyz=numbers(joint.axis))
+        SubElement(joint_node, "axis", xyz=numbers(joint.axis))
     if joint is not None and (joint.damping or joint.friction):
         law = {key: repr(getattr(joint, key)) for key in ("damping", "friction")}
-        SubElement(hold, "dynamics", law)
+        SubElement(joint_node, "dynamics", law)
     if joint is not None and joint.limits:
-        hold.set("type", _LIMITED[joint.kind])
+        joint_node.set("type", _LIMITED[joint.kind])
         lower, upper = map(repr, joint.limits)
-        # Effort and velocity are required; nothing of ours is limited by them.
-        SubElement(hold, "limit", lower=lower, upper=upper, effort="1e9", velocity="1e9")
+        # Effort and velocity are required; a scene limits neither.
+        SubElement(joint_node, "limit", lower=lower, upper=upper, effort="1e9", velocity="1e9")
     for tie in mechanism.couplings:
         if joint is not None and tie.follower.name == joint.name:
             law = {"multiplier": repr(tie.ratio), "offset": repr(tie.offset)}
-            SubElement(hold, "mimic", {"joint": tie.leader.name} | law)
+            SubElement(joint_node, "mimic", {"joint": tie.leader.name} | law)

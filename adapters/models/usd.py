@@ -1,4 +1,4 @@
-"""USD Physics, as the library of OpenUSD parses it: composition, masses and joints are its own."""
+"""Reader of USD Physics: composition, masses and joints as the library of OpenUSD parses them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .usd_masses import mass_of
 from .usd_shapes import Shapes
 
 _LARGEST_FILE = 64 * 10**6  # bytes
-_MET = 1e-5  # gap of a joint's two frames over the model's extent: places are of single precision
+_GAP = 1e-5  # largest gap of a joint's frames over the extent: positions are in single precision
 _LABELS = {"limits": ("Physics…Joint", "physics:lowerLimit"), "drive": ("drive", "")}
 _KINDS = {"RevoluteJoint": "hinge", "PrismaticJoint": "slider", "SphericalJoint": "ball",
           "FixedJoint": "fixed", "D6Joint": "several"}  # fmt: skip
@@ -44,26 +44,26 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
         parts = reading.model(path.stem, ground=ground)
     except tf.ErrorException as error:
         raise InputError(f"OpenUSD does not read it: {_reason(str(error))}") from error
-    had = {key for part in parts.parts for freedom in part.freedoms for key in freedom.properties}
-    fates = [*fates_of(stage, limited="limits" in had, touching=ground), *reading.fates]
+    keys = {key for part in parts.parts for freedom in part.freedoms for key in freedom.properties}
+    fates = [*fates_of(stage, limited="limits" in keys, touching=ground), *reading.fates]
     version = ".".join(map(str, usd.GetVersion()))
     return assemble(parts, file=path.name, kind="USD", reader=f"OpenUSD {version}", fates=fates)
 
 
 def _reason(text: str) -> str:
-    """Give the last line of what the library says, without the place in its own source."""
+    """Return the last line of a library message, without the location in its source."""
     lines = [line.partition(" : ")[2] or line for line in text.splitlines()]
     return next(filter(None, (line.strip("' \t") for line in reversed(lines))), text)
 
 
 def _check_layers(sdf: Any, path: Path, folder: Path) -> None:
-    """Raise where a file that is referred to is not there, or out of the folder."""
-    waiting, seen = [path], set()
-    while waiting:
-        file = waiting.pop().resolve()
-        if file in seen:
+    """Raise InputError if a file referred to is missing, too large, or outside the folder."""
+    stack, visited = [path], set()
+    while stack:
+        file = stack.pop().resolve()
+        if file in visited:
             continue
-        seen.add(file)
+        visited.add(file)
         if not file.is_relative_to(folder):
             msg = (
                 f"refers to {str(file)!r}, which is not in {folder}; where that is meant, "
@@ -78,12 +78,12 @@ def _check_layers(sdf: Any, path: Path, folder: Path) -> None:
             raise InputError(msg)
         layer = sdf.Layer.FindOrOpen(str(file))
         for name in filter(None, layer.GetCompositionAssetDependencies()):
-            found = Path(layer.ComputeAbsolutePath(name))
-            waiting.append(found if found.exists() else file.parent / name)
+            asset = Path(layer.ComputeAbsolutePath(name))
+            stack.append(asset if asset.exists() else file.parent / name)
 
 
 class _Reading:
-    """A stage in SI units and z up."""
+    """A stage, read in SI units with z up."""
 
     def __init__(self, stage: Any) -> None:
         from pxr import UsdGeom, UsdPhysics
@@ -97,7 +97,7 @@ class _Reading:
         turn = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # y up to z up
         self._up = np.eye(3) if upright else turn
         self._places = UsdGeom.XformCache()
-        self._found = UsdPhysics.UsdPhysicsLoadStageFromPrimRange(stage, ["/"])
+        self._objects = UsdPhysics.UsdPhysicsLoadStageFromPrimRange(stage, ["/"])
         self._count = Counter(prim.GetName() for prim in stage.Traverse())
         self.fates: list[Fate] = []
         self._drives: list[Drive] = []
@@ -109,23 +109,23 @@ class _Reading:
         nodes = [self._node(desc) for desc in moving]
         places = np.array([node.position for node in nodes] or [np.zeros(3)])
         extent = float(np.linalg.norm(np.ptp(places, axis=0))) or 1.0
-        joints = [(what, desc) for what in _KINDS for desc in self._all(what) if desc.jointEnabled]
-        joints.sort(key=lambda joint: joint[1].excludeFromArticulation)  # those that close loops
-        found = (self._tie(desc, what, index, extent) for what, desc in joints)
-        ties = [tie for tie in found if tie is not None]
+        joints = [(key, desc) for key in _KINDS for desc in self._all(key) if desc.jointEnabled]
+        joints.sort(key=lambda joint: joint[1].excludeFromArticulation)  # loop closures last
+        candidates = (self._tie(desc, key, index, extent) for key, desc in joints)
+        ties = [tie for tie in candidates if tie is not None]
         parts, closings = tree_of(nodes, ties)
-        place = {part.name: k for k, part in enumerate(parts)}
-        lines = tuple(self._lines(index, [place[node.name] for node in nodes]))
+        part_index = {part.name: k for k, part in enumerate(parts)}
+        lines = tuple(self._lines(index, [part_index[node.name] for node in nodes]))
         drives = tuple(self._tree_drives({f.name for part in parts for f in part.freedoms}))
         solids = None
         if ground:
             shapes = Shapes(self._stage, self._all, self._frame, self._name, self._metre)
-            part = {path: place[nodes[k].name] for path, k in index.items()}
+            part = {path: part_index[nodes[k].name] for path, k in index.items()}
             solids = Solids("Collision", tuple(shapes.solids(part)), shapes.pair)
         return Parts(name, parts, self._gravity(), closings, (), lines, _LABELS, drives, solids)
 
     def _tree_drives(self, freedoms: set[str]) -> Iterator[Drive]:
-        """Give the drives of joints that carry bodies; those that close loops have no servos."""
+        """Yield the drives of tree joints, and drop those of joints that close loops."""
         for drive in self._drives:
             if drive.joint in freedoms:
                 yield drive
@@ -133,9 +133,9 @@ class _Reading:
                 reason = "its joint closes a loop"
                 self.fates.append(Fate("drive", (), "dropped", reason, True, (drive.joint,)))
 
-    def _all(self, what: str) -> list[Any]:
-        kind = getattr(self._physics.ObjectType, what)
-        return list(self._found.get(kind, ((), ()))[1])
+    def _all(self, schema: str) -> list[Any]:
+        object_type = getattr(self._physics.ObjectType, schema)
+        return list(self._objects.get(object_type, ((), ()))[1])
 
     def _gravity(self) -> Array:
         for scene in self._all("Scene"):
@@ -147,17 +147,17 @@ class _Reading:
     def _node(self, desc: Any) -> Node:
         prim = self._stage.GetPrimAtPath(desc.primPath)
         place, turn = self._frame(desc.primPath)
-        stated = mass_of(prim, self._all, desc, self._metre, self._kilogram)
-        mass = Mass(stated.mass, place + turn @ stated.com, turn @ stated.inertia @ turn.T)
+        local = mass_of(prim, self._all, desc, self._metre, self._kilogram)
+        mass = Mass(local.mass, place + turn @ local.com, turn @ local.inertia @ turn.T)
         return Node(self._name(desc.primPath), place, rotation.from_matrix(turn), mass)
 
     def _name(self, path: Any) -> str:
-        """Give the last part of a path where no other has it."""
-        alone = self._count[path.name] == 1
-        return path.name if alone else str(path).removeprefix("/").replace("/", " ")
+        """Return the last part of a path if it is unique, or else the whole path."""
+        unique = self._count[path.name] == 1
+        return path.name if unique else str(path).removeprefix("/").replace("/", " ")
 
     def _frame(self, path: Any) -> tuple[Array, Array]:
-        """Place and axes of a prim in W."""
+        """Return position and axes of a prim in W."""
         if path.isEmpty or str(path) == "/":
             return np.zeros(3), self._up
         matrix = np.array(self._places.GetLocalToWorldTransform(self._stage.GetPrimAtPath(path)))
@@ -165,7 +165,7 @@ class _Reading:
         return self._up @ matrix[3, :3] * self._metre, self._up @ axes.T
 
     def _side(self, body: Any, place: Any, turn: Any) -> tuple[Array, Array]:
-        """Place and axes of a joint's frame on one side, in W."""
+        """Return position and axes of a joint's frame on one side, in W."""
         if body.isEmpty:
             point = np.array(place, dtype=float)
         else:
@@ -180,9 +180,9 @@ class _Reading:
         second = self._side(desc.body1, desc.localPose1Position, desc.localPose1Orientation)
         return first, second
 
-    def _tie(self, desc: Any, what: str, index: dict[Any, int], extent: float) -> Tie | None:
-        (point, axes), (other, turned) = self._sides(desc)
-        name, kind = self._name(desc.primPath), _KINDS[what]
+    def _tie(self, desc: Any, schema: str, index: dict[Any, int], extent: float) -> Tie | None:
+        (point, axes), (other, other_axes) = self._sides(desc)
+        name, kind = self._name(desc.primPath), _KINDS[schema]
         ends = (index.get(desc.body0, -1), index.get(desc.body1, -1))
         if ends[0] == ends[1]:
             reason = "it joins what does not move"
@@ -196,12 +196,15 @@ class _Reading:
         if kind == "slider":
             start = float(gap @ axis)
             gap = gap - start * axis
-        tilt = float(np.linalg.norm(np.cross(axis, turned[:, column])))
+        fixed = {"ball": [], "hinge": [column]}.get(kind, [0, 1, 2])  # axes that stay in line
+        tilt = float(np.linalg.norm((other_axes - axes)[:, fixed]))
         if kind == "hinge":
-            side, now = axes[:, column - 2], turned[:, column - 2]
-            start = math.atan2(float(np.cross(side, now) @ axis), float(side @ now))
-        if np.linalg.norm(gap) > _MET * extent or (kind != "ball" and tilt > _MET):
-            msg = f"the joint {name!r} is {np.linalg.norm(gap):.3g} m apart where the bodies stand"
+            first, second = axes[:, column - 2], other_axes[:, column - 2]
+            start = math.atan2(float(np.cross(first, second) @ axis), float(first @ second))
+        if (apart := np.linalg.norm(gap)) > _GAP * extent or tilt > _GAP:
+            msg = f"the joint {name!r} is {apart:.3g} m apart where the bodies stand"
+            if tilt > _GAP:
+                msg += f", and its axes differ by {tilt:.3g}"
             raise InputError(msg)
         if kind == "fixed":
             return Tie(name, ends, (), point)
@@ -212,7 +215,7 @@ class _Reading:
         return Tie(name, ends, (freedom,), point)
 
     def _freedoms(self, desc: Any, name: str, point: Array, axes: Array) -> Iterator[Freedom]:
-        """Give the degrees of freedom that a general joint does not lock."""
+        """Yield the degrees of freedom that a general joint does not lock."""
         limits = {pair.first.name: pair.second for pair in desc.jointLimits}
         drives = {pair.first.name: pair.second for pair in desc.jointDrives}
         for kind, letter in (("slider", "Trans"), ("hinge", "Rot")):
@@ -220,24 +223,24 @@ class _Reading:
                 limit = limits.get(f"{letter}{axis}")
                 if limit is not None and limit.enabled and limit.lower > limit.upper:
                     continue
-                own = f"{name} {letter.lower()} {axis.lower()}"
+                label = f"{name} {letter.lower()} {axis.lower()}"
                 if (drive := drives.pop(f"{letter}{axis}", None)) is not None:
-                    self._lead(drive, own, kind, 0.0)
-                yield Freedom(own, kind, point, axes[:, k], self._limits(limit, kind, 0.0))  # type: ignore[arg-type]
+                    self._lead(drive, label, kind, 0.0)
+                yield Freedom(label, kind, point, axes[:, k], self._limits(limit, kind, 0.0))  # type: ignore[arg-type]
 
         for freedom in drives:
             reason = "what it leads is locked, or no axis"
             self.fates.append(Fate("drive", (freedom,), "dropped", reason, False, (name,)))
 
     def _lead(self, drive: Any, joint: str, kind: str, start: float) -> None:
-        """Let a drive lead a freedom, if it can."""
+        """Convert a drive on a freedom if it is enabled; drop it if it cannot be a servo."""
         if not drive.enabled:
             return
-        found = drive_of(drive, joint, kind, start, (self._metre, self._kilogram))
-        if isinstance(found, Drive):
-            self._drives.append(found)
+        drive_or_text = drive_of(drive, joint, kind, start, (self._metre, self._kilogram))
+        if isinstance(drive_or_text, Drive):
+            self._drives.append(drive_or_text)
         else:
-            self.fates.append(Fate("drive", (), "dropped", found, True, (joint,)))
+            self.fates.append(Fate("drive", (), "dropped", drive_or_text, True, (joint,)))
 
     def _limits(self, limit: Any, kind: str, start: float) -> dict[str, tuple[float, float]]:
         if limit is None or not limit.enabled or kind == "ball":

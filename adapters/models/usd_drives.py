@@ -1,4 +1,4 @@
-"""Drives of USD joints: motors that lead them to the targets of the file."""
+"""Drives of USD joints: motors that move them to the targets in the file."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ _UNLIMITED = 3e38  # single precision has no larger number
 def drive_of(
     drive: Any, joint: str, kind: str, start: float, units: tuple[float, float]
 ) -> Drive | str:
-    """Give a drive in SI units, or say why it is no servo.
+    """Return a drive in SI units, or the reason why it cannot be a servo.
 
     Args:
-        drive: As the library of OpenUSD parses it.
-        joint: The freedom that it leads.
-        kind: Of the freedom, hinge or slider.
-        start: Its coordinate in the file where the bodies stand [rad or m].
-        units: Of lengths [m] and masses [kg].
+        drive: Drive as the library of OpenUSD parses it.
+        joint: Name of the freedom that it drives.
+        kind: Kind of the freedom, hinge or slider.
+        start: Coordinate in the file at the reference pose [rad or m].
+        units: Units of lengths [m] and masses [kg].
     """
     if drive.acceleration:
         return "its gains are of accelerations, and those of servos are of torques and forces"
@@ -39,6 +39,6 @@ def drive_of(
         position=drive.targetPosition * unit - start if drive.stiffness else 0.0,
         velocity=drive.targetVelocity * unit,
         limit=limit or None,
-        unkept="" if limit != 0.0 else "it is 0",
-        led="to the target of the file",
+        limit_loss="" if limit != 0.0 else "it is 0",
+        target="to the target of the file",
     )

@@ -1,4 +1,4 @@
-"""What becomes of every attribute of USD Physics, as one table; `fates` has those of XML."""
+"""Fates of all attributes of USD Physics, in one table; `fates` has those of XML formats."""
 
 from __future__ import annotations
 
@@ -43,33 +43,33 @@ for _outcome, _moves, _reason, _names in (
      "physics:coneAngle0Limit physics:coneAngle1Limit"),
 ):  # fmt: skip
     _TABLE |= dict.fromkeys(_names.split(), (_outcome, _moves, _reason))  # type: ignore[arg-type]
-_MEETS: _Row = ("kept", True, "of how shapes meet the ground")
+_CONTACT: _Row = ("kept", True, "of how shapes meet the ground")
 _TOUCHING: dict[str, _Row] = dict.fromkeys(
     ("physics:collisionEnabled", "physics:dynamicFriction", "physics:restitution", "collection",
      "physics:filteredPairs", "physics:filteredGroups", "physics:invertFilteredGroups",
      "physics:mergeGroup"),
-    _MEETS,
+    _CONTACT,
 )  # fmt: skip
 _TOUCHING["physics:staticFriction"] = ("dropped", True, "the ground has the dynamic one alone")
-"""In place of those above where shapes touch."""
-_SHAPE = dict.fromkeys(("material", "radius", "height", "size", "axis"), _MEETS)
-"""Of collision shapes where they touch."""
+"""Rows that replace those above if shapes touch the ground."""
+_SHAPE = dict.fromkeys(("material", "radius", "height", "size", "axis"), _CONTACT)
+"""Attributes of collision shapes that touch the ground."""
 _LIMITS = ("physics:lowerLimit", "physics:upperLimit")
-_DRIVEN = ("PhysicsRevoluteJoint", "PhysicsPrismaticJoint", "PhysicsJoint")
-"""What becomes of the drives of these is told drive by drive."""
+_DRIVE_JOINTS = ("PhysicsRevoluteJoint", "PhysicsPrismaticJoint", "PhysicsJoint")
+"""Types of joints whose drives are reported one by one."""
 _SIMULATORS = ("physx", "mjc", "newton", "isaac")
 
 
 def fates_of(stage: Any, *, limited: bool, touching: bool) -> Iterator[Fate]:
-    """Walk a stage, and say of each authored property what becomes of it.
+    """Walk a stage and yield the fates of all authored properties.
 
     Args:
         stage: The stage.
-        limited: Whether limits are told joint by joint.
-        touching: Whether shapes touch the ground, and are told one by one.
+        limited: Whether limits are reported joint by joint.
+        touching: Whether shapes touch the ground, and are reported one by one.
     """
     table = _TABLE | _TOUCHING if touching else _TABLE
-    found: dict[tuple[str, _Row], list[tuple[str, str]]] = defaultdict(list)
+    by_fate: dict[tuple[str, _Row], list[tuple[str, str]]] = defaultdict(list)
     for prim in stage.Traverse():
         kind = str(prim.GetTypeName()) or "Prim"
         solid = touching and "PhysicsCollisionAPI" in prim.GetAppliedSchemas()
@@ -77,20 +77,20 @@ def fates_of(stage: Any, *, limited: bool, touching: bool) -> Iterator[Fate]:
             name = attribute.GetName()
             if (name in _LIMITS and limited) or _is_of_drive(prim, name):
                 continue
-            found[kind, _fate(table | _SHAPE if solid else table, name)].append(
+            by_fate[kind, _fate(table | _SHAPE if solid else table, name)].append(
                 (name, prim.GetName())
             )
-    for (kind, (outcome, moves, reason)), pairs in found.items():
+    for (kind, (outcome, moves, reason)), pairs in by_fate.items():
         names = tuple(dict.fromkeys(name for name, _ in pairs))
         places = tuple(dict.fromkeys(place for _, place in pairs))
         yield Fate(kind, names, outcome, reason, moves, places, len(places))
 
 
 def _is_of_drive(prim: Any, name: str) -> bool:
-    """Whether a property is of a drive that the library parses."""
+    """Whether a property belongs to a drive that the library parses."""
     first, _, rest = name.partition(":")
     applied = f"PhysicsDriveAPI:{rest.partition(':')[0]}" in prim.GetAppliedSchemas()
-    return first == "drive" and applied and prim.GetTypeName() in _DRIVEN
+    return first == "drive" and applied and prim.GetTypeName() in _DRIVE_JOINTS
 
 
 def _fate(table: Mapping[str, _Row], name: str) -> _Row:

@@ -1,4 +1,4 @@
-"""Masses of USD bodies: stated, or by the density of their shapes, as the schema rules."""
+"""Masses of USD bodies: as stated, or from the density of their shapes by the schema's rules."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ _SHAPES = ("SphereShape", "CubeShape", "CapsuleShape", "CylinderShape", "ConeSha
 
 
 def mass_of(
-    prim: Any, listed: Callable[[str], list[Any]], body: Any, metre: float, kilogram: float
+    prim: Any, shapes_of: Callable[[str], list[Any]], body: Any, metre: float, kilogram: float
 ) -> Mass:
-    """Give mass, centre and inertia in the body's frame, in SI.
+    """Return mass, centre of mass and inertia in the body's frame, in SI units.
 
     Args:
-        prim: Of the body.
-        listed: Gives all shapes of a kind.
-        body: As the library describes it.
+        prim: Prim of the body.
+        shapes_of: Returns all shapes of a kind.
+        body: The body as the library describes it.
         metre: Length of a unit [m].
         kilogram: Mass of a unit [kg].
     """
     from pxr import UsdPhysics
 
-    stated = UsdPhysics.MassAPI(prim)
+    api = UsdPhysics.MassAPI(prim)
     scale = np.array(body.scale, dtype=float)
-    mass, moments = (get().Get() for get in (stated.GetMassAttr, stated.GetDiagonalInertiaAttr))
+    mass, moments = (get().Get() for get in (api.GetMassAttr, api.GetDiagonalInertiaAttr))
     if mass and moments is not None and any(moments):
-        com = stated.GetCenterOfMassAttr()
+        com = api.GetCenterOfMassAttr()
         centre = np.array(com.Get(), dtype=float) if com.IsAuthored() else np.zeros(3)
-        axes = stated.GetPrincipalAxesAttr()
+        axes = api.GetPrincipalAxesAttr()
         turn = _matrix(axes.Get()) if axes.IsAuthored() else np.eye(3)
         inertia = turn @ np.diag(np.array(moments, dtype=float)) @ turn.T
         return Mass(mass * kilogram, centre * scale * metre, inertia * kilogram * metre**2)
-    shapes = {shape.primPath: (kind, shape) for kind in _SHAPES for shape in listed(kind)}
+    shapes = {shape.primPath: (kind, shape) for kind in _SHAPES for shape in shapes_of(kind)}
     if not body.collisions:
         return Mass(float(mass or 0.0) * kilogram, np.zeros(3), np.zeros((3, 3)))
 
@@ -53,31 +53,31 @@ def mass_of(
             raise InputError(msg)
         return _information(UsdPhysics, *shapes[shape_prim.GetPath()])
 
-    found, moments, centre, axes = UsdPhysics.RigidBodyAPI(prim).ComputeMassProperties(solid)
+    total_mass, moments, centre, axes = UsdPhysics.RigidBodyAPI(prim).ComputeMassProperties(solid)
     turn = _matrix(axes)
     inertia = turn @ np.diag(np.array(moments, dtype=float)) @ turn.T
     centre = np.array(centre, dtype=float)
-    return Mass(found * kilogram, centre * metre, inertia * kilogram * metre**2)
+    return Mass(total_mass * kilogram, centre * metre, inertia * kilogram * metre**2)
 
 
 def _information(physics: Any, kind: str, shape: Any) -> Any:
-    """Give volume and inertia of unit density of a shape, about its centre of mass."""
+    """Return volume, and inertia at unit density about the centre of mass, of a shape."""
     from pxr import Gf
 
     volume, moments, centre = _solid(kind, shape)
-    if kind in ("CapsuleShape", "CylinderShape", "ConeShape"):  # given along z
+    if kind in ("CapsuleShape", "CylinderShape", "ConeShape"):  # computed along z
         order = {"X": [2, 1, 0], "Y": [0, 2, 1], "Z": [0, 1, 2]}[shape.axis.name]
         moments, centre = moments[order], centre[order]
-    told = physics.RigidBodyAPI.MassInformation()
-    told.volume = volume
-    told.inertia = Gf.Matrix3f(*np.diag(moments).ravel().tolist())
-    told.centerOfMass = Gf.Vec3f(*centre.tolist())
-    told.localPos, told.localRot = shape.localPos, shape.localRot
-    return told
+    information = physics.RigidBodyAPI.MassInformation()
+    information.volume = volume
+    information.inertia = Gf.Matrix3f(*np.diag(moments).ravel().tolist())
+    information.centerOfMass = Gf.Vec3f(*centre.tolist())
+    information.localPos, information.localRot = shape.localPos, shape.localRot
+    return information
 
 
 def _solid(kind: str, shape: Any) -> tuple[float, Array, Array]:
-    """Volume, moments along x, y and z, and centre of mass of a solid of density 1."""
+    """Return volume, moments about x, y and z, and centre of mass of a solid of density 1."""
     if kind == "CubeShape":
         a, b, c = (2 * float(half) for half in shape.halfExtents)
         volume = a * b * c
@@ -92,7 +92,7 @@ def _solid(kind: str, shape: Any) -> tuple[float, Array, Array]:
     if kind == "CylinderShape":
         across = volume * (3 * r * r + h * h) / 12
         return volume, np.array([across, across, volume * r * r / 2]), np.zeros(3)
-    if kind == "ConeShape":  # its tip is up, its centre of mass a quarter of the way up
+    if kind == "ConeShape":  # tip up; the centre of mass is a quarter of the way up
         volume /= 3
         across = volume * (3 / 20 * r * r + 3 / 80 * h * h)
         return volume, np.array([across, across, 0.3 * volume * r * r]), np.array([0, 0, -h / 4])

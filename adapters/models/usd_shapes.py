@@ -1,7 +1,7 @@
 """Collision shapes of USD Physics, and how two of them touch.
 
-Its schema leaves open what counts where two materials differ: their mean does, as in PhysX, for
-which it was made. Groups and pairs that do not collide are as the schema has them:
+The schema does not say how two materials combine. Their mean counts here, as in PhysX, for which
+the schema was made. Groups and pairs that do not collide follow the schema:
 https://openusd.org/release/api/usd_physics_page_front.html
 """
 
@@ -19,18 +19,18 @@ from mbds_xsim.base.arrays import Array
 from .parts import Pair, Solid
 
 _TURNS = {"X": [1, 2, 0], "Y": [2, 0, 1], "Z": [0, 1, 2]}
-"""Axes of the prim in the order in which those of a shape along its z are."""
-_EVEN = 1e-6  # difference of scales that rounding to single precision explains
+"""Order of a prim's axes, by the axis of its shape, which comes last."""
+_EVEN = 1e-6  # relative difference of scales that may come from single precision
 
 
 @dataclass(frozen=True, eq=False)
 class Touch:
-    """How a shape touches others."""
+    """Contact properties of a shape."""
 
     paths: tuple[Any, ...]
-    """Its own and that of its body."""
+    """Paths of the shape and of its body."""
     filtered: tuple[Any, ...]
-    """What neither collides with, and all below it."""
+    """Paths that neither collides with, including all prims below them."""
     groups: tuple[Any, ...]
     friction: float | None
     restitution: float | None
@@ -41,38 +41,38 @@ class Shapes:
 
     Args:
         stage: The stage.
-        listed: Gives all that the library finds of a kind.
-        frame: Gives place and axes of a prim in W.
-        name: Names a prim.
+        objects_of: Returns all objects of a kind that the library finds.
+        frame: Returns position and axes of a prim in W.
+        name: Returns the name of a prim.
         metre: Length of a unit [m].
     """
 
     def __init__(
         self,
         stage: Any,
-        listed: Callable[[str], list[Any]],
+        objects_of: Callable[[str], list[Any]],
         frame: Callable[[Any], tuple[Array, Array]],
         name: Callable[[Any], str],
         metre: float,
     ) -> None:
-        self._stage, self._listed = stage, listed
+        self._stage, self._objects_of = stage, objects_of
         self._frame, self._name, self._metre = frame, name, metre
-        self._materials = {each.primPath: each for each in listed("RigidBodyMaterial")}
-        self._bodies = {each.primPath: each for each in listed("RigidBody")}
-        groups = listed("CollisionGroup")
+        self._materials = {each.primPath: each for each in objects_of("RigidBodyMaterial")}
+        self._bodies = {each.primPath: each for each in objects_of("RigidBody")}
+        groups = objects_of("CollisionGroup")
         self._groups = {path: g for g in groups for path in (g.primPath, *g.mergedGroups)}
 
     def solids(self, part: Mapping[Any, int]) -> Iterator[Solid]:
-        """Give the shapes that collide.
+        """Yield the shapes that collide.
 
         Args:
-            part: Of bodies that move, by path.
+            part: Indices of moving bodies among the parts, keyed by path.
         """
         from pxr import UsdPhysics
 
         for listing in filter(re.compile("Shape$").search, dir(UsdPhysics.ObjectType)):
             kind = listing.removesuffix("Shape").lower().replace("cube", "box")
-            for shape in self._listed(listing):
+            for shape in self._objects_of(listing):
                 if shape.collisionEnabled:
                     yield self._solid(shape, kind, part.get(shape.rigidBody, -1))
 
@@ -91,7 +91,7 @@ class Shapes:
         )
 
     def _is_even(self, path: Any, kind: str, order: list[int]) -> bool:
-        """Whether a shape that is scaled is still of its kind."""
+        """Whether a shape is still of its kind after scaling."""
         from pxr import UsdGeom
 
         prim = self._stage.GetPrimAtPath(path)
@@ -99,8 +99,8 @@ class Shapes:
         scales = np.linalg.norm(matrix, axis=1)[order]
         unit = matrix[order] / scales[:, None]
         alike = {"sphere": scales, "capsule": scales, "cylinder": scales[:2]}.get(kind, scales[:1])
-        skewed = np.abs(unit @ unit.T - np.eye(3)).max()
-        return bool(max(np.ptp(alike) / scales.max(), skewed) < _EVEN)
+        skew = np.abs(unit @ unit.T - np.eye(3)).max()
+        return bool(max(np.ptp(alike) / scales.max(), skew) < _EVEN)
 
     def _touch(self, shape: Any) -> Touch:
         body = self._bodies.get(shape.rigidBody)
@@ -110,12 +110,12 @@ class Shapes:
             paths=tuple(each.primPath for each in both),
             filtered=tuple(path for each in both for path in each.filteredCollisions),
             groups=tuple(shape.collisionGroups),
-            friction=_written(material.dynamicFriction) if material is not None else None,
-            restitution=_written(material.restitution) if material is not None else None,
+            friction=_shortest_decimal(material.dynamicFriction) if material is not None else None,
+            restitution=_shortest_decimal(material.restitution) if material is not None else None,
         )
 
     def pair(self, shape: Solid, floor: Solid | None) -> Pair:
-        """Say how a shape meets the ground; see `parts.Solids`."""
+        """Return how a shape meets the ground; see `parts.Solids`."""
         sides: list[Touch] = [each.own for each in (shape, floor) if each is not None]
         apart = self._apart(*sides) if floor is not None else ""
         friction, restitution = (
@@ -125,7 +125,7 @@ class Shapes:
 
     def _apart(self, one: Touch, other: Touch) -> str:
         for first, second in ((one, other), (other, one)):
-            if any(path.HasPrefix(no) for no in first.filtered for path in second.paths):
+            if any(path.HasPrefix(prefix) for prefix in first.filtered for path in second.paths):
                 return "filteredPairs keeps it from the ground"
             if any(self._filters(a, b) for a in first.groups for b in second.groups):
                 return "its collision group does not meet the ground's"
@@ -133,22 +133,24 @@ class Shapes:
 
     def _filters(self, group: Any, other: Any) -> bool:
         """Whether a collision group does not collide with another."""
-        named = set(self._groups[group].filteredGroups)
-        inverted = any(_inverted(self._stage.GetPrimAtPath(p)) for p in self._merged(group))
-        return bool(named & set(self._merged(other))) != inverted
+        filtered = set(self._groups[group].filteredGroups)
+        inverted = any(
+            _is_inverted(self._stage.GetPrimAtPath(p)) for p in self._merged_groups(group)
+        )
+        return bool(filtered & set(self._merged_groups(other))) != inverted
 
-    def _merged(self, group: Any) -> list[Any]:
-        """Give the paths of the groups that a group is one with, its own among them."""
+    def _merged_groups(self, group: Any) -> list[Any]:
+        """Return the paths of all groups merged with a group, including its own."""
         return [group, *self._groups[group].mergedGroups]
 
 
-def _inverted(group: Any) -> bool:
-    """Whether a group collides with those alone that it names; the library tells it of all."""
+def _is_inverted(group: Any) -> bool:
+    """Whether a group collides only with those it names; the library reports this of all groups."""
     return bool(group.GetAttribute("physics:invertFilteredGroups").Get())
 
 
 def _size(shape: Any, kind: str) -> Array:
-    """Give half-sizes in units of the stage, as `balls.BALLS` has them."""
+    """Return half-sizes in units of the stage, as `balls.BALLS` takes them."""
     if kind == "box":
         return np.array(shape.halfExtents, dtype=float)
     if kind in ("sphere", "capsule", "cylinder"):
@@ -156,8 +158,8 @@ def _size(shape: Any, kind: str) -> Array:
     return np.zeros(3)
 
 
-def _written(value: float) -> float:
-    """Give a number of single precision as a file has it: 0.7 is not 0.69999998."""
+def _shortest_decimal(value: float) -> float:
+    """Return a single-precision number as the file states it: 0.7 and not 0.69999999."""
     return float(str(np.float32(value)))
 
 

@@ -1,6 +1,6 @@
-"""Scenes as USD Physics: prims at centres of mass, parallel to W, so that only axes are turned.
+"""Scenes as USD Physics: prims are at centres of mass and parallel to W; only axes are rotated.
 
-Its schema has masses, frames of joints and limits in single precision; places of bodies are in
+The schema has masses, joint frames and limits in single precision, and positions of bodies in
 double. Schema: https://openusd.org/release/api/usd_physics_page_front.html
 """
 
@@ -20,7 +20,7 @@ from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, Point
 from mbds_xsim.scene.scene import Joint, Scene
 from mbds_xsim.scene.servo import Servo
 
-from .writing import dropped, first_targets, lacking, no_model, unlike, without_servos
+from .writing import dropped_fate, first_targets, lacking, no_model, unlike, without_servos
 
 _KINDS = {"hinge": "RevoluteJoint", "slider": "PrismaticJoint", "ball": "SphericalJoint",
           "fixed": "FixedJoint"}  # fmt: skip
@@ -35,9 +35,9 @@ _LACKS = {
 _GAINS = ("stiffness", "damping")
 _LEAST = float(np.finfo(np.float32).tiny)
 _SINGLE = "numbers of masses, joints and gravity are of single precision in the schema"
-_NAMED = "names of USD are of letters, digits and _, and each stands once"
-_DRIVEN = "a drive to its rest: a servo that exerts the same"
-_TAKEN = "a joint has one drive, which is that of a servo with a limit"
+_NAMING = "names of USD are of letters, digits and _, and each stands once"
+_AS_SERVO = "a drive to its rest: a servo that exerts the same"
+_ONE = "a joint has one drive, which is that of a servo with a limit"
 
 
 def write(scene: Scene) -> Written:
@@ -53,7 +53,7 @@ def write(scene: Scene) -> Written:
 
 
 class _Stage:
-    """A stage with the scene on it, and what became of its names, springs and servos."""
+    """A stage that holds the scene, with the fates of its names, springs and servos."""
 
     def __init__(self, scene: Scene) -> None:
         from pxr import Tf, Usd, UsdGeom, UsdPhysics
@@ -65,7 +65,7 @@ class _Stage:
         UsdPhysics.SetStageKilogramsPerUnit(self._stage, 1.0)
         self._root = f"/{Tf.MakeValidIdentifier(scene.name)}"
         self._stage.SetDefaultPrim(UsdGeom.Xform.Define(self._stage, self._root).GetPrim())
-        names, self.fates = unlike(scene, _TABLES, Tf.MakeValidIdentifier, _NAMED)
+        names, self.fates = unlike(scene, _TABLES, Tf.MakeValidIdentifier, _NAMING)
         self.fates.append(Fate("numbers", (), "approximated", _SINGLE, True))
         self._paths = {key: f"{self._root}/{name}" for key, name in names.items()}
         self._gravity(np.array(scene.gravity))
@@ -79,7 +79,7 @@ class _Stage:
             self._distance(pair)
 
     def text(self) -> str:
-        """Write the stage."""
+        """Return the stage as text."""
         return str(self._stage.GetRootLayer().ExportToString())
 
     def _gravity(self, gravity: Array) -> None:
@@ -163,35 +163,35 @@ class _Stage:
 
 
 def _unit(kind: str) -> float:
-    """Give what USD counts coordinates in: degrees or metres."""
+    """Return the unit of a coordinate in USD: a degree [rad] or a metre [m]."""
     return math.pi / 180 if kind == "hinge" else 1.0
 
 
 def _principal(inertia: Array) -> tuple[list[float], Array]:
-    """Give moments of single precision that a body can have, and their axes in columns."""
+    """Return moments in single precision that a body can have, and their axes in columns."""
     values, axes = np.linalg.eigh(inertia)
     low, mid, high = values.astype(np.float32)
-    if float(low) + float(mid) < float(high):  # as flat bodies may be once rounded
+    if float(low) + float(mid) < float(high):  # possible for flat bodies after rounding
         high = np.nextafter(low + mid, np.float32(0.0))
     return [float(low), float(mid), float(high)], axes * np.linalg.det(axes)
 
 
 def _drive(joint: Joint, servos: tuple[Servo, ...]) -> tuple[Servo | None, list[Fate]]:
-    """Give what all servos, spring and damper of a joint exert as one servo, where they can be."""
+    """Return a joint's servos, spring and damper as one servo; one with a limit stands alone."""
     laws = [servo for servo in servos if servo.joint == joint.name]
     fates = []
     if joint.stiffness or joint.damping:
         laws.append(Servo(joint.name, (joint.rest,), (0.0,), joint.stiffness, joint.damping))
         law = ("stiffness", "damping", "rest")
-        fates = [Fate("joints", law, "kept", _DRIVEN, True, (joint.name,))]
+        fates = [Fate("joints", law, "kept", _AS_SERVO, True, (joint.name,))]
     limited = next((servo for servo in laws if servo.limit is not None), None)
     if limited is None:
         return _sum(laws), fates
-    return limited, [dropped("joints", _TAKEN, [joint.name], "drives")] if len(laws) > 1 else []
+    return limited, [dropped_fate("joints", _ONE, [joint.name], "drives")] if len(laws) > 1 else []
 
 
 def _sum(laws: list[Servo]) -> Servo | None:
-    """Give one servo for several without limits, at their first targets."""
+    """Return one servo for several without limits, at their first targets."""
     if not laws:
         return None
     stiffness, damping = (sum(getattr(each, key) for each in laws) for key in _GAINS)

@@ -1,4 +1,4 @@
-"""What writers of models share: which parts of a scene a format has no place for, and why."""
+"""Shared functions of model writers: names, and reports on what a format has no place for."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ _NO_MODEL: dict[str, tuple[bool, str]] = {
     "anchors": (False, "drawn only"),
     "edges": (False, "drawn only"),
 }
-"""Fields of a scene that no format takes: whether they bear on the motion, and the reason."""
+"""Fields of a scene that no format takes: whether the motion depends on them, and the reason."""
 _NO_START = dict.fromkeys(
     ("joints.start", "joints.rate", "bodies.velocity", "bodies.angular_velocity"), _START
 )
 
 
 def no_model(scene: Scene) -> Iterator[Fate]:
-    """Name what no model says."""
+    """Report what no model format takes, and particles, which become one inertia."""
     defaults = {field.name: field.default for field in msgspec.structs.fields(Scene)}
     for key, (moves, reason) in _NO_MODEL.items():
         value = getattr(scene, key)
@@ -50,64 +50,64 @@ def no_model(scene: Scene) -> Iterator[Fate]:
 
 
 def lacking(scene: Scene, lacks: Mapping[str, str]) -> Iterator[Fate]:
-    """Name what a format has no place for.
+    """Report everything in a scene that one format has no place for.
 
     Args:
         scene: The scene.
-        lacks: Reasons, by tables of the scene (`springs`) and their properties
+        lacks: Reasons, keyed by a table of the scene (`springs`) or a property in one
             (`joints.armature`).
     """
     for key, reason in lacks.items():
-        table, _, own = key.partition(".")
+        table, _, field = key.partition(".")
         for item in getattr(scene, table):
-            if not own or getattr(item, own):
-                yield dropped(table, reason, [getattr(item, "name", "") or item.joint], own)
+            if not field or getattr(item, field):
+                yield dropped_fate(table, reason, [getattr(item, "name", "") or item.joint], field)
 
 
-def dropped(element: str, reason: str, names: Iterable[str], *properties: str) -> Fate:
-    """Say that things which bear on the motion are not in the model."""
+def dropped_fate(element: str, reason: str, names: Iterable[str], *properties: str) -> Fate:
+    """Return the fate of things that affect the motion and are not in the model."""
     places = tuple(names)
     return Fate(element, tuple(filter(None, properties)), "dropped", reason, True, places)
 
 
 Names = dict[tuple[str, str], str]
-"""Of the things in a model, by their table and name in the scene."""
+"""Names in a model, keyed by table and name in the scene."""
 
 
 def unlike(
-    scene: Scene, tables: Iterable[str], spelt: Callable[[str], str], reason: str
+    scene: Scene, tables: Iterable[str], spelling: Callable[[str], str], reason: str
 ) -> tuple[Names, list[Fate]]:
-    """Give everything a name of its own, and say what has another than in the scene.
+    """Assign unique names, and report those that differ from the scene's.
 
     Args:
         scene: The scene.
-        tables: Of which no two things may have one name.
-        spelt: Gives a name as the format takes it.
-        reason: Why others are changed.
+        tables: Tables in which no two things may share a name.
+        spelling: Returns a name as the format accepts it.
+        reason: Reason to report for changed names.
     """
     names: Names = {}
     taken: set[str] = set()
     fates = []
     for table in tables:
         for item in getattr(scene, table):
-            name = untaken(spelt(item.name), taken)
+            name = unique(spelling(item.name), taken)
             taken.add(name)
             names[table, item.name] = name
             if name != item.name:
-                told = (f"{item.name} is {name}",)
-                fates.append(Fate(table, ("name",), "approximated", reason, False, told))
+                places = (f"{item.name} is {name}",)
+                fates.append(Fate(table, ("name",), "approximated", reason, False, places))
     return names, fates
 
 
-def untaken(name: str, taken: Container[str]) -> str:
-    """Give a name, followed by as many underscores as make it one of its own."""
+def unique(name: str, taken: Container[str]) -> str:
+    """Return a name, followed by as many underscores as make it unique."""
     while name in taken:
         name += "_"
     return name
 
 
 def name_of(mechanism: Mechanism, body: int) -> str:
-    """Name a body by index."""
+    """Return the name of a body, given its index."""
     return WORLD if body == WORLD_INDEX else mechanism.scene.bodies[body].name
 
 
@@ -118,12 +118,12 @@ def tensor_words(tensor: Array) -> dict[str, str]:
 
 
 def without_servos(scene: Scene) -> Mechanism:
-    """Give the mechanism with the springs and dampers that are its joints' own."""
+    """Return the mechanism without servos, with only its joints' own springs and dampers."""
     return Mechanism.of(msgspec.structs.replace(scene, servos=()))
 
 
 def first_targets(scene: Scene) -> Iterator[Fate]:
-    """Name the servos whose targets change."""
+    """Report the servos whose targets change: only the first target is written."""
     for servo in scene.servos:
         if len({*servo.position}) > 1 or len({*servo.velocity}) > 1:
             reason = "the first target alone: an importing program has its own commands"

@@ -29,40 +29,40 @@ _NATIVE_OPTIONS = {
     "hard_limits": False,
 }
 _SOLVERS = ("Newton", "CG", "PGS")
-# An ordinary user's [s].
+# MuJoCo's default step [s].
 _DEFAULT_STEP = 0.002
-# Keeps RK4 within the budgets of chains of links of 0.1 m and more [s].
+# Step that keeps RK4 within the budgets of chains of links of 0.1 m and more [s].
 _CAREFUL_STEP = 0.005
 _CAREFUL_LINK_STEP = 0.001
 _CAREFUL_COUNT = 4
 # Time constant of MuJoCo's own contact, `solref` [s].
 _DEFAULT_IMPACT = 0.02
-# With fewer steps an impact's restitution depends on how it lies between them.
+# With fewer steps an impact's restitution depends on where in a step it begins.
 _SHORTEST_IMPACT = 4
-# What MuJoCo's compiler takes of a body: mjMINVAL [kg] and mjEPS [kg·m²].
+# Smallest body that MuJoCo's compiler accepts: mjMINVAL [kg] and mjEPS [kg·m²].
 _LEAST_MASS, _LEAST_MOMENT = 1e-15, 1e-14
-# Of a contact on wheels, which stand on several; off a body's centre of mass MuJoCo's estimate of
-# how it yields is too rough for the calibrated damper unless contacts are hard.
+# Hardness of contacts on wheels, several of which share a load. With spheres off centres of mass,
+# contacts must be hard: MuJoCo's estimate of yielding is too rough for the calibrated damper.
 _WHEEL_HARDNESS = 0.5
-_CENTRED = 1e-9  # [m]
-# That a spring's oscillation turns by in a step: forty steps a period [rad].
+_OFFSET = 1e-9  # [m]
+# Phase of a spring's oscillation in one step: forty steps a period [rad].
 _SPRING_ANGLE = 0.15
-# Of a damper's decay in a step; RK4 is unstable from 2.8.
+# Decay of a damper's motion in one step; RK4 is unstable from 2.8.
 _DECAY = 0.5
-# Where joints have limits or dry friction, each stop is off by a step's way [s].
+# Step where joints have limits or dry friction: each stop is off by the distance of a step [s].
 _CAREFUL_LIMIT_STEP, _CAREFUL_REBOUND_STEP = 1e-4, 5e-5
 _NO_REBOUND = "it meets a stop four times in a step, which no damper turns into a rebound"
 
 
 class MuJoCo(Adapter):
-    """Tree joints are exact, loops and distance links are soft constraints tied to the step."""
+    """MuJoCo: exact tree joints; loops and distance links as soft constraints tied to the step."""
 
     name = "mujoco"
     package = "mujoco"
     revision = 3
     methods: ClassVar = {
-        # A loop is as stiff as the step allows, so the stages of a step see it open by h² and
-        # push with accelerations that do not vanish with h: velocities are off by a share of h.
+        # A loop is as stiff as the step h allows. The stages of a step see it open by h² and push
+        # with accelerations that do not vanish with h, so velocities are off in proportion to h.
         "RK4": Method(
             "RK4",
             "RK4",
@@ -72,13 +72,13 @@ class MuJoCo(Adapter):
             loop_velocity_order=1,
         ),
         "Euler": Method("Euler", "semi-implicit Euler", 1, velocity_lag=-0.5),
-        # Implicit in the forces of dampers. Without any it is Euler to the last bit on jointed
-        # bodies, but not on free ones that spin.
+        # Implicit in the forces of dampers. Without dampers it equals Euler to the last bit on
+        # jointed bodies, but not on free ones that spin.
         "implicitfast": Method("implicitfast", "semi-implicit Euler", 1, velocity_lag=-0.5),
     }
     options: ClassVar = {
-        # Shorter, and RK4's stages, which leave the constraint by O(h²), come back as an error of
-        # the velocities; longer, and gaps widen. Euler is unstable below 1.3.
+        # If it is shorter, RK4's stages, which leave the constraint by O(h²), cause an error of
+        # the velocities; if longer, gaps widen. Euler is unstable below 1.3.
         "loop_time_constant": Option(
             3.0,
             "of loop constraints, in steps; 0 leaves MuJoCo's default solref and solimp",
@@ -173,10 +173,10 @@ class MuJoCo(Adapter):
             longest = min(longest, _CAREFUL_LIMIT_STEP)
         if mechanism.has_only_balls:
             options["impact_steps"] = 1
-        elif scene.contacts and abs(mechanism.sphere_offset).max() < _CENTRED:
+        elif scene.contacts and abs(mechanism.sphere_offset).max() < _OFFSET:
             options["contact_hardness"] = _WHEEL_HARDNESS
-        # Closed loops keep rods from bending far, where leaving out their spin costs accuracy, and
-        # have many of them, where it pays.
+        # Leaving out the spin of rods costs accuracy where they bend far, which closed loops
+        # prevent, and saves time where there are many of them, as in closed loops.
         if mechanism.loops and idle_axes(scene).any():
             options["spin"] = False
         return Settings("RK4", careful_step(frame, longest, _CAREFUL_COUNT), options)

@@ -1,29 +1,28 @@
-"""Contact spheres on the ground and on each other, and when one of them can reach another.
+"""Contact spheres on the ground and on each other, and the time until one can touch.
 
-A contact of MuJoCo is a normal row, a spring and damper, and two tangential rows behind a friction
-cone. All are tied to the semi-implicit Euler step h:
+A contact of MuJoCo has a normal row, a spring and damper, and two tangential rows limited by a
+friction cone. All are tied to the semi-implicit Euler step h:
 
-- Normal: see `impact_law`. What rests hardly sinks, whatever the spring, for MuJoCo's softness is
-  one of accelerations: a hardness d leaves 1 − d of gravity to it. Near 1 what stands on several
-  spheres rattles: they bear all or nothing, on either side of a depth of nothing, and which of them
-  is up to rounding, so that a car's loads, and with them its friction, come to no limit. At 0.5
-  they do.
-- Tangential: a damping 1/h stops the slip within one step, or friction is at the edge of its cone.
-- In MuJoCo's cone normal and tangential rows are one convex problem, whose solution lifts a body
-  by μ times its slip: sliding spheres hop. With `impratio` near 0 the tangential rows are too soft
-  to be felt there, and the `noslip` solver, which leaves normal forces as they are, then finds the
-  friction without any softness.
+- Normal: see `impact_law`. A resting body hardly sinks, whatever the spring, because MuJoCo's
+  softness is one of accelerations: a hardness d leaves it 1 − d of gravity. With d near 1 a body on
+  several spheres rattles: each bears all or nothing, on either side of a depth of 0, as rounding
+  decides. The loads of a car, and with them its friction, then do not converge. With 0.5 they do.
+- Tangential: a damping 1/h stops the slip within one step unless friction reaches its cone's edge.
+- MuJoCo solves normal and tangential rows as one convex problem, whose solution lifts a body by μ
+  times its slip: sliding spheres hop. With `impratio` near 0 the tangential rows are too soft to
+  matter there. The `noslip` solver, which keeps the normal forces, then finds friction without any
+  softness.
 
 https://mujoco.readthedocs.io/en/stable/computation/index.html
 
-MuJoCo has no coefficient of restitution. The damping of a = −b v − k r is calibrated by following
-the engine's own steps: a sphere at speed 1 is let through the ground at many phases of the step,
-and the damping is found with which it comes back at e in the mean. Every figure is in steps and
-impact speeds, so one calibration holds for all speeds, masses and steps, as long as gravity adds
+MuJoCo has no coefficient of restitution. The damping of a = −b v − k r is calibrated by repeating
+the engine's own steps: a sphere hits the ground at speed 1 at many phases of the step, and the
+damping is found that makes its mean rebound speed e. All figures are in units of the step and the
+impact speed, so one calibration holds for all speeds, masses and steps, as long as gravity adds
 little during an impact.
 
-An impact of a single step needs no calibration, b = (1 + e)/h turns v into −e v at once. But it
-settles the normal impulse before friction has any: right only where the two do not mix.
+An impact of a single step needs no calibration: b = (1 + e)/h turns v into −e v at once. But it
+settles the normal impulse before friction acts, which is right only where the two do not interact.
 """
 
 from __future__ import annotations
@@ -58,7 +57,6 @@ CONTACT_LAW = ContactLaw(
     "slides. Where all bodies are balls an impact is a single step; on wheels contacts are half as "
     "hard, or their loads would rattle.",
 )
-"""What contact is in the engine."""
 
 _GROUND = "ground"
 HARDEST = 0.9999
@@ -66,15 +64,15 @@ HARDEST = 0.9999
 # Softness of the normal row over that of the tangential rows in the cone.
 _SOFT_CONE = 1e-9
 _NOSLIP_ITERATIONS = 100
-# Tighter, it runs through all its iterations and changes nothing.
+# A tighter tolerance uses up all iterations and changes nothing.
 _NOSLIP_TOLERANCE = 1e-9
-# μ² times what a sphere yields [1/kg], whose square is the least determinant of `mju_QCQP2`.
+# Least μ² times a sphere's yield [1/kg]; its square is the least determinant of `mju_QCQP2`.
 _FRICTIONLESS = 1e-5
-# How far a sphere may get within a step, in lengths of a straight path.
+# Safety factor on the path of a sphere within a time, over the straight one.
 _REACH = 2.0
-# Slower than that [m/s] is at rest.
+# Slower spheres are at rest [m/s].
 _TINY = 1e-150
-# Of the spring that lifts what has come to rest in the ground, k h², where an impact is a single
+# Stiffness k h² of the spring that lifts a sphere at rest in the ground, if an impact is a single
 # step. A rebound gains this share, so it is small.
 _LIFT = 1e-5
 _PHASES = 400
@@ -85,12 +83,12 @@ _MOST_STEPS = 2000
 
 @dataclass(frozen=True)
 class Impact:
-    """How long an impact lasts."""
+    """Duration and hardness of an impact."""
 
     step: float
-    """Of the semi-implicit Euler method [s]; 0 leaves MuJoCo's default contact."""
+    """Step of the semi-implicit Euler method [s]; 0 leaves MuJoCo's default contact."""
     count: int
-    """Steps."""
+    """Number of steps that an impact lasts."""
     hardness: float = HARDEST
     """Share of an acceleration into the ground that a contact takes, whatever its depth."""
 
@@ -99,18 +97,18 @@ def add_contacts(
     root: Element, bodies: dict[int, Element], mechanism: Mechanism, impact: Impact
 ) -> None:
     """Add the plane, the spheres and their pairs; geoms that are in no pair never touch."""
-    scene, never = mechanism.scene, {"contype": "0", "conaffinity": "0"}
+    scene, masks = mechanism.scene, {"contype": "0", "conaffinity": "0"}
     if not scene.contacts:
         return
     if scene.ground is not None:
         # The first geom of the world. A plane is a half-space: nothing gets behind it.
-        SubElement(bodies[WORLD_INDEX], "geom", never, name=_GROUND, type="plane", size="0 0 1")
+        SubElement(bodies[WORLD_INDEX], "geom", masks, name=_GROUND, type="plane", size="0 0 1")
     contact, yields = SubElement(root, "contact"), _yields(mechanism)
     for k, body in enumerate(mechanism.sphere_body):
         SubElement(
             bodies[int(body)],
             "geom",
-            never,
+            masks,
             name=_name(k),
             type="sphere",
             size=repr(float(mechanism.sphere_radius[k])),
@@ -127,7 +125,7 @@ def add_contacts(
 
 
 def _yields(mechanism: Mechanism) -> Array:
-    """How much speed an impulse along the ground gives the spheres, alone [1/kg], (sphere,)."""
+    """Return the spheres' speeds per impulse along the ground, without joints [1/kg], (sphere,)."""
     body, radius = mechanism.sphere_body, mechanism.sphere_radius
     return np.asarray(
         1.0 / mechanism.mass[body] + radius**2 / np.linalg.eigvalsh(mechanism.inertia[body])[:, 0]
@@ -135,7 +133,7 @@ def _yields(mechanism: Mechanism) -> Array:
 
 
 def _check_friction(where: str, law: Ground | Collisions, yields: float, impact: Impact) -> None:
-    """Refuse friction that the noslip solver takes for none: a determinant below 1e-10."""
+    """Refuse friction that the noslip solver treats as none: a determinant below 1e-10."""
     least = math.sqrt(_FRICTIONLESS / yields)
     if impact.step and 0.0 < law.friction < least:
         msg = (
@@ -157,7 +155,7 @@ def _add_pair(
 
 
 def cone_options(impact: Impact) -> dict[str, str]:
-    """Options of the engine that go with the impact law."""
+    """Return the engine's options that go with the impact law."""
     if not impact.step:
         return {}
     return {
@@ -176,9 +174,9 @@ class SphereGeoms:
         names = [_name(k) for k in range(len(mechanism.sphere_body))]
         self._geoms = np.array([model.geom(name).id for name in names], dtype=np.int64)
         self._bodies = model.geom_bodyid[self._geoms]
-        # A slice is quicker to take, where there is one.
-        together = len(names) > 0 and np.all(np.diff(self._geoms) == 1)
-        self._places = slice(self._geoms[0], self._geoms[-1] + 1) if together else self._geoms
+        # A slice is quicker to take, if there is one.
+        contiguous = len(names) > 0 and np.all(np.diff(self._geoms) == 1)
+        self._places = slice(self._geoms[0], self._geoms[-1] + 1) if contiguous else self._geoms
         self._roots = model.body_rootid[self._bodies]
         self._radius = model.geom_size[self._geoms, 0].copy()
         self._grounded = mechanism.scene.ground is not None
@@ -194,13 +192,13 @@ class SphereGeoms:
             for body in np.unique(self._bodies)
         ]
 
-    def loaded(self, model: Any, force: Array) -> None:
-        """Foresee held forces on MuJoCo's bodies but the world [N], shape (…, body, 3)."""
+    def set_load(self, model: Any, force: Array) -> None:
+        """Allow for held forces on MuJoCo's bodies without the world [N], shape (…, body, 3)."""
         pulls = np.linalg.norm(force, axis=-1) / model.body_mass[1:]
         self._load = float(pulls.max(initial=0.0))
 
     def gaps(self, model: Any, data: Any) -> tuple[Array, float]:
-        """Give the gaps of spheres to the ground, if any, then those of pairs [m]; and the least.
+        """Return the gaps of spheres to the ground, if any, then of pairs [m]; and the smallest.
 
         Brings positions up to date.
         """
@@ -208,22 +206,22 @@ class SphereGeoms:
         gap = data.geom_xpos[self._places, 2] - self._radius
         if len(self._one):
             centre = data.geom_xpos[self._places]
-            apart = centre[self._one] - centre[self._other]
-            between = np.sqrt(np.vecdot(apart, apart)) - self._reach
-            gap = np.concatenate([gap, between]) if self._grounded else between
+            separation = centre[self._one] - centre[self._other]
+            pair_gap = np.sqrt(np.vecdot(separation, separation)) - self._reach
+            gap = np.concatenate([gap, pair_gap]) if self._grounded else pair_gap
         return gap, float(np.minimum.reduce(gap))
 
     def time_aloft(
         self, model: Any, data: Any, gap: Array, low: float, least: float, enough: float
     ) -> float:
-        """Time in which no sphere can reach the ground or another [s].
+        """Return a time in which no sphere can reach the ground or another [s].
 
-        It is 0 if it is less than the `least`, and told roughly, but not too long, if that is
-        `enough`.
+        It is 0 if the time is less than `least`. If a rough lower bound is `enough`, that is
+        returned.
         """
-        # The lowest alone mostly tells; where it rests, without its speed.
-        twice = 2.0 if len(self._one) else 1.0
-        pull = math.hypot(*self._gravity) + twice * self._load
+        # The lowest sphere alone mostly decides; at rest, even without its speed.
+        factor = 2.0 if len(self._one) else 1.0
+        pull = math.hypot(*self._gravity) + factor * self._load
         if low < _REACH * least * pull * least:
             return 0.0
         mujoco.mj_comPos(model, data)
@@ -232,24 +230,24 @@ class SphereGeoms:
         speed = self._speed(data, lowest)
         if low < _REACH * least * (speed + pull * least):
             return 0.0
-        pull = pull if self.free else max(pull, twice * self._bend(model, data))
-        fastest = self._fastest(data) * twice
+        pull = pull if self.free else max(pull, factor * self._bend(model, data))
+        fastest = self._fastest(data) * factor
         if (rough := _time(low, fastest, pull)) >= enough:
             return rough
         first = _time(low, speed, pull)
-        # What is higher than the fastest falls until then cannot come before the lowest.
+        # A gap wider than the fastest possible path until then cannot close before the lowest.
         others = np.flatnonzero(gap < _REACH * first * (fastest + pull * first)).tolist()
         times = (_time(float(gap[k]), self._speed(data, k), pull) for k in others if k != lowest)
         return min([first, *times])
 
     def _bend(self, model: Any, data: Any) -> float:
-        """Acceleration that no sphere passes, as joints, springs and drives pull now [m/s²]."""
+        """Return a bound on spheres' accelerations under present joint and drive loads [m/s²]."""
         mujoco.mj_forward(model, data)
         mujoco.mj_rnePostConstraint(model, data)
         pulls = []
         for body, root, reach in self._carriers:
             p, q, r, u, v, w = data.cvel[body].tolist()
-            a, b, c, x, y, z = data.cacc[body].tolist()  # against gravity: at rest -g
+            a, b, c, x, y, z = data.cacc[body].tolist()  # relative to free fall: -g at rest
             x, y, z = (value + g for value, g in zip((x, y, z), self._gravity, strict=True))
             arm = reach + math.dist(data.xipos[body].tolist(), data.subtree_com[root].tolist())
             spin = math.hypot(p, q, r)
@@ -258,7 +256,7 @@ class SphereGeoms:
         return max(pulls)
 
     def _fastest(self, data: Any) -> float:
-        """Speed that no sphere passes [m/s]."""
+        """Return a bound on the speed of all spheres [m/s]."""
         speeds = []
         for body, root, reach in self._carriers:
             p, q, r, u, v, w = data.cvel[body].tolist()
@@ -267,7 +265,7 @@ class SphereGeoms:
         return max(speeds)
 
     def _speed(self, data: Any, gap: int) -> float:
-        """Speed at which a gap may close [m/s]."""
+        """Return a bound on the speed at which a gap closes [m/s]."""
         if (pair := gap - self._grounded * len(self._geoms)) < 0:
             return self._own_speed(data, gap)
         ends = (self._one[pair], self._other[pair])
@@ -281,16 +279,16 @@ class SphereGeoms:
         return math.hypot(u + q * z - r * y, v + r * x - p * z, w + p * y - q * x)
 
     def centers(self, data: Any) -> Array:
-        """In W as the model stands [m], shape (sphere, 3)."""
+        """Return the spheres' centres in W in the present state [m], shape (sphere, 3)."""
         return np.array(data.geom_xpos[self._geoms])
 
     def coefficients(self, model: Any) -> Array:
-        """Radius and friction of each sphere's pair with the ground; MuJoCo has no restitution."""
+        """Return radius and friction of spheres on the ground, NaN for restitution, (sphere, 3)."""
         friction, _ = self._frictions(model)
         return np.stack([self._radius, friction, np.full(len(friction), np.nan)], axis=-1)
 
     def collisions(self, model: Any) -> Array:
-        """Friction of each pair of spheres, and no restitution, shape (pair, 2)."""
+        """Return friction of each pair of spheres, NaN for restitution, shape (pair, 2)."""
         _, friction = self._frictions(model)
         return np.stack([friction, np.full(len(friction), np.nan)], axis=-1)
 
@@ -304,17 +302,17 @@ def _law(restitution: float, impact: Impact) -> dict[str, str]:
     law, h = impact_law(restitution, impact.count), impact.step
     return {
         "solref": numbers((-law.stiffness / h**2, -law.damping / h)),
-        # The noslip solver knows no softness, so that of the row is taken out of its damping.
+        # The noslip solver has no softness, so the row's softness is taken out of its damping.
         "solreffriction": numbers((0.0, -impact.hardness / h)),
         "solimp": f"{impact.hardness} {impact.hardness} 0.001 0.5 2",
     }
 
 
 def _time(gap: float, speed: float, pull: float) -> float:
-    """Solve gap = _REACH (speed time + pull time²)."""
-    way = gap * (2.0 / _REACH)
-    rate = speed + math.sqrt(speed**2 + 2.0 * pull * way)
-    return way / max(rate, _TINY)
+    """Solve gap = _REACH (speed time + pull time²) for the time."""
+    path = gap * (2.0 / _REACH)
+    rate = speed + math.sqrt(speed**2 + 2.0 * pull * path)
+    return path / max(rate, _TINY)
 
 
 def _name(k: int) -> str:
@@ -322,9 +320,10 @@ def _name(k: int) -> str:
 
 
 def stop_law(restitution: float, step: float) -> dict[str, str]:
-    """Give a joint's stop the restitution in a single step of semi-implicit Euler.
+    """Return attributes for a joint's stop with a rebound in one step of semi-implicit Euler.
 
-    Without any, RK4 takes the velocity in some steps. Nothing mixes with a coordinate's stop.
+    Without restitution, RK4 takes the velocity within some steps. Nothing interacts with a
+    coordinate's stop, so a single step is right.
     """
     return {
         "solref": numbers((-_LIFT / step**2, -(1.0 + restitution) / step)),
@@ -337,16 +336,16 @@ class ImpactLaw:
     """Spring and damper of a contact, for a step of 1 and a mass of 1."""
 
     stiffness: float
-    """k h²"""
+    """Stiffness k h²."""
     damping: float
-    """b h"""
+    """Damping b h."""
 
 
 @functools.cache
 def impact_law(restitution: float, steps: int) -> ImpactLaw:
-    """Give the law of an impact that lasts some steps.
+    """Return the law of an impact that lasts `steps` steps.
 
-    A restitution so small that no damper gives it in so many steps gets an impact of one step.
+    A restitution too small for any damper in so many steps gets an impact of one step.
     """
     if steps > 1:
         from scipy.optimize import brentq  # takes long to import
@@ -356,7 +355,7 @@ def impact_law(restitution: float, steps: int) -> ImpactLaw:
         def excess(damping: float) -> float:
             return float(rebounds(ImpactLaw(stiffness, damping)).mean()) - restitution
 
-        # With too few steps an undamped impact gains speed, hence dampings below 0.
+        # Below 0, as the damping of an elastic impact is close to 0.
         weakest = -0.5 * math.sqrt(stiffness)
         if excess(_STRONGEST) < 0.0:
             return ImpactLaw(stiffness, float(brentq(excess, weakest, _STRONGEST, xtol=1e-12)))
@@ -364,14 +363,14 @@ def impact_law(restitution: float, steps: int) -> ImpactLaw:
 
 
 def rebounds(law: ImpactLaw) -> Array:
-    """Speeds after impacts at speed 1 that begin at evenly spread phases of a step."""
+    """Return speeds after impacts at speed 1 that begin at evenly spread phases of a step."""
     height = -(np.arange(_PHASES) + 0.5) / _PHASES
     speed = np.full(_PHASES, -1.0)
     for _ in range(_MOST_STEPS):
         inside = height < 0.0
         if not inside.any():
             break
-        # The ground only pushes; a sphere that it leaves behind goes on alone.
+        # The ground only pushes; it never holds back a sphere that leaves it.
         push = np.maximum(0.0, -law.damping * speed - law.stiffness * height)
         speed = np.where(inside, speed + push, speed)
         height = np.where(inside, height + speed, height)

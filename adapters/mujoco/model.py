@@ -1,7 +1,7 @@
 """A scene as MJCF: body frames are native frames, so joints and sites are plain differences.
 
-MJCF text and not `MjSpec`, because `MjSpec.to_xml` rounds to six digits: what is shown is what
-the engine was given. Elements: https://mujoco.readthedocs.io/en/stable/XMLreference.html
+It is MJCF text and not an `MjSpec`, because `MjSpec.to_xml` rounds to six digits: users see exactly
+what the engine gets. Elements: https://mujoco.readthedocs.io/en/stable/XMLreference.html
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ _JOINT_TYPES = {"ball": "ball", "hinge": "hinge", "slider": "slide"}
 """MuJoCo's names of the joints that have coordinates; a fixed joint is the absence of one."""
 
 # Points of a loop joint's axis that are kept together, in lengths of the scene from the anchor.
-# Two of a hinge make six rows for five. A fixed joint closes a loop only where the tree has
-# already welded its two bodies.
+# A hinge's two points make six rows, one more than needed. A fixed joint closes a loop only if the
+# tree has already welded its two bodies.
 CLOSING_POINTS: dict[str, tuple[float, ...]] = {
     "ball": (0.0,),
     "hinge": (-0.5, 0.5),
@@ -43,32 +43,32 @@ _NOT_IN_MJCF = (
 
 @dataclass(frozen=True)
 class StepOptions:
-    """How the engine steps, in MuJoCo's terms."""
+    """Options of stepping, in MuJoCo's terms."""
 
     integrator: str
     timestep: float
-    """[s]"""
+    """Step [s]."""
     solver: str
     loop_time_constant: float
-    """Of the constraints that close loops [s]; 0 leaves MuJoCo's default softness."""
+    """Time constant of the constraints that close loops [s]; 0 leaves MuJoCo's default softness."""
     link_time_constant: float
-    """The same of distance links."""
+    """The same for distance links."""
     impact: Impact
     hard_limits: bool
-    """Whether stops take all of a velocity in a step, and not as soft as by default."""
+    """Whether stops take all of a velocity in a step, unlike MuJoCo's soft default."""
     # Newton's sparse factorisation gives wrong accelerations in 4.0.0:
     # https://github.com/google-deepmind/mujoco/issues/3767
     jacobian: str = "dense"
     resets: bool = True
-    """Whether what steps puts a diverged state back to the reference pose unless told not to."""
+    """Whether the engine resets a diverged state to the reference pose unless told not to."""
 
 
 def mjcf(mechanism: Mechanism, stepping: StepOptions, idle: Array) -> Element:
-    """Translate the scene, and nothing that it does not ask for.
+    """Translate the scene to MJCF, and add nothing that it does not ask for.
 
     Args:
-        mechanism: Of the scene.
-        stepping: How the engine steps.
+        mechanism: Mechanism of the scene.
+        stepping: Options of stepping.
         idle: Axes of rods about which nothing spins, in native frames, zero for other bodies,
             shape (body, 3).
     """
@@ -97,14 +97,14 @@ def mechanics(
     loops: dict[str, str],
     links: dict[str, str],
 ) -> dict[int, Element]:
-    """Add bodies, joints, loops, links, springs and couplings; returns the element of each body.
+    """Add bodies, joints, loops, links, springs and couplings; return the element of each body.
 
     Args:
-        root: What is added to.
-        mechanism: Of the scene.
-        idle: As `mjcf` has it.
+        root: Element to add to.
+        mechanism: Mechanism of the scene.
+        idle: Axes as in `mjcf`.
         loops: Attributes of the equalities that close loops and couple joints, and of friction.
-        links: The same of distance links.
+        links: The same for distance links.
     """
     grip = {f"{key}friction": value for key, value in loops.items()}
     bodies = _bodies(SubElement(root, "worldbody"), mechanism, idle, grip)
@@ -129,7 +129,7 @@ def closing_point(joint: PlacedJoint, k: int) -> str:
 
 
 def with_start(xml: str, qpos: Array, qvel: Array, command: Array, remark: str) -> str:
-    """Add the scene's start as a keyframe, and say what MJCF has no place for."""
+    """Add the scene's start as a keyframe, and a comment on inputs, which MJCF has no place for."""
     root = ElementTree.fromstring(xml)
     root.insert(0, ElementTree.Comment(f"{_NOT_IN_MJCF}{remark} "))
     keyframe = SubElement(root, "keyframe")
@@ -155,14 +155,14 @@ def _option(root: Element, mechanism: Mechanism, stepping: StepOptions) -> None:
         option.attrib.update(cone_options(stepping.impact))
     # Without autoreset off, a diverged state silently goes back to the reference pose.
     flags = [*(["autoreset"] if stepping.resets else []), *_idle(mechanism)]
-    # Releases before 3.2 and 3.3.6 do not know all of them: they reset with a warning, which ends
-    # a trajectory too, and take longer over what is idle.
+    # Releases before 3.2 and 3.3.6 do not know all of them: they reset with a warning, which also
+    # ends a trajectory, and spend time on idle parts.
     known = [flag for flag in flags if hasattr(mujoco.mjtDisableBit, f"mjDSBL_{flag.upper()}")]
     SubElement(option, "flag", dict.fromkeys(known, "disable"))
 
 
 def _idle(mechanism: Mechanism) -> list[str]:
-    """Name the parts of a step that have nothing to do; a tenth of the time of a short chain."""
+    """Name the parts of a step that have nothing to do: a tenth of the time of a short chain."""
     parts = {
         "actuation": (*mechanism.hinges, *mechanism.drives),
         "spring": (*mechanism.springs, *mechanism.compliant),
@@ -186,7 +186,7 @@ def _idle(mechanism: Mechanism) -> list[str]:
 def _bodies(
     world: Element, mechanism: Mechanism, idle: Array, grip: dict[str, str]
 ) -> dict[int, Element]:
-    """Nest the spanning tree; returns the element of each body and of the world."""
+    """Nest the spanning tree; return the element of each body and of the world."""
     elements = {WORLD_INDEX: world}
     for link in mechanism.links:
         above, axis = elements[link.parent], idle[link.body]
@@ -239,7 +239,7 @@ def _joint(body: Element, name: str, kind: str, anchor: Array, axis: Array) -> E
 
 
 def _softness(tau: float) -> dict[str, str]:
-    """Make a constraint's gap g follow g̈ + 2 ġ/τ + g/τ² = 0, as hard as MuJoCo can (0.9999)."""
+    """Return attributes that make a gap g follow g̈ + 2 ġ/τ + g/τ² = 0, with hardness 0.9999."""
     if tau == 0:
         return {}
     return {
@@ -268,7 +268,7 @@ def _close(
 def _sites(
     bodies: dict[int, Element], joint: PlacedJoint, offset: Array, name: str
 ) -> tuple[str, str]:
-    """Mark one point of the joint, off its anchor, in the parent and in the child."""
+    """Mark a point of the joint, offset from its anchor, in the parent and in the child."""
     return (
         _site(bodies[joint.parent], f"{name} parent", joint.in_parent + offset),
         _site(bodies[joint.child], f"{name} child", joint.in_child + offset),
@@ -294,8 +294,8 @@ def _distance(
         for body, point in zip(link.bodies, link.in_body, strict=True)
     ]
     # The constraint counts from the length at the reference pose.
-    longer = link.length - float(np.linalg.norm(ends[1] - ends[0]))
-    target = {"tendon1": tendon.attrib["name"], "polycoef": f"{longer!r} 0 0 0 0"}
+    extension = link.length - float(np.linalg.norm(ends[1] - ends[0]))
+    target = {"tendon1": tendon.attrib["name"], "polycoef": f"{extension!r} 0 0 0 0"}
     SubElement(equalities, "tendon", target | softness)
 
 
@@ -314,7 +314,7 @@ def _tendon(tendons: Element, bodies: dict[int, Element], pair: PointPair, name:
 
 
 def _drives(actuators: Element, drives: tuple[PlacedDrive, ...]) -> None:
-    """Add servos that may saturate, whose commands are what their targets exert."""
+    """Add servos that may saturate; their commands are the pushes of their targets."""
     for drive in drives:
         law = (0.0, -drive.servo.stiffness, -drive.servo.damping)
         element = SubElement(
@@ -330,10 +330,10 @@ def limit_force(actuator: Element, limit: float | None) -> None:
 
 
 def _motors(actuators: Element, bodies: dict[int, Element], mechanism: Mechanism) -> None:
-    """One a hinge, in the order of `Batch.torque`.
+    """Add one motor per hinge, in the order of `Batch.torque`.
 
-    On a loop's hinge it acts between two sites, about an axis fixed in the parent's: equal and
-    opposite torques that turn with the bodies.
+    On a hinge that closes a loop it acts between two sites, about an axis fixed in the parent's:
+    equal and opposite torques that turn with the bodies.
     """
     in_tree = {link.joint.index for link in mechanism.links if link.joint is not None}
     for hinge in mechanism.hinges:

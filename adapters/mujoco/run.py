@@ -1,4 +1,4 @@
-"""A loaded model: trajectories out of it, and what it holds."""
+"""A scene loaded into MuJoCo: its rollouts, and the readback of its native model."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ from .spinless import Bending
 from .state import Coordinates, Frames, Hanger
 from .steps import FinerNearGround, FinerWhereFast, OneCall, turning_rates
 
-_STATES = 16_000  # of bodies that are worked on at a time
+_STATES = 16_000  # body states that are simulated at a time
 
 
 class ModelRun(Bending):
-    """One native model and its state, which other steppers of MuJoCo's models read too."""
+    """A run of one native model; other steppers of MuJoCo's models read its model and data, too."""
 
     model: Any
     """MjModel."""
@@ -64,7 +64,7 @@ class ModelRun(Bending):
         self.data = mujoco.MjData(self.model)
         self._hanger = Hanger(mechanism, self._idle)
         self.coordinates = Coordinates(self.model, mechanism, self._idle)
-        # MuJoCo numbers bodies depth first, so only names tell.
+        # MuJoCo numbers bodies depth first, so only names match.
         names = [body.name for body in mechanism.scene.bodies]
         self._bodies = np.array([self.model.body(name).id for name in names])
         self._order = np.argsort(self._bodies)
@@ -82,7 +82,7 @@ class ModelRun(Bending):
         )
 
     def simulate(self, batch: Batch) -> tuple[Trajectory, Array]:
-        # A few at a time: fresh memory for many costs more than their numbers.
+        # A few at a time: fresh memory for many costs more time than the computation.
         size = max(1, _STATES // ((batch.steps + 1) * self._mechanism.body_count))
         rows = range(0, max(1, len(batch)), size)
         parts = [self._simulate(batch[row : row + size]) for row in rows]
@@ -93,41 +93,41 @@ class ModelRun(Bending):
         frames = self.frames(len(batch), batch.steps + 1)
         bends = np.zeros((len(batch), batch.steps + 1, len(self.coordinates.second)))
         reasons = []
-        with _captured_warnings() as warnings:
+        with _capture_warnings() as warnings:
             for row in range(len(batch)):
                 self._put(qpos[row], qvel[row])
                 self._record(batch[[row]], frames, row, bends[row], warnings)
                 reasons.append(warnings[0] if warnings else None)
                 warnings.clear()
         bend = np.abs(bends).max(axis=(1, 2), initial=0.0)
-        return self.finished(batch, frames.states(), reasons), bend
+        return self.truncate(batch, frames.states(), reasons), bend
 
     def frames(self, count: int, length: int) -> Frames:
-        """Make room for trajectories of some length."""
+        """Return an empty record for `count` trajectories of `length` frames."""
         return Frames(self.model, self.data, self._bodies, count, length)
 
     def start(self, batch: Batch) -> tuple[Array, Array]:
-        """Give qpos and qvel of the batch's starts, shapes (trajectory, nq) and (…, nv)."""
+        """Return qpos and qvel of the batch's starts, shapes (trajectory, nq) and (…, nv)."""
         bodies = BodyStates.of(self._mechanism, batch)
         if self._idle.any():
-            bodies = self._hanger.hung(bodies)
+            bodies = self._hanger.turn_rods(bodies)
         return self.coordinates.from_links(to_links(self._mechanism, bodies))
 
     def _put(self, qpos: Array, qvel: Array) -> None:
-        """Start afresh, without the solver's memory of an earlier trajectory."""
+        """Set a start without the solver's memory of an earlier trajectory."""
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:], self.data.qvel[:] = qpos, qvel
 
     def _record(
         self, one: Batch, frames: Frames, row: int, bends: Array, warnings: list[str]
     ) -> None:
-        """Step through one trajectory; frames from a warning on stay as they are."""
+        """Step through one trajectory; frames from a warning on stay NaN."""
         model, data = self.model, self.data
         frame, placed = self._stepper.frame, self._stepper.placed
-        # At the centre of mass and along W in every stage of a step. MuJoCo's first body is W.
+        # Forces act at centres of mass, in W, in every stage of a step. MuJoCo's first body is W.
         push, force = data.xfrc_applied[1:, :3], one.force[0][:, self._order]
         drive, torque = data.ctrl, with_pushes(self._mechanism.drives, one.torque[0])
-        self._spheres.loaded(model, force)
+        self._spheres.set_load(model, force)
         qpos, second = data.qpos, self.coordinates.second
         frames.keep(row, 0)
         for k in range(one.steps):
@@ -140,15 +140,15 @@ class ModelRun(Bending):
             if len(second):
                 bends[k + 1] = qpos[second]
 
-    def finished(
-        self, batch: Batch, bodies: BodyStates, warned: Sequence[str | None]
+    def truncate(
+        self, batch: Batch, bodies: BodyStates, reasons: Sequence[str | None]
     ) -> Trajectory:
-        """Cut every trajectory off at its first frame that is not a number or a blow-up.
+        """Cut every trajectory off at its first frame with NaN, a blow-up or a sunk sphere.
 
         Args:
-            batch: What was simulated.
+            batch: The batch that was simulated.
             bodies: Its frames; rods without spin are turned as their axes carry them along.
-            warned: By trajectory, why it ended before that.
+            reasons: Reason by trajectory why it ended before that; None if it did not.
         """
         mechanism = self._mechanism
         if self._idle.any():
@@ -158,10 +158,10 @@ class ModelRun(Bending):
         sunk = passed(mechanism, bodies.position, bodies.native)
 
         def reason(row: int, frame: int) -> str:
-            if warning := warned[row]:
+            if warning := reasons[row]:
                 return warning
-            sunken = "a contact sphere is in the ground, or in another, with its centre"
-            return blow_up(mechanism) if blown[row, frame] else sunken
+            message = "a contact sphere is in the ground, or in another, with its centre"
+            return blow_up(mechanism) if blown[row, frame] else message
 
         return recorded(mechanism, bodies, first_failures(blown | sunk, reason))
 
@@ -172,7 +172,7 @@ class ModelRun(Bending):
         return self.read()
 
     def read(self) -> Readback:
-        """Read the model back, and the bodies as its state places them."""
+        """Read back the model, and the bodies in its present state."""
         model, data = self.model, self.data
         principal = rotation.matrix(model.body_iquat[self._bodies])
         twists = np.array([self._twist(body) for body in self._bodies])
@@ -188,7 +188,7 @@ class ModelRun(Bending):
             gravity=model.opt.gravity.copy(),
             step=float(model.opt.timestep) * (self._division or 1),
             joint_axis=joint_axes(self._mechanism, self._axis, self._loop_axis),
-            damping=self._unasked_damping(),
+            damping=self._undue_damping(),
             contact=self._spheres.coefficients(model),
             collision=self._spheres.collisions(model),
             sphere=self._spheres.centers(data),
@@ -203,7 +203,7 @@ class ModelRun(Bending):
         )
 
     def _twist(self, body: int) -> Array:
-        """Angular velocity, then velocity of the centre of mass, in W."""
+        """Return the angular velocity, then the velocity of the centre of mass, in W."""
         twist = np.zeros(6)
         mujoco.mj_objectVelocity(self.model, self.data, mujoco.mjtObj.mjOBJ_BODY, body, twist, 0)
         return twist
@@ -213,12 +213,12 @@ class ModelRun(Bending):
         return np.asarray(self.data.joint(link.joint.name).xaxis)
 
     def _loop_axis(self, hinge: PlacedJoint) -> Array:
-        """The line through the two points that close it."""
+        """Return the direction through the two points that close a hinge."""
         ends = [self.data.site(f"{closing_point(hinge, k)} parent").xpos for k in (0, 1)]
         return np.asarray((ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0]))
 
     def _link_anchor(self, link: Link) -> tuple[Array, Array] | None:
-        """A fixed joint has no place in MuJoCo, both hinges of a Cardan joint have the same."""
+        """Return a joint's anchor from its first hinge; None for fixed ones, which MuJoCo lacks."""
         model, body = self.model, self._bodies[link.body]
         if not model.body_jntnum[body]:
             return None
@@ -227,7 +227,7 @@ class ModelRun(Bending):
         return above, self._place(body, point)
 
     def _anchors(self) -> Array:
-        """As fixed in the parent and in the child, in W."""
+        """Return the joints' anchors as fixed in the parent and in the child, in W."""
         data, anchors = self.data, joint_anchors(self._mechanism, self._link_anchor)
         for loop in self._mechanism.loops:
             points = range(len(CLOSING_POINTS[loop.kind]))
@@ -237,7 +237,7 @@ class ModelRun(Bending):
         return anchors
 
     def _springs(self) -> Array:
-        """Of the tendons behind those of the distance links; a slack range is no rest length."""
+        """Read back the spring tendons, which follow the links'; a slack range has rest NaN."""
         model, first = self.model, len(self._mechanism.distances)
         shortest, longest = model.tendon_lengthspring[first:].T
         rest = np.where(shortest == longest, longest, np.nan)
@@ -257,8 +257,8 @@ class ModelRun(Bending):
 
     def _limits(self) -> Array:
         numbers = [self.model.joint(joint.name).id for joint in self._mechanism.limited]
-        held = self.model.jnt_limited[numbers].astype(bool)
-        return np.where(held[:, None], self.model.jnt_range[numbers], np.inf)
+        limited = self.model.jnt_limited[numbers].astype(bool)
+        return np.where(limited[:, None], self.model.jnt_range[numbers], np.inf)
 
     def _drives(self) -> Array:
         model, first = self.model, len(self._mechanism.hinges)
@@ -273,14 +273,14 @@ class ModelRun(Bending):
         return [self._dof(joint) for joint in joints]
 
     def _place(self, body: int, point: Array) -> Array:
-        """Place a point of MuJoCo's body in W."""
+        """Return a point of a body of MuJoCo in W."""
         turn = self.data.xmat[body].reshape(3, 3)
         return np.asarray(self.data.xpos[body] + turn @ point)
 
-    def _unasked_damping(self) -> Array:
+    def _undue_damping(self) -> Array:
         model = self.model
-        asked = [0.0] * len(self._mechanism.distances)
-        asked += [spring.damping for spring in self._mechanism.springs]
+        nominal = [0.0] * len(self._mechanism.distances)
+        nominal += [spring.damping for spring in self._mechanism.springs]
         damping = model.dof_damping.copy()
         for joint in self._mechanism.compliant:
             damping[self._dof(joint)] -= joint.damping
@@ -288,7 +288,7 @@ class ModelRun(Bending):
         friction[self._dofs(self._mechanism.frictional)] = 0.0
         return np.concatenate(
             [
-                model.tendon_damping - asked,
+                model.tendon_damping - nominal,
                 damping,
                 friction,
                 *(
@@ -317,7 +317,7 @@ class ModelRun(Bending):
 
 
 @contextlib.contextmanager
-def _captured_warnings() -> Iterator[list[str]]:
+def _capture_warnings() -> Iterator[list[str]]:
     """Collect MuJoCo's warnings, which it would print and write to a file."""
     texts: list[str] = []
     before = mujoco.get_mju_user_warning()

@@ -1,4 +1,4 @@
-"""Rods without spin where that says all, with it where a trajectory needs it."""
+"""Runs that leave out the spin of rods, except for trajectories that need it."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from mbds_xsim.scene.spin import STILL, spin_about
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import Readback, Run
 
-_BENT = 1.0
-"""Cardan joints lock at a right angle; near it their rates are large, and so are errors [rad]."""
+_LARGEST_BEND = 1.0
+"""Largest bend of a Cardan joint [rad]; near a right angle, where it locks, errors are large."""
 
 
 class Bending(Run):
@@ -22,20 +22,20 @@ class Bending(Run):
 
     @abstractmethod
     def simulate(self, batch: Batch) -> tuple[Trajectory, Array]:
-        """Roll out; tell too how far Cardan joints were bent at frames [rad], (trajectory,)."""
+        """Roll out; also return the largest recorded bend of Cardan joints [rad], (trajectory,)."""
 
     def rollout(self, batch: Batch) -> Trajectory:
         return self.simulate(batch)[0]
 
 
 class SpinlessRun(Run):
-    """Simulates without spin first, and again with it what spins or bends too far.
+    """A run without spin that repeats trajectories with spin if they spin or bend too far.
 
     Args:
-        mechanism: Of the scene.
-        idle: Axes of the rods that have no spin, as `mbds_xsim.scene.spin.idle_axes` gives them.
-        spinless: The model without.
-        load: Loads the model with spin.
+        mechanism: Mechanism of the scene.
+        idle: Axes of the rods that have no spin, from `mbds_xsim.scene.spin.idle_axes`.
+        spinless: Run of the model without spin.
+        load: Function that loads the model with spin.
     """
 
     def __init__(
@@ -48,15 +48,15 @@ class SpinlessRun(Run):
 
     def rollout(self, batch: Batch) -> Trajectory:
         motion, bend = self._spinless.simulate(batch)
-        # Written so that what is not a number is tried again, too.
-        again = np.flatnonzero(~(self._still(batch) & (bend <= _BENT)))
-        if not len(again):
+        # Written so that NaN is tried again, too.
+        rows = np.flatnonzero(~(self._still(batch) & (bend <= _LARGEST_BEND)))
+        if not len(rows):
             return motion
         self._whole = self._whole or self._load()
-        return motion.replaced(again, self._whole.rollout(batch[again]))
+        return motion.replaced(rows, self._whole.rollout(batch[rows]))
 
     def _still(self, batch: Batch) -> Mask:
-        """Whether no idle rod of a trajectory spins at its start."""
+        """Return for each trajectory whether no idle rod spins at its start."""
         native = self._mechanism.native_rotation(batch.orientation)
         spin = np.abs(spin_about(self._idle, native, batch.angular_velocity)).max(axis=-1)
         return np.asarray(spin <= STILL)

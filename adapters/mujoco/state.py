@@ -1,8 +1,8 @@
-"""Bodies' states as MuJoCo's coordinates, and out of its kinematics.
+"""Conversion between bodies' states and MuJoCo's coordinates, and states from its kinematics.
 
-Rods that never spin about themselves hang on Cardan joints in place of ball joints. Two hinges say
-where such a rod points. The frames that they turn do spin about the rods, to no effect: the model's
-rods have next to no inertia about themselves.
+Rods that never spin about themselves hang on Cardan joints in place of ball joints. Two hinges set
+the direction of such a rod. The frames that they turn do spin about the rods, but without effect:
+the model's rods have almost no inertia about themselves.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.scene.joint_space import BodyStates, LinkStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
 
-# Of the moment across; MuJoCo wants one above 1e-15 kg·m².
+# Moment about a rod's axis over that across it; MuJoCo requires more than 1e-15 kg·m².
 _SLIM = 1e-9
 
 
 class Coordinates:
-    """Where each link's coordinates lie in qpos and qvel.
+    """Places of each link's coordinates in qpos and qvel.
 
-    MuJoCo's ball joint turns child to parent with its rate in the child's frame, its free joint
-    has a velocity in W and a rate in the body's frame: as in `LinkStates`. Rods with an axis in
+    As in `LinkStates`, MuJoCo's ball joint turns child to parent and has its rate in the child's
+    frame; its free joint has a velocity in W and a rate in the body's frame. Rods with an axis in
     `idle` hang on Cardan joints.
     """
 
@@ -35,7 +35,7 @@ class Coordinates:
             for link in mechanism.links
         ]
         self._sizes, self._count = (model.nq, model.nv), len(mechanism.links)
-        # MuJoCo numbers bodies depth first, the links breadth first: only names tell.
+        # MuJoCo numbers bodies depth first, links are breadth first: only names match.
         bodies = [model.body(mechanism.scene.bodies[link.body].name).id for link in mechanism.links]
         first = model.body_jntadr[bodies]
         qpos, qvel = model.jnt_qposadr[first], model.jnt_dofadr[first]
@@ -43,8 +43,8 @@ class Coordinates:
         def at(links: Index, places: int, rates: int) -> tuple[Index, Index]:
             return qpos[links, None] + np.arange(places), qvel[links, None] + np.arange(rates)
 
-        def of(*wanted: str) -> Index:
-            return np.array([k for k, kind in enumerate(kinds) if kind in wanted], dtype=np.int64)
+        def of(*group: str) -> Index:
+            return np.array([k for k, kind in enumerate(kinds) if kind in group], dtype=np.int64)
 
         self._scalar, self._ball, self._free = of("hinge", "slider"), of("ball"), of("free")
         self._scalar_at = qpos[self._scalar], qvel[self._scalar]
@@ -53,10 +53,10 @@ class Coordinates:
         self._cross = _cross_axes(idle[[mechanism.links[k].body for k in self._cardan]])
         self._cardan_at = at(self._cardan, 2, 2)
         self.second = self._cardan_at[0][:, 1]
-        """Places in qpos of the Cardan joints' second angles; a right angle is where they lock."""
+        """Places in qpos of the Cardan joints' second angles; the joints lock at a right angle."""
 
     def from_links(self, links: LinkStates) -> tuple[Array, Array]:
-        """Give qpos (…, nq) and qvel (…, nv)."""
+        """Return qpos (…, nq) and qvel (…, nv)."""
         lead = links.coordinate.shape[:-1]
         qpos, qvel = (np.zeros((*lead, size)) for size in self._sizes)
         scalar, ball, free = self._scalar, self._ball, self._free
@@ -78,7 +78,7 @@ class Coordinates:
         return qpos, qvel
 
     def to_links(self, qpos: Array, qvel: Array) -> LinkStates:
-        """Read links off coordinates (…, nq) and (…, nv); their quaternions become unit ones."""
+        """Convert coordinates (…, nq) and (…, nv) to links, with unit quaternions."""
         lead, scalar, free = qpos.shape[:-1], self._scalar, self._free
         turn, spin, place, speed = (np.zeros((*lead, self._count, size)) for size in (4, 3, 3, 3))
         coordinate, rate = (np.zeros((*lead, self._count)) for _ in range(2))
@@ -89,7 +89,7 @@ class Coordinates:
         )
         place[..., free, :], turn[..., free, :] = np.split(qpos[..., self._free_at[0]], [3], -1)
         speed[..., free, :], spin[..., free, :] = np.split(qvel[..., self._free_at[1]], [3], -1)
-        turn[..., self._cardan, :], spin[..., self._cardan, :] = _turned(
+        turn[..., self._cardan, :], spin[..., self._cardan, :] = _rotations(
             qpos[..., self._cardan_at[0]], qvel[..., self._cardan_at[1]], self._cross
         )
         size = rotation.norm(turn)[..., None]
@@ -99,39 +99,39 @@ class Coordinates:
 
 
 class Frames:
-    """Trajectories under way, all frames not a number at first.
+    """Recorded frames of trajectories, NaN at first.
 
-    MuJoCo numbers bodies depth first, W the first, and gives rates about the centre of mass of the
-    tree that a body belongs to: the numbers are sorted out once, at the end.
+    MuJoCo numbers bodies depth first, starting with W, and gives rates about the centre of mass of
+    the tree that a body belongs to. Both are converted once, at the end.
 
     Args:
         model: The compiled model.
         data: Its state.
         bodies: MuJoCo's numbers of the scene's bodies.
-        count: Trajectories.
-        frames: Frames of each.
+        count: Number of trajectories.
+        frames: Number of frames of each.
     """
 
     def __init__(self, model: Any, data: Any, bodies: Index, count: int, frames: int) -> None:
         self._model, self._data, self._bodies = model, data, bodies
         self._roots = model.body_rootid[bodies]
         self._live = (data.xipos[1:], data.xquat[1:], data.cvel[1:], data.subtree_com[1:])
-        self._kept = tuple(np.full((count, frames, *part.shape), np.nan) for part in self._live)
+        self._records = tuple(np.full((count, frames, *part.shape), np.nan) for part in self._live)
 
     def keep(self, row: int, frame: int, *, placed: bool = False) -> None:
-        """Keep the present state; bodies may be placed by its coordinates already."""
+        """Record the present state; `placed` says that its coordinates have placed the bodies."""
         model, data = self._model, self._data
         if not placed:
             mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_comVel(model, data)
         at = row, frame
-        place, turn, twist, centre = self._kept
+        place, turn, twist, centre = self._records
         place[at], turn[at], twist[at], centre[at] = self._live
 
     def states(self) -> BodyStates:
-        """Give what was kept, of the scene's bodies."""
-        place, turn, twist, centre = self._kept
+        """Return the recorded states of the scene's bodies."""
+        place, turn, twist, centre = self._records
         bodies, roots = self._bodies - 1, self._roots - 1
         position, rates = place[:, :, bodies], twist[:, :, bodies]
         spin = np.ascontiguousarray(rates[..., :3])
@@ -140,17 +140,17 @@ class Frames:
 
 
 def slim(inertia: Array, axis: Array) -> Array:
-    """Leave next to nothing of the inertia about the axis."""
+    """Return an inertia with almost nothing left about the axis."""
     across = np.eye(3) - np.outer(axis, axis)
     moment = np.trace(across @ inertia) / 2
     return np.asarray(moment * (across + _SLIM * np.outer(axis, axis)))
 
 
 class Hanger:
-    """Turns rods about themselves as Cardan joints on their tree parents would.
+    """A change of body states that turns rods about themselves as Cardan joints would.
 
     Args:
-        mechanism: Of the scene.
+        mechanism: Mechanism of the scene, whose tree parents hold the joints.
         axes: Unit axes in native frames, zero for bodies that stay as they are, (body, 3).
     """
 
@@ -162,8 +162,8 @@ class Hanger:
             if (axis := axes[link.body]).any()
         ]
 
-    def hung(self, bodies: BodyStates) -> BodyStates:
-        """Turn them, in states of all bodies, shape (…, body, …)."""
+    def turn_rods(self, bodies: BodyStates) -> BodyStates:
+        """Return states of all bodies with the rods turned, shape (…, body, …)."""
         turns, spin = rotation.matrix(bodies.native), bodies.angular_velocity.copy()
         points = np.einsum("...bij,bj->...bi", turns, self._axes)
         # Matrices, because this is called with a few states at a time.
@@ -186,30 +186,30 @@ class Hanger:
 
 
 def _cross_axes(axes: Array) -> Array:
-    """Give both axes of each joint, the first of which is fixed in the parent, (…, 2, 3)."""
+    """Return both axes of each joint, the first of which is fixed in the parent, (…, 2, 3)."""
     return np.stack(rotation.normal_to(axes), axis=-2)
 
 
 def _angles(turn: Array, rate: Array, cross: Array) -> tuple[Array, Array]:
-    """Read both angles and their rates off rods relative to their parents.
+    """Compute both angles of Cardan joints and their rates from relative rotations.
 
     Args:
-        turn: Of the joints, child to parent, shape (…, joint, 4).
+        turn: Rotations of the joints, child to parent, shape (…, joint, 4).
         rate: Angular velocities in the children's frames, shape (…, joint, 3).
-        cross: As `_cross_axes` gives them.
+        cross: Axes from `_cross_axes`.
 
     Returns:
         Angles and rates, shape (…, joint, 2).
     """
     along = np.einsum("...ji,jki->...jk", turn[..., 1:], cross)
-    both = 2.0 * np.arctan2(along, turn[..., :1])
+    angles = 2.0 * np.arctan2(along, turn[..., :1])
     rates = np.einsum("...ji,jki->...jk", rate, cross)
-    rates[..., 0] /= np.cos(both[..., 1])
-    return both, rates
+    rates[..., 0] /= np.cos(angles[..., 1])
+    return angles, rates
 
 
-def _turned(both: Array, rates: Array, cross: Array) -> tuple[Array, Array]:
-    """Undo `_angles`: turns (…, joint, 4), and angular velocities in the children's frames."""
-    first, second = (rotation.from_vector(both[..., [k]] * cross[:, k]) for k in range(2))
-    carried = rotation.rotate(rotation.conjugate(second), rates[..., :1] * cross[:, 0])
-    return rotation.multiply(first, second), carried + rates[..., 1:] * cross[:, 1]
+def _rotations(angles: Array, rates: Array, cross: Array) -> tuple[Array, Array]:
+    """Invert `_angles`: return rotations (…, joint, 4) and rates in the children's frames."""
+    first, second = (rotation.from_vector(angles[..., [k]] * cross[:, k]) for k in range(2))
+    first_rate = rotation.rotate(rotation.conjugate(second), rates[..., :1] * cross[:, 0])
+    return rotation.multiply(first, second), first_rate + rates[..., 1:] * cross[:, 1]

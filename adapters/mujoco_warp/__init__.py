@@ -25,7 +25,7 @@ _NO_CONTACT = (
 
 
 class MuJoCoWarp(Adapter):
-    """MuJoCo's tree joints and soft constraints; many trajectories at the price of a few."""
+    """MuJoCo Warp: MuJoCo's tree joints and soft constraints; many trajectories cost like a few."""
 
     name = "mujoco-warp"
     package = "mujoco-warp"
@@ -56,5 +56,5 @@ class MuJoCoWarp(Adapter):
         steps = stepping(scene.clock.frame / count, option(_LOOP), option(_LINK))
         mechanism, idle = Mechanism.of(scene), idle_axes(scene)
         run = partial(WarpRun, mechanism, steps, count, option(_DEVICE))
-        # Rods without inertia about themselves have mass matrices too steep for 24 bits.
+        # Rods without inertia about themselves make mass matrices too ill-conditioned for 24 bits.
         return SpinlessRun(mechanism, idle, run(idle), run) if idle.any() else run()

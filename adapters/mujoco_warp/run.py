@@ -1,4 +1,4 @@
-"""A loaded scene: trajectories of whole batches out of it, and what the kernels hold."""
+"""A scene loaded into MuJoCo Warp: rollouts of whole batches, and the readback of its model."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from .worlds import Worlds
 
 
 def stepping(step: float, loop: float, link: float) -> StepOptions:
-    """Give the steps in MuJoCo's terms.
+    """Return the options of stepping in MuJoCo's terms.
 
-    Conjugate gradients, as Newton's matrix is too steep for single precision: its condition is
-    3e8 in 2ladder, and its factors are not numbers.
+    The solver is conjugate gradients, as Newton's matrix is too ill-conditioned for single
+    precision: its condition number is 3e8 in 2ladder, and its factors become NaN.
 
     Args:
-        step: [s].
+        step: Step [s].
         loop: Time constant of loops, in steps.
-        link: That of distance links.
+        link: Time constant of distance links, in steps.
     """
     impact = Impact(0.0, 1, HARDEST)
     options = StepOptions("RK4", step, "CG", step * loop, step * link, impact, hard_limits=True)
@@ -37,14 +37,14 @@ def stepping(step: float, loop: float, link: float) -> StepOptions:
 
 
 class WarpRun(Bending):
-    """MuJoCo's model, stepped by kernels.
+    """A run of MuJoCo's model, stepped by Warp's kernels.
 
     Args:
-        mechanism: Of the scene.
-        stepping: How the kernels step.
-        count: Steps of a frame.
-        device: That steps.
-        idle: Axes of rods that are left without spin, as `ModelRun` has them.
+        mechanism: Mechanism of the scene.
+        stepping: Options of stepping.
+        count: Number of steps of a frame.
+        device: Warp's name of the device.
+        idle: Axes of rods that are left without spin, as in `ModelRun`.
     """
 
     def __init__(
@@ -65,12 +65,12 @@ class WarpRun(Bending):
 
     def simulate(self, batch: Batch) -> tuple[Trajectory, Array]:
         host, torque = self._host, with_pushes(self._mechanism.drives, batch.torque)
-        q, u = self._worlds.stepped(
+        q, u = self._worlds.step_frames(
             host.start(batch), batch.force, torque, self._bodies, self._count
         )
         bodies = to_bodies(self._mechanism, host.coordinates.to_links(q, u))
         bend = np.abs(q[..., host.coordinates.second]).max(axis=(1, 2), initial=0.0)
-        return host.finished(batch, bodies, [None] * len(batch)), bend
+        return host.truncate(batch, bodies, [None] * len(batch)), bend
 
     def readback(self, batch: Batch) -> Readback:
         self._worlds.read(self._host.start(batch[:1]), self._host.data)

@@ -17,17 +17,17 @@ __all__ = ["Pinocchio"]
 _METHOD = "forward-dynamics-RK4"
 _DRIFT, _SOFTNESS = "drift_time", "softness"
 _NATIVE_STEP = 1e-3
-# Keeps the budgets of the pendulums and ladders.
+# Step that keeps the pendulums' and ladders' budgets [s], and fewest steps in a frame.
 _CAREFUL_STEP, _CAREFUL_COUNT = 0.005, 4
-# That a spring's oscillation turns by, and a damper's motion decays, in a step at most.
+# Largest phase [rad] of a spring's oscillation, and decay of a damper's motion, in one step.
 _SPRING_ANGLE, _DECAY = 0.15, 0.5
-# Where bodies are put on a joint, Pinocchio divides by no smaller mass [kg].
+# Smallest mass by which Pinocchio divides when it puts a body on a joint [kg].
 _LEAST = 2.23e-16
 _NO_CONTACT = "Pinocchio gives accelerations; impacts are left to what steps it"
 
 
 class Pinocchio(Adapter):
-    """Articulated bodies; loops closed by constraints on accelerations, by proximal steps."""
+    """Pinocchio: articulated bodies; proximal steps solve acceleration constraints of loops."""
 
     name = "pinocchio"
     package = "pin"

@@ -1,6 +1,6 @@
 """Accelerations of a Pinocchio model under springs and held loads, many states at a time.
 
-It needs nothing but Pinocchio and numpy, as a script that is shown to users has it in it.
+The module needs only Pinocchio and numpy, because scripts shown to users contain its source.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ _ACCURACY, _ROUNDS = 1e-12, 10
 
 
 class PinocchioDynamics:
-    """What accelerates the model.
+    """Accelerations of a model under loads that can be set.
 
     Args:
-        model: Of Pinocchio.
-        bodies: Their frames, at the centres of mass.
-        constraints: That close its loops.
-        springs: Between points of bodies.
-        ends: Of each spring.
-        laws: Of springs and dampers of joints, and of servos: place among the coordinates and among
-            their velocities, stiffness, damping, coordinate at rest and limit, shape (law, 6).
-        softness: Of the proximal steps by which the constraints are solved.
+        model: Pinocchio's model.
+        bodies: Frames of the bodies, at their centres of mass.
+        constraints: Constraints that close the loops.
+        springs: Springs between points of bodies.
+        ends: Ends of each spring.
+        laws: Laws of joint springs and dampers, and of servos: place among the coordinates and the
+            velocities, stiffness, damping, coordinate at rest and limit, shape (law, 6).
+        softness: Softness of the proximal steps that solve the constraints.
     """
 
     def __init__(
@@ -64,25 +64,25 @@ class PinocchioDynamics:
         supports = [set(model.supports[joint]) for joint in joints]
         self._carries = np.array([[float(j in below) for below in supports] for j in moving])
         self.torque: Array | float = 0.0
-        """Held on the velocity coordinates, shape (state, coordinate)."""
+        """Held loads on the velocity coordinates, shape (state, coordinate)."""
         self.push: Array | float = 0.0
-        """What targets of servos exert, shape (law,); 0 of springs."""
+        """Pushes of the servos' targets, shape (law,); 0 for springs."""
         self.force: Array | None = None
-        """In W on the bodies' frames [N], shape (state, body, 3)."""
+        """Forces in W on the bodies' frames [N], shape (state, body, 3)."""
         self.turning: Array | None = None
-        """In the axes of the bodies' frames [N·m], shape (state, body, 3)."""
+        """Torques in the axes of the bodies' frames [N·m], shape (state, body, 3)."""
 
     def rate(self, q: Array, increment: Array, u: Array) -> Array:
-        """Give the accelerations of states that are moved by an increment, (state, coordinate)."""
+        """Return the accelerations of states moved by an increment, (state, coordinate)."""
         return self.accelerations(self.moved(q, increment) if increment.any() else q, u)
 
     def moved(self, q: Array, increment: Array) -> Array:
-        """Move each state by an increment."""
+        """Return each state moved by its increment."""
         model = self.model
         return np.array([pin.integrate(model, *pair) for pair in zip(q, increment, strict=True)])
 
     def accelerations(self, q: Array, u: Array) -> Array:
-        """Give the accelerations of states, (state, coordinate)."""
+        """Return the accelerations of states, (state, coordinate)."""
         load = np.zeros_like(u) + self.torque
         if len(self._place):
             stretch = q[:, self._place] - self._rest
@@ -90,7 +90,7 @@ class PinocchioDynamics:
             load += np.clip(self.push - pull, -self._limit, self._limit) @ self._onto
         if self.force is not None or self.turning is not None or self._springs:
             for row in range(len(q)):
-                load[row] += self._pushed(row, q[row], u[row])
+                load[row] += self._load_forces(row, q[row], u[row])
         rates = np.empty_like(u)
         if not len(self._constraints):
             pin.abaInParallel(1, self._pool, q.T, u.T, load.T, rates.T)
@@ -101,8 +101,8 @@ class PinocchioDynamics:
             rates[row] = pin.constraintDynamics(self.model, self.data, *state, *closed)
         return rates
 
-    def _pushed(self, row: int, q: Array, u: Array) -> Array:
-        """What forces and springs do to the coordinates, (coordinate,)."""
+    def _load_forces(self, row: int, q: Array, u: Array) -> Array:
+        """Return the generalised forces from forces, torques and springs, (coordinate,)."""
         model, data = self.model, self.data
         pin.computeJointJacobians(model, data, q)
         pin.updateFramePlacements(model, data)
@@ -114,14 +114,14 @@ class PinocchioDynamics:
             for body in np.flatnonzero(self.turning[row].any(axis=1)):
                 turn = data.oMf[self._frames[body]].rotation
                 load[body, 3:] += turn @ self.turning[row, body]
-        # Each coordinate moves the bodies that it carries along its column; a single one is flat.
+        # Each coordinate moves the bodies it carries along its column; a single column is flat.
         columns = data.J.reshape(6, -1)
         if self._springs:
             self._pull(load, columns * u)
         return np.einsum("ik,ki->k", columns, self._carries @ load)
 
     def _pull(self, load: Array, twists: Array) -> None:
-        """Add what springs do to bodies, by the twist that each coordinate's rate gives."""
+        """Add the springs' loads on bodies, given the twist that each coordinate's rate causes."""
         for spring, ends in self._springs:
             places, speeds = [], []
             for body, point in ends:
@@ -140,7 +140,7 @@ class PinocchioDynamics:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """a × b of the first three columns; many times faster than numpy's on a few rows."""
+    """Return a × b of the first three columns; much faster than numpy's on a few rows."""
     x, y, z = a.T
     u, v, w = b.T[:3]
     return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)

@@ -1,4 +1,4 @@
-"""A scene as Pinocchio holds it: the program that builds it, and its coordinates."""
+"""The Pinocchio model of a scene: the program that builds it, and its coordinates."""
 
 from __future__ import annotations
 
@@ -45,21 +45,19 @@ bodies, constraints = {}, []"""
 
 @dataclass(frozen=True, eq=False)
 class PinocchioLayout:
-    """Where bodies and links stand in the native model."""
+    """Places of bodies and links in the native model."""
 
     joint: Index
-    """That each body is fixed to, shape (body,)."""
+    """Joint that each body is fixed to, shape (body,)."""
     place: Array
-    """Of each body's centre of mass in that joint's frame [m], (body, 3); axes are parallel."""
+    """Centre of mass of each body in that joint's frame [m], (body, 3); axes are parallel."""
     carrier: dict[int, int]
-    """The joint of each link that has coordinates, by its body; a free body's is that of its turn.
-    """
-
+    """Joint of each link with coordinates, by its body; a free body's is the joint of its turn."""
     native: dict[int, int]
-    """The same, by the scene's joint."""
+    """The same joints by index of the scene's joint."""
 
     def end(self, body: int, point: Array) -> tuple[int, list[float]]:
-        """Give joint and point in its frame, of a point in a native frame."""
+        """Return the joint, and the point in its frame, for a point in a native frame."""
         if body == WORLD_INDEX:
             return 0, point.tolist()
         return int(self.joint[body]), (self.place[body] + point).tolist()
@@ -75,10 +73,10 @@ class PinocchioLayout:
         for link in depth_first(mechanism):
             kind = link.joint.kind if link.joint else "free"
             if link.joint is not None and kind == "fixed":
-                above = link.parent != WORLD_INDEX
-                joint[link.body] = joint[link.parent] if above else 0
+                on_body = link.parent != WORLD_INDEX
+                joint[link.body] = joint[link.parent] if on_body else 0
                 place[link.body] = link.joint.in_parent - link.joint.in_child
-                place[link.body] += place[link.parent] if above else 0.0
+                place[link.body] += place[link.parent] if on_body else 0.0
                 continue
             count += 2 if kind == "free" else 1
             joint[link.body] = carrier[link.body] = count - 1
@@ -89,24 +87,24 @@ class PinocchioLayout:
 
 
 def depth_first(mechanism: Mechanism) -> Iterator[Link]:
-    """Give the links in the order that Pinocchio's joints must have."""
+    """Yield the links in the order that Pinocchio's joints must have."""
     below: dict[int, list[Link]] = {}
     for link in reversed(mechanism.links):
         below.setdefault(link.parent, []).append(link)
-    waiting = below.get(WORLD_INDEX, [])
-    while waiting:
-        link = waiting.pop()
+    stack = below.get(WORLD_INDEX, [])
+    while stack:
+        link = stack.pop()
         yield link
-        waiting += below.get(link.body, [])
+        stack += below.get(link.body, [])
 
 
 def listing(mechanism: Mechanism, layout: PinocchioLayout, drift_time: float) -> str:
-    """Write the program that leaves `model`, `bodies` and `constraints` behind.
+    """Return the program that defines `model`, `bodies` and `constraints`.
 
     Args:
-        mechanism: With the spanning tree that the model has.
-        layout: Of it.
-        drift_time: In which loops that have drifted open are closed [s]; 0: never.
+        mechanism: Mechanism with the model's spanning tree.
+        layout: Layout of the model.
+        drift_time: Time in which loops that have drifted open are closed [s]; 0 for never.
     """
     stiffness, damping = (1 / drift_time**2, 2 / drift_time) if drift_time else (0.0, 0.0)
     lines = [_HEAD % (stiffness, damping, list(mechanism.scene.gravity))]
@@ -132,13 +130,13 @@ def _link(mechanism: Mechanism, layout: PinocchioLayout, link: Link) -> Iterator
         axis = f"np.array({joint.axis.tolist()})" if joint.kind != "ball" else ""
         kind = f"pin.{_KINDS[joint.kind]}({axis})"
         yield f"model.addJoint({above}, {kind}, at(*{point}), {joint.name!r})"
-    where = f"{layout.joint[link.body]}, {layout.place[link.body].tolist()}"
-    held = f"{float(mechanism.mass[link.body])!r}, {mechanism.inertia[link.body].tolist()}"
-    yield f"bodies[{link.body}] = add_body({name!r}, {where}, {held})"
+    place = f"{layout.joint[link.body]}, {layout.place[link.body].tolist()}"
+    properties = f"{float(mechanism.mass[link.body])!r}, {mechanism.inertia[link.body].tolist()}"
+    yield f"bodies[{link.body}] = add_body({name!r}, {place}, {properties})"
 
 
 def _closure(mechanism: Mechanism, layout: PinocchioLayout, joint: PlacedJoint) -> Iterator[str]:
-    """Tie one point, two on a hinge's axis, or a whole frame. Bodies that are one need no tie."""
+    """Tie a point, two on a hinge's axis, or a frame; bodies welded into one need no tie."""
     arm = mechanism.scene.length * joint.axis
     yield f"# {joint.name!r} closes a loop."
     for off in (arm, -arm) if joint.kind == "hinge" else (np.zeros(3),):
@@ -150,7 +148,7 @@ def _closure(mechanism: Mechanism, layout: PinocchioLayout, joint: PlacedJoint) 
 
 
 class PinocchioCoordinates:
-    """The way between a model's coordinates and those of links.
+    """Conversion between a model's coordinates and the states of links.
 
     Pinocchio's quaternions are xyzw; angular velocities are in a body's own axes.
     """
@@ -161,7 +159,7 @@ class PinocchioCoordinates:
         kinds = [link.joint.kind if link.joint else "free" for link in mechanism.links]
         carriers = [layout.carrier.get(link.body, 0) for link in mechanism.links]
         q, v = np.array(idx_q)[carriers], np.array(idx_v)[carriers]
-        turning, free = (np.array([kind in some for kind in kinds]) for some in _TURNING)
+        turning, free = (np.array([kind in group for kind in kinds]) for group in _TURNING)
         scalar = np.array([kind in ("hinge", "slider") for kind in kinds])
         self._turning, self._free, self._scalar = map(np.flatnonzero, (turning, free, scalar))
         self._turn_q = q[turning][:, None] + [3, 0, 1, 2]
@@ -173,7 +171,7 @@ class PinocchioCoordinates:
         self._scalar_q, self._scalar_v = q[scalar], v[scalar]
 
     def of_links(self, links: LinkStates, size: tuple[int, int]) -> tuple[Array, Array]:
-        """Give coordinates (…, nq) and velocities (…, nv)."""
+        """Return coordinates (…, nq) and velocities (…, nv)."""
         lead = links.coordinate.shape[:-1]
         q, u = (np.zeros((*lead, count)) for count in size)
         q[..., self._turn_q] = links.rotation[..., self._turning, :]
@@ -185,7 +183,7 @@ class PinocchioCoordinates:
         return q, u
 
     def to_links(self, q: Array, u: Array, count: int) -> LinkStates:
-        """Give the states of so many links."""
+        """Return the states of `count` links."""
         links = LinkStates.still((*q.shape[:-1], count))
         links.rotation[..., self._turning, :] = q[..., self._turn_q]
         links.angular_velocity[..., self._turning, :] = u[..., self.turn_v]

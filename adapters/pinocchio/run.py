@@ -1,4 +1,4 @@
-"""A loaded scene: trajectories out of it, and what Pinocchio says of its model."""
+"""A scene loaded into Pinocchio: its rollouts, and the readback of its native model."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from .model import PinocchioCoordinates, PinocchioLayout, listing
 
 
 class PinocchioRun(Run):
-    """One native model, whose trajectories are stepped side by side.
+    """A run of one native model that steps trajectories side by side.
 
     Args:
-        scene: What is simulated.
-        settings: How.
-        drift_time: In which loops that have drifted open are closed [s].
-        softness: Of the proximal steps.
+        scene: The scene to simulate.
+        settings: Method, step and options.
+        drift_time: Time in which loops that have drifted open are closed [s]; 0 for never.
+        softness: Softness of the proximal steps.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class PinocchioRun(Run):
         self._laws = np.array(
             [(*place, *law) for place, (_, law) in zip(at, laws, strict=True)]
         ).reshape(-1, 6)
-        self._pushes = self._pushed(scene.clock.steps)
+        self._pushes = self._target_pushes(scene.clock.steps)
         self._ends = [tuple(zip(s.bodies, s.in_body, strict=True)) for s in mechanism.springs]
         self._softness = softness
         more = mechanism.springs, self._ends, self._laws, softness
@@ -75,11 +75,11 @@ class PinocchioRun(Run):
         rows = sum(constraint.residualSize() for constraint in names["constraints"])
         self.size = ModelSize(model.nv, rows)
 
-    def _pushed(self, steps: int) -> Array:
-        """Give what targets exert by every law of a joint, shape (step, law)."""
+    def _target_pushes(self, steps: int) -> Array:
+        """Return the targets' pushes by every law of a joint, 0 for springs, shape (step, law)."""
         springs = np.zeros((steps, len(self._mechanism.compliant)))
-        none = np.zeros((steps, 0))
-        return np.concatenate([springs, with_pushes(self._mechanism.drives, none)], axis=1)
+        inputs = np.zeros((steps, 0))
+        return np.concatenate([springs, with_pushes(self._mechanism.drives, inputs)], axis=1)
 
     def rollout(self, batch: Batch) -> Trajectory:
         start_q, start_u = self._start(batch)
@@ -88,14 +88,14 @@ class PinocchioRun(Run):
             np.full((len(batch), frames, part.shape[-1]), np.nan) for part in (start_q, start_u)
         )
         q[:, 0], u[:, 0] = start_q, start_u
-        rows, held = np.arange(len(batch)), self._dynamics
+        rows, system = np.arange(len(batch)), self._dynamics
         for k in range(batch.steps):
             here, rate = q[rows, k], u[rows, k]
             self._hold(batch, rows, k)
-            # What blows up may pass any number before it is left out.
+            # A motion that blows up may overflow before it is left out.
             with np.errstate(over="ignore", invalid="ignore"):
                 for _ in range(self._count):
-                    here, rate = self._rk4.step(self._step, here, rate, held.rate, held.moved)
+                    here, rate = self._rk4.step(self._step, here, rate, system.rate, system.moved)
             q[rows, k + 1], u[rows, k + 1] = here, rate
             rows = rows[np.isfinite(here).all(axis=1) & np.isfinite(rate).all(axis=1)]
         return self._trajectory(q, u)
@@ -105,11 +105,11 @@ class PinocchioRun(Run):
         return until_blow_up(self._mechanism, to_bodies(self._mechanism, links))
 
     def _hold(self, batch: Batch, rows: Index, frame: int) -> None:
-        """Take the inputs of a frame, of some trajectories."""
+        """Set the inputs of a frame for some trajectories."""
         force, torque = batch.force[rows, frame], batch.torque[rows, frame]
-        held = np.zeros((len(rows), self._model.nv))
-        held[:, self._driven_at] = torque[:, self._driven]
-        self._dynamics.torque, self._dynamics.push = held, self._pushes[frame]
+        load = np.zeros((len(rows), self._model.nv))
+        load[:, self._driven_at] = torque[:, self._driven]
+        self._dynamics.torque, self._dynamics.push = load, self._pushes[frame]
         self._dynamics.force = force if force.any() else None
         turning = np.zeros_like(force)
         for k, hinge in self._looped:
@@ -124,16 +124,16 @@ class PinocchioRun(Run):
         pin.forwardKinematics(model, data, q[0], u[0])
         pin.computeJointJacobians(model, data, q[0])
         pin.updateFramePlacements(model, data)
-        held = [model.frames[k].inertia for k in self._frames]
+        inertias = [model.frames[k].inertia for k in self._frames]
         places = [data.oMf[k] for k in self._frames]
         world = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
         rates = [pin.getFrameVelocity(model, data, k, world) for k in self._frames]
         native = rotation.from_matrix(np.array([place.rotation for place in places]))
         rotors = [self._layout.native[joint.index] for joint in self._mechanism.rotors]
         return Readback(
-            mass=np.array([inertia.mass for inertia in held]),
-            inertia=np.array([inertia.inertia for inertia in held]),
-            com=np.array([p.act(h.lever) for p, h in zip(places, held, strict=True)]),
+            mass=np.array([inertia.mass for inertia in inertias]),
+            inertia=np.array([inertia.inertia for inertia in inertias]),
+            com=np.array([p.act(i.lever) for p, i in zip(places, inertias, strict=True)]),
             orientation=self._mechanism.body_orientation(native),
             velocity=np.array([rate.linear for rate in rates]),
             angular_velocity=np.array([rate.angular for rate in rates]),
@@ -149,7 +149,7 @@ class PinocchioRun(Run):
         )
 
     def _axis(self, link: Link) -> Array:
-        """Of a link's joint in W, as its column of the Jacobian has it."""
+        """Return the axis of a link's joint in W from its column of the Jacobian."""
         joint = self._layout.carrier[link.body]
         data = self._dynamics.data
         columns = pin.getJointJacobian(self._model, data, joint, pin.ReferenceFrame.LOCAL)
@@ -172,8 +172,8 @@ class PinocchioRun(Run):
             [point if k < 0 else data.oMf[self._frames[k]].act(point) for k, point in pair]
             for pair in self._ends
         ]
-        read = [s.as_read(last - first) for s, (first, last) in zip(springs, ends, strict=True)]
-        return np.array(read).reshape(-1, 4)
+        rows = [s.as_read(last - first) for s, (first, last) in zip(springs, ends, strict=True)]
+        return np.array(rows).reshape(-1, 4)
 
     def native(self, batch: Batch) -> str:
         q, u = self._start(batch[:1])
@@ -209,7 +209,7 @@ class PinocchioRun(Run):
 
 
 def _bare(source: str) -> str:
-    """Leave out a module's docstring and imports."""
+    """Strip a module's docstring and imports."""
     rest = source.partition('"""\n\n')[2] if '"""\n\n' in source else source
     return re.sub(r"^(from|import) .*\n", "", rest, flags=re.M).strip()
 

@@ -20,21 +20,21 @@ from .run import PyBulletRun
 __all__ = ["PyBullet"]
 
 _USUAL_STEP = 1 / 240
-# Keeps the budgets of the pendulums; in a scene that moves faster, a hundredth of a frame.
+# Step that keeps the pendulums' budgets [s], and fewest steps in a frame for faster scenes.
 _CAREFUL_STEP, _CAREFUL_COUNT = 2e-5, 100
-# That a spring's oscillation turns by, and a damper's motion decays, in a step at most.
+# Largest phase [rad] of a spring's oscillation, and decay of a damper's motion, in one step.
 _SPRING_ANGLE, _DECAY = 0.5, 0.5
-# Ten leave a body on four corners with 1e-6 m/s, and turn it where it comes down flat.
+# With ten, a body on four corners keeps 1e-6 m/s, and one that comes down flat is turned.
 _CAREFUL_CONTACT = {"solver_iterations": 50}
-# Ten leave a cheetah's rotors 5e-7 m off their joints after ten frames, 100 leave rounding.
+# With ten, a cheetah's rotors are 5e-7 m off their joints after ten frames; with 100, rounding.
 _GEARED_SWEEPS = 200
-# What a joint is past its stop it gets back as a speed: with 0.8 that is a rebound of up to 0.8.
+# A joint past its stop gets that distance back as speed: an erp of 0.8 rebounds by up to 0.8.
 _LIMIT_ERP = 1e-5
-# Bullet's SIMD_EPSILON: what a joint moves does not move if it is less (kg, kg·m² about a hinge).
+# Bullet's SIMD_EPSILON: a joint with less to move stands still (kg, or kg·m² about a hinge).
 _LEAST = float(np.finfo(float).eps)
 # MAX_COMPOUND_COLLISION_SHAPES of Bullet's SharedMemoryPublic.h.
 _MOST_SPHERES = 16
-# PhysicsServerCommandProcessor::createEmptyDynamicsWorld and btCollisionObject.
+# Defaults of PhysicsServerCommandProcessor::createEmptyDynamicsWorld and btCollisionObject.
 _USUAL_CONTACT = {
     "bounce_threshold": 0.2,
     "contact_reach": 1e18,
@@ -42,7 +42,7 @@ _USUAL_CONTACT = {
     "friction_axes": False,
 }
 _USUAL_CONTACT_ERP = 0.08
-# What the engine takes without a word is more than what means something.
+# The engine accepts more without a warning, but more has no meaning.
 _MOST_SWEEPS = 1_000_000
 
 
@@ -108,10 +108,10 @@ class PyBullet(Adapter):
                 most = f"PyBullet takes {_MOST_SPHERES} of one, and leaves out others unsaid"
                 return f"{body!r} has {count} contact spheres, {most}"
         for link in mechanism.links:
-            moved = _moved(mechanism, link)
-            if moved < _LEAST:
+            inertia = _moved_inertia(mechanism, link)
+            if inertia < _LEAST:
                 least = f"PyBullet moves {_LEAST:.3g} or more"
-                return f"{scene.bodies[link.body].name!r} has {moved:.3g} kg or kg·m², {least}"
+                return f"{scene.bodies[link.body].name!r} has {inertia:.3g} kg or kg·m², {least}"
         return ""
 
     def settings(self, scene: Scene, profile: Profile) -> Settings:
@@ -144,8 +144,8 @@ class PyBullet(Adapter):
         )
 
 
-def _moved(mechanism: Mechanism, link: Link) -> float:
-    """Give what a body has against the motion of its joint: mass [kg] or moment [kg·m²]."""
+def _moved_inertia(mechanism: Mechanism, link: Link) -> float:
+    """Return a body's inertia against the motion of its joint: mass [kg] or moment [kg·m²]."""
     mass, joint = float(mechanism.mass[link.body]), link.joint
     if joint is None or joint.kind == "slider":
         return mass

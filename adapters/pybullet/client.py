@@ -1,4 +1,4 @@
-"""A connection to Bullet of our own that writes down the calls that build and start a model."""
+"""A private connection to Bullet that records the calls that build and start a model."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from mbds_xsim.base.process import redirected
 
 @contextlib.contextmanager
 def _silent() -> Iterator[None]:
-    """Let nobody hear what Bullet says."""
+    """Discard what Bullet prints."""
     with open(os.devnull, "wb") as nowhere, redirected((1, 2), nowhere.fileno()):
         yield
 
 
-with _silent():  # it prints its build time
+with _silent():  # importing it prints its build time
     import pybullet
 
 
 class Constant(int):
-    """One of Bullet's numbers that a listing shows by its name."""
+    """A number of Bullet's that a listing shows by its name."""
 
     def __new__(cls, name: str) -> Constant:
-        """Look the name up."""
+        """Look up the name in `pybullet`."""
         constant = super().__new__(cls, getattr(pybullet, name))
         constant.name = name
         return constant
@@ -47,35 +47,35 @@ class Client:
         self._start: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = []
 
     def build(self, name: str, *args: Any, **options: Any) -> Any:
-        """Make a call that belongs to the model, and write it down with its answer."""
+        """Make a call that belongs to the model, and record it with its answer."""
         answer = self.function(name)(*args, **options)
-        noted = "" if answer is None else f"  # gives {answer}"
-        self._model.append(_line(name, args, options) + noted)
+        remark = "" if answer is None else f"  # gives {answer}"
+        self._model.append(_line(name, args, options) + remark)
         return answer
 
     def note(self, text: str) -> None:
-        """Write down what the calls that follow are about."""
+        """Record a comment on the calls that follow."""
         self._model.append(f"# {text}")
 
     def begin(self) -> None:
-        """Forget the start that was written down: a new one follows."""
+        """Forget the recorded start: a new one follows."""
         self._start.clear()
 
     def put(self, name: str, *args: Any, **options: Any) -> None:
-        """Make a call that belongs to the start of a trajectory, and write it down."""
+        """Make a call that belongs to the start of a trajectory, and record it."""
         self.call(name, *args, **options)
         self._start.append((name, args, options))
 
     def call(self, name: str, *args: Any, **options: Any) -> None:
-        """Make a call and write nothing down."""
+        """Make a call without recording it."""
         self.function(name)(*args, **options)
 
     def function(self, name: str) -> Callable[..., Any]:
-        """Give one of the engine's functions, for this connection."""
+        """Return one of the engine's functions for this connection."""
         return functools.partial(getattr(pybullet, name), physicsClientId=self._number)
 
     def listing(self) -> str:
-        """All that was written down, as a script that runs without the toolkit."""
+        """Return all recorded calls as a script that runs without the toolkit."""
         start = [_line(name, args, options) for name, args, options in self._start]
         return "\n".join(["import pybullet as p", "", "p.connect(p.DIRECT)", *self._model, *start])
 
@@ -88,5 +88,5 @@ class Client:
 
 
 def _line(name: str, args: tuple[Any, ...], options: dict[str, Any]) -> str:
-    given = [repr(value) for value in args] + [f"{key}={value!r}" for key, value in options.items()]
-    return f"p.{name}({', '.join(given)})"
+    texts = [repr(value) for value in args] + [f"{key}={value!r}" for key, value in options.items()]
+    return f"p.{name}({', '.join(texts)})"

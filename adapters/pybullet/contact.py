@@ -1,19 +1,19 @@
 """Spheres on the ground plane and on each other in Bullet's terms.
 
-Bullet multiplies the coefficients of two bodies that touch. The ground has 1, so that a body with
-spheres has those of the pair; where bodies collide with each other they have the roots of what they
-have together, and the ground has what is then missing.
+Bullet multiplies the coefficients of two bodies that touch. The ground has 1, so a body with
+spheres has those of the pair. Where bodies also collide with each other, they have the square roots
+of their common coefficients, and the ground makes up for the difference.
 
 Bullet has a friction row along each of two axes, x and y of the world. In every sweep a row adds to
-its impulse what would stop the slip along its axis alone, −v/w, with w its diagonal element of
-W = J M⁻¹ Jᵀ, and both are then cut to the cone together. A slip that lasts therefore ends with
-impulses in proportion to v/w, whatever the step and the number of sweeps: where a body yields more
-along one axis than along the other, as a wheel does along its heading, friction is aside of the
-slip, by up to 45°. Along axes at 45° to the principal ones of W both w are alike, and it is not.
+its impulse −v/w, which would stop the slip along its axis alone, with w its diagonal element of
+W = J M⁻¹ Jᵀ; both are then cut to the cone together. So a lasting slip ends with impulses
+proportional to v/w, whatever the step and the number of sweeps. Where a body yields more along one
+axis than along the other, as a wheel does along its heading, friction is off the slip's direction
+by up to 45°. Along axes at 45° to the principal ones of W both w are equal: it opposes the slip.
 
-Axes other than x and y come of Bullet's anisotropic friction, by which factors in a body's own
-frame stretch them. Factors of 1 and −1 on the ground reflect them, and the ground, which looks
-alike from all sides, is turned by half the angle.
+Bullet's anisotropic friction provides axes other than x and y: factors in a body's own frame scale
+them. Factors of 1 and −1 on the ground reflect the axes, so the ground, which is the same in all
+directions, is turned by half the angle.
 
 resolveConeFrictionConstraintRows and convertMultiBodyContact of btMultiBodyConstraintSolver,
 https://github.com/bulletphysics/bullet3
@@ -50,14 +50,13 @@ CONTACT_LAW = ContactLaw(
     "friction are turned, once a frame, to where a body yields alike along both, so that friction "
     "opposes the slip. A sphere that the ground has lost is a failure.",
 )
-"""What contact is in the engine."""
 
 # btManifoldResult::calculateCombinedFriction cuts the product to this.
 _FRICTION_CAP = 10.0
-# Bits of Bullet's collision filter, two for each ground: it and its spheres see each other, and
-# nothing else. Beyond so many bodies some share a ground.
+# Bits of Bullet's collision filter, two for each ground: a ground and its spheres collide with each
+# other and nothing else. With more bodies than grounds, some bodies share a ground.
 _GROUND, _SPHERE, _GROUNDS = 1, 2, 15
-# Of the moments of a ball, which yields alike along all axes.
+# Relative difference of the moments up to which a ball yields alike along all axes.
 _EVEN = 1e-9
 # Factors of anisotropic friction that reflect the axes of friction at the ground's own x axis.
 _REFLECTION = [1.0, -1.0, 1.0]
@@ -70,9 +69,9 @@ class BulletContact:
 
     Args:
         client: The connection.
-        mechanism: With contact spheres.
-        options: The adapter's, by name.
-        step: [s]
+        mechanism: A mechanism with contact spheres.
+        options: The adapter's options by name.
+        step: Step [s].
     """
 
     def __init__(
@@ -92,11 +91,11 @@ class BulletContact:
         self._names = [body.name for body in mechanism.scene.bodies]
         scene = mechanism.scene
         self._friction, self._restitution = (
-            _parted(name, getattr(scene.ground, name, None), getattr(scene.collisions, name, None))
+            _split(name, getattr(scene.ground, name, None), getattr(scene.collisions, name, None))
             for name in ("friction", "restitution")
         )
         self.collides = scene.collisions is not None
-        """Whether bodies may collide, those of one multibody too."""
+        """Whether bodies may collide, including those of one multibody."""
         self._reach = float(options["contact_reach"])
         moments = np.linalg.eigvalsh(mechanism.inertia)
         even = mechanism.has_only_balls and np.ptp(moments, axis=-1).max() <= _EVEN * moments.max()
@@ -134,7 +133,7 @@ class BulletContact:
         build = self._client.build
         shape = build("createCollisionShape", Constant("GEOM_PLANE"), planeNormal=[0, 0, 1])
         plane = build("createMultiBody", 0.0, shape)
-        # The smaller threshold of two bodies holds for their contact: the ground's is enough.
+        # The smaller threshold of two bodies counts in their contact: the ground's is enough.
         build(
             "changeDynamics", plane, -1,
             lateralFriction=self._friction[0], restitution=self._restitution[0],
@@ -147,10 +146,10 @@ class BulletContact:
         return int(plane)
 
     def shape(self, body: int, com: Array) -> int:
-        """Make the shape of a body's spheres; −1 stands for none.
+        """Make the shape of a body's spheres; return its number, −1 for none.
 
         Args:
-            body: Its index.
+            body: Index of the body.
             com: Its centre of mass in its link frame, which is parallel to the native one [m].
         """
         rows = np.flatnonzero(self._body == body)
@@ -165,7 +164,7 @@ class BulletContact:
         return int(shape)
 
     def set_pair(self, number: int, link: int, body: int) -> None:
-        """Give a body with spheres its coefficients."""
+        """Set the contact coefficients of a body with spheres."""
         if body in self._body:
             reach = {"contactProcessingThreshold": self._reach} if self.collides else {}
             self._client.build(
@@ -176,7 +175,7 @@ class BulletContact:
             self._client.build("setCollisionFilterGroupMask", number, link, *bits)
 
     def join(self, address: Callable[[int], tuple[int, int]]) -> None:
-        """Let bodies collide that may."""
+        """Enable the collisions between bodies that may touch."""
         pairs = self._body[self._mechanism.sphere_pairs]
         for one, other in np.unique(pairs, axis=0).tolist():
             ends = zip(address(one), address(other), strict=True)
@@ -184,18 +183,18 @@ class BulletContact:
             self._client.build("setCollisionFilterPair", *numbers, *links, 1)
 
     def forget(self) -> None:
-        """Let go of the points where spheres touched in an earlier trajectory.
+        """Drop the points where spheres touched in an earlier trajectory.
 
-        Bullet keeps them from step to step; setting a filter, even to what it is, drops them.
+        Bullet keeps them from step to step; setting a filter, even to its old value, drops them.
         """
         for number, plane in enumerate(self._planes):
             self._filter(plane, -1, *_bits(number, _GROUND, _SPHERE))
         self._turn_ground = self._client.put
 
     def turn(self, bodies: BodyStates, frame: float) -> None:
-        """Turn the axes of friction for a frame [s] where a sphere may touch within it.
+        """Turn the axes of friction for a frame [s] if a sphere may touch within it.
 
-        The lowest sphere of a body counts, and the yaw that the body has half a frame on.
+        They follow from a body's lowest sphere and from its yaw half a frame later.
         """
         if self._yielding is None:
             return
@@ -205,7 +204,7 @@ class BulletContact:
         near = np.flatnonzero(gap < frame * (speed + self._gravity * frame))
         if not len(near):
             return
-        # The lowest of a ground's come last, and stay.
+        # The lowest sphere of a ground comes last, and its entry stays.
         lowest = {self._ground[int(self._body[k])]: k for k in near[np.argsort(-gap[near])]}
         spheres = np.array(list(lowest.values()))
         half = 0.5 * self._yielding.alike(bodies, spheres) + 0.25 * frame * spin[spheres, 2]
@@ -219,15 +218,15 @@ class BulletContact:
                 "resetBasePositionAndOrientation",
                 self._planes[number], [*at, 0.0], [0.0, 0.0, sine, cosine],
             )  # fmt: skip
-        # A listing starts as a trajectory does.
+        # Only the first turn belongs to the start that a listing records.
         self._turn_ground = self._client.call
 
     def heights(self, state: BodyStates) -> Array:
-        """Heights of the spheres' centres [m], shape (…, sphere)."""
+        """Return the heights of the spheres' centres [m], shape (…, sphere)."""
         return self._mechanism.sphere_heights(state.position, state.native)
 
     def trouble(self, state: BodyStates) -> str:
-        """Say how the ground has failed to hold the lowest sphere."""
+        """Describe the contact that was lost: the ground's with the lowest sphere, or another."""
         height = self.heights(state)
         sphere = int(height.argmin())
         if not self._planes or height[sphere] >= 0.0:
@@ -238,23 +237,23 @@ class BulletContact:
         )
 
     def centers(self, address: Callable[[int], tuple[int, int]], reading: Array) -> Array:
-        """Centres of the spheres in W [m], at what `Multibodies.read` tells, (sphere, 3)."""
+        """Return the spheres' centres in W [m] at a reading of `Multibodies.read`, (sphere, 3)."""
         shapes = self._client.function("getCollisionShapeData")
         places = np.empty((len(self._body), 3))
         for body in np.unique(self._body).tolist():
-            # Bullet tells them in the inertial frame.
+            # Bullet reports them in the inertial frame.
             local = np.array([shape[5] for shape in shapes(*address(body))])
-            turned = rotation.rotate(reading[body, [6, 3, 4, 5]], local)
-            places[self._body == body] = reading[body, :3] + turned
+            offset = rotation.rotate(reading[body, [6, 3, 4, 5]], local)
+            places[self._body == body] = reading[body, :3] + offset
         return places
 
     def readback(self, address: Callable[[int], tuple[int, int]]) -> Array:
-        """Radius [m], friction and restitution of the pair as Bullet combines them, (sphere, 3)."""
+        """Return radius [m] and the friction and restitution that Bullet combines, (sphere, 3)."""
         pairs = np.empty((len(self._body), 3))
         dynamics = self._client.function("getDynamicsInfo")
         shapes = self._client.function("getCollisionShapeData")
-        none = (np.nan,) * 6
-        plane = dynamics(self._planes[0], -1) if self._planes else none
+        unknown = (np.nan,) * 6
+        plane = dynamics(self._planes[0], -1) if self._planes else unknown
         for body in np.unique(self._body).tolist():
             rows = np.flatnonzero(self._body == body)
             info = dynamics(*address(body))
@@ -263,7 +262,7 @@ class BulletContact:
         return pairs
 
     def collisions(self, address: Callable[[int], tuple[int, int]]) -> Array:
-        """Friction and restitution of pairs of spheres as Bullet combines them, (pair, 2)."""
+        """Return friction and restitution that Bullet combines for pairs of spheres, (pair, 2)."""
         dynamics = self._client.function("getDynamicsInfo")
         ends = self._body[self._mechanism.sphere_pairs].tolist()
         infos = [[dynamics(*address(body)) for body in pair] for pair in ends]
@@ -271,38 +270,38 @@ class BulletContact:
 
 
 def flags_of(contact: BulletContact | None) -> int:
-    """Give the flags of a multibody."""
+    """Return the flags of a multibody."""
     order = Constant("URDF_MAINTAIN_LINK_ORDER")  # else Bullet numbers the links depth first
     if not (contact and contact.collides):
         return order
-    # Also of a link with the one that carries it; which spheres may touch, their masks say.
+    # Links may also collide with their parents; the filters decide which spheres may touch.
     parents = Constant("URDF_USE_SELF_COLLISION_INCLUDE_PARENT")
     return order | Constant("URDF_USE_SELF_COLLISION") | parents
 
 
-def _parted(name: str, ground: float | None, between: float | None) -> tuple[float, float]:
-    """Part a coefficient of pairs between the ground and bodies, whose product is that of a pair.
+def _split(name: str, ground: float | None, collisions: float | None) -> tuple[float, float]:
+    """Split a coefficient of pairs into those of the ground and of bodies, which Bullet multiplies.
 
     Raises:
-        Unsupported: No product is it.
+        Unsupported: No such values exist, or Bullet would cut the product.
     """
-    for where, value in (("ground", ground), ("collisions", between)):
+    for where, value in (("ground", ground), ("collisions", collisions)):
         if name == "friction" and value is not None and value > _FRICTION_CAP:
             msg = (
                 f"pybullet: {where}.friction: got {value:g}, allowed is up to {_FRICTION_CAP:g}, "
                 "to which Bullet cuts it without a word"
             )
             raise Unsupported(msg)
-    if between is None:
+    if collisions is None:
         return 1.0, ground or 0.0
-    if ground and not between:
+    if ground and not collisions:
         msg = (
             f"pybullet: collisions.{name}: got 0 beside {ground:g} of the ground, which Bullet, "
             "that multiplies those of two bodies, takes for 0 too"
         )
         raise Unsupported(msg)
-    own = math.sqrt(between)
-    return (ground or 0.0) / (own or 1.0), own
+    root = math.sqrt(collisions)
+    return (ground or 0.0) / (root or 1.0), root
 
 
 def _bits(ground: int, *bits: int) -> list[int]:
@@ -310,9 +309,9 @@ def _bits(ground: int, *bits: int) -> list[int]:
 
 
 class Yielding:
-    """How bodies yield to pushes of the ground: mass matrices of the spanning tree.
+    """Yielding of bodies to pushes of the ground, from mass matrices of the spanning tree.
 
-    What closes loops is left out.
+    Joints that close loops are left out.
     """
 
     def __init__(self, mechanism: Mechanism) -> None:
@@ -333,16 +332,16 @@ class Yielding:
 
         Args:
             bodies: A state of all bodies, shape (body, …).
-            spheres: Those that touch.
+            spheres: Indices of the spheres that touch.
 
         Returns:
-            Angle of one axis from x, the other is across [rad], shape (sphere,).
+            Angle from x to one axis; the other is perpendicular [rad], shape (sphere,).
         """
         xx, xy, yy = self._horizontal(bodies, spheres)
         return np.asarray(0.5 * np.arctan2(2.0 * xy, xx - yy) + np.pi / 4)
 
     def _horizontal(self, bodies: BodyStates, spheres: Index) -> Array:
-        """Elements xx, xy and yy of W at the spheres' lowest points [1/kg], shape (3, sphere)."""
+        """Return xx, xy and yy of W at the spheres' lowest points [1/kg], shape (3, sphere)."""
         mechanism, turn = self._mechanism, rotation.matrix(bodies.native)
         twist = self._twists(bodies, turn)
         scaled = np.concatenate(
@@ -357,28 +356,28 @@ class Yielding:
         arm[:, 2] -= mechanism.sphere_radius[spheres]
         slip = twist[body, :2] - (_cross_matrix(arm) @ twist[body, 3:])[:, :2]
         x, y = slip[:, 0], slip[:, 1]
-        given = np.linalg.solve(scaled.T @ scaled, np.concatenate([x, y]).T).T
-        for_x, for_y = given[: len(x)], given[len(x) :]
+        response = np.linalg.solve(scaled.T @ scaled, np.concatenate([x, y]).T).T
+        for_x, for_y = response[: len(x)], response[len(x) :]
         return np.stack([np.vecdot(x, for_x), np.vecdot(x, for_y), np.vecdot(y, for_y)])
 
     def _twists(self, bodies: BodyStates, turn: Array) -> Array:
-        """Velocity and angular velocity by the tree's rates, shape (body, 6, rate)."""
+        """Return velocity and angular velocity per rate of the tree, shape (body, 6, rate)."""
         twist = np.zeros((len(turn), 6, self._count))
-        for body, parent, joint, own in self._plan:
+        for body, parent, joint, columns in self._plan:
             if joint is None:
-                twist[body, :, own] = np.eye(6)
+                twist[body, :, columns] = np.eye(6)
                 continue
             above = np.eye(3)
             if parent != WORLD_INDEX:
                 above, apart = turn[parent], bodies.position[body] - bodies.position[parent]
                 twist[body] = twist[parent]
                 twist[body, :3] -= _cross_matrix(apart) @ twist[parent, 3:]
-            twist[body, :, own] += _rates(joint, above, -turn[body] @ joint.in_child)
+            twist[body, :, columns] += _rates(joint, above, -turn[body] @ joint.in_child)
         return twist
 
 
 def _rates(joint: PlacedJoint, above: Array, arm: Array) -> Array:
-    """Twist of a link by its own rates, (6, rate); the arm is from the joint to its centre."""
+    """Return a link's twist per own rate, (6, rate); the arm is from the joint to its centre."""
     if joint.kind == "fixed":
         return np.zeros((6, 0))
     if joint.kind == "ball":
@@ -390,7 +389,7 @@ def _rates(joint: PlacedJoint, above: Array, arm: Array) -> Array:
 
 
 def _cross_matrix(v: Array) -> Array:
-    """The matrix of v ×, shape (…, 3, 3)."""
+    """Return the matrix of v ×, shape (…, 3, 3)."""
     matrix = np.zeros((*v.shape, 3))
     matrix[..., [2, 0, 1], [1, 2, 0]] = v
     matrix[..., [1, 2, 0], [2, 0, 1]] = -v

@@ -1,9 +1,9 @@
 """Gears: joints that follow others, and rotors, which a joint turns by a gear.
 
-Bullet has no inertia of a joint beside those of its bodies. Here a rotor is a link of its own on
-the joint's parent, of a moment J next to nothing, and turns n = √(D/J) times as fast as the joint
-moves: its energy is ½ D q̇² of the armature D. As it turns with its carrier too, it also has a
-momentum of √(D J) q̇ about its axis, which is what this is off by.
+Bullet's joints have no inertia besides that of bodies. So a rotor is a link of its own on the
+joint's parent, with a tiny moment J, and turns n = √(D/J) times as fast as the joint moves: its
+energy is ½ D q̇², that of the armature D. As it also turns with its carrier, it has a momentum of
+√(D J) q̇ about its axis, which is the error of this model.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from mbds_xsim.scene.mechanism import PlacedJoint
 from .client import Client, Constant
 from .parts import Multibody
 
-# Bullet takes 2e-16 kg·m² for nothing.
+# Bullet treats 2e-16 kg·m² as zero.
 _MOMENT = 1e-15
 # Impulse of a constraint in a step [N·s]; Bullet's own cap is 500.
 IMPULSE_CAP = 1e12
@@ -26,49 +26,49 @@ IMPULSE_CAP = 1e12
 def tie(client: Client, ends: Sequence[tuple[int, int]], ratio: float, **more: float) -> None:
     """Tie the rates of two links' joints, the first of which follows.
 
-    The start is on the gear, and Bullet keeps it there.
+    The start satisfies the gear, and Bullet keeps it so.
     """
-    none = [0.0, 0.0, 0.0]
+    zero = [0.0, 0.0, 0.0]
     number = client.build(
-        "createConstraint", *ends[0], *ends[1], Constant("JOINT_GEAR"), none, none, none
+        "createConstraint", *ends[0], *ends[1], Constant("JOINT_GEAR"), zero, zero, zero
     )
     client.build("changeConstraint", number, gearRatio=-ratio, maxForce=IMPULSE_CAP, **more)
 
 
 def speed(joint: PlacedJoint) -> float:
-    """Give the rate of a joint's rotor over that of the joint [1 or rad/m]."""
+    """Return the rate of a joint's rotor over that of the joint [1 or rad/m]."""
     return math.sqrt(joint.armature / _MOMENT)
 
 
 def with_rotors(
     links: Mapping[str, list[Any]], joints: Sequence[PlacedJoint]
 ) -> dict[str, list[Any]]:
-    """Add rotors behind links, as the arguments of `createMultiBody` have them.
+    """Append rotors to the links in the arguments of `createMultiBody`.
 
     Args:
-        links: The arguments, by name.
-        joints: Of the links.
+        links: The arguments by name.
+        joints: Joints of the links.
     """
     geared = [k for k, joint in enumerate(joints) if joint.armature]
-    none, still = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]
-    alike = {
+    zero, still = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]
+    common = {
         "linkMasses": _MOMENT,
         "linkCollisionShapeIndices": -1,
         "linkVisualShapeIndices": -1,
-        "linkPositions": none,
+        "linkPositions": zero,
         "linkOrientations": still,
-        "linkInertialFramePositions": none,
+        "linkInertialFramePositions": zero,
         "linkInertialFrameOrientations": still,
         "linkJointTypes": Constant("JOINT_REVOLUTE"),
     }
-    added = {key: [value] * len(geared) for key, value in alike.items()}
+    rotors = {key: [value] * len(geared) for key, value in common.items()}
     for key in ("linkParentIndices", "linkJointAxis"):
-        added[key] = [links[key][k] for k in geared]
-    return {key: [*values, *added[key]] for key, values in links.items()}
+        rotors[key] = [links[key][k] for k in geared]
+    return {key: [*values, *rotors[key]] for key, values in links.items()}
 
 
 def gear_rotors(client: Client, number: int, joints: Sequence[PlacedJoint]) -> None:
-    """Let the joints of a multibody's links turn their rotors, which stand behind its links."""
+    """Let the joints of a multibody's links turn their rotors, which follow the links."""
     geared = [k for k, joint in enumerate(joints) if joint.armature]
     for rotor, k in enumerate(geared, len(joints)):
         client.note(f"rotor of {joints[k].name!r}")
@@ -76,12 +76,12 @@ def gear_rotors(client: Client, number: int, joints: Sequence[PlacedJoint]) -> N
         client.build(
             "setJointMotorControl2", number, rotor, Constant("VELOCITY_CONTROL"), force=0.0
         )
-        # By how much it has turned means nothing.
+        # A rotor's angle means nothing, so its error is not corrected.
         tie(client, [(number, rotor), (number, k)], speed(joints[k]), erp=0.0)
 
 
 def armatures(client: Client, parts: Iterable[tuple[int, Multibody]]) -> dict[int, float]:
-    """Give those of multibodies' joints by the moments of their rotors, by index of the joint."""
+    """Return armatures of multibodies' joints from their rotors' moments, by joint index."""
     info = client.function("getDynamicsInfo")
     return {
         joint.index: speed(joint) ** 2 * info(number, rotor)[2][2]

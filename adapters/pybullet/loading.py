@@ -1,4 +1,4 @@
-"""What PyBullet's own readers make of a file, with the flags that they have by themselves."""
+"""Facts about a model file as PyBullet's own readers load it, with their default flags."""
 
 from __future__ import annotations
 

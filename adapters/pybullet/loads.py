@@ -1,4 +1,4 @@
-"""What acts on bodies: inputs, springs, dry friction, torques about hinges that close loops."""
+"""Loads on bodies: inputs, springs, dry friction, torques about hinges that close loops."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .model import Multibodies
 
 
 class StepLoads:
-    """Applies loads for the next call of the engine's step, which forgets them afterwards."""
+    """Loads for the next call of the engine's step, which forgets them afterwards."""
 
     def __init__(self, client: Client, model: Multibodies, mechanism: Mechanism) -> None:
         self._model = model
@@ -31,14 +31,14 @@ class StepLoads:
         self._in_world = int(Constant("WORLD_FRAME"))
         self._as_torque = int(Constant("TORQUE_CONTROL"))
         self._driven = mechanism.carried
-        self._tell = client.function("getJointState")
-        self._sprung = sprung(model)
+        self._joint_state = client.function("getJointState")
+        self._joint_springs = joint_springs(model)
         self._servos = [
             (drive, *model.address(self._driven[drive.joint.index])) for drive in mechanism.drives
         ]
 
     def change_within_frame(self, torque: Array) -> bool:
-        """Whether something follows the motion, so that each step needs it anew.
+        """Return whether a load follows the motion, so that each step needs it anew.
 
         Forces on centres of mass and torques in tree joints stay as they are over the sub-steps
         of one call.
@@ -51,37 +51,37 @@ class StepLoads:
         """Apply a frame's inputs, shapes (body, 3) and (hinge + drive,), and the springs.
 
         Args:
-            force: In W on centres of mass [N].
-            torque: About the hinges [N·m], and behind them pushes of drives.
-            reading: What `Multibodies.read` tells of the present state.
+            force: Forces in W on centres of mass [N].
+            torque: Torques about the hinges [N·m], then pushes of drives [N·m or N].
+            reading: The present state, from `Multibodies.read`.
         """
         for body in np.flatnonzero(force.any(axis=-1)).tolist():
             self._push(body, force[body], reading[body, :3])
-        turning, hinges = [], len(self._hinges)
-        for k in np.flatnonzero(torque[:hinges]).tolist():
+        loop_torques, count = [], len(self._hinges)
+        for k in np.flatnonzero(torque[:count]).tolist():
             joint = self._hinges[k]
             if joint.index in self._closures:
-                turning.append((joint, float(torque[k])))
+                loop_torques.append((joint, float(torque[k])))
             else:
                 # A tree joint that points the other way has its axis negated and its bodies
                 # exchanged, which leaves the torque as it is.
                 number, link = self._address(self._driven[joint.index])
                 self._drive(number, link, self._as_torque, force=float(torque[k]))
-        for number, link, stiffness, rest in self._sprung:
-            effort = -stiffness * (self._tell(number, link)[0] - rest)
+        for number, link, stiffness, rest in self._joint_springs:
+            effort = -stiffness * (self._joint_state(number, link)[0] - rest)
             self._drive(number, link, self._as_torque, force=effort)
-        for push, (drive, number, link) in zip(torque[hinges:].tolist(), self._servos, strict=True):
-            effort = drive.at(push, *self._tell(number, link)[:2])
+        for push, (drive, number, link) in zip(torque[count:].tolist(), self._servos, strict=True):
+            effort = drive.at(push, *self._joint_state(number, link)[:2])
             self._drive(number, link, self._as_torque, force=effort)
-        if turning or self._springs:
+        if loop_torques or self._springs:
             state = self._model.states(reading)
-            for joint, moment in turning:
+            for joint, moment in loop_torques:
                 self._twist(joint, moment, state)
             if self._springs:
                 self._pull(state)
 
     def springs(self, state: BodyStates) -> Array:
-        """Give what `Readback.spring` tells."""
+        """Return `Readback.spring`."""
         if not self._springs:
             return np.zeros((0, 4))
         lines = np.diff(self._spring_ends(state)[0], axis=1)[:, 0]
@@ -108,16 +108,16 @@ class StepLoads:
             self._push(spring.bodies[1], -force, second)
 
     def _spring_ends(self, state: BodyStates) -> tuple[Array, Array]:
-        """Places in W [m] and velocities [m/s] of the springs' ends, shape (spring, end, 3)."""
-        every = state.with_world()
-        places = every.points(self._ends, self._in_body).reshape(-1, 2, 3)
-        return places, every.speeds(self._ends, self._in_body).reshape(-1, 2, 3)
+        """Return places in W [m] and velocities [m/s] of the springs' ends, (spring, end, 3)."""
+        bodies = state.with_world()
+        places = bodies.points(self._ends, self._in_body).reshape(-1, 2, 3)
+        return places, bodies.speeds(self._ends, self._in_body).reshape(-1, 2, 3)
 
 
 def set_friction(model: Multibodies, substeps: int) -> None:
-    """Let motors at rest brake joints with dry friction.
+    """Brake joints with dry friction by motors with a target rate of 0.
 
-    Bullet allows in each of the sub-steps of a call the impulse of the whole call.
+    In each of the sub-steps of a call, Bullet allows the impulse of the whole call.
     """
     mechanism = model.mechanism
     bodies = mechanism.carried
@@ -128,8 +128,8 @@ def set_friction(model: Multibodies, substeps: int) -> None:
         )  # fmt: skip
 
 
-def sprung(model: Multibodies) -> list[tuple[int, int, float, float]]:
-    """Give number, link, stiffness and rest of the joints with springs, which Bullet has not."""
+def joint_springs(model: Multibodies) -> list[tuple[int, int, float, float]]:
+    """Return number, link, stiffness and rest of joints with springs, which Bullet lacks."""
     joints = [(link.joint, link.body) for part in model.parts for link in part.links]
     return [
         (*model.address(body), joint.stiffness, joint.rest)
@@ -139,11 +139,11 @@ def sprung(model: Multibodies) -> list[tuple[int, int, float, float]]:
 
 
 def spring_calls(model: Multibodies) -> list[str]:
-    """Write what `StepLoads.apply` does about them in each step."""
+    """Write the calls of `StepLoads.apply` in each step for joint springs and servos."""
     calls = [
         f"p.setJointMotorControl2({number}, {link}, p.TORQUE_CONTROL, "
         f"force=-{stiffness!r} * (p.getJointState({number}, {link})[0] - {rest!r}))"
-        for number, link, stiffness, rest in sprung(model)
+        for number, link, stiffness, rest in joint_springs(model)
     ]
     bodies = model.mechanism.carried
     for drive in model.mechanism.drives:

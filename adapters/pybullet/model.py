@@ -1,4 +1,4 @@
-"""Bullet's multibodies and constraints for a mechanism, and the ways in and out of their states.
+"""Bullet's multibodies and constraints for a mechanism, and access to their states.
 
 A link frame sits at its joint and is parallel to W at the reference pose; the inertial frame sits
 at the centre of mass along the principal axes. Bullet's states are about the inertial frames: a
@@ -27,9 +27,9 @@ from .gears import IMPULSE_CAP, armatures, gear_rotors, speed, tie, with_rotors
 from .parts import Multibody, split
 
 SPEED_CAP = 1e6
-"""Bullet cuts every rate of a multibody to this [m/s or rad/s]."""
+"""Largest rate of a multibody, to which Bullet cuts faster ones [m/s or rad/s]."""
 RATES = slice(7, 13)
-"""Where `Multibodies.read` gives velocity and angular velocity."""
+"""Columns of `Multibodies.read` with velocity and angular velocity."""
 # Distance of the two points that close a hinge from its anchor, over the longest arm there.
 _HINGE_ARM = 0.5
 
@@ -46,9 +46,9 @@ class Multibodies:
 
     Args:
         client: The connection.
-        mechanism: Of the scene.
+        mechanism: Mechanism of the scene.
         drag: Bullet's `linearDamping` and `angularDamping` on every link [1/s].
-        contact: The ground, if there is one.
+        contact: The contacts; None if the scene has none.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class Multibodies:
             if part.base != WORLD_INDEX:
                 self._places[part.base] = (number, -1)
             self._places |= {link.body: (number, k) for k, link in enumerate(part.links)}
-        # Of a joint's constraints: number, and body and end of its parent's side, then its child's.
+        # By joint, its constraints: number, then (body, end) on the parent's and the child's side.
         self._ties: dict[int, list[tuple[int, list[tuple[int, int]]]]] = {}
         rows = sum(self._close(joint) for joint in self.closures)
         rows += len(mechanism.couplings) + len(mechanism.rotors)
@@ -100,7 +100,7 @@ class Multibodies:
         ]
 
     def address(self, body: int) -> tuple[int, int]:
-        """Bullet's body number and link index; −1 of either is the world or the base."""
+        """Return Bullet's body number (−1: the world) and link index (−1: the base)."""
         return self._places[body]
 
     def put(self, bodies: BodyStates) -> None:
@@ -142,7 +142,7 @@ class Multibodies:
                 )  # fmt: skip
 
     def read(self) -> Array:
-        """What Bullet tells of every body, see `states`; shape (body, 13)."""
+        """Read the state of every body, with the columns of `states`; shape (body, 13)."""
         reading = np.empty((self.mechanism.body_count, 13))
         for number, base, links, bodies in self._readings:
             if base != WORLD_INDEX:
@@ -156,10 +156,10 @@ class Multibodies:
         return reading
 
     def states(self, reading: Array) -> BodyStates:
-        """Body states of position, xyzw of the inertial frame, velocity and angular velocity.
+        """Convert what `read` returns to body states.
 
         Args:
-            reading: Of shape (…, body, 13).
+            reading: Position, xyzw of the inertial frame, velocity, spin, shape (…, body, 13).
         """
         native = rotation.multiply(reading[..., [6, 3, 4, 5]], rotation.conjugate(self.principal))
         return BodyStates(reading[..., 0:3], native, reading[..., 7:10], reading[..., 10:13])
@@ -170,11 +170,11 @@ class Multibodies:
         return [*position, *turn, *velocity, *rate]
 
     def mass(self) -> Array:
-        """Of every body [kg], as the engine holds it."""
+        """Return the mass of every body in the engine [kg]."""
         return np.array([self._dynamics(body)[0] for body in range(self.mechanism.body_count)])
 
     def inertia(self) -> Array:
-        """In native frames [kg·m²], from the moments and the principal axes the engine holds."""
+        """Return inertias in native frames [kg·m²] from Bullet's moments and principal axes."""
         count = self.mechanism.body_count
         still = np.zeros((count, 3))
         native = np.tile(rotation.IDENTITY, (count, 1))
@@ -186,18 +186,18 @@ class Multibodies:
         return np.asarray(np.einsum("bij,bj,bkj->bik", axes, moments, axes))
 
     def armature(self) -> Array:
-        """Of the joints with rotors, in scene order [kg·m² or kg], by the rotors' moments."""
-        found = armatures(self.client, zip(self._ids, self.parts, strict=True))
-        return np.array([found[joint.index] for joint in self.mechanism.rotors])
+        """Return the armature of joints in scene order from rotors' moments [kg·m² or kg]."""
+        by_joint = armatures(self.client, zip(self._ids, self.parts, strict=True))
+        return np.array([by_joint[joint.index] for joint in self.mechanism.rotors])
 
     def joint_axis(self) -> Array:
-        """Of hinges and sliders in scene order, in W at the present state, shape (joint, 3)."""
+        """Return the present axes of hinges and sliders in scene order, in W, shape (joint, 3)."""
         turn = self.read()[:, [6, 3, 4, 5]]
 
         def axis(link: Link) -> Array:
             if link.joint in self.closures:
                 return np.full(3, np.nan)
-            # Bullet tells the axis in the child's inertial frame.
+            # Bullet reports the axis in the child's inertial frame.
             local = np.array(self.client.function("getJointInfo")(*self.address(link.body))[13])
             return rotation.rotate(turn[link.body], local)
 
@@ -207,28 +207,28 @@ class Multibodies:
         if link.body not in self._links:
             return None
         above = np.array(self.client.function("getJointInfo")(*self.address(link.body))[14])
-        # Where the inertial frame is in the link frame, which sits at the joint.
+        # Position of the inertial frame in the link frame, which sits at the joint.
         below = -rotation.rotate(
             self._into_principal(link.body), np.array(self._dynamics(link.body)[3])
         )
-        return _placed(reading, link.parent, above), _placed(reading, link.body, below)
+        return _to_world(reading, link.parent, above), _to_world(reading, link.body, below)
 
     def anchors(self, reading: Array) -> Array:
-        """As fixed in the parent and in the child, in W, shape (joint, 2, 3)."""
+        """Return anchors as fixed in the parent and in the child, in W, shape (joint, 2, 3)."""
         anchors = joint_anchors(self.mechanism, lambda link: self._anchor(link, reading))
         info = self.client.function("getConstraintInfo")
         for index, ties in self._ties.items():
             points = [
-                [_placed(reading, end, np.array(info(number)[6 + k])) for end, k in ends]
+                [_to_world(reading, end, np.array(info(number)[6 + k])) for end, k in ends]
                 for number, ends in ties
             ]
             anchors[index] = np.mean(points, axis=0)
         return anchors
 
     def damping(self) -> Array:
-        """Damping and friction of every joint; Bullet does not tell the drag on its links.
+        """Return damping and friction of every joint; Bullet does not report drag on links.
 
-        Nor does it tell damping that was set after the joint was made, as it is here.
+        Nor does it report damping that was set after the joint was made, as it is here.
         """
         info = self.client.function("getJointInfo")
         joints = [self.address(link.body) for part in self.parts for link in part.links]
@@ -323,7 +323,7 @@ class Multibodies:
             )
 
     def _close(self, joint: PlacedJoint) -> int:
-        """Close a loop with constraints; give their number of rows."""
+        """Close a loop with constraints; return their number of rows."""
         self.client.note(f"{joint.name!r} closes a loop")
         if joint.kind == "fixed":
             return self._constrain("JOINT_FIXED", joint, np.zeros(3), 6)
@@ -334,7 +334,7 @@ class Multibodies:
         return sum(self._constrain("JOINT_POINT2POINT", joint, shift, 3) for shift in ends)
 
     def _constrain(self, kind: str, joint: PlacedJoint, shift: Array, rows: int) -> int:
-        """Tie the points of both bodies that are at the anchor plus a shift."""
+        """Tie the points of both bodies at the anchor plus a shift; return the number of rows."""
         first, pivot = self._carrier(joint.child, joint.in_child + shift)
         second, other = self._carrier(joint.parent, joint.in_parent + shift)
         if first == second:
@@ -356,9 +356,9 @@ class Multibodies:
         return rows
 
     def _carrier(self, body: int, point: Array) -> tuple[int, Array]:
-        """Give the body that the tree's fixed joints weld a body to, and the point in it.
+        """Return the body that the tree's fixed joints weld a body to, and the point in it.
 
-        Bullet takes a link that is welded to a fixed base's first link for static, and silently
+        Bullet treats a link that is welded to a fixed base's first link as static, and silently
         leaves out the constraints on it (ConvertURDF2BulletInternal stops its search there).
         """
         link = self._links.get(body)
@@ -374,15 +374,15 @@ class Multibodies:
         return np.asarray(rotation.conjugate(self.principal[body]))
 
 
-def _placed(reading: Array, body: int, point: Array) -> Array:
-    """Place a point of an inertial frame in W, by what `Multibodies.read` tells."""
+def _to_world(reading: Array, body: int, point: Array) -> Array:
+    """Return a point of an inertial frame in W, given what `Multibodies.read` returns."""
     if body == WORLD_INDEX:
         return point
     return np.asarray(reading[body, :3] + rotation.rotate(reading[body, [6, 3, 4, 5]], point))
 
 
 def _principal_axes(tensor: Array) -> tuple[Array, Array]:
-    """Principal moments, and the rotation of the principal axes against the native frame."""
+    """Return principal moments, and the rotation of principal axes against the native frame."""
     moments = np.diag(tensor)
     if np.abs(tensor - np.diag(moments)).max() <= 1e-14 * moments.max():
         return moments, rotation.IDENTITY
@@ -392,7 +392,7 @@ def _principal_axes(tensor: Array) -> tuple[Array, Array]:
 
 
 def _axis(joint: PlacedJoint) -> list[float]:
-    """Of hinges and sliders; Bullet wants some axis for the others too."""
+    """Return the axis of a hinge or slider; Bullet requires some axis for the others, too."""
     return joint.axis.tolist() if joint.kind in ("hinge", "slider") else [0.0, 0.0, 1.0]
 
 

@@ -1,4 +1,4 @@
-"""The spanning tree cut into the multibodies that Bullet can hold."""
+"""The spanning tree, cut into multibodies that Bullet can hold."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
 
 # Bullet's server passes states in arrays of 128 coordinates, 7 of them the base's; beyond them
-# it reads and writes elsewhere (MAX_DEGREE_OF_FREEDOM in SharedMemoryPublic.h).
+# it accesses other memory (MAX_DEGREE_OF_FREEDOM in SharedMemoryPublic.h).
 COORDINATE_LIMIT = 128 - 7
 
 FREEDOMS = {"ball": 3, "hinge": 1, "slider": 1, "fixed": 0}
-"""Rates of a link's joint."""
+"""Number of rates of a joint, by its kind."""
 _COORDINATES = {"ball": 4, "hinge": 1, "slider": 1, "fixed": 1}
 # Joints that a constraint can replace, best first.
 _CUT_ORDER = {"ball": 0, "hinge": 1, "fixed": 2}
@@ -20,32 +20,32 @@ _CUT_ORDER = {"ball": 0, "hinge": 1, "fixed": 2}
 
 @dataclass(frozen=True)
 class Multibody:
-    """One multibody."""
+    """A multibody of Bullet: a base and the links on it."""
 
     base: int
-    """The body that is its base; −1: a fixed base at the world's origin."""
+    """Base body; −1 for a fixed base at the world's origin."""
     links: tuple[Link, ...]
-    """Parents before children; their order is Bullet's."""
+    """Links in Bullet's order, parents before children."""
 
     @property
     def geared(self) -> list[tuple[PlacedJoint, int]]:
-        """Joints with rotors, and bodies they carry: rotors are links behind the bodies'."""
+        """Joints with rotors, and the bodies they carry; rotors are links after those of bodies."""
         joints = [(link.joint, link.body) for link in self.links]
         return [(joint, body) for joint, body in joints if joint and joint.armature]
 
     @property
     def coordinate_count(self) -> int:
-        """Rates of the base, of all joints and of rotors."""
+        """Number of rates of the base, of all joints and of rotors."""
         base = 0 if self.base == WORLD_INDEX else 6
         joints = sum(FREEDOMS[link.joint.kind] for link in self.links if link.joint)
         return base + joints + len(self.geared)
 
 
 def split(mechanism: Mechanism) -> tuple[tuple[Multibody, ...], tuple[PlacedJoint, ...]]:
-    """Give the parts, and the tree joints that have to be closed as constraints instead.
+    """Return the parts, and the tree joints that have to become constraints instead.
 
-    What hangs on the world by one joint, and every free body with what it carries, is a part of
-    its own: a constraint then works on few coordinates. Larger ones are cut further.
+    Each joint on the world starts a part, and so does each free body: a constraint then acts on
+    few coordinates. Parts that are too large are cut further.
 
     Raises:
         Unsupported: A body carries more joints that cannot be cut than a multibody can hold.
@@ -73,18 +73,18 @@ def split(mechanism: Mechanism) -> tuple[tuple[Multibody, ...], tuple[PlacedJoin
 
 
 def _cuts(mechanism: Mechanism) -> set[int]:
-    """Bodies to be cut off their tree parents, found from the tips inwards."""
+    """Find the bodies to cut off their tree parents, from the tips inwards."""
     load: dict[int, int] = {}
     carried: dict[int, list[Link]] = {link.body: [] for link in mechanism.links}
     cut: set[int] = set()
     for link in reversed(mechanism.links):
-        own = 0 if link.joint is None else _COORDINATES[link.joint.kind]
-        own += bool(link.joint and link.joint.armature)
-        outer = carried[link.body]
-        load[link.body] = own + sum(load[child.body] for child in outer)
+        count = 0 if link.joint is None else _COORDINATES[link.joint.kind]
+        count += bool(link.joint and link.joint.armature)
+        children = carried[link.body]
+        load[link.body] = count + sum(load[child.body] for child in children)
         while load[link.body] > COORDINATE_LIMIT:
-            heaviest = _best_cut(mechanism, link, outer, load)
-            outer.remove(heaviest)
+            heaviest = _best_cut(mechanism, link, children, load)
+            children.remove(heaviest)
             cut.add(heaviest.body)
             load[link.body] -= load[heaviest.body]
         if link.parent != WORLD_INDEX:
@@ -92,10 +92,10 @@ def _cuts(mechanism: Mechanism) -> set[int]:
     return cut
 
 
-def _best_cut(mechanism: Mechanism, link: Link, outer: list[Link], load: dict[int, int]) -> Link:
+def _best_cut(mechanism: Mechanism, link: Link, children: list[Link], load: dict[int, int]) -> Link:
     choices = [
         child
-        for child in outer
+        for child in children
         if child.joint and child.joint.kind in _CUT_ORDER and not child.joint.is_loaded
     ]
     if not choices:

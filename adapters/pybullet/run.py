@@ -1,4 +1,4 @@
-"""A loaded scene: trajectories out of it, and what Bullet says of its model."""
+"""A scene loaded into Bullet: its rollouts, and the readback of its native model."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ for body in range(p.getNumBodies()):
 
 
 class PyBulletRun(Run):
-    """A world of its own in a connection of its own.
+    """A run in a connection and a world of its own.
 
     Args:
-        scene: What is simulated.
-        settings: How.
-        options: All of the adapter's, by name.
+        scene: The scene to simulate.
+        settings: Method, step and options.
+        options: All options of the adapter by name.
     """
 
     def __init__(self, scene: Scene, settings: Settings, options: Mapping[str, Any]) -> None:
@@ -103,23 +103,23 @@ class PyBulletRun(Run):
     def rollout(self, batch: Batch) -> Trajectory:
         shape = (len(batch), batch.steps + 1, self._mechanism.body_count, 13)
         reading = np.full(shape, np.nan)
-        driving = with_pushes(self._mechanism.drives, batch.torque)
-        each_step = self._loads.change_within_frame(driving)
+        inputs = with_pushes(self._mechanism.drives, batch.torque)
+        each_step = self._loads.change_within_frame(inputs)
         self._set_stepping(1 if each_step else self._substeps)
         for row in range(len(batch)):
             calls = self._substeps if each_step else 1
-            self._roll(batch, row, driving[row], reading[row], calls)
+            self._roll(batch, row, inputs[row], reading[row], calls)
         states = self._model.states(reading)
         failures = self._failures(reading, states)
         return recorded(self._mechanism, states.each(np.copy), failures)
 
-    def _roll(self, batch: Batch, row: int, driving: Array, reading: Array, calls: int) -> None:
-        """Fill in what Bullet tells of every frame (frame, body, 13), up to a blow-up."""
+    def _roll(self, batch: Batch, row: int, inputs: Array, reading: Array, calls: int) -> None:
+        """Fill in the reading of every frame (frame, body, 13), up to a blow-up."""
         read, apply, advance = self._model.read, self._loads.apply, self._advance
         self._start(batch, row)
         here = reading[0] = read()
         for k in range(batch.steps):
-            force, torque = batch.force[row, k], driving[k]
+            force, torque = batch.force[row, k], inputs[k]
             if self._contact:
                 self._contact.turn(self._model.states(here), self._frame)
             for _ in range(calls):
@@ -137,7 +137,7 @@ class PyBulletRun(Run):
         self._model.put(BodyStates.of(self._mechanism, batch[[row]])[0])
 
     def _failures(self, reading: Array, state: BodyStates) -> tuple[Failure | None, ...]:
-        """Find what went wrong: Bullet never says it."""
+        """Find failures, which Bullet itself never reports."""
         finite = np.asarray(np.isfinite(reading).all(axis=(2, 3)))
         fastest = np.abs(reading[..., RATES]).max(axis=(2, 3))
         turn = self._turn(state)
@@ -158,10 +158,10 @@ class PyBulletRun(Run):
         return first_failures(~fine, reason, earliest=1)
 
     def _turn(self, state: BodyStates) -> Array:
-        """Largest angle [rad] by which a body turns against its carrier in a step, shape (…)."""
+        """Return the largest turn of a body against its carrier in a step [rad], shape (…)."""
         rate = state.angular_velocity
-        carried = np.concatenate([rate, np.zeros_like(rate[..., :1, :])], axis=-2)
-        relative = carried[..., self._turning, :] - carried[..., self._carrier, :]
+        rates = np.concatenate([rate, np.zeros_like(rate[..., :1, :])], axis=-2)
+        relative = rates[..., self._turning, :] - rates[..., self._carrier, :]
         return np.asarray(self._step * np.linalg.norm(relative, axis=-1).max(axis=-1, initial=0.0))
 
     def _set_stepping(self, substeps: int) -> None:
@@ -176,7 +176,7 @@ class PyBulletRun(Run):
         self._start(batch, 0)
         reading = self._model.read()
         state = self._model.states(reading)
-        world = self._client.function("getPhysicsEngineParameters")()
+        parameters = self._client.function("getPhysicsEngineParameters")()
         joint_axis = self._model.joint_axis()
         return Readback(
             mass=self._model.mass(),
@@ -185,8 +185,8 @@ class PyBulletRun(Run):
             orientation=self._mechanism.body_orientation(state.native),
             velocity=state.velocity,
             angular_velocity=state.angular_velocity,
-            gravity=np.array([world[f"gravityAcceleration{axis}"] for axis in "XYZ"]),
-            step=world["fixedTimeStep"] / max(1, world["numSubSteps"]),
+            gravity=np.array([parameters[f"gravityAcceleration{axis}"] for axis in "XYZ"]),
+            step=parameters["fixedTimeStep"] / max(1, parameters["numSubSteps"]),
             joint_axis=joint_axis,
             damping=self._model.damping(),
             contact=self._contact.readback(self._model.address) if self._contact else None,
@@ -213,7 +213,7 @@ class PyBulletRun(Run):
 
 
 def _script(model: Multibodies, count: int) -> str:
-    """Write the end of a script: springs, calls of the engine's step, and what came of it."""
+    """Return the end of a script: springs, calls of the engine's step, and the printed result."""
     pulls = [_pull(spring, model) for spring in model.mechanism.springs]
     springs = [_SPRINGS] if pulls else [""]
     pulls += [f"    {call}" for call in spring_calls(model)]
@@ -231,10 +231,10 @@ def _pull(spring: PointPair, model: Multibodies) -> str:
 
 
 def _divisible_step(frame: float, substeps: int) -> float:
-    """The step without its last bits, so that `substeps` of them add up without rounding.
+    """Return the step without its last bits, so that `substeps` of them add up without rounding.
 
-    Bullet counts the steps of a frame as the whole part of frame / step and carries the rest
-    over: rounded down it takes one too few, now and then.
+    Bullet takes the whole part of frame / step as the steps of a frame and carries the rest over:
+    if that rounds down, it sometimes takes one step too few.
     """
     mantissa, exponent = math.frexp(frame / substeps)
     bits = 53 - substeps.bit_length()

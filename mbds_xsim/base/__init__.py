@@ -1,1 +1,1 @@
-"""Errors, files, processes, rotations: what every other part stands on."""
+"""Errors, files, processes and rotations, used by every other part."""

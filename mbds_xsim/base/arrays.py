@@ -1,4 +1,4 @@
-"""Types of arrays; their shapes stand in the docstrings."""
+"""Array types; docstrings state the shapes."""
 
 import numpy as np
 from numpy.typing import NDArray

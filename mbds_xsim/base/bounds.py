@@ -1,4 +1,4 @@
-"""Checks of single values, each raising one line, and the base class of tables that make them."""
+"""Checks of single values, each raising a one-line error, and the base class of checked tables."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ import numpy as np
 from mbds_xsim.base.errors import SceneError
 
 Check = Callable[[str, Any], None]
-"""Raises unless a value, under its key, is allowed."""
+"""Function of a key and its value that raises `SceneError` unless the value is allowed."""
 
 _MOST = 10**9
-"""More frames than this fit into no memory."""
+"""Largest count allowed; more frames than this fit into no memory."""
 _LARGEST, _SMALLEST, _LEAST_MOMENT = 1e15, 1e-30, 1e-60
 _FARTHEST, _SHORTEST = 1e7, 1e-9  # [m]
 _LINE = re.compile(r"[^\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufffe\uffff]*")
-"""Characters that XML holds, but those that control or end a line."""
-_LONGEST_NAME = 200  # bytes, of the 255 that a file's name may have
+"""Pattern of a line of text that XML can hold, without control characters."""
+_LONGEST_NAME = 200  # bytes; a file name may have 255
 _TOO_FAR = "farther out, double precision rounds by more than 1e-9 m"
 _TOO_SMALL = "products of smaller numbers underflow"
 
 
 def rows(key: str, values: tuple[float | tuple[float, ...], ...]) -> None:
-    """Raise unless a series has rows, each of finite numbers."""
+    """Raise unless a series has at least one row and all its numbers are finite."""
     if not values:
         msg = f"{key}: got no row, allowed is one or more"
         raise SceneError(msg)
@@ -45,7 +45,7 @@ def rows(key: str, values: tuple[float | tuple[float, ...], ...]) -> None:
 
 
 def finite(key: str, values: float | tuple[float, ...]) -> None:
-    """Raise unless every number is finite, and small enough that a product of many is as well."""
+    """Raise unless every number is finite and small enough that products of several stay finite."""
     values = values if isinstance(values, tuple) else (values,)
     for value in values:
         if not math.isfinite(value):
@@ -55,32 +55,32 @@ def finite(key: str, values: float | tuple[float, ...]) -> None:
 
 
 def place(key: str, values: tuple[float, ...]) -> None:
-    """Raise unless a point is where double precision resolves 1 nm."""
+    """Raise unless a point is so near the origin that double precision resolves 1 nm."""
     finite(key, values)
     for value in values:
         _at_most(key, value, _FARTHEST, _TOO_FAR)
 
 
 def rest_length(key: str, value: float) -> None:
-    """Raise unless a length is 0 or more, and no longer than places reach."""
+    """Raise unless a length is 0 or more and within the range allowed for points."""
     at_least_zero(key, value)
     place(key, (value,))
 
 
 def interval(key: str, value: float) -> None:
-    """Raise unless frames are so far apart that something can move in between."""
+    """Raise unless the time between frames is long enough for something to move."""
     positive(key, value, least=1e-9, why="in less, 1 m/s moves a body by less than 1e-9 m")
 
 
 def share(key: str, value: float) -> None:
-    """Raise unless in [0, 1]."""
+    """Raise unless a value is in [0, 1]."""
     if not 0.0 <= value <= 1.0:
         msg = f"{key}: got {value}, allowed is 0 to 1"
         raise SceneError(msg)
 
 
 def span(key: str, values: tuple[float, float]) -> None:
-    """Raise unless two finite numbers ascend."""
+    """Raise unless two numbers are finite and the first is the smaller one."""
     finite(key, values)
     if not values[0] < values[1]:
         msg = f"{key}: got {list(values)}, allowed are two numbers, the smaller one first"
@@ -88,13 +88,13 @@ def span(key: str, values: tuple[float, float]) -> None:
 
 
 def size(key: str, value: float) -> None:
-    """Raise unless a length is above 0, resolved by places, and no longer than they reach."""
+    """Raise unless a length is at least 1 nm and within the range allowed for points."""
     positive(key, value, least=_SHORTEST, why="places are resolved to 1e-9 m")
     _at_most(key, value, _FARTHEST, _TOO_FAR)
 
 
 def positive(key: str, value: float, *, least: float = _SMALLEST, why: str = _TOO_SMALL) -> None:
-    """Raise unless finite and above 0, by `least` at the least; `why` says what that is for."""
+    """Raise unless a number is finite, above 0 and at least `least`; `why` explains that bound."""
     if not (math.isfinite(value) and value > 0):
         msg = f"{key}: got {value}, allowed is a finite number above 0"
         raise SceneError(msg)
@@ -105,7 +105,7 @@ def positive(key: str, value: float, *, least: float = _SMALLEST, why: str = _TO
 
 
 def at_least_zero(key: str, value: float) -> None:
-    """Raise unless finite and 0 or more."""
+    """Raise unless a number is finite and 0 or more."""
     if not (math.isfinite(value) and value >= 0):
         msg = f"{key}: got {value}, allowed is a finite number, 0 or more"
         raise SceneError(msg)
@@ -113,7 +113,7 @@ def at_least_zero(key: str, value: float) -> None:
 
 
 def name(key: str, value: str) -> None:
-    """Raise unless a name is text that files, engines and the heading of a page can hold."""
+    """Raise unless a name is a line of text that file names, engines and headings can hold."""
     if not _LINE.fullmatch(value):
         msg = f"{key}: got {value!r}, allowed is a line of text without control characters"
         raise SceneError(msg)
@@ -126,14 +126,14 @@ def name(key: str, value: str) -> None:
 
 
 def names(key: str, values: tuple[str, ...]) -> None:
-    """Raise unless a list names something, and nothing twice."""
+    """Raise unless a list has at least one name and no duplicates."""
     if not values or len(set(values)) < len(values):
         msg = f"{key}: got {list(values)}, allowed is one name or more, each once"
         raise SceneError(msg)
 
 
 def count(key: str, got: int, most: int, why: str) -> None:
-    """Raise unless there are few enough of something."""
+    """Raise if a number of things exceeds `most`; `why` explains that bound."""
     if got > most:
         msg = f"{key}: got {got}, allowed are {most} at most: {why}"
         raise SceneError(msg)
@@ -146,7 +146,7 @@ def _at_most(key: str, value: float, most: float, why: str) -> None:
 
 
 def at_least_one(key: str, value: int) -> None:
-    """Raise unless 1 or more, and few enough to count."""
+    """Raise unless a count is 1 or more and at most 1e9."""
     if not 1 <= value <= _MOST:
         allowed = "1 or more" if value < 1 else f"at most {_MOST}"
         msg = f"{key}: got {value}, allowed is a whole number, {allowed}"
@@ -154,7 +154,7 @@ def at_least_one(key: str, value: int) -> None:
 
 
 def direction(key: str, value: tuple[float, ...]) -> None:
-    """Raise unless a vector points somewhere."""
+    """Raise unless a vector is finite and non-zero."""
     if not all(map(math.isfinite, value)):
         finite(key, value)
     if not math.hypot(*value) > 0:
@@ -193,7 +193,7 @@ def physical_inertia(
 
 @dataclass_transform(frozen_default=True, field_specifiers=(msgspec.field,))
 class _TakesLists(msgspec.StructMeta):
-    """Lets values be given as lists or arrays: a scene is hashed, so it holds tuples."""
+    """Metaclass that turns lists and arrays into tuples, since scenes are hashed."""
 
     def __call__(cls, *values: Any, **named: Any) -> Any:
         return super().__call__(
@@ -208,39 +208,39 @@ class Neutral(
     forbid_unknown_fields=True,
     omit_defaults=True,
 ):
-    """A frozen table of a scene file; lists and arrays that it is given become tuples.
+    """A frozen table of a scene file; lists and arrays passed to it become tuples.
 
-    Fields say in their types what they allow: `Annotated[float, bounds.positive]`.
+    The type of a field names its check: `Annotated[float, bounds.positive]`.
     """
 
     added: ClassVar[tuple[str, ...]] = ()
-    """Keys that came later, whose default says nothing. It is left out of texts and fingerprints,
-    so that those of scenes without the key stay as they were."""
+    """Keys that were added later and whose default is empty. The default is left out of texts and
+    fingerprints, so that those of older scenes do not change."""
 
     def __post_init__(self) -> None:
-        """Hold every value against the bounds that its type names."""
+        """Check every value against the bounds that its type names."""
         for key, check in _bounds_of(type(self)):
             check(key, getattr(self, key))
 
     def decisive(self) -> dict[str, Any]:
-        """Give all keys, but those that came later where they say nothing."""
-        kept = ((key, getattr(self, key)) for key in self.__struct_fields__)
-        return {key: value for key, value in kept if value or key not in self.added}
+        """Return all keys and values, without keys in `added` whose value is empty."""
+        items = ((key, getattr(self, key)) for key in self.__struct_fields__)
+        return {key: value for key, value in items if value or key not in self.added}
 
 
 @functools.cache
 def _bounds_of(table: type[Neutral]) -> tuple[tuple[str, Check], ...]:
     kinds = get_type_hints(table, include_extras=True)
-    found = ((key, _bound(kinds[key])) for key in table.__struct_fields__)
-    return tuple((key, check) for key, check in found if check is not None)
+    checks = ((key, _bound(kinds[key])) for key in table.__struct_fields__)
+    return tuple((key, check) for key, check in checks if check is not None)
 
 
 def _bound(kind: Any) -> Check | None:
-    """Bound that a type names, of the value itself or of each of its items; None: none."""
+    """Return the check that a type names for its value or for each of its items; None if none."""
     inner = get_args(kind)
     if get_origin(kind) is Annotated:
         return inner[1]
-    item = next((found for found in map(_bound, inner) if found is not None), None)
+    item = next((bound for bound in map(_bound, inner) if bound is not None), None)
     if item is None:
         return None
     check = item

@@ -1,4 +1,4 @@
-"""Errors that a user can cause, each one clear line."""
+"""Errors that a user can cause, each with a clear message of one line."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 
 class InputError(Exception):
-    """What was given cannot be used. The command line prints the one line and exits with 2."""
+    """Input that cannot be used. The command line prints its one-line message and exits with 2."""
 
 
 class SceneError(InputError, ValueError):
@@ -16,30 +16,30 @@ class SceneError(InputError, ValueError):
 
 
 @contextmanager
-def located(what: str) -> Iterator[None]:
-    """Say of what in a scene an error is: of which joint, of which shape."""
+def located(part: str) -> Iterator[None]:
+    """Prefix a `SceneError` with the part of the scene that it concerns, such as a joint."""
     try:
         yield
     except SceneError as error:
-        raise SceneError(f"{what}: {error}") from error
+        raise SceneError(f"{part}: {error}") from error
 
 
 class UnknownName(InputError):
     """A name that is not registered."""
 
     @classmethod
-    def of(cls, what: str, got: str, allowed: list[str]) -> UnknownName:
-        """Say what was asked for and what there is."""
+    def of(cls, kind: str, got: str, allowed: list[str]) -> UnknownName:
+        """Create the error with the name asked for, the nearest match and the allowed names."""
         plain = {name.casefold(): name for name in reversed(allowed)}
         near = difflib.get_close_matches(str(got).casefold(), plain, n=1)
         hint = f"; did you mean {plain[near[0]]!r}? There are: " if near else "; there are: "
-        return cls(f"no {what} is called {got!r}{hint}{', '.join(allowed) or 'none'}")
+        return cls(f"no {kind} is called {got!r}{hint}{', '.join(allowed) or 'none'}")
 
 
-def check_name(what: str, got: str, allowed: Iterable[str]) -> None:
-    """Raise UnknownName where a name is none of those that there are."""
+def check_name(kind: str, got: str, allowed: Iterable[str]) -> None:
+    """Raise `UnknownName` unless a name is one of those allowed."""
     if got not in (names := list(allowed)):
-        raise UnknownName.of(what, got, names)
+        raise UnknownName.of(kind, got, names)
 
 
 class EngineMissing(InputError):

@@ -1,8 +1,8 @@
-"""Files: written whole or not at all, read without waiting for ever; folders where one run works.
+"""Files written whole or not at all and read without hanging, and folders locked by one run.
 
-What is put on the disk for good is written under another name, flushed, read back and only then
-renamed. The system's cache forgets it in between, where it can be asked to: what is read back is
-then what the disk has, and pages that nobody asks for again do not push others out of the memory.
+A file that is kept for good is written under a temporary name, flushed, read back and only then
+renamed. Where the system allows, the file is dropped from its cache in between. The bytes read back
+then come from the disk, and pages that are not needed again do not push others out of memory.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ _DATA = (".h5", ".npz", ".pt", ".toml", ".xml", ".urdf", ".sdf", ".usd", ".usda"
 
 
 def path_of(name: str, value: object) -> Path:
-    """Read a path; an empty text would be the folder one stands in.
+    """Convert a value to a path; refuse an empty text, which would mean the current folder.
 
     Raises:
-        InputError: It is none.
+        InputError: The value is not a path.
     """
     if not isinstance(value, str | Path) or value == "":
         msg = f"{name}: got {value!r}, allowed is the path of a file or folder"
@@ -45,8 +45,8 @@ def path_of(name: str, value: object) -> Path:
 def write_whole(path: Path, content: bytes) -> None:
     """Write under a temporary name in the same folder, then rename; make the folder if needed.
 
-    A link keeps pointing where it did, and a device or pipe is written to in place. What is named
-    `.gz` is packed, to the same bytes each time.
+    A symbolic link stays a link, and a device or pipe is written to in place. A file named `.gz` is
+    compressed, to the same bytes each time.
 
     Raises:
         InputError: The folder cannot be written to or the disk is full; nothing is left behind.
@@ -64,22 +64,22 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def check_regular(path: Path) -> None:
-    """Refuse a named pipe, whose reader waits for a writer, maybe for ever.
+    """Refuse a named pipe, whose reader may wait for a writer forever.
 
-    Those in /dev are meant: a shell makes one of the output of a command, `<(command)`.
+    Paths in /dev are allowed, since a shell passes the output of a command as one: `<(command)`.
 
     Raises:
-        OSError: It is one, or another thing that is neither file nor folder.
+        OSError: The path is a pipe, or something else that is neither file nor folder.
     """
     if _is_stream(path) and not path.is_dir() and path.parts[:2] != ("/", "dev"):
         raise OSError(errno.EINVAL, "not a regular file", str(path))
 
 
 def read_file(path: Path, most: int = -1) -> bytes:
-    """Read a file, unpacked where it is named `.gz`; no more than `most` bytes of it.
+    """Read a file, decompressed if it is named `.gz`; at most `most` bytes, or all if negative.
 
     Raises:
-        OSError: It cannot be read, is not a regular file, or is named `.gz` and is no such file.
+        OSError: It cannot be read, is not a regular file, or is named `.gz` but is not gzip.
     """
     check_regular(path)
     with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
@@ -90,7 +90,7 @@ def read_file(path: Path, most: int = -1) -> bytes:
 
 
 def check_writable(path: Path, option: str) -> None:
-    """Raise InputError, before long work, where `write_whole` would fail after it."""
+    """Raise InputError before long work if `write_whole` would fail after it."""
     if str(path) == "-":
         msg = f"{option}: got -, but standard output is for --json alone; name a file"
         raise InputError(msg)
@@ -105,29 +105,29 @@ def check_writable(path: Path, option: str) -> None:
     parents = path.absolute().parents
     folder = next(parent for parent in parents if os.path.lexists(parent))
     try:
-        tempfile.TemporaryFile(dir=folder).close()  # what root may do, only trying tells
+        tempfile.TemporaryFile(dir=folder).close()  # only trying shows what root may do
     except OSError as error:
         msg = f"{option}: cannot write {path}: {folder}: {error.strerror}; name another folder"
         raise InputError(msg) from error
 
 
 def check_ending(path: Path, option: str) -> None:
-    """Raise InputError where an output is named as a file of another kind, which it may replace."""
+    """Raise InputError if an output is named like another kind of file, which it might replace."""
     ending, due = path.suffix.lower(), _ENDINGS.get(option)
     picture = due == ".png"
     if due and (ending not in ("", due, ".gz") if picture else ending in _DATA):
-        what = "pictures are PNG" if picture else f"it writes no {ending}"
-        raise InputError(f"{option}: got {path}, but {what}; name it {path.with_suffix(due).name}")
+        cause = "pictures are PNG" if picture else f"it writes no {ending}"
+        raise InputError(f"{option}: got {path}, but {cause}; name it {path.with_suffix(due).name}")
 
 
 def named_in(words: Iterable[str]) -> set[str]:
-    """Give the real paths that words of a command line may name, in lists and patterns, too."""
+    """Return the real paths that command-line words may name, also within lists and patterns."""
     parts = {part for word in words for part in re.split("[=,]", word)}
     return {os.path.realpath(path) for part in parts for path in (part, *glob.glob(part))}
 
 
 def _is_stream(path: Path) -> bool:
-    """Tell /dev/null, /dev/stdout or a named pipe, which must not be replaced by a file."""
+    """Return whether a path exists but is no file: never replace /dev/null or a named pipe."""
     return path.exists() and not path.is_file()
 
 
@@ -152,14 +152,14 @@ def _umask() -> int:
 
 _PART = ".part"  # ending of files that are being written
 _LOCK = ".lock"
-_PART_BYTES = 2**21  # that are read back at a time
+_PART_BYTES = 2**21  # read back at a time
 
 
 def put(path: Path, *pieces: bytes | memoryview) -> None:
-    """Write pieces that follow each other as a file: whole after any crash, or not at all.
+    """Write pieces one after the other to a file, which is whole or absent after any crash.
 
     Raises:
-        InputError: It cannot be written, or does not read back as it was written.
+        InputError: The file cannot be written, or does not read back as it was written.
     """
     part = path.with_name(f".{path.name}.{socket.gethostname()}-{os.getpid()}{_PART}")
     try:
@@ -177,13 +177,13 @@ def put(path: Path, *pieces: bytes | memoryview) -> None:
         )
         raise InputError(msg) from error
     finally:
-        with suppress(OSError):  # where a file stands in place of the folder there is no part
+        with suppress(OSError):  # there is no part if the folder's name is taken by a file
             part.unlink()
 
 
 @contextmanager
 def tidied(folders: Iterable[Path]) -> Iterator[None]:
-    """Remove what writers left behind that were killed, before the block and in it."""
+    """Remove the partial files of killed writers, both before and after the block."""
     every = list(folders)
 
     def clean() -> None:
@@ -235,7 +235,7 @@ def _write(path: Path, pieces: Pieces) -> None:
 
 
 def _reads_back(path: Path, pieces: Pieces) -> bool:
-    """Tell whether the disk has these bytes."""
+    """Return whether the file on the disk has exactly these bytes."""
     with path.open("rb") as file:
         same = all(_follows(file, memoryview(piece)) for piece in pieces) and not file.read(1)
         _forget(file)
@@ -243,19 +243,19 @@ def _reads_back(path: Path, pieces: Pieces) -> bool:
 
 
 def _follows(file: IO[bytes], piece: memoryview) -> bool:
-    """Tell whether a file goes on with these bytes."""
+    """Return whether a file continues with these bytes."""
     parts = (piece[at : at + _PART_BYTES] for at in range(0, len(piece), _PART_BYTES))
     return all(file.read(len(part)).startswith(part) for part in parts)
 
 
 def _forget(file: IO[bytes]) -> None:
-    """Take a file out of the system's cache, where there is a way to."""
+    """Drop a file from the system's cache, where the system allows it."""
     if hasattr(os, "posix_fadvise"):
         os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
 
 
 def _flush_folder(folder: Path) -> None:
-    """Make the new name as durable as the bytes."""
+    """Make a new file name as durable as the bytes of the file."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)

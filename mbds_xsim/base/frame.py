@@ -1,4 +1,4 @@
-"""Packages that not everybody has, and results as data frames of one of them."""
+"""Imports of optional packages, and conversion of results to pandas data frames."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from mbds_xsim.base.errors import InputError
 
 
 def optional(module: str, wanted_by: str, extra: str) -> Any:
-    """Import what is part of an optional package.
+    """Import a module of an optional package.
 
     Raises:
-        InputError: The package is not installed; the line says what needs it, and what to do.
+        InputError: The package is not installed; the line says what needs it, and how to get it.
     """
     try:
         return importlib.import_module(module)
@@ -29,7 +29,7 @@ def optional(module: str, wanted_by: str, extra: str) -> Any:
 
 
 def frame_of(rows: Sequence[Any]) -> Any:
-    """Give a `pandas.DataFrame` with a row for each struct and a column for each field.
+    """Return a `pandas.DataFrame` with a row for each struct and a column for each field.
 
     Raises:
         InputError: pandas is not installed.

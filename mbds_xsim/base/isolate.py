@@ -1,9 +1,9 @@
 """Run tasks side by side, each in a fresh process of its own.
 
 An engine may crash its process, hang, or keep settings that outlive a disconnect: none of that
-may touch another result. The processes are forks of one that has imported no engine, since engines
-do not survive a fork; `multiprocessing` is not used, since it imports a user's script once more in
-each process, which a script without a main guard does not survive.
+may affect another result. The processes are forks of one that has imported no engine, since engines
+do not survive a fork. `multiprocessing` is not used: it would import the user's script again in
+each process, which breaks a script without a main guard.
 """
 
 from __future__ import annotations
@@ -21,56 +21,55 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
-from mbds_xsim.base.process import Spent, held_back, memory_bytes
+from mbds_xsim.base.process import Usage, hold_interruptions, memory_bytes
 from mbds_xsim.base.text import in_utf8
 
 LIMIT = 3600.0
-"""Longest that one piece of work may take where nothing else is asked for [s]."""
+"""Default time limit of one task [s]."""
 
-_POLL_MS = 10  # longest wait for what the starter says
-_START_UP = 600.0  # longest that a process may import what its task names [s]
+_POLL_MS = 10  # longest wait for a report of the starter
+_START_UP = 600.0  # time limit for a task's imports [s]
 _SHARE = 0.8  # of the machine's memory, for all processes together
-_KEPT = 2**29  # bytes of an array, up to which its memory is used again
-_TAIL = 400  # characters of an engine's last words
+_REUSE = 2**29  # largest array whose memory is reused [bytes]
+_TAIL = 400  # characters read from the end of a log
 
 
 @dataclass(frozen=True)
 class Task:
-    """A picklable function of a module, with its arguments."""
+    """A picklable module-level function with its arguments."""
 
     function: Callable[..., Any]
     arguments: tuple[Any, ...]
     timeout: float = LIMIT
-    """Of its own time [s]: neither the start of its process nor what other work on the machine
-    keeps it from counts."""
+    """Time limit [s]; starting the process and waiting for busy cores do not count."""
     after: int | None = None
-    """Place, among the tasks carried out with it, of one that has to end before."""
+    """Index, in the list of tasks, of a task that must end before this one starts."""
 
 
 @dataclass(frozen=True)
 class Crash:
-    """What a task left instead of an answer."""
+    """Record of a task that ended without an answer."""
 
     reason: str
     refused: bool = False
-    """The task was refused by an `InputError`, whose text is the reason."""
+    """Whether the task raised an `InputError`, whose text is the reason."""
     timed_out: bool = field(default=False, compare=False)
-    """The task was ended at its time limit."""
+    """Whether the task was ended at its time limit."""
 
     @property
     def kind(self) -> Literal["refused", "timed out", "crashed"]:
-        """How it ended."""
+        """Way in which the task ended."""
         return "refused" if self.refused else "timed out" if self.timed_out else "crashed"
 
 
 def begin(path: Path | None = None) -> None:
-    """Say that the work proper of this process's task begins now, and its time from here on.
+    """Report that the actual work of this process's task begins now, and restart its clock.
 
-    The worker says so once what a task names is imported; a task may again, where it has loaded an
-    engine, or goes on to its next part. Elsewhere it does nothing.
+    The worker calls this once the imports of a task are done. A task may call it again after it has
+    loaded an engine, or before its next part. Outside a worker it does nothing.
 
     Args:
-        path: Of the file by which it is said, from now on.
+        path: File that is touched as the report, now and in later calls.
     """
     global _begun
     _begun = path or _begun
@@ -79,7 +78,7 @@ def begin(path: Path | None = None) -> None:
 
 
 def in_worker() -> bool:
-    """Say whether this process carries out a task of another."""
+    """Return whether this process carries out a task of another process."""
     return _begun is not None
 
 
@@ -87,12 +86,12 @@ _begun: Path | None = None
 
 
 def core_count() -> int:
-    """Cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Carrier(Protocol):
-    """What carries tasks out: `run_tasks`, or a cluster."""
+    """Function that carries out tasks: `run_tasks`, or one that sends them to a cluster."""
 
     def __call__(
         self,
@@ -101,7 +100,7 @@ class Carrier(Protocol):
         workers: int | None = None,
         finished: Callable[[int, Any], None] | None = None,
     ) -> list[Any]:
-        """Give one answer a task, or a `Crash`; in the order of the tasks."""
+        """Return one answer or `Crash` for each task, in the order of the tasks."""
 
 
 def run_tasks(
@@ -112,20 +111,20 @@ def run_tasks(
     finished: Callable[[int, Any], None] | None = None,
     packages: Path | None = None,
 ) -> list[Any]:
-    """Carry out all tasks, in order of their listing as workers come free.
+    """Carry out all tasks, starting them in the order of the list as workers become free.
 
     Args:
-        tasks: What to do; list the longest first, and what others wait for before these.
-        workers: Processes at a time; all cores when left out. 0 runs the tasks in this process,
-            one after the other, for debuggers and for tests that change what a task does: there
-            is no timeout then, and an error is raised where it happens.
-        started: Called with a task's place as its process begins.
-        finished: Called with a task's place and answer as each one ends, in place of the next
-            process, which waits for it to return; so no more of them work than were asked for.
-        packages: Folder whose packages the processes have in place of this one's.
+        tasks: Tasks, the longest first, but each one before those that wait for it.
+        workers: Number of processes at a time; one per core by default. 0 runs the tasks in this
+            process, one after the other, for debuggers and for tests that change what a task does:
+            there is no timeout then, and an error is raised where it happens.
+        started: Called with the index of a task when its process begins.
+        finished: Called with the index and answer of each task when it ends. The next process
+            starts only after it returns, so that no more processes work than were asked for.
+        packages: Folder of packages that the processes import in preference to all others.
 
     Returns:
-        One answer a task, or a `Crash`.
+        One answer or `Crash` for each task, in the order of the tasks.
     """
     if workers == 0:
         return [_run_here(place, task, started, finished) for place, task in enumerate(tasks)]
@@ -136,7 +135,7 @@ def run_tasks(
     ended: set[int | None] = {None}
     running: list[_Process] = []
     with (
-        held_back() as held,
+        hold_interruptions() as interruptions,
         tempfile.TemporaryDirectory(prefix="mbds-xsim-") as folder,
     ):
         starter = _Starter(tasks, Path(folder), packages)
@@ -146,7 +145,7 @@ def run_tasks(
             while waiting or running:
                 while len(running) < most and (ready := _ready(tasks, waiting, ended)):
                     waiting.remove(place := ready[0])
-                    if starter.over:  # something has killed it
+                    if starter.over:  # it was killed
                         starter.end()
                         starter = _Starter(tasks, Path(folder), packages)
                     running.append(_Process(place, tasks[place], starter))
@@ -159,22 +158,22 @@ def run_tasks(
                     ended.add(process.place)
                     answers[process.place] = process.answer()
                     if finished is not None:
-                        with held.released():
+                        with interruptions.released():
                             finished(process.place, answers[process.place])
-                held.let_through()
+                interruptions.let_through()
         finally:
             starter.end()
     return answers
 
 
 def _keep_within(memory: float, running: Sequence[_Process]) -> None:
-    """End the largest process where all together have more than so many bytes."""
+    """End the largest process if all together use more than `memory` bytes."""
     if sum(process.bytes for process in running) > memory:
         max(running, key=lambda process: process.bytes).end_for_memory()
 
 
 def _ready(tasks: Sequence[Task], waiting: list[int], ended: set[int | None]) -> list[int]:
-    """List the tasks that wait for no other."""
+    """List the waiting tasks that may start, since the task before them has ended."""
     return [place for place in waiting if tasks[place].after in ended]
 
 
@@ -193,18 +192,18 @@ def _run_here(
 
 
 class _Starter:
-    """The process that starts those of the tasks, and what it says of them."""
+    """The process that starts the task processes, and its reports about them."""
 
     def __init__(self, tasks: Sequence[Task], folder: Path, packages: Path | None) -> None:
         modules = {str(getattr(task.function, "__module__", "")) for task in tasks}
         own = sorted(name for name in modules if name.startswith("mbds_xsim."))
         threads = {key: "1" for key in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
-        # A toolkit for windows takes as long as MuJoCo itself; numba colours what it throws away.
+        # Importing a window toolkit takes as long as MuJoCo; numba colours messages it discards.
         plain = {"MUJOCO_GL": "disable", "NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING": "1"}
         first = {} if packages is None else {"PYTHONPATH": _before(packages)}
-        # Arrays of megabytes come and go; memory that the system gives anew each time costs more
-        # than what most checks do with it.
-        memory = f"glibc.malloc.mmap_threshold={_KEPT}:glibc.malloc.trim_threshold={4 * _KEPT}"
+        # Arrays of megabytes come and go; to get their memory from the system each time would cost
+        # more time than most checks spend on them.
+        memory = f"glibc.malloc.mmap_threshold={_REUSE}:glibc.malloc.trim_threshold={4 * _REUSE}"
         self.folder, self.log = folder, folder / "starter.log"
         with self.log.open("wb") as log:
             self._popen = subprocess.Popen(
@@ -213,7 +212,7 @@ class _Starter:
                 stdout=subprocess.PIPE,
                 stderr=log,
                 env={"GLIBC_TUNABLES": memory} | plain | os.environ | threads | first,
-                cwd=folder,  # engines drop log files where they stand
+                cwd=folder,  # engines write log files into the current folder
                 bufsize=0,
             )
         assert self._popen.stdin is not None
@@ -224,29 +223,29 @@ class _Starter:
         self._news.register(self._words, select.POLLIN)
         self.number = self._popen.pid
         self.processes: dict[int, int] = {}
-        """Numbers of processes by the places of their tasks."""
+        """Process ids, keyed by the index of the task."""
         self.codes: dict[int, int] = {}
-        """How they ended: exit codes, or minus the number of a signal."""
+        """Exit codes, or minus the number of a signal, keyed by the index of the task."""
         self.over = False
-        """Whether it has ended itself, and all that it started."""
+        """Whether the starter and all processes that it started have ended."""
 
     def order(self, order: Literal["start", "kill"], place: int) -> None:
         with suppress(BrokenPipeError):  # `listen` will notice
             self._orders.write(f"{order} {place}\n".encode())
 
     def listen(self) -> None:
-        """Take in what it has said since, or says within a moment."""
+        """Read the starter's new reports, waiting a moment for one."""
         words = None
         self._news.poll(_POLL_MS)
         while not self.over and (words := self._words.read(4096)):
             *lines, self._read = (self._read + words).split(b"\n")
             for line in lines:
-                what, place, number = line.decode().split()
-                (self.processes if what == "began" else self.codes)[int(place)] = int(number)
+                event, place, number = line.decode().split()
+                (self.processes if event == "began" else self.codes)[int(place)] = int(number)
         self.over = self.over or words is not None
 
     def end(self, *, at_once: bool = False) -> None:
-        """Let it end, and all that it started."""
+        """End the starter and all processes that it started."""
         self.over = True
         if at_once:
             self._popen.kill()
@@ -266,7 +265,7 @@ class _Process:
         question = pickle.dumps((task.function, task.arguments))
         self._file.with_suffix(".task").write_bytes(question)
         starter.order("start", place)
-        self._spent, self._number = Spent(starter.number), 0
+        self._usage, self._number = Usage(starter.number), 0
         self._limit, self._since = _START_UP, 0
         self._timed_out, self._took = False, 0
 
@@ -275,20 +274,20 @@ class _Process:
             return True
         if not self._number and self.place in self._starter.processes:
             self._number = self._starter.processes[self.place]
-            self._spent = Spent(self._number)
-        if self._spent.look():
+            self._usage = Usage(self._number)
+        if self._usage.look():
             if self._begun.exists() and (since := self._begun.stat().st_mtime_ns) != self._since:
                 self._limit, self._since = self._task.timeout, since
-                self._spent.seconds = 0.0
-            if self._spent.seconds > self._limit:
+                self._usage.seconds = 0.0
+            if self._usage.seconds > self._limit:
                 self._timed_out = True
                 self.kill()
         return False
 
     @property
     def bytes(self) -> int:
-        """Memory that it has."""
-        return self._spent.bytes if self._number else 0
+        """Resident memory of the process."""
+        return self._usage.bytes if self._number else 0
 
     def end_for_memory(self) -> None:
         self._took = self.bytes
@@ -306,7 +305,7 @@ class _Process:
             return Crash(self._last_words(), timed_out=self._timed_out)
         try:
             kind, value = pickle.loads(path.read_bytes())
-        except Exception as error:  # it may hold what only that process could make
+        except Exception as error:  # it may hold objects only that process can make
             return Crash(f"its answer cannot be read: {type(error).__name__}: {error}")
         return value if kind == "done" else Crash(in_utf8(value), refused=kind == "input error")
 
@@ -326,7 +325,7 @@ class _Process:
 
 
 def _before(packages: Path) -> str:
-    """Give the places in which Python looks for packages, with one before all others."""
+    """Return the value of PYTHONPATH with a folder put before all others."""
     return os.pathsep.join(filter(None, (str(packages.absolute()), os.environ.get("PYTHONPATH"))))
 
 
@@ -336,64 +335,64 @@ def _tail(log: Path) -> str:
 
 
 class Meter(Protocol):
-    """Where work reports its progress."""
+    """Receiver of progress reports."""
 
     def begin(self, total: int) -> None:
-        """Say how many tasks there are."""
+        """Report the number of tasks."""
 
-    def advance(self, what: str) -> None:
+    def advance(self, work: str) -> None:
         """Count one task as done."""
 
-    def doing(self, what: str) -> None:
-        """Say what is being done now."""
+    def doing(self, work: str) -> None:
+        """Report the current activity."""
 
     def notice(self, line: str) -> None:
-        """Say what is to stay and be read."""
+        """Show a line that is to stay visible."""
 
     def forecast(self, left_s: float) -> None:
-        """Say how much work is left [s of one worker]."""
+        """Report the remaining work [s of one worker]."""
 
 
 class Silent:
     """Progress sink that discards everything."""
 
     def begin(self, total: int, done: int = 0) -> None:
-        """Discard how much there is."""
+        """Discard the number of tasks."""
 
-    def advance(self, what: str) -> None:
-        """Discard what is done."""
+    def advance(self, work: str) -> None:
+        """Discard a finished task."""
 
     def made(self, done: int, rejected: int) -> None:
-        """Discard how many trajectories there are."""
+        """Discard the numbers of trajectories."""
 
-    def doing(self, what: str) -> None:
-        """Discard what is under way."""
+    def doing(self, work: str) -> None:
+        """Discard the current activity."""
 
     def notice(self, line: str) -> None:
-        """Discard what was to be read."""
+        """Discard a line."""
 
     def forecast(self, left_s: float) -> None:
-        """Discard how long it will take."""
+        """Discard the remaining work."""
 
 
 @dataclass(frozen=True)
 class Conduct:
-    """How work is carried out, which decides none of its figures."""
+    """Options of how work is carried out; none of them changes a result."""
 
     workers: int | None = None
-    """Processes at a time; all cores when None, none but this one for 0."""
+    """Number of processes at a time; one per core if None, only this process if 0."""
     cache: bool = True
-    """Whether stored solutions may be used, and are kept."""
+    """Whether stored solutions may be used, and new ones are stored."""
     fresh: bool = False
-    """Whether what was measured earlier is measured again."""
+    """Whether earlier measurements and installations are repeated."""
     meter: Meter = field(default_factory=Silent)
 
     @property
     def processes(self) -> int:
-        """Processes at a time."""
+        """Number of processes at a time."""
         return core_count() if self.workers is None else self.workers
 
 
 USUAL = Conduct()
 HERE = Conduct(workers=0)
-"""In this process alone."""
+"""Options for work in this process alone."""

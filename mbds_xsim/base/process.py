@@ -1,4 +1,4 @@
-"""Processes: what one has used, its interruptions, and what it writes past Python's streams."""
+"""Time and memory of a process, its interruptions, and output that bypasses Python's streams."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from pathlib import Path
 from types import FrameType
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_EVERY = 0.05  # time between two looks [s]
-_GAP = 1.0  # the most that one look adds: who looks may have been suspended [s]
+_EVERY = 0.05  # shortest time between two looks [s]
+_GAP = 1.0  # most time that one look adds, as this process may have been suspended [s]
 
 
-class Spent:
-    """Watches another process: time of its own, and memory.
+class Usage:
+    """Watcher of another process's memory and of the time that it has used.
 
-    Its time is that of the processor while it runs, and of the clock while it sleeps. What waits
-    for its turn on a busy machine uses none; what waits for something else, maybe for ever, does.
-    Where the system does not tell (elsewhere than on Linux) it is that of the clock.
+    A running process uses processor time, and a sleeping one wall-clock time. Waiting for a core of
+    a busy machine thus uses no time, but waiting for something else, maybe forever, does. Where the
+    system reports no processor time (elsewhere than on Linux), all time is wall-clock time.
 
     Args:
-        process: Its number.
+        process: Process id.
     """
 
     def __init__(self, process: int) -> None:
@@ -33,10 +33,10 @@ class Spent:
         self._cpu = 0.0
         self.seconds = 0.0
         self.bytes = 0
-        """Of memory, at the last look."""
+        """Resident memory at the last look [bytes]."""
 
     def look(self) -> bool:
-        """Bring the figures up to date; says whether it was time to."""
+        """Update the figures unless the last look was just now; return whether it did so."""
         now = time.monotonic()
         passed = now - self._last
         if passed < _EVERY:
@@ -44,14 +44,14 @@ class Spent:
         self._last = now
         try:
             state, cpu, self.bytes = self._stat()
-        except OSError:  # it has ended, or nothing tells
+        except OSError:  # it has ended, or this is not Linux
             state, cpu = "", self._cpu
         used, self._cpu = cpu - self._cpu, cpu
         self.seconds += min(used if state == "R" else passed, passed, _GAP)
         return True
 
     def _stat(self) -> tuple[str, float, int]:
-        """State, processor time [s] and resident memory [bytes]; see proc(5)."""
+        """Read state, processor time [s] and resident memory [bytes]; see proc(5)."""
         text = (self._folder / "stat").read_text(errors="replace")
         words = text.rpartition(")")[2].split()
         ticks = int(words[11]) + int(words[12])
@@ -59,7 +59,7 @@ class Spent:
 
 
 def memory_bytes() -> float:
-    """Memory that this process and its children may have together."""
+    """Return the memory that this process and its children may use together [bytes]."""
     bounds = [float(os.sysconf("SC_PHYS_PAGES") * _page())]
     for name in ("memory.max", "memory/memory.limit_in_bytes"):  # of a container
         limit = Path("/sys/fs/cgroup", name)
@@ -72,39 +72,39 @@ def _page() -> int:
     return os.sysconf("SC_PAGE_SIZE")
 
 
-class Held:
-    """Interruptions that wait until they are let through.
+class Interruptions:
+    """Interruptions that are held back until they are let through.
 
-    Signals that no Python function handles stay as they are, and so does everything outside the
-    main thread, where none arrive.
+    Signals without a handler in Python are left alone. Outside the main thread, where no signals
+    arrive, nothing is held back.
     """
 
     def __init__(self) -> None:
         main = threading.current_thread() is threading.main_thread()
-        found = {int(number): signal.getsignal(number) for number in _SIGNALS if main}
-        self._handlers = {number: handler for number, handler in found.items() if callable(handler)}
+        actions = {int(number): signal.getsignal(number) for number in _SIGNALS if main}
+        self._handlers = {number: action for number, action in actions.items() if callable(action)}
         self._came: list[tuple[int, FrameType | None]] = []
 
     def let_through(self) -> None:
-        """Let one through that came in the meantime."""
+        """Let those through that have arrived in the meantime."""
         while self._came:
             number, frame = self._came.pop()
             self._handlers[number](number, frame)
 
     def hold(self) -> None:
-        """Let none through from now on."""
+        """Hold all interruptions back from now on."""
         for number in self._handlers:
             signal.signal(number, lambda *interruption: self._came.append(interruption))
 
     def release(self) -> None:
-        """Let all through from now on."""
+        """Let all interruptions through from now on, beginning with those held back."""
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
         self.let_through()
 
     @contextmanager
     def released(self) -> Iterator[None]:
-        """Let all through at once meanwhile."""
+        """Let all interruptions through at once during the block."""
         try:
             self.release()
             yield
@@ -113,19 +113,19 @@ class Held:
 
 
 @contextmanager
-def held_back() -> Iterator[Held]:
-    """Hold interruptions back; gives what lets them through.
+def hold_interruptions() -> Iterator[Interruptions]:
+    """Hold interruptions back during the block; yield the object that lets them through.
 
-    Python raises `KeyboardInterrupt` between any two steps: a process that is being started then
-    belongs to nobody, and where `subprocess` has just taken the lock under which it asks for a
-    process's end, it never gives it back, so that waiting for that end takes forever.
+    Python may raise `KeyboardInterrupt` between any two steps. A process that is just being started
+    would then have no owner. If `subprocess` had just taken the lock under which it asks whether a
+    process has ended, it would never release it, and waiting for that end would take forever.
     """
-    held = Held()
-    held.hold()
+    interruptions = Interruptions()
+    interruptions.hold()
     try:
-        yield held
+        yield interruptions
     finally:
-        held.release()
+        interruptions.release()
 
 
 @contextmanager

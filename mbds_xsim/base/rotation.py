@@ -1,7 +1,7 @@
 """Unit quaternions (wxyz) and rotations, vectorised over leading axes.
 
-What is made lies in memory as the first operand does: where its components are apart, all is done
-several times faster.
+A result has the memory layout of the first operand. Everything is several times faster if that
+layout stores each component contiguously.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ IDENTITY.flags.writeable = False
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Cross products along the last axis: numpy's, bit for bit, without its detours."""
+    """Cross products along the last axis, bit for bit those of numpy but faster."""
     a0, a1, a2 = a[..., 0], a[..., 1], a[..., 2]
     b0, b1, b2 = b[..., 0], b[..., 1], b[..., 2]
     product = np.empty_like(a, float, shape=np.broadcast_shapes(a.shape, b.shape))
@@ -26,7 +26,7 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def norm(v: Array) -> Array:
-    """Lengths along a short last axis: numpy's, bit for bit, without its detours."""
+    """Lengths along a short last axis, bit for bit those of numpy but faster."""
     square = v[..., 0] ** 2
     for k in range(1, v.shape[-1]):
         square += v[..., k] ** 2
@@ -34,7 +34,7 @@ def norm(v: Array) -> Array:
 
 
 def dot(a: Array, b: Array) -> Array:
-    """Scalar products along a last axis of three: numpy's sums, without their detours."""
+    """Scalar products along a last axis of three, the same sums as numpy's but faster."""
     return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])
 
 
@@ -82,7 +82,7 @@ def matrix(q: Array) -> Array:
 
 
 def from_matrix(r: Array) -> Array:
-    """Unit quaternions of rotation matrices, by the largest of the four components."""
+    """Unit quaternions of rotation matrices, computed from the largest of the four components."""
     m00, m11, m22 = r[..., 0, 0], r[..., 1, 1], r[..., 2, 2]
     # Each column is 4·(component)·q; the longest one is the well-conditioned one.
     a, b, c = r[..., 2, 1] - r[..., 1, 2], r[..., 0, 2] - r[..., 2, 0], r[..., 1, 0] - r[..., 0, 1]
@@ -125,11 +125,11 @@ def to_vector(q: Array) -> Array:
 def continuous(q: Array, first: Array) -> Array:
     """Choose between q and −q, the same rotation, so that frames follow each other closely.
 
-    What is learned from orientations, or differences them, would take a change of sign for a jump.
+    Learned models and finite differences would take a change of sign for a jump.
 
     Args:
         q: Unit quaternions, shape (trajectory, frame, …, 4); NaN where there is none.
-        first: Those that frame 0 must be near, shape (trajectory, …, 4).
+        first: Unit quaternions to which frame 0 must be near, shape (trajectory, …, 4).
     """
     before = np.concatenate([first[:, None], q[:, :-1]], axis=1)
     turned = np.sum(before * q, axis=-1, keepdims=True) < 0
@@ -137,7 +137,7 @@ def continuous(q: Array, first: Array) -> Array:
 
 
 def between(a: Array, b: Array) -> Array:
-    """Give the smallest rotation that takes direction a to direction b (not opposite to a)."""
+    """Return the smallest rotation that takes direction a to direction b (not opposite to a)."""
     a = a / np.linalg.norm(a, axis=-1, keepdims=True)
     b = b / np.linalg.norm(b, axis=-1, keepdims=True)
     q = np.concatenate([1.0 + np.sum(a * b, axis=-1, keepdims=True), np.cross(a, b)], axis=-1)
@@ -160,9 +160,9 @@ def normal_to(axes: Array) -> tuple[Array, Array]:
 
 
 def squares(vectors: Array) -> Array:
-    """Squared lengths as numpy has them of single vectors, shape (…, 1).
+    """Squared lengths as numpy computes them for single vectors, shape (…, 1).
 
-    These are dot products, which round otherwise than sums.
+    These are dot products, which round differently from sums.
     """
     each = [vector @ vector for vector in vectors.reshape(-1, 3)]
     return np.reshape(each, (*vectors.shape[:-1], 1))

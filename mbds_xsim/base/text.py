@@ -1,7 +1,7 @@
-"""Numbers in texts, and texts of scenes, files and engines made safe where they are shown.
+"""Numbers written as text, and safe display of texts from scenes, files and engines.
 
-Whatever a scene calls itself is data: it neither moves a terminal's cursor, nor becomes markup of
-a page, nor a formula of a spreadsheet. HTML is escaped by its templates.
+The name of a scene is data: it must not move a terminal's cursor, nor become markup of a page or a
+formula of a spreadsheet. HTML is escaped by its templates.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import TypeVar, cast
 import msgspec
 
 _EXACT = 18
-"""More digits than any number has that differs from another."""
+"""One more than the digits that distinguish any two double-precision numbers."""
 
 
 def counted(number: int | None, one: str, several: str = "") -> str:
@@ -32,13 +32,13 @@ def counted(number: int | None, one: str, several: str = "") -> str:
 def apart(
     figure: float, budget: float, write: Callable[[float, int], str], least: int
 ) -> tuple[str, str]:
-    """Write a figure and its budget; one beyond it never reads as kept: `3.004` beside `3`.
+    """Write a figure and its budget; a figure above it never reads the same: `3.004` and `3`.
 
     Args:
-        figure: What was measured.
-        budget: What is allowed.
-        write: Writes a number with a number of digits.
-        least: How many digits suffice elsewhere.
+        figure: Measured value.
+        budget: Largest allowed value.
+        write: Function that writes a number with a given number of digits.
+        least: Number of digits to start with.
     """
     texts = ((write(figure, count), write(budget, count)) for count in range(least, _EXACT))
     pair = next(texts)
@@ -49,7 +49,7 @@ def apart(
 
 T = TypeVar("T")
 
-# Control characters, C1 among them, and what reorders or hides text, but for line feed and tab.
+# Control characters (also C1, but not line feed and tab) and characters that reorder or hide text.
 _UNPRINTABLE = re.compile(
     r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb"
     r"\U000e0000-\U000e007f]"
@@ -63,22 +63,22 @@ _COMMANDS = re.compile(r"(\w+_)?command")
 
 
 def each_once(names: list[str] | None) -> list[str] | None:
-    """Let what is named twice count once."""
+    """Remove repeated names, keeping the order."""
     return names and list(dict.fromkeys(names))
 
 
 def in_utf8(text: str) -> str:
-    """Escape what cannot be written into a file: bytes of a file's name that are no UTF-8."""
+    """Escape characters that UTF-8 cannot encode, such as odd bytes of a file name."""
     return text.encode("utf-8", "backslashreplace").decode()
 
 
 def printable(text: str) -> str:
-    """Replace what a terminal would obey or hide by `�`."""
+    """Replace characters that a terminal would obey or hide by `�`."""
     return _UNPRINTABLE.sub("�", in_utf8(text))
 
 
 def on_a_line(text: str) -> str:
-    """Fold white space, and replace what a terminal would obey."""
+    """Fold white space, and replace characters that a terminal would obey or hide."""
     return printable(" ".join(text.split()))
 
 
@@ -88,8 +88,8 @@ def in_figure(text: str) -> str:
 
 
 def in_json(text: str) -> str:
-    """Escape in JSON what a terminal would obey; it means the same."""
-    return _UNPRINTABLE.sub(lambda found: json.dumps(found[0])[1:-1], text)
+    """Escape characters of JSON that a terminal would obey; the meaning stays the same."""
+    return _UNPRINTABLE.sub(lambda match: json.dumps(match[0])[1:-1], text)
 
 
 def in_markdown(value: T) -> T:
@@ -108,13 +108,13 @@ def as_code(text: str) -> str:
 
 
 def sentence(text: str) -> str:
-    """Write a text as a sentence with a blank behind it; nothing for an empty one."""
+    """Write a text as a sentence followed by a space; an empty text stays empty."""
     stop = "" if text.endswith((".", ":", "?", "!")) else "."
     return f"{text[0].upper()}{text[1:]}{stop} " if text else ""
 
 
 def csv_text(rows: Iterable[Iterable[object]]) -> str:
-    """Write rows of cells; a text that a spreadsheet would compute gets an apostrophe before it."""
+    """Write rows of cells as CSV; put an apostrophe before text a spreadsheet would compute."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerows([_cell(cell) for cell in row] for row in rows)

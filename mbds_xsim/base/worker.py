@@ -2,9 +2,9 @@
 
 One process, the *starter*, imports what the tasks have in common (no engine) and forks for each of
 them: a task has a process of its own, as fresh as a new interpreter, without the time that its
-imports take. The starter takes orders from standard input, "start PLACE" or "kill PLACE", and says
-on standard output "began PLACE PROCESS" and "ended PLACE CODE". When it ends, or whoever gives the
-orders does, all tasks end.
+imports take. The starter takes orders from standard input, "start PLACE" or "kill PLACE", and
+reports "began PLACE PROCESS" and "ended PLACE CODE" on standard output; PLACE is the index of the
+task. When the starter or the process that gives the orders ends, all tasks end.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from mbds_xsim.base.isolate import begin
 class _ForkServer:
     def __init__(self) -> None:
         self._out = os.dup(1)
-        os.dup2(2, 1)  # what an import prints is not for whoever gives the orders
+        os.dup2(2, 1)  # imports may print, but this pipe is for reports only
         self._woken, self._waking = os.pipe()
-        self._lifeline, self._held = os.pipe()
-        self._running: dict[str, int] = {}  # processes by the places of their tasks
-        # For whoever gives the orders to act on, who may ignore it as well.
+        self._lifeline, self._far_end = os.pipe()
+        self._running: dict[str, int] = {}  # process ids, keyed by the index of the task
+        # The process that gives the orders decides how to act on interruptions.
         self._interrupted = signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.signal(signal.SIGCHLD, lambda *_: None)
         os.set_blocking(self._waking, False)
@@ -83,7 +83,7 @@ class _ForkServer:
         log = os.open(f"{place}.log", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         for number, target in ((0, self._lifeline), (1, log), (2, log)):
             os.dup2(target, number)
-        for number in (self._out, self._woken, self._waking, self._lifeline, self._held, log):
+        for number in (self._out, self._woken, self._waking, self._lifeline, self._far_end, log):
             os.close(number)
         if not alone:
             command = [sys.executable, "-m", "mbds_xsim.base.worker", "--task", place]
@@ -92,10 +92,10 @@ class _ForkServer:
 
 
 def _thread_count() -> int:
-    """Threads of this process. A fork copies just one of them, and maybe locks of the others."""
+    """Count this process's threads. A fork copies only one, and perhaps locks of the others."""
     try:
         return len(os.listdir("/proc/self/task"))
-    except OSError:  # not to be known here, as elsewhere than on Linux
+    except OSError:  # unknown, as on systems other than Linux
         return 2
 
 
@@ -114,18 +114,18 @@ def _carry_out(place: Path) -> None:
     partial.write_bytes(pickle.dumps(answer, protocol=pickle.HIGHEST_PROTOCOL))
     os.replace(partial, place.with_suffix(".answer"))
     sys.stdout.flush()
-    # The answer is there: an engine that hangs while it is taken down is not waited for.
+    # The answer is stored: do not wait for an engine that may hang while it shuts down.
     os._exit(0)
 
 
 def _be_first_to_go() -> None:
-    """Where memory runs out, the system is to end this process, and not the one that waits."""
-    with contextlib.suppress(OSError):  # there is no such file elsewhere than on Linux
+    """Make the system end this process, not the one that waits for it, if memory runs out."""
+    with contextlib.suppress(OSError):  # only Linux has this file
         Path("/proc/self/oom_score_adj").write_text("1000")
 
 
 def _end_with_starter() -> None:
-    """Standard input ends when the starter does, be it killed: no engine goes on for nobody."""
+    """End this process when standard input ends: the starter has ended or was killed."""
     # Not sys.stdin, whose lock a waiting thread would hold when the interpreter shuts down.
     os.read(0, 1)
     os._exit(1)
@@ -136,11 +136,11 @@ def _main(words: list[str]) -> None:
         _carry_out(Path(words[1]).absolute())
     starter = _ForkServer()
     for module in words:
-        with contextlib.suppress(Exception):  # a task that needs it will say what is wrong
+        with contextlib.suppress(Exception):  # a task that needs it will report the error
             importlib.import_module(module)
     gc.freeze()
     starter.serve()
-    os._exit(0)  # whoever gives the orders waits for that, and taking all down takes long
+    os._exit(0)  # the process that gives the orders waits for this; a normal exit is slow
 
 
 if __name__ == "__main__":

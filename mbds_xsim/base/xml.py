@@ -1,4 +1,4 @@
-"""XML that programs and people read: numbers with every digit, elements a line each."""
+"""XML for programs and people: numbers with every digit, one line per element."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from xml.etree import ElementTree
 
 
 def numbers(values: Iterable[float]) -> str:
-    """Write numbers with every digit and blanks between them."""
+    """Write numbers with every digit, separated by spaces."""
     return " ".join(repr(float(value)) for value in values)
 
 
 def indented(root: ElementTree.Element) -> str:
-    """Indent and write."""
+    """Indent an element in place and return it as text."""
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"

@@ -1,4 +1,4 @@
-"""How far motions of one scene lie apart: from the reference, and from each other."""
+"""Distances of motions of one scene from the reference and from each other."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from mbds_xsim.scene.state import Batch, Trajectory
 CHAOS = 100.0
 """Growth of a perturbation from which on disagreement is no longer judged."""
 
-_DISAGREEMENT = 0.01  # of the scene's length
+_DISAGREEMENT = 0.01  # share of the scene's length
 _APART = 3.0
 LEAST_COUNT = 20
-"""Trajectories from which on distributions are compared."""
+"""Least number of trajectories for comparing distributions."""
 _PERMUTATIONS = 1999
-_DIVERGED = 0.01  # of the scene's length: below it motions agree by themselves
-_CONSTANT = 1e-9  # spread of a feature that says nothing, over its size
+_DIVERGED = 0.01  # share of the scene's length; below it motions agree without statistics
+_CONSTANT = 1e-9  # spread over size, below which a feature is constant
 
 
 def markers_of(mechanism: Mechanism, trajectory: Trajectory) -> Array:
-    """Give the points by which motions are compared [m], shape (trajectory, frame, marker, 3)."""
+    """Return the points by which motions are compared [m], shape (trajectory, frame, marker, 3)."""
     native = mechanism.native_rotation(trajectory.orientation)
     return marker_positions(mechanism, trajectory.position, native)
 
@@ -37,18 +37,18 @@ def markers_of(mechanism: Mechanism, trajectory: Trajectory) -> Array:
 def particle_error(mechanism: Mechanism, trajectory: Trajectory, reference: Trajectory) -> Array:
     """Compute the RMS over particles (markers) of their distance [m], (trajectory, frame).
 
-    Where one of the two ends early its frames are left out; NaN frames stay NaN.
+    Frames that only one of the two has are left out; NaN frames stay NaN.
     """
     frames = min(len(trajectory.time), len(reference.time))
-    apart = (
+    offset = (
         (markers_of(mechanism, trajectory)[:, :frames])
         - (markers_of(mechanism, reference)[:, :frames])
     )
-    return np.sqrt(np.mean(np.sum(apart**2, axis=-1), axis=-1))
+    return np.sqrt(np.mean(np.sum(offset**2, axis=-1), axis=-1))
 
 
 def error_at(error: Array, time: Array, instant: float) -> Array:
-    """Give the error at the last frame not after an instant [m], shape (trajectory,)."""
+    """Return the error at the last frame not after an instant [m], shape (trajectory,)."""
     frame = int(np.searchsorted(time, instant * (1 + 1e-9), side="right")) - 1
     return error[:, max(frame, 0)]
 
@@ -56,11 +56,11 @@ def error_at(error: Array, time: Array, instant: float) -> Array:
 def agreement_time(error: Array, time: Array, length: float) -> Array:
     """Find when the error first passes 1 % of the scene's length [s], shape (trajectory,).
 
-    Infinite where it never does. A frame that was lost disagrees.
+    Infinite if it never does. A lost frame counts as disagreement.
     """
-    apart = ~(error <= _DISAGREEMENT * length)
-    first = time[: error.shape[1]][apart.argmax(axis=1)]
-    return np.where(apart.any(axis=1), first, np.inf)
+    disagrees = ~(error <= _DISAGREEMENT * length)
+    first = time[: error.shape[1]][disagrees.argmax(axis=1)]
+    return np.where(disagrees.any(axis=1), first, np.inf)
 
 
 def growth_weighted(error: Array, growth: Array) -> Array:
@@ -68,7 +68,7 @@ def growth_weighted(error: Array, growth: Array) -> Array:
 
     Shape (trajectory,). Disagreement that G explains is chaos; past G = 100 nothing is judged,
     since dividing by a huge G would let a frozen mechanism pass. A trajectory that was lost
-    while it was still predictable has the figure ∞.
+    while it was still predictable has figure ∞.
     """
     frames = min(error.shape[1], growth.shape[1])
     predictable = growth[:, :frames] < CHAOS
@@ -93,22 +93,21 @@ def pairwise(mechanism: Mechanism, runs: Sequence[Trajectory], instant: float = 
 def odd_one_out(
     matrix: Array, families: Sequence[str], *, tolerance: float = 0.0
 ) -> tuple[int, ...]:
-    """Name what stands apart from all method families while these agree without it.
+    """Find the run or family that stands apart while all other families agree without it.
 
-    Runs of one family are one vote, since their agreement is no evidence: a run is confirmed by
-    its nearest run of another family. The odd one is the run, or the family of runs, whose
-    distance to every other family is above the tolerance and more than three times the largest
-    distance at which the others, left to themselves, confirm each other. At least two other
-    families must be left to do so.
+    Runs of one family have one vote, since their agreement is no evidence: a run is confirmed by
+    its nearest run of another family. A run, or family of runs, is odd if its distance to every
+    other family is above the tolerance and more than three times the largest distance at which
+    the others confirm each other without it. At least two other families must be left.
 
     Args:
-        matrix: Distances, shape (run, run); NaN where a run was lost, which is then no vote.
+        matrix: Distances, shape (run, run); NaN where a run was lost, which then has no vote.
         families: Family of each run.
         tolerance: Distances up to this are agreement [as the matrix].
 
     Returns:
-        The run, or all runs of the odd family; empty where none stands apart or it is open
-        which one does.
+        The odd run, or all runs of the odd family; empty if none stands apart or too few
+        families are left to decide.
     """
     present = [k for k in range(len(families)) if np.isfinite(np.delete(matrix[k], k)).any()]
     groups = [[k for k in present if families[k] == family] for family in dict.fromkeys(families)]
@@ -118,10 +117,10 @@ def odd_one_out(
         rest = [k for k in present if k not in candidate]
         if len({families[k] for k in rest} - {families[candidate[0]]}) < 2:
             continue
-        apart = min(_confirmation(matrix, families, k, rest) for k in candidate)
-        agreed = max(_confirmation(matrix, families, k, rest) for k in rest)
-        if apart > max(tolerance, _APART * agreed):
-            odd[tuple(candidate)] = apart / max(agreed, np.finfo(float).tiny)
+        distance = min(_confirmation(matrix, families, k, rest) for k in candidate)
+        agreement = max(_confirmation(matrix, families, k, rest) for k in rest)
+        if distance > max(tolerance, _APART * agreement):
+            odd[tuple(candidate)] = distance / max(agreement, np.finfo(float).tiny)
     if not odd:
         return ()
     # A family is odd as a whole only where none of its runs is odd by itself.
@@ -129,7 +128,7 @@ def odd_one_out(
 
 
 def _confirmation(matrix: Array, families: Sequence[str], run: int, rest: list[int]) -> float:
-    """Distance to the nearest run of another family."""
+    """Return the distance to the nearest run of another family, ∞ without one."""
     others = [k for k in rest if families[k] != families[run]]
     distances = [matrix[run, k] for k in others if np.isfinite(matrix[run, k])]
     return float(min(distances, default=np.inf))
@@ -137,21 +136,21 @@ def _confirmation(matrix: Array, families: Sequence[str], run: int, rest: list[i
 
 @dataclass(frozen=True)
 class Separation:
-    """How far apart the distributions of two samples are."""
+    """Distance between the distributions of two samples, and its significance."""
 
     distance: float
     """Energy distance over its largest possible value: 0 for equal samples, 1 for two points."""
     p_value: float
-    """Probability of so large a distance if both are draws of one distribution."""
+    """Probability of a distance at least as large if both samples have one distribution."""
     count: int
-    """Trajectories that both samples have."""
+    """Number of trajectories in both samples."""
 
 
 def features(record: Record, frame: int) -> Array:
     """Describe each trajectory at a frame, shape (trajectory, 5); NaN where it is lost.
 
-    Mean position of the particles, or other markers, (x, y, z) and their RMS distance from it over
-    the scene's length, and energy over the median energy scale.
+    Features are the mean position (x, y, z) of the markers (particles if there are any) and their
+    RMS distance from it, over the scene's length, and the energy over the median energy scale.
     """
     points = markers_of(record.mechanism, record.trajectory)[:, frame]
     middle = points.mean(axis=1, keepdims=True)
@@ -166,37 +165,37 @@ def features(record: Record, frame: int) -> Array:
 def compare_runs(
     scene: Scene, batch: Batch, runs: Sequence[Trajectory]
 ) -> dict[tuple[int, int], Separation]:
-    """Compare runs of one batch in pairs, at the last frame; keys are their numbers.
+    """Compare runs of one batch in pairs at the last frame; keys are pairs of run indices.
 
-    Pairs are left out that have fewer than 20 trajectories in common, or of which most agree to
-    1 % of the scene's length to the end, so that there is nothing to ask of distributions.
+    Pairs with fewer than 20 common trajectories are left out. So are pairs of which most
+    trajectories agree to 1 % of the scene's length at the end: there is nothing to compare.
     """
     if len(batch) < LEAST_COUNT:
         return {}
     mechanism = Mechanism.of(scene)
-    told = [features(Record(scene, batch, run), len(run.time) - 1) for run in runs]
-    found = {}
+    samples = [features(Record(scene, batch, run), len(run.time) - 1) for run in runs]
+    separations = {}
     for one, other in itertools.combinations(range(len(runs)), 2):
         error = particle_error(mechanism, runs[one], runs[other])[:, -1]
         known = error[np.isfinite(error)]
         if len(known) >= LEAST_COUNT and np.median(known) > _DIVERGED * scene.length:
-            comparison = compare(told[one], told[other])
-            if comparison is not None:
-                found[one, other] = comparison
-    return found
+            separation = compare(samples[one], samples[other])
+            if separation is not None:
+                separations[one, other] = separation
+    return separations
 
 
 def compare(one: Array, other: Array, *, seed: int = 0) -> Separation | None:
     """Compare two paired samples, shapes (trajectory, feature), by their energy distance.
 
-    That is the two-sample one of Székely & Rizzo (2013, J. Stat. Plan. Inference 143, 1249).
-    Trajectory i of two engines has the same start and inputs; if they draw from one distribution,
-    the two are exchangeable, trajectory by trajectory, and so the p-value comes from exchanging
+    It is the two-sample distance of Székely & Rizzo (2013, J. Stat. Plan. Inference 143, 1249).
+    Trajectory i of two engines has the same start and inputs. If both draw from one distribution,
+    the two are exchangeable, trajectory by trajectory, so the p-value comes from exchanging
     them at random.
 
-    Features count by their spread in both samples together; such as hardly vary are left out. The
-    p-value is from 1999 random exchanges, the same for the same seed. None with fewer than 20
-    trajectories that both have.
+    Features are scaled by their spread in both samples together; those that hardly vary are left
+    out. The p-value is from 1999 random exchanges, the same for the same seed. None with fewer than
+    20 common trajectories.
     """
     known = np.isfinite(one).all(axis=1) & np.isfinite(other).all(axis=1)
     count = int(known.sum())
@@ -204,17 +203,17 @@ def compare(one: Array, other: Array, *, seed: int = 0) -> Separation | None:
         return None
     pooled = np.concatenate([one[known], other[known]])
     spread = pooled.std(axis=0)
-    told = spread > _CONSTANT * np.maximum(1.0, np.abs(pooled).max(axis=0))
-    if not told.any():
+    varies = spread > _CONSTANT * np.maximum(1.0, np.abs(pooled).max(axis=0))
+    if not varies.any():
         return Separation(0.0, 1.0, count)
-    scaled = pooled[:, told] / spread[told]
-    apart = np.linalg.norm(scaled[:, None] - scaled, axis=-1)
+    scaled = pooled[:, varies] / spread[varies]
+    matrix = np.linalg.norm(scaled[:, None] - scaled, axis=-1)
     sides = np.random.default_rng(seed).choice((-1.0, 1.0), size=(_PERMUTATIONS, count))
     sides = np.concatenate([np.ones((1, count)), sides])
     signs = np.concatenate([sides, -sides], axis=1)
-    # 2 E|a − b| − E|a − a'| − E|b − b'|, and what it is of 2 E|a − b|.
-    distances = -np.sum((signs @ apart) * signs, axis=1) / count**2
-    between = 2.0 * apart[:count, count:].mean()
+    # 2 E|a − b| − E|a − a'| − E|b − b'|, and its share of 2 E|a − b|.
+    distances = -np.sum((signs @ matrix) * signs, axis=1) / count**2
+    between = 2.0 * matrix[:count, count:].mean()
     reached = distances >= distances[0] * (1.0 - 1e-9)
     return Separation(
         distance=float(max(distances[0], 0.0) / between) if between else 0.0,

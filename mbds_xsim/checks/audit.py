@@ -76,7 +76,7 @@ CHECKS: tuple[Check, ...] = (
     hop,
     resting,
 )
-"""Each gives a finding, or None where it does not apply to the scene."""
+"""All checks; each returns a finding, or None if it does not apply to the scene."""
 
 
 def audit(
@@ -91,20 +91,20 @@ def audit(
     """Run every check that applies to the scene.
 
     Args:
-        scene: What was simulated.
-        batch: Its starts and inputs.
-        trajectory: What was recorded.
-        method: How it was made, which decides budgets and velocity lag; None: unknown, and
+        scene: Simulated scene.
+        batch: Starts and inputs.
+        trajectory: Recorded motion.
+        method: Integration method, which decides budgets and velocity lag; None: unknown, and
             first order is assumed.
-        step: Integration step [s]; the frame interval where it is left out.
-        contact_time: Over which the engine spreads an impact [s], as it declares; None: unknown.
+        step: Integration step [s]; the frame interval if None.
+        contact_time: Declared time over which the engine spreads an impact [s]; None: unknown.
     """
     return audited(Record(scene, batch, trajectory, method, step, contact_time))
 
 
 def audited(record: Record, checks: Iterable[Check] = CHECKS) -> list[Finding]:
-    """Run checks, all if none are named, that apply to the scene of a record."""
+    """Run those of the checks that apply to the scene of a record."""
     # A blow-up may overflow on its way to infinity; the check `finite` reports it.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        found = (check(record) for check in checks)
-        return [finding for finding in found if finding is not None]
+        findings = (check(record) for check in checks)
+        return [finding for finding in findings if finding is not None]

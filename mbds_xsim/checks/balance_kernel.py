@@ -1,6 +1,6 @@
-"""Energies, work and angular momenta as `conservation` has them, and how far joints are apart.
+"""Compiled kernels for energies, work and angular momenta of `conservation`, and joint gaps.
 
-In one pass over the frames each, where numpy makes some thirty.
+Each makes one pass over the frames, where numpy makes about thirty.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from mbds_xsim.base.arrays import Array, Index
-from mbds_xsim.checks.motion_kernel import FlatMotion, conjugate, facing, held, spread3, vector
+from mbds_xsim.checks.motion_kernel import FlatMotion, conjugate, facing, force_on, spread3, vector
 from mbds_xsim.reference.compiling import compiled, entered
 from mbds_xsim.reference.lane_algebra import (
     add,
@@ -27,16 +27,16 @@ from mbds_xsim.reference.traced import load, store
 
 
 class Masses(NamedTuple):
-    """What resists, of each body."""
+    """Masses and inertias of the bodies, and gravity."""
 
     mass: Array
     inertia: Array
-    """In the native frame, shape (body, 3, 3)."""
+    """Moments of inertia in the native frame, shape (body, 3, 3)."""
     gravity: Array
 
 
 @entered
-def find_energies(m: FlatMotion, masses: Masses, found: Array) -> None:
+def find_energies(m: FlatMotion, masses: Masses, energies: Array) -> None:
     """Write kinetic, then gravitational energies, shape (2 · body, frame, trajectory), flat."""
     size, g = m.frames * m.rows, masses.gravity
     for b in range(m.bodies):
@@ -47,13 +47,13 @@ def find_energies(m: FlatMotion, masses: Masses, found: Array) -> None:
             own = rotated(conjugate(facing(m, b, 0, i)), vector(m, m.spin, b, 0, i))
             moving = mass * dot(v, v) + dot(own, _turning(masses, b, own))
             x = vector(m, m.position, b, 0, i)
-            put_eight(found, b * size + i, 0.5 * moving)
-            put_eight(found, (m.bodies + b) * size + i, -mass * dot(x, (g[0], g[1], g[2])))
+            put_eight(energies, b * size + i, 0.5 * moving)
+            put_eight(energies, (m.bodies + b) * size + i, -mass * dot(x, (g[0], g[1], g[2])))
 
 
 @compiled
 def _turning(masses, b, own):
-    """Give the angular momentum about the centre of mass, in the native frame."""
+    """Return the angular momentum about the centre of mass, in the native frame."""
     a = masses.inertia[b]
     return (
         a[0, 0] * own[0] + a[0, 1] * own[1] + a[0, 2] * own[2],
@@ -63,10 +63,10 @@ def _turning(masses, b, own):
 
 
 @entered
-def find_work(m: FlatMotion, found: Array) -> None:
-    """Write the work of the forces of the step before, of each step and of the one after.
+def find_work(m: FlatMotion, work: Array) -> None:
+    """Write the work in each step of the forces of the step before, the same and the one after.
 
-    Shape (3, step, trajectory), flat; at the ends the forces of the step itself are taken.
+    Shape (3, step, trajectory), flat; at the ends the forces of the step itself count.
     """
     steps = m.frames - 1
     for s in range(steps):
@@ -76,38 +76,38 @@ def find_work(m: FlatMotion, found: Array) -> None:
             for b in range(m.bodies):
                 x = vector(m, m.position, b, s, t)
                 moved = sub(vector(m, m.position, b, s + 1, t), x)
-                before = before + dot(held(m, b, max(s - 1, 0), t), moved)
-                here = here + dot(held(m, b, s, t), moved)
-                after = after + dot(held(m, b, min(s + 1, steps - 1), t), moved)
+                before = before + dot(force_on(m, b, max(s - 1, 0), t), moved)
+                here = here + dot(force_on(m, b, s, t), moved)
+                after = after + dot(force_on(m, b, min(s + 1, steps - 1), t), moved)
             at = s * m.rows + t
-            put_eight(found, at, before)
-            put_eight(found, steps * m.rows + at, here)
-            put_eight(found, 2 * steps * m.rows + at, after)
+            put_eight(work, at, before)
+            put_eight(work, steps * m.rows + at, here)
+            put_eight(work, 2 * steps * m.rows + at, after)
 
 
 class Spinning(NamedTuple):
-    """Bodies whose angular momentum is looked at."""
+    """Bodies whose angular momentum is computed."""
 
     bodies: Index
     about: Array
     """Point of the world, shape (3,)."""
     fixed: bool
-    """Whether it is about that point, and not about the centre of mass."""
+    """Whether momentum is about that point, not about the centre of mass."""
     frame: float
     lag: float
 
 
 # Rows of lanes of each frame, or of the step to it: momentum, sum of its sizes, moments of forces
 # and of gravity, error; then the point that momentum is about, and its velocity.
-MOMENTUM, SIZE, GIVEN, WEIGHT, BLUR = 0, 3, 4, 7, 10
-FOUND = 11
-_CENTRE, _DRIFT = FOUND, FOUND + 3
-FRAME = FOUND + 6
+MOMENTUM, SIZE, INPUT, WEIGHT, BLUR = 0, 3, 4, 7, 10
+SUMS = 11
+_CENTRE, _DRIFT = SUMS, SUMS + 3
+FRAME = SUMS + 6
 
 
 @entered
-def find_momenta(m: FlatMotion, masses: Masses, group: Spinning, work: Array, found: Array) -> None:
-    """Write shape (`FOUND`, frame, trajectory), flat; work has `FRAME` rows a frame."""
+def find_momenta(m: FlatMotion, masses: Masses, group: Spinning, work: Array, sums: Array) -> None:
+    """Write momenta and moments, flat (`SUMS`, frame, trajectory); work: `FRAME` rows a frame."""
     g = masses.gravity
     for first in range(0, m.rows, LANES):
         t = min(first, m.rows - LANES)
@@ -119,13 +119,13 @@ def find_momenta(m: FlatMotion, masses: Masses, group: Spinning, work: Array, fo
         for f in range(m.frames):
             fall = cross(load3(work, FRAME * f + WEIGHT), spread3(g[0], g[1], g[2]))
             store3(work, FRAME * f + WEIGHT, fall)
-            for k in range(FOUND):
-                put_eight(found, (k * m.frames + f) * m.rows + t, load(work, FRAME * f + k))
+            for k in range(SUMS):
+                put_eight(sums, (k * m.frames + f) * m.rows + t, load(work, FRAME * f + k))
 
 
 @compiled
 def _place(m, masses, group, work, t):
-    """Put in the point that momentum is about, and its velocity."""
+    """Write the point that momentum is about, and its velocity."""
     total = 0.0
     for k in range(len(group.bodies)):
         total += masses.mass[group.bodies[k]]
@@ -144,29 +144,29 @@ def _place(m, masses, group, work, t):
 
 @compiled
 def _add_body(m, masses, group, work, t, b):
-    """Add what a body has."""
+    """Add a body's angular momentum, moments and error."""
     mass, h = masses.mass[b], group.frame / 60
-    before = begin = left = spread3(0.0, 0.0, 0.0)
+    before = begin = previous = spread3(0.0, 0.0, 0.0)
     for f in range(m.frames):
         at = FRAME * f
         arm = sub(vector(m, m.position, b, f, t), load3(work, at + _CENTRE))
         speed = sub(vector(m, m.velocity, b, f, t), load3(work, at + _DRIFT))
-        one = add(_spinning(m, masses, b, f, t), cross(arm, times(mass, speed)))
-        add_to3(work, at + MOMENTUM, one)
-        add_to(work, at + SIZE, root(dot(one, one)))
+        momentum = add(_spinning(m, masses, b, f, t), cross(arm, times(mass, speed)))
+        add_to3(work, at + MOMENTUM, momentum)
+        add_to(work, at + SIZE, root(dot(momentum, momentum)))
         if f > 0:
             swept, bend = _swept(group, (before, begin), (arm, speed))
-            push = held(m, b, f - 1, t)
-            add_to3(work, at + GIVEN, cross(swept, push))
+            push = force_on(m, b, f - 1, t)
+            add_to3(work, at + INPUT, cross(swept, push))
             add_to3(work, at + WEIGHT, times(mass, swept))
-            change = sub(bend, left)
+            change = sub(bend, previous)
             off = h * root(dot(change, change))
             if f > 1 or m.frames == 2:
                 add_to(work, at + BLUR, off * _loaded(masses, mass, push))
             if f == 2:  # the first step has no other before it
-                more = off * _loaded(masses, mass, held(m, b, 0, t))
+                more = off * _loaded(masses, mass, force_on(m, b, 0, t))
                 add_to(work, FRAME + BLUR, more)
-            left = bend
+            previous = bend
         before, begin = arm, speed
 
 
@@ -179,7 +179,7 @@ def _spinning(m, masses, b, f, t):
 
 @compiled
 def _swept(group, begin, end):
-    """Integrate an arm over a step by the cubic, and give what a parabola leaves of it."""
+    """Integrate an arm over a step by the cubic; also return its residual from a parabola."""
     h, moved = group.frame, sub(end[0], begin[0])
     mean = add(times(h / 2, add(end[0], begin[0])), times(h**2 / 12, sub(begin[1], end[1])))
     bend = sub(moved, times(h / 2, add(end[1], begin[1])))
@@ -197,14 +197,14 @@ class Ends(NamedTuple):
     """Points of two bodies that joints hold together."""
 
     body: Index
-    """Shape (2, joint); −1 is the world."""
+    """Indices of the bodies, shape (2, joint); −1 is the world."""
     point: Array
-    """From centres of mass, in native frames [m], shape (2, joint, 3)."""
+    """Points from centres of mass, in native frames [m], shape (2, joint, 3)."""
 
 
 @entered
-def part_joints(m: FlatMotion, ends: Ends, found: Array) -> None:
-    """Write distances and speeds of the points, shape (2, joint, frame, trajectory), flat."""
+def part_joints(m: FlatMotion, ends: Ends, gaps: Array) -> None:
+    """Write distances and relative speeds of the points, flat (2, joint, frame, trajectory)."""
     size, joints = m.frames * m.rows, ends.body.shape[1]
     for j in range(joints):
         for first in range(0, size, LANES):
@@ -212,8 +212,8 @@ def part_joints(m: FlatMotion, ends: Ends, found: Array) -> None:
             near, leaving = _end(m, ends, 0, j, i)
             far, coming = _end(m, ends, 1, j, i)
             apart, parting = sub(far, near), sub(coming, leaving)
-            put_eight(found, j * size + i, root(dot(apart, apart)))
-            put_eight(found, (joints + j) * size + i, root(dot(parting, parting)))
+            put_eight(gaps, j * size + i, root(dot(apart, apart)))
+            put_eight(gaps, (joints + j) * size + i, root(dot(parting, parting)))
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""Components of momentum that nothing but forces, gravity and torques changes."""
+"""Components of momentum that only forces, gravity and torques change."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Balance:
     name: str
     bodies: tuple[int, ...]
     directions: Array
-    """Unit, in W, shape (component, 3)."""
+    """Unit vectors in W, shape (component, 3)."""
     about: Array | None = None
     """Point of the world that angular momentum is about, shape (3,); None: the centre of mass."""
     angular: bool = False
@@ -29,42 +29,42 @@ class Balance:
 
 @functools.lru_cache(maxsize=64)
 def balances_of(mechanism: Mechanism) -> list[Balance]:
-    """Find the balances that the scene's supports leave.
+    """Find the components of momentum that the scene's supports cannot change.
 
-    Groups are what joints, links and springs connect, and what these and collisions do: a collision
-    leaves what its bodies have together. A free group has all of them, angular ones about its
-    centre of mass. Ball joints, distance links and springs to the world pull at points, and have no
-    moment about a line through all of them; nor has a hinge along it. Sliders leave the momentum
-    along them. Where a joint to the world has a spring, damper or rotor none is looked for.
+    Joints, links and springs connect bodies to groups. Collisions connect these to larger ones,
+    whose momentum they conserve. A free group has all components, angular ones about its centre of
+    mass. Ball joints, distance links and springs to the world pull at points and have no moment
+    about a line through all of them; nor has a hinge along it. Sliders leave the momentum along
+    them. Groups with a loaded joint to the world (`PlacedJoint.is_loaded`) are left out.
     """
-    found: list[Balance] = []
+    balances: list[Balance] = []
     for group, name in _named_groups(mechanism).items():
         joints, points = _supports(mechanism, set(group))
         if any(joint.is_loaded for joint in joints):
             continue
         sliders = [joint for joint in joints if joint.kind == "slider"]
         if not joints and not points:
-            found.append(Balance(f"linear momentum, {name}", group, np.eye(3)))
-            found.append(Balance(f"angular momentum, {name}", group, np.eye(3), angular=True))
+            balances.append(Balance(f"linear momentum, {name}", group, np.eye(3)))
+            balances.append(Balance(f"angular momentum, {name}", group, np.eye(3), angular=True))
         elif sliders:
             if len(sliders) == len(joints) and not points and _parallel(sliders):
                 along = sliders[0].axis[None]
-                found.append(Balance(f"linear momentum, {name}", group, along))
+                balances.append(Balance(f"linear momentum, {name}", group, along))
         elif all(joint.kind != "fixed" for joint in joints):
             points += [joint.anchor for joint in joints]
             free = _directions(points, [joint for joint in joints if joint.kind == "hinge"])
             if len(free):
                 title = f"angular momentum, {name}"
-                found.append(Balance(title, group, free, points[0], angular=True))
-    return found
+                balances.append(Balance(title, group, free, points[0], angular=True))
+    return balances
 
 
 def groups_of(mechanism: Mechanism, *, colliding: bool = False) -> list[tuple[int, ...]]:
-    """Bodies that joints, distance links and springs connect, the world left out.
+    """Return groups of bodies that joints, distance links and springs connect, without the world.
 
     Args:
-        mechanism: Whose bodies.
-        colliding: Whether those that may touch each other are connected, too.
+        mechanism: Mechanism with the bodies.
+        colliding: Whether bodies that may touch each other count as connected, too.
     """
     pairs = [(joint.parent, joint.child) for joint in mechanism.joints]
     pairs += [pair.bodies for pair in (*mechanism.distances, *mechanism.springs)]
@@ -75,14 +75,14 @@ def groups_of(mechanism: Mechanism, *, colliding: bool = False) -> list[tuple[in
 
 def _named_groups(mechanism: Mechanism) -> dict[tuple[int, ...], str]:
     names = [body.name for body in mechanism.scene.bodies]
-    found = {group: names[group[0]] for group in groups_of(mechanism)}
+    group_names = {group: names[group[0]] for group in groups_of(mechanism)}
     for group in groups_of(mechanism, colliding=True):
-        found.setdefault(group, f"{names[group[0]]} and what it collides with")
-    return found
+        group_names.setdefault(group, f"{names[group[0]]} and what it collides with")
+    return group_names
 
 
 def _supports(mechanism: Mechanism, group: set[int]) -> tuple[list[PlacedJoint], list[Array]]:
-    """Joints that hold a group on the world, and points of the world that pull at it."""
+    """Return joints between a group and the world, and points of the world that pull at it."""
     joints = [
         joint
         for joint in mechanism.joints
@@ -97,17 +97,17 @@ def _supports(mechanism: Mechanism, group: set[int]) -> tuple[list[PlacedJoint],
 
 
 def _directions(points: list[Array], hinges: list[PlacedJoint]) -> Array:
-    """Directions, through the first point, about which no support has a moment, shape (any, 3)."""
-    apart = np.array(points) - points[0]
-    lengths = np.linalg.norm(apart, axis=1)
+    """Find axes through the first point about which no support has a moment, shape (any, 3)."""
+    offsets = np.array(points) - points[0]
+    lengths = np.linalg.norm(offsets, axis=1)
     far = int(lengths.argmax())
     if hinges:
         line = hinges[0].axis
     elif lengths[far] > _SAME:
-        line = apart[far] / lengths[far]
+        line = offsets[far] / lengths[far]
     else:
         return np.eye(3)
-    aligned = _parallel(hinges) and (np.linalg.norm(np.cross(apart, line), axis=1) < _SAME).all()
+    aligned = _parallel(hinges) and (np.linalg.norm(np.cross(offsets, line), axis=1) < _SAME).all()
     return line[None] if aligned else np.empty((0, 3))
 
 

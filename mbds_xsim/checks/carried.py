@@ -1,4 +1,4 @@
-"""Points that bodies carry, by which displacements and turns of bodies are one kind of vector."""
+"""Points that bodies carry, whose motion combines displacement and rotation in one vector."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
 
-_LEAST_ARM = 1e-3  # of what a body carries: places of points nearer to its centre are rounding
+_LEAST_ARM = 1e-3  # share of a body's reach; points nearer to its centre drown in rounding
 _ARMS = np.concatenate([np.zeros((1, 3)), np.eye(3)])
 
 
 @dataclass(frozen=True, eq=False)
 class CarriedPoints:
-    """Four points a body: its centre of mass and, along each axis of its native frame, a point at
-    its radius of gyration.
+    """Four points per body: its centre of mass, and one at the radius of gyration along each axis
+    of its native frame.
     """
 
     mechanism: Mechanism
 
     def rms(self, vectors: Array) -> Array:
-        """RMS over mass and points, shape (trajectory, step)."""
+        """Return the RMS over mass and points, shape (trajectory, step)."""
         return np.sqrt(self.inner(vectors, vectors))
 
     def each(self, vectors: Array) -> Array:
-        """RMS over points of each body at its ends, not the radius of gyration, [..., body].
+        """Return the RMS over each body's points, moved out to the body's ends, shape (…, body).
 
-        What points move moves with the distance from the centre.
+        Vectors relative to the centre grow in proportion to the distance from it.
         """
         center = vectors[..., :1, :]
         stretch = _extents(self.mechanism) / _gyrations(self.mechanism)
@@ -39,20 +39,20 @@ class CarriedPoints:
         return np.sqrt(np.einsum("...bpi,...bpi->...b", ends, ends) / len(_ARMS))
 
     def as_bodies(self, points: Array, native: Array) -> tuple[Array, Array]:
-        """Velocities of bodies [m/s] and [rad/s] of those of their points, (…, body, 3)."""
+        """Compute velocities [m/s], [rad/s] of bodies from those of points, (…, body, 3)."""
         axes = rotation.rotate(native[..., None, :], _ARMS[1:])
         turns = rotation.cross(axes, points[..., 1:, :] - points[..., :1, :]).sum(axis=-2)
         return points[..., 0, :], turns / (2.0 * _gyrations(self.mechanism)[:, None])
 
     def as_points(self, velocity: Array, spin: Array, native: Array) -> Array:
-        """Give the reverse, (…, body, point, 3)."""
+        """Compute velocities of points from those of bodies [m/s], shape (…, body, point, 3)."""
         arm = rotation.rotate(
             native[..., None, :], _gyrations(self.mechanism)[:, None, None] * _ARMS
         )
         return velocity[..., None, :] + rotation.cross(spin[..., None, :], arm)
 
     def inner(self, one: Array, other: Array) -> Array:
-        """Scalar product averaged over mass and points, shape (trajectory, step)."""
+        """Return the scalar product averaged over mass and points, shape (trajectory, step)."""
         share = self.mechanism.mass / (4.0 * self.mechanism.mass.sum())
         weighed = share[:, None, None] * one  # einsum of three takes several times as long
         return np.asarray(np.einsum("...bpi,...bpi->...", weighed, other))
@@ -61,7 +61,7 @@ class CarriedPoints:
 def carried(
     mechanism: Mechanism, states: BodyStates, pull: Array, push: Array
 ) -> tuple[Array, Array, Array]:
-    """Positions, velocities and accelerations of the points that the bodies carry."""
+    """Compute positions, velocities and accelerations of the points that the bodies carry."""
     turn, spin = states.native[..., None, :], states.angular_velocity[..., None, :]
     arm = rotation.rotate(turn, _gyrations(mechanism)[:, None, None] * _ARMS)
     swing = rotation.cross(spin, arm)
@@ -74,29 +74,29 @@ def carried(
 
 @functools.lru_cache(maxsize=64)
 def _gyrations(mechanism: Mechanism) -> Array:
-    """Mean radii of gyration [m], shape (body,), where points of moving bodies can be told apart.
+    """Return mean radii of gyration [m], shape (body,), at least a thousandth of bodies' reaches.
 
-    A link of no moments of inertia turns like any other, by what it hangs on.
+    A link without moments of inertia turns, too, so its points must not coincide.
     """
-    own = np.sqrt(np.trace(mechanism.inertia, axis1=1, axis2=2) / (2 * mechanism.mass))
-    return np.maximum(own, _LEAST_ARM * _reaches(mechanism))
+    radii = np.sqrt(np.trace(mechanism.inertia, axis1=1, axis2=2) / (2 * mechanism.mass))
+    return np.maximum(radii, _LEAST_ARM * _reaches(mechanism))
 
 
 @functools.lru_cache(maxsize=64)
 def _extents(mechanism: Mechanism) -> Array:
-    """From centres of mass to the furthest of what bodies carry [m], shape (body,).
+    """Return distances of the farthest things that bodies carry from their centres [m], (body,).
 
-    That, or the radius of gyration: a slender rod that twists moves hardly any of its mass, but a
-    joint on its side.
+    They are at least the radius of gyration. A slender rod that twists hardly moves its mass, but
+    does move a joint on its side.
     """
     return np.maximum(_gyrations(mechanism), _reaches(mechanism))
 
 
 def _reaches(mechanism: Mechanism) -> Array:
-    """From centres of mass to joints, particles, contact spheres and attachment points [m]."""
+    """Return the farthest joint, particle, sphere or attachment from each centre of mass [m]."""
     joints = [((one.parent, one.child), (one.in_parent, one.in_child)) for one in mechanism.joints]
     pairs = [(pair.bodies, pair.in_body) for pair in (*mechanism.distances, *mechanism.springs)]
-    carried = [
+    ends = [
         (body, float(np.linalg.norm(point)))
         for bodies, points in (*joints, *pairs)
         for body, point in zip(bodies, points, strict=True)
@@ -104,11 +104,11 @@ def _reaches(mechanism: Mechanism) -> Array:
     ]
     particles = np.linalg.norm(mechanism.particle_offset, axis=1)
     spheres = np.linalg.norm(mechanism.sphere_offset, axis=1) + mechanism.sphere_radius
-    found = np.zeros(len(mechanism.mass))
+    reaches = np.zeros(len(mechanism.mass))
     for body, distance in (
-        *carried,
+        *ends,
         *zip(mechanism.particle_body, particles, strict=True),
         *zip(mechanism.sphere_body, spheres, strict=True),
     ):
-        found[body] = max(found[body], distance)
-    return found
+        reaches[body] = max(reaches[body], distance)
+    return reaches

@@ -1,8 +1,8 @@
-"""What bodies do to each other where their spheres touch: rebound, friction, and how near.
+"""Collisions between bodies: their rebound, their friction, and the distance where they happen.
 
-A collision of two balls in flight is taken apart as an impact on the ground is: the frame before it
-is followed to the touch (`ground.at_touch`). What they have beside each other at the frame after it
-they have had since, but for the loads. The impact is central, so that its impulse follows from the
+A collision of two balls in flight is isolated like an impact on the ground: the frame before it is
+followed to the touch (`ground.at_touch`). The relative velocity at the frame after it is that just
+after the collision, except for the loads. The impact is central, so its impulse follows from the
 approach, the slip and the scene's coefficients.
 """
 
@@ -17,101 +17,101 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.checks.balances import groups_of
 from mbds_xsim.checks.finding import Figures, check
-from mbds_xsim.checks.ground import at_impacts, at_touch, told_restitution
+from mbds_xsim.checks.ground import at_impacts, at_touch, delivered_restitution
 from mbds_xsim.checks.record import Record
 from mbds_xsim.checks.spheres import Neighbours, neighbours_of
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
 
-_CENTRED = 1e-9  # [m], and of a moment that balls have alike about all axes
-_OVER = 1e-6  # of the approach that changes beside each other once a collision is over
-_EXACT = 1e-4  # of a frame: how exactly the time of a touch must be known
-_SLOW = 3.0  # times what gravity or loads add in a frame: slower ones tell no restitution
-_GLANCE = 0.1  # of the speed at which surfaces meet: what approaches slower is a glance
+_CENTRED = 1e-9  # tolerance [m], and relative of moments of inertia that are equal about all axes
+_OVER = 1e-6  # share of the relative speed; once a collision is over, it changes by less
+_EXACT = 1e-4  # share of a frame to which the time of a touch must be known
+_SLOW = 3.0  # times what gravity or loads add in a frame; slower impacts show no restitution
+_GLANCE = 0.1  # share of the speed at which surfaces meet; a slower approach is a glance
 
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """Collisions of one pair of balls, one entry each."""
+    """Collisions of one pair of balls, one entry per collision."""
 
     row: Index
     step: Index
     approach: Array
-    """At the touch [m/s], shape (collision,)."""
+    """Approach speed at the touch [m/s], shape (collision,)."""
     parting: Array
-    """Afterwards [m/s]."""
+    """Parting speed afterwards [m/s], shape (collision,)."""
     slip: Array
-    """Of the points of contact past each other at the touch [m/s], shape (collision, 3)."""
-    left: Array
-    """The same afterwards."""
+    """Slip between the contact points at the touch [m/s], shape (collision, 3)."""
+    final_slip: Array
+    """Slip afterwards [m/s], shape (collision, 3)."""
     gap: Array
-    """Between the balls where the two motions meet, negative in each other [m]; NaN where they
+    """Distance of the balls where the two motions meet [m], negative if they overlap; NaN if they
     stay together."""
 
     @property
     def least(self) -> Array:
-        """What errors of the approach are measured by at least [m/s].
+        """Least scale for errors of the approach [m/s].
 
-        An engine that finds a touch late has another normal: next to nothing of the motion, and all
-        of a glance's approach.
+        An engine that finds a touch late has a slightly different normal, which hardly changes the
+        motion, but may change all of a glance's approach.
         """
         return np.asarray(_GLANCE * np.hypot(self.approach, rotation.norm(self.slip)))
 
 
 @check("collision restitution", "restitution")
 def collision_restitution(record: Record) -> Figures | None:
-    """Compare the delivered with the scene's coefficient of restitution; None without balls."""
-    found = _all(record)
-    if not found:
+    """Compare the delivered coefficient of restitution with the scene's; None without balls."""
+    by_pair = _all(record)
+    if not by_pair:
         return None
     assert record.scene.collisions is not None
-    wanted, told, off = record.scene.collisions.restitution, [], []
-    for pair, hits in found.items():
+    wanted, ratios, errors = record.scene.collisions.restitution, [], []
+    for pair, hits in by_pair.items():
         loads = rotation.norm(_pull(record, pair)[hits.row, hits.step])
         fast = hits.approach > _SLOW * np.maximum(record.fall, record.frame * loads)
         error = np.abs(hits.parting - wanted * hits.approach)
-        off.append(np.where(fast, error / np.maximum(hits.approach, hits.least), np.nan))
+        errors.append(np.where(fast, error / np.maximum(hits.approach, hits.least), np.nan))
         plain = fast & (hits.approach > hits.least)
-        told += (hits.parting[plain] / hits.approach[plain]).tolist()
-    note = told_restitution(told, wanted)
-    return Figures(_placed(record, found, off), _names(record, found), note)
+        ratios += (hits.parting[plain] / hits.approach[plain]).tolist()
+    note = delivered_restitution(ratios, wanted)
+    return Figures(_placed(record, by_pair, errors), _names(record, by_pair), note)
 
 
 @check("collision friction", "friction")
 def collision_friction(record: Record) -> Figures | None:
-    """Compare tangential impulses with Coulomb's over μ times the normal ones; None without balls.
+    """Compare tangential impulses with Coulomb's law, over μ times normal; None without balls.
 
-    They stop the slip, or are μ times the normal impulse against it. Of balls whose inertia is not
-    even only what is above μ times it is seen.
+    They must stop the slip, or be μ times the normal impulse against it. For balls with uneven
+    inertia only an excess over μ times the normal impulse counts.
     """
-    found = _all(record)
-    if not found:
+    by_pair = _all(record)
+    if not by_pair:
         return None
-    off = [_aside(record, pair, hits) for pair, hits in found.items()]
-    return Figures(_placed(record, found, off), _names(record, found))
+    deviations = [_aside(record, pair, hits) for pair, hits in by_pair.items()]
+    return Figures(_placed(record, by_pair, deviations), _names(record, by_pair))
 
 
 @check("collision gap", "contact_gap")
 def collision_gap(record: Record) -> Figures | None:
-    """Measure how far balls are from each other where they rebound, over the scene's length.
+    """Measure the distance of balls where they rebound, over the scene's length.
 
-    What the declared time of contact explains is left out where they overlap, and all of it where
-    none is declared. None without balls.
+    An overlap that the declared contact time explains does not count, and no overlap counts without
+    a declared time. None without balls.
     """
-    found, time = _all(record), record.contact_time
-    if not found:
+    by_pair, time = _all(record), record.contact_time
+    if not by_pair:
         return None
-    off = [
+    gaps = [
         np.maximum(hits.gap, 0.0 if time is None else -hits.gap - time * hits.approach)
-        for hits in found.values()
+        for hits in by_pair.values()
     ]
-    parts = _placed(record, found, [gap / record.scene.length for gap in off])
-    return Figures(parts, _names(record, found))
+    parts = _placed(record, by_pair, [gap / record.scene.length for gap in gaps])
+    return Figures(parts, _names(record, by_pair))
 
 
 @functools.lru_cache(maxsize=64)
 def pairs_of_balls(mechanism: Mechanism) -> list[int]:
-    """Pairs of spheres that are balls: of bodies that nothing else joins, around their centres."""
+    """Return indices of sphere pairs that are balls: unconnected bodies with one centred sphere."""
     alone = {group[0] for group in groups_of(mechanism) if len(group) == 1}
     spheres = mechanism.sphere_body.tolist()
     centred = np.linalg.norm(mechanism.sphere_offset, axis=1) <= _CENTRED
@@ -119,18 +119,18 @@ def pairs_of_balls(mechanism: Mechanism) -> list[int]:
         body in alone and spheres.count(body) == 1 and bool(centred[k])
         for k, body in enumerate(spheres)
     ]
-    held = {body for joint in mechanism.joints for body in (joint.parent, joint.child)}
-    held |= {body for pair in (*mechanism.distances, *mechanism.springs) for body in pair.bodies}
+    tied = {body for joint in mechanism.joints for body in (joint.parent, joint.child)}
+    tied |= {body for pair in (*mechanism.distances, *mechanism.springs) for body in pair.bodies}
     return [
         k
         for k, pair in enumerate(mechanism.sphere_pairs.tolist())
-        if all(ball[sphere] and spheres[sphere] not in held for sphere in pair)
+        if all(ball[sphere] and spheres[sphere] not in tied for sphere in pair)
     ]
 
 
 @functools.lru_cache(maxsize=1)
 def _all(record: Record) -> dict[int, Hits]:
-    """Collisions that can be taken apart, by the number of the pair."""
+    """Find the collisions that can be isolated, keyed by the index of the pair."""
     return {pair: _of_pair(record, pair) for pair in pairs_of_balls(record.mechanism)}
 
 
@@ -152,10 +152,10 @@ def _of_pair(record: Record, pair: int) -> Hits:
     parted = (after.climb > 0.0) & (rising <= 0.0)
     normal = np.where(parted[:, None], after.normal, before.normal)
     parting = rotation.dot(speed, normal)
-    left = speed - parting[:, None] * normal - rotation.cross(turning, normal)
+    slip_after = speed - parting[:, None] * normal - rotation.cross(turning, normal)
     rates = 1.0 / np.where(parted, after.climb, np.nan) - 1.0 / before.climb
     gap = -(frame - falling + rising) / rates
-    # A graze that is no touch comes as near as one.
+    # A near miss comes as near as a touch.
     exact = np.abs(before.gap) <= _EXACT * frame * -before.climb
     hit = exact & (falling >= 0.0)
     return Hits(
@@ -164,23 +164,23 @@ def _of_pair(record: Record, pair: int) -> Hits:
         approach=-before.climb[hit],
         parting=parting[hit],
         slip=before.slip[hit],
-        left=left[hit],
+        final_slip=slip_after[hit],
         gap=gap[hit],
     )
 
 
 def _pull(record: Record, pair: int) -> Array:
-    """What loads do to the balls of a pair beside each other [m/s²], (trajectory, step, 3)."""
+    """Compute relative accelerations of a pair's balls by loads [m/s²], (trajectory, step, 3)."""
     mechanism = record.mechanism
     one, other = mechanism.sphere_body[mechanism.sphere_pairs[pair]]
-    given = record.force / mechanism.mass[:, None]
-    return np.asarray(given[:, :, one] - given[:, :, other])
+    acceleration = record.force / mechanism.mass[:, None]
+    return np.asarray(acceleration[:, :, one] - acceleration[:, :, other])
 
 
 def _alone(record: Record, pair: int) -> Mask:
-    """Steps in which a pair may come to touch, and is past it, and nothing else touches its balls.
+    """Find steps with a whole collision of a pair, in which nothing else touches its balls.
 
-    It is past it where the balls are apart again, or do not push each other in the step after.
+    The collision is over if the balls are apart again, or do not push each other in the step after.
     """
     mechanism, near = record.mechanism, record.neighbours
     own, gap = mechanism.sphere_pairs[pair], near.gap[..., pair]
@@ -196,7 +196,7 @@ def _alone(record: Record, pair: int) -> Mask:
 
 
 def _aside(record: Record, pair: int, hits: Hits) -> Array:
-    """What tangential impulses are beside Coulomb's, over μ times the normal ones, (collision,)."""
+    """Compute deviations of tangential impulses from Coulomb's, over μ · normal, (collision,)."""
     mechanism, collisions = record.mechanism, record.scene.collisions
     assert collisions is not None
     spheres = mechanism.sphere_pairs[pair]
@@ -207,20 +207,20 @@ def _aside(record: Record, pair: int, hits: Hits) -> Array:
     push = (hits.approach + hits.parting) / yields
     most = collisions.friction * push
     even = bool((np.ptp(moments, axis=1) <= _CENTRED * moments.max(axis=1)).all())
-    given, size = (hits.left - hits.slip) / across, rotation.norm(hits.slip)
+    actual, size = (hits.final_slip - hits.slip) / across, rotation.norm(hits.slip)
     needed = np.minimum(most, size / across)
     wanted = -hits.slip * (needed / np.maximum(size, np.finfo(float).tiny))[:, None]
-    off = rotation.norm(given - wanted) if even else np.maximum(rotation.norm(given) - most, 0.0)
+    off = rotation.norm(actual - wanted) if even else np.maximum(rotation.norm(actual) - most, 0.0)
     scale = np.maximum(push, hits.least / yields)
     return np.asarray(off / (scale * (collisions.friction or 1.0)))
 
 
-def _placed(record: Record, found: dict[int, Hits], values: list[Array]) -> Array:
+def _placed(record: Record, by_pair: dict[int, Hits], values: list[Array]) -> Array:
     """Put values of collisions at the frames after them, (trajectory, frame, pair)."""
-    hits = zip(found.values(), values, strict=True)
+    hits = zip(by_pair.values(), values, strict=True)
     return at_impacts(record, [(each.row, each.step, off) for each, off in hits])
 
 
-def _names(record: Record, found: dict[int, Hits]) -> list[str]:
+def _names(record: Record, hits: dict[int, Hits]) -> list[str]:
     of = [sphere.body for sphere in record.scene.contacts]
-    return [f"{of[a]} and {of[b]}" for a, b in record.mechanism.sphere_pairs[list(found)].tolist()]
+    return [f"{of[a]} and {of[b]}" for a, b in record.mechanism.sphere_pairs[list(hits)].tolist()]

@@ -1,4 +1,4 @@
-"""Energy and momentum: do they change by what acts on the bodies, and by nothing else?"""
+"""Do energy and momentum change only by what acts on the bodies?"""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.joint_space import joint_rate
 from mbds_xsim.scene.mechanism import WORLD_INDEX
 
-_FLOOR = 1e-3  # of Σ m·g·length, and of Σ m·√(g·length)
+_FLOOR = 1e-3  # share of Σ m·g·length, and of Σ m·√(g·length)
 
 
 class Energy:
@@ -37,9 +37,9 @@ class Energy:
 
     @property
     def scale(self) -> Array:
-        """What energy errors are measured in [J], shape (trajectory,).
+        """Scale of energy errors [J], shape (trajectory,).
 
-        The largest kinetic energy plus the range of the potential one, and at least 1e-3 of
+        It is the largest kinetic energy plus the range of the potential one, and at least 1e-3 of
         Σ m·g·length.
         """
         known = np.isfinite(self.total)
@@ -51,17 +51,17 @@ class Energy:
 
 @check("energy", lambda record: record.energy_budget)
 def energy_balance(record: Record) -> Figures | None:
-    """Measure |E − E(0) − W| over the energy scale; where things meet, over the periods between.
+    """Measure |E − E(0) − W| over the energy scale; with impacts, in each flight by itself.
 
-    The work of held inputs is exact; that of dampers is a quadrature, whose error in the steps
-    looked at is the finding's uncertainty. None where nothing flies.
+    The work of held inputs is exact; that of dampers is a quadrature, whose error in the checked
+    steps is the finding's uncertainty. None if nothing flies.
     """
     flights = record.flying()
     if record.mechanism.has_impacts and not flights.any():
         return None
     energy = energy_of(record)
-    loss, vague = losses(record)
-    error = np.where(flights, vague, 0.0).sum(axis=1)
+    loss, step_error = losses(record)
+    error = np.where(flights, step_error, 0.0).sum(axis=1)
     balance = energy.total - energy.total[:, :1] - input_work(record) + loss
     if record.mechanism.has_impacts:
         balance[:, 1:] = summed(np.diff(balance, axis=1)[..., None], flights)[..., 0]
@@ -91,14 +91,14 @@ def energy_of(record: Record) -> Energy:
 
 
 def _of_bodies(record: Record) -> Array:
-    """Kinetic, then gravitational energies [J], shape (trajectory, frame, 2 · body)."""
+    """Compute kinetic, then gravitational energies [J], shape (trajectory, frame, 2 · body)."""
     if record.many:
         from mbds_xsim.checks.balance_kernel import find_energies  # imports a compiler
 
         motion = record.motion
-        found = np.empty((2 * motion.bodies, motion.frames, motion.rows))
-        find_energies(motion, record.masses, found.reshape(-1))
-        return np.asarray(found.T)[: len(record.batch)]
+        energies = np.empty((2 * motion.bodies, motion.frames, motion.rows))
+        find_energies(motion, record.masses, energies.reshape(-1))
+        return np.asarray(energies.T)[: len(record.batch)]
     mechanism, bodies = record.mechanism, record.bodies
     moving = np.einsum("tfbi,tfbi->tfb", bodies.velocity, bodies.velocity)
     turning = np.einsum("tfbi,tfbi->tfb", record.spin, record.turning)
@@ -109,7 +109,7 @@ def _of_bodies(record: Record) -> Array:
 
 @functools.lru_cache(maxsize=1)
 def input_work(record: Record) -> Array:
-    """Work of forces and torques from frame 0 on [J], shape (trajectory, frame).
+    """Compute the work of forces and torques from frame 0 on [J], shape (trajectory, frame).
 
     Inputs are constant over a step, so a step's work is exactly F·Δx + τ·Δθ.
     """
@@ -121,16 +121,16 @@ def input_work(record: Record) -> Array:
 
 @functools.lru_cache(maxsize=1)
 def work_of_forces(record: Record) -> tuple[Array, Array, Array]:
-    """Work in each step of the forces of the one before, its own and the next [J].
+    """Compute the work in each step of the forces of the step before, its own and the next [J].
 
-    Shapes (trajectory, step); at the ends the forces of the step itself are taken.
+    Shapes (trajectory, step); at the ends the forces of the step itself count.
     """
     if record.many:
         from mbds_xsim.checks.balance_kernel import find_work  # imports a compiler
 
-        found = np.empty((3, record.steps, record.motion.rows))
-        find_work(record.motion, found.reshape(-1))
-        before, here, after = (work.T[: len(record.batch)] for work in found)
+        rows = np.empty((3, record.steps, record.motion.rows))
+        find_work(record.motion, rows.reshape(-1))
+        before, here, after = (work.T[: len(record.batch)] for work in rows)
         return before, here, after
     before, here, after = (
         np.einsum("tsbi,tsbi->ts", np.asfortranarray(record.force[:, steps]), record.moved)
@@ -141,89 +141,89 @@ def work_of_forces(record: Record) -> tuple[Array, Array, Array]:
 
 @check("momentum", lambda record: record.energy_budget)
 def momentum(record: Record) -> Figures | None:
-    """Measure the change of momentum less impulses over its scale; None if supports touch all.
+    """Measure the change of momentum less impulses over its scale; None if supports affect all.
 
     Forces are held over each step, so linear impulses are exact. Those of moments are integrals of
-    places, by the cubic that meets the places and velocities at both ends of the step; their error
-    is the finding's uncertainty. With contact, periods of flight are looked at.
+    places, by the cubic that matches places and velocities at both ends of the step; their error is
+    the finding's uncertainty. With contact, each flight is checked by itself.
     """
-    seen = flights_of(record)
-    if not seen:
+    balances = flights_of(record)
+    if not balances:
         return None
-    parts, errors = zip(*(_unbalanced(record, *pair) for pair in seen), strict=True)
+    parts, errors = zip(*(_unbalanced(record, *pair) for pair in balances), strict=True)
     uncertainty = np.max(errors, axis=0)
-    names = [balance.name for balance, _ in seen]
+    names = [balance.name for balance, _ in balances]
     note = f"impulses known to {uncertainty.max():.1g} of the scale"
     return Figures(record.by_frame(parts), names, note, uncertainty)
 
 
 def flights_of(record: Record) -> list[tuple[Balance, Mask]]:
-    """Give the balances that hold in some steps, each with these, shape (trajectory, step)."""
-    found = [(balance, record.flying(balance.bodies)) for balance in balances_of(record.mechanism)]
-    return [pair for pair in found if pair[1].any()]
+    """Return the balances that hold in some steps, each with its mask, (trajectory, step)."""
+    pairs = [(balance, record.flying(balance.bodies)) for balance in balances_of(record.mechanism)]
+    return [pair for pair in pairs if pair[1].any()]
 
 
 @dataclass(frozen=True, eq=False)
 class Gain:
-    """What components of momentum gained in each step; axes are (trajectory, step, component)."""
+    """Gain of momentum in each step; axes are (trajectory, step, component)."""
 
-    left: Array
-    """Beside all impulses."""
-    given: Array
+    residual: Array
+    """Gain that impulses do not explain."""
+    inputs: Array
     """Impulses of the inputs."""
     blur: Array
     """Error of the impulses, shape (trajectory, step)."""
     scale: Array
-    """What it is held against, shape (trajectory,)."""
+    """Scale of the momentum, shape (trajectory,)."""
 
 
 @functools.lru_cache(maxsize=4)
 def gain_of(record: Record, balance: Balance) -> Gain:
-    """Take momenta, inputs and gravity of a group together."""
+    """Compute the gain of a group from its momenta, inputs and gravity."""
     if balance.angular and record.many:
         return _turned(record, balance)
     bodies = _rows(balance)
     state, scale = (_angular if balance.angular else _linear)(record, balance)
     force, mass = record.force[:, :, bodies], record.mechanism.mass[bodies]
     if balance.angular:
-        given, weight, blur = _moments(record, balance, force, mass)
+        inputs, weight, blur = _moments(record, balance, force, mass)
     else:
-        given, blur = _total(force) * record.frame, np.zeros(force.shape[:2])
+        inputs, blur = _total(force) * record.frame, np.zeros(force.shape[:2])
         weight = record.frame * float(mass.sum()) * np.array(record.scene.gravity)
-    left = np.diff(state, axis=1) - given - weight
+    residual = np.diff(state, axis=1) - inputs - weight
     across = balance.directions.T
-    return Gain(left @ across, given @ across, blur, scale)
+    return Gain(residual @ across, inputs @ across, blur, scale)
 
 
 def _turned(record: Record, balance: Balance) -> Gain:
-    """Do so with angular momentum, by compiled kernels."""
+    """Compute the gain of angular momentum by compiled kernels."""
     from mbds_xsim.checks import balance_kernel as kernel  # imports a compiler
     from mbds_xsim.reference.compiled import lines
 
     motion, bodies = record.motion, np.array(balance.bodies)
     about = np.zeros(3) if balance.about is None else balance.about
     group = kernel.Spinning(bodies, about, balance.about is not None, record.frame, record.lag)
-    found = np.empty((kernel.FOUND, motion.frames, motion.rows))
+    sums = np.empty((kernel.SUMS, motion.frames, motion.rows))
     work = lines(kernel.FRAME * motion.frames)
-    kernel.find_momenta(motion, record.masses, group, work, found.reshape(-1))
-    state, given, weight = (
-        (balance.directions @ found[k : k + 3].reshape(3, -1)).reshape(-1, *found.shape[1:]).T
-        for k in (kernel.MOMENTUM, kernel.GIVEN, kernel.WEIGHT)
+    kernel.find_momenta(motion, record.masses, group, work, sums.reshape(-1))
+    state, inputs, weight = (
+        (balance.directions @ sums[k : k + 3].reshape(3, -1)).reshape(-1, *sums.shape[1:]).T
+        for k in (kernel.MOMENTUM, kernel.INPUT, kernel.WEIGHT)
     )
     count = len(record.batch)
-    given = given[:count, 1:] + record.frame * _driving(record, balance) @ balance.directions.T
-    left = np.diff(state[:count], axis=1) - given - weight[:count, 1:]
-    size, blur = (found[k].T[:count] for k in (kernel.SIZE, kernel.BLUR))
-    return Gain(left, given, blur[:, 1:], _floored(record, balance, size, record.scene.length))
+    inputs = inputs[:count, 1:] + record.frame * _driving(record, balance) @ balance.directions.T
+    residual = np.diff(state[:count], axis=1) - inputs - weight[:count, 1:]
+    size, blur = (sums[k].T[:count] for k in (kernel.SIZE, kernel.BLUR))
+    return Gain(residual, inputs, blur[:, 1:], _floored(record, balance, size, record.scene.length))
 
 
 def _unbalanced(record: Record, balance: Balance, flights: Mask) -> tuple[Array, Array]:
-    """Change less impulses over the scale, (trajectory, frame), and its error, (trajectory,)."""
+    """Return change less impulses over scale, (trajectory, frame), and its error, (trajectory,)."""
     gain = gain_of(record, balance)
-    found = record.by_step([rotation.norm(summed(gain.left, flights))])[..., 0]
+    imbalance = record.by_step([rotation.norm(summed(gain.residual, flights))])[..., 0]
     error = np.where(np.isfinite(gain.blur) & flights, gain.blur, 0.0).sum(axis=1)
-    found[~record.finite] = np.nan
-    return found / gain.scale[:, None], error / gain.scale
+    imbalance[~record.finite] = np.nan
+    return imbalance / gain.scale[:, None], error / gain.scale
 
 
 def _linear(record: Record, balance: Balance) -> tuple[Array, Array]:
@@ -233,20 +233,20 @@ def _linear(record: Record, balance: Balance) -> tuple[Array, Array]:
 
 
 def _angular(record: Record, balance: Balance) -> tuple[Array, Array]:
-    """Angular momentum about the balance's point, (trajectory, frame, 3), and its scale."""
+    """Return angular momentum about the balance's point, (trajectory, frame, 3), and its scale."""
     mechanism, states, bodies = record.mechanism, record.bodies, _rows(balance)
     mass, velocity = mechanism.mass[bodies], states.velocity[:, :, bodies]
     drift = 0.0 if balance.about is not None else _mean(mass, velocity)
-    carried = rotation.cross(_arms(record, balance), mass[:, None] * (velocity - drift))
+    orbital = rotation.cross(_arms(record, balance), mass[:, None] * (velocity - drift))
     own = rotation.rotate(states.native[:, :, bodies], record.turning[:, :, bodies])
-    each = own + carried
+    each = own + orbital
     return _total(each), _scale(record, balance, each, record.scene.length)
 
 
 def _scale(record: Record, balance: Balance, each: Array, arm: float) -> Array:
-    """Largest sum of the bodies' own momenta, shape (trajectory,).
+    """Return the largest sum of the bodies' own momenta, shape (trajectory,).
 
-    At least 1e-3 of what the group has at the speed of a fall through the scene's length.
+    It is at least 1e-3 of what the group has at the speed of a fall through the scene's length.
     """
     return _floored(record, balance, rotation.norm(each).sum(axis=2), arm)
 
@@ -260,30 +260,30 @@ def _floored(record: Record, balance: Balance, sizes: Array, arm: float) -> Arra
 def _moments(
     record: Record, balance: Balance, force: Array, mass: Array
 ) -> tuple[Array, Array, Array]:
-    """Impulses of moments of inputs and of gravity, (trajectory, step, 3), and their error.
+    """Return angular impulses of inputs and of gravity, (trajectory, step, 3), and their error.
 
-    Momenta of lagging velocities lag too, by the moments at the two ends.
+    Momenta from lagging velocities lag, too, which the moments at both ends correct.
     """
     arm = _arms(record, balance)
     speed = record.bodies.velocity[:, :, _rows(balance)]
     if balance.about is None:
         speed = speed - _mean(record.mechanism.mass[_rows(balance)], speed)
     frame, gravity = record.frame, np.array(record.scene.gravity)
-    held = frame / 2 * (arm[:, 1:] + arm[:, :-1]) + frame**2 / 12 * (speed[:, :-1] - speed[:, 1:])
-    held = held + record.lag * (arm[:, 1:] - arm[:, :-1])
-    given = _total(rotation.cross(held, force)) + frame * _driving(record, balance)
-    weight = rotation.cross(np.einsum("b,tfbi->tfi", mass, held), gravity)
-    # What a parabola leaves of the step's displacement shows the third derivative of the place;
-    # the integral is off by H⁵/720 of the fourth.
+    swept = frame / 2 * (arm[:, 1:] + arm[:, :-1]) + frame**2 / 12 * (speed[:, :-1] - speed[:, 1:])
+    swept = swept + record.lag * (arm[:, 1:] - arm[:, :-1])
+    impulse = _total(rotation.cross(swept, force)) + frame * _driving(record, balance)
+    weight = rotation.cross(np.einsum("b,tfbi->tfi", mass, swept), gravity)
+    # A step's displacement less that of a parabola shows the third derivative of the place; the
+    # integral is off by H⁵/720 of the fourth.
     bend = np.diff(arm, axis=1) - frame / 2 * (speed[:, 1:] + speed[:, :-1])
     change = np.diff(bend, axis=1, prepend=bend[:, 1:2] if bend.shape[1] > 1 else 0.0)
     load = force + mass[:, None] * gravity
     error = frame / 60 * rotation.norm(change) * rotation.norm(load)
-    return given, weight, error.sum(axis=2)
+    return impulse, weight, error.sum(axis=2)
 
 
 def _driving(record: Record, balance: Balance) -> Array:
-    """Moments of driven hinges between the group and the world [N·m], (trajectory, step, 3)."""
+    """Compute moments of hinges between group and world [N·m], shape (trajectory, step, 3)."""
     moment = np.zeros((len(record.batch), record.steps, 3))
     for k, joint in enumerate(record.mechanism.hinges):
         torque = record.batch.torque[:, : record.steps, k, None] * joint.axis
@@ -295,7 +295,7 @@ def _driving(record: Record, balance: Balance) -> Array:
 
 
 def _arms(record: Record, balance: Balance) -> Array:
-    """Centres of mass from the balance's point [m], shape (trajectory, frame, body, 3)."""
+    """Return centres of mass from the balance's point [m], shape (trajectory, frame, body, 3)."""
     places = record.bodies.position[:, :, _rows(balance)]
     if balance.about is not None:
         return places - balance.about
@@ -303,7 +303,7 @@ def _arms(record: Record, balance: Balance) -> Array:
 
 
 def _rows(balance: Balance) -> slice | list[int]:
-    """Where the group's bodies are; a slice, which copies nothing, where they follow each other."""
+    """Return the group's indices, as a slice, which copies nothing, if they are consecutive."""
     first, last = balance.bodies[0], balance.bodies[-1]
     if balance.bodies == tuple(range(first, last + 1)):
         return slice(first, last + 1)
@@ -311,7 +311,7 @@ def _rows(balance: Balance) -> slice | list[int]:
 
 
 def _total(each: Array) -> Array:
-    """Sum over the bodies, shape (trajectory, frame, 3): as numpy's sum, in a fifth of its time."""
+    """Sum over the bodies, shape (trajectory, frame, 3), in a fifth of the time of numpy's sum."""
     return np.asarray(np.einsum("tfbi->tfi", each))
 
 

@@ -1,12 +1,12 @@
-"""Displacements and turns of every frame, in flight and in contact, within what velocities allow.
+"""Do displacements and turns, in flight and in contact, stay within what velocities allow?
 
-Over a frame H the mean velocity is the mean of the velocities at its ends but for what the velocity
-does between them. In smooth motion that is H²/12 of its second derivative, which the second
-differences of recorded velocities show. In contact it is what impulses do that come early or late:
-a velocity that starts and ends where it is recorded, and whose changes in between add up to V, has
-a mean within V/2 of the mean of its ends. The ground only pushes, and friction is within its cone,
-so that V follows from the vertical impulse of the frame, which the momentum shows exactly. None of
-this asks how often, or when, a contact was hit.
+Over a frame H the mean velocity is the mean of the velocities at its ends, except for what happens
+in between. In smooth motion the difference is H²/12 of the second derivative, which the second
+differences of recorded velocities show. In contact it comes from impulses that act early or late: a
+velocity with recorded values at both ends, and with changes in between that add up to V, has a mean
+within V/2 of the mean of its ends. The ground only pushes, and friction stays within its cone, so
+that V follows from the vertical impulse of the frame, which the momentum shows exactly. It does not
+matter how often, or when, a contact was hit.
 """
 
 from __future__ import annotations
@@ -27,61 +27,60 @@ from mbds_xsim.checks.ground import Push, pushes_of, responses
 from mbds_xsim.checks.record import Record
 from mbds_xsim.checks.stops import kicked
 
-_BEND = 0.5  # of second differences: 1/12 in smooth motion, ½ where a jump is anywhere in the frame
-_SWING = 0.5  # of what accelerations at the ends differ by: three times what the cubic leaves
-_PATH = 0.5  # of the changes of a velocity, by which its mean is off that of its ends
-_POSE = 1.5  # times the responses at the reference pose, of bodies that joints move
-_LASTING = 0.5  # of the same, where the ground carries the weight steadily (0.02 is needed)
-_FLOOR = 1e-3  # of the largest speed of the trajectory: solvers' tolerances
+_BEND = 0.5  # share of second differences: 1/12 in smooth motion, ½ for a jump in the frame
+_SWING = 0.5  # share of the difference of accelerations at the ends: three times the cubic's error
+_PATH = 0.5  # share of a velocity's changes by which its mean is off that of its ends
+_POSE = 1.5  # times the responses at the reference pose, for bodies that joints move
+_LASTING = 0.5  # times these, where the ground carries the weight steadily (0.02 is needed)
+_FLOOR = 1e-3  # share of the trajectory's largest speed, for solvers' tolerances
 _LAG = 3.0  # turning bodies' places do not lag, and accelerations of both kinds may cancel
-_METHOD = (
-    5.0  # of second differences, times (step/frame)²: a method's own error, as in `kinematics`
-)
-_LATE = 0.5  # of a frame; what is late by a whole one must show
-_SYSTEMATIC = 0.5  # of the allowance for bending, in the mean over a trajectory
-_STEADY = 0.1  # of the floor, in the same
+_METHOD = 5.0  # times second differences · (step/frame)²: a method's error, as in `kinematics`
+_LATE = 0.5  # share of a frame; a delay of a whole one must show
+_SYSTEMATIC = 0.5  # share of the allowance for bending, in the mean over a trajectory
+_STEADY = 0.1  # share of the floor, in the same mean
 _ERRORS = 4.0  # standard errors
-_FAINT = 1e-12  # squares of gains over what is allowed, all together: less is rounding
+_FAINT = 1e-12  # least sum of squared gains over what is allowed; less is rounding
 _TINY = np.finfo(float).tiny
 
 
 @check("displacement", 1.0)
 def displacement(record: Record) -> Figures | None:
-    """Measure how far a frame's places are off what its velocities allow; 1 is all they allow.
+    """Measure how far displacements differ from velocities, over what is allowed; 1 is the limit.
 
-    Looked at are, in every frame, each body's place and turn, and the centre of mass of each group
-    that the ground alone supports; over the trajectory, the mean of what is left of each body, in W
-    and in its own frame, and its slope over the accelerations, which is a delay. A body whose pose
-    repeats exactly must be at rest. What seems off is looked at again, by the equations of motion.
+    Every frame is checked for each body's place and turn, and for the centre of mass of each group
+    that the ground alone supports. The whole trajectory is checked for the mean residual of each
+    body (of turns in its own frame, too), and for the slope of residuals over accelerations, which
+    is a delay. A body whose pose repeats exactly must be at rest. Without contacts, a trajectory
+    that seems off is checked again, by the equations of motion.
     """
     if record.steps < 1:
         return None
-    found, note = (_of_many(record), "") if record.many else _of_few(record)
-    doubted = np.flatnonzero(np.nan_to_num(found).max(axis=(1, 2)) > 1.0).tolist()
+    figures, note = (_of_many(record), "") if record.many else _of_few(record)
+    doubted = np.flatnonzero(np.nan_to_num(figures).max(axis=(1, 2)) > 1.0).tolist()
     if doubted and not record.scene.contacts:
         batch, motion = record.batch[doubted], record.trajectory[doubted]
         again = dataclasses.replace(record, batch=batch, trajectory=motion, many=False)
-        found[doubted], _ = _of_few(again, forced(again))
-    return Figures(found, _names(record), note)
+        figures[doubted], _ = _of_few(again, forced(again))
+    return Figures(figures, _names(record), note)
 
 
 def _of_few(record: Record, more: Forced | None = None) -> tuple[Array, str]:
-    """Compute the parts, with what forces do within frames where that is asked; and a note."""
+    """Compute the parts, with the effect of forces within frames if given, and a note."""
     parts = []
     place, turn = _Residual.of_places(record, more), _Residual.of_turns(record, more)
     for residual in (place, turn):
-        parts += [residual.by_frame, residual.drift(residual.left)]
-    own = rotation.rotate(rotation.conjugate(record.bodies.native[:, :-1]), turn.left)
+        parts += [residual.by_frame, residual.drift(residual.difference)]
+    own = rotation.rotate(rotation.conjugate(record.bodies.native[:, :-1]), turn.difference)
     parts += [turn.drift(own), _delay(record, place, turn)]
-    parts += [_of_group(record, push, place.left) for push in pushes_of(record)]
-    found = record.by_frame([each[..., k] for each in parts for k in range(each.shape[-1])])
-    found[:, 0] = np.where(record.finite[:, :1], np.nan_to_num(found[:, 0]), np.nan)
+    parts += [_of_group(record, push, place.difference) for push in pushes_of(record)]
+    figures = record.by_frame([each[..., k] for each in parts for k in range(each.shape[-1])])
+    figures[:, 0] = np.where(record.finite[:, :1], np.nan_to_num(figures[:, 0]), np.nan)
     allowed = np.nanmedian(turn.allowed) if record.finite[:, 1:].any() else np.nan
-    return found, f"turns are known to {allowed:.2g} rad/s in half of the frames"
+    return figures, f"turns are known to {allowed:.2g} rad/s in half of the frames"
 
 
 def _names(record: Record) -> list[str]:
-    """Of the parts that every body has, of the delay, and of groups."""
+    """Return the names of the parts: those of every body, the delay, and those of groups."""
     kinds = ["place of {}", "mean place of {}", "turn of {}", "mean turn of {}"]
     kinds.append("mean turn of {} about its own axes")
     names = [kind.format(body.name) for kind in kinds for body in record.scene.bodies]
@@ -90,8 +89,8 @@ def _names(record: Record) -> list[str]:
 
 
 def _of_many(record: Record) -> Array:
-    """Compute the same parts by compiled kernels."""
-    # They are loaded by a compiler, which takes long to import.
+    """Compute the parts by compiled kernels."""
+    # The kernels import a compiler, which takes long.
     from mbds_xsim.checks.displacement_kernel import STEP, Rule, displace
     from mbds_xsim.reference.compiled import lines
 
@@ -112,49 +111,49 @@ def _of_many(record: Record) -> Array:
         faint=_FAINT,
     )
     motion = record.motion
-    found = np.full((5 * motion.bodies + 1, motion.frames, motion.rows), np.nan)
-    found[:, 0] = 0.0
-    displace(motion, rule, lines(STEP * record.steps), found.reshape(-1))
-    return np.asarray(found.T)[: len(record.batch)]
+    figures = np.full((5 * motion.bodies + 1, motion.frames, motion.rows), np.nan)
+    figures[:, 0] = 0.0
+    displace(motion, rule, lines(STEP * record.steps), figures.reshape(-1))
+    return np.asarray(figures.T)[: len(record.batch)]
 
 
 @dataclass(frozen=True, eq=False)
 class _Residual:
-    """Mean velocities of the frames less those of the recorded velocities, body by body."""
+    """Mean velocities by displacements less those by recorded velocities, body by body."""
 
-    left: Array
-    """[m/s] or [rad/s], shape (trajectory, step, body, 3)."""
-    gained: Array
-    """Change of the velocity over the step, shape as left."""
+    difference: Array
+    """Residual velocity [m/s] or [rad/s], shape (trajectory, step, body, 3)."""
+    gain: Array
+    """Change of the velocity over the step, same shape."""
     bend: Array
-    """What velocities may do between frames without contact, shape (trajectory, step, body)."""
+    """Allowance for velocities between frames without contact, (trajectory, step, body)."""
     hidden: Array
-    """What contact may do besides, shape as bend."""
+    """Further allowance for contact, same shape as `bend`."""
     floor: Array
     """Resolution, shape (trajectory, 1, 1)."""
     share: float
-    """Of a frame that a step takes: what a method leaves does not average out."""
+    """Share of a frame that a step takes, as errors of a method do not average out."""
 
     @staticmethod
     def of_places(record: Record, more: Forced | None) -> _Residual:
         velocity = record.bodies.velocity
         mean = record.moved / record.frame
-        left = mean - (velocity[:, 1:] + velocity[:, :-1]) / 2
+        residual = mean - (velocity[:, 1:] + velocity[:, :-1]) / 2
         bend = None if more is None else more.places
-        return _residual(record, left, velocity, 1.0, _hidden(record, more, False), bend)
+        return _residual(record, residual, velocity, 1.0, _hidden(record, more, False), bend)
 
     @staticmethod
     def of_turns(record: Record, more: Forced | None) -> _Residual:
-        """Take the turn that velocities give, to third order (Magnus), back from the recorded."""
+        """Compare recorded turns with those that velocities give to third order (Magnus)."""
         spin, facing, frame = record.bodies.angular_velocity, record.bodies.native, record.frame
         begin, end = spin[:, :-1], spin[:, 1:]
-        given = frame / 2 * (begin + end) - frame**2 / 12 * rotation.cross(begin, end)
+        predicted = frame / 2 * (begin + end) - frame**2 / 12 * rotation.cross(begin, end)
         turned = rotation.multiply(facing[:, 1:], rotation.conjugate(facing[:, :-1]))
-        back = rotation.multiply(rotation.from_vector(-given), turned)
-        left = rotation.to_vector(back) / frame
+        back = rotation.multiply(rotation.from_vector(-predicted), turned)
+        residual = rotation.to_vector(back) / frame
         bend = None if more is None else more.turns
         hidden = _hidden(record, more, True)
-        return _residual(record, left, spin, 1.0 / record.scene.length, hidden, bend)
+        return _residual(record, residual, spin, 1.0 / record.scene.length, hidden, bend)
 
     @functools.cached_property
     def allowed(self) -> Array:
@@ -162,21 +161,21 @@ class _Residual:
 
     @property
     def by_frame(self) -> Array:
-        """Left over allowed, shape (trajectory, frame, body)."""
-        return _framed(rotation.norm(self.left) / self.allowed)
+        """Residual over the allowance, shape (trajectory, frame, body)."""
+        return _framed(rotation.norm(self.difference) / self.allowed)
 
     @functools.cached_property
     def weight(self) -> Array:
-        """Of each step in means, 0 where nothing is known, shape (trajectory, step, body)."""
-        return np.where(np.isfinite(self.left[..., 0]), 1.0 / self.allowed**2, 0.0)
+        """Weight of each step in means, 0 where nothing is known, (trajectory, step, body)."""
+        return np.where(np.isfinite(self.difference[..., 0]), 1.0 / self.allowed**2, 0.0)
 
-    def drift(self, left: Array) -> Array:
-        """Weighted mean over the trajectory of what is left over what it may be, at its end."""
-        known = np.isfinite(left[..., 0])
+    def drift(self, residual: Array) -> Array:
+        """Return the weighted mean residual over its limit, placed at the trajectory's end."""
+        known = np.isfinite(residual[..., 0])
         share = self.weight / np.maximum(self.weight.sum(axis=1, keepdims=True), _TINY)
-        left, bends = numbers(left), numbers(self.bend)
-        mean = np.einsum("tsb,tsbi->tbi", share, left)[:, None]
-        scatter = share * rotation.norm(left - mean)
+        residual, bends = numbers(residual), numbers(self.bend)
+        mean = np.einsum("tsb,tsbi->tbi", share, residual)[:, None]
+        scatter = share * rotation.norm(residual - mean)
         error = np.sqrt(np.einsum("tsb,tsb->tb", scatter, scatter))
         bend = np.einsum("tsb,tsb->tb", share, bends)
         limit = (
@@ -189,22 +188,22 @@ class _Residual:
 
 def _residual(
     record: Record,
-    left: Array,
+    residual: Array,
     velocity: Array,
     per_length: float,
     hidden: Array,
-    swung: Array | None,
+    swing: Array | None,
 ) -> _Residual:
     gained = np.diff(velocity, axis=1)
     share = (record.step or 0.0) / record.frame
     own = min(_METHOD * share**2, _BEND)
     change = _second_differences(gained)
     change = _with_ends(_window(np.maximum(change[:, 1:], change[:, :-1])))
-    if swung is not None:
-        change = np.maximum(change, np.maximum(_SWING * swung, _unresolved(swung, gained)))
+    if swing is not None:
+        change = np.maximum(change, np.maximum(_SWING * swing, _unresolved(swing, gained)))
     bend = (_BEND + own) * change
     if record.lag:
-        left = left + record.lag / record.frame * gained
+        residual = residual + record.lag / record.frame * gained
         fastest = _window(rotation.norm(gained).max(axis=2, keepdims=True))
         bend = bend + _LAG * abs(record.lag) / record.frame * fastest
     repeats = _repeats(record)
@@ -212,7 +211,7 @@ def _residual(
     least = record.frame * record.usual_pull * per_length
     floor = _FLOOR * np.maximum(speed, least)[:, None, None]
     return _Residual(
-        left,
+        residual,
         gained,
         np.where(repeats, 0.0, bend),
         np.where(repeats, 0.0, hidden),
@@ -221,106 +220,106 @@ def _residual(
     )
 
 
-def _unresolved(swung: Array, gained: Array) -> Array:
-    """What frames too far apart hide of velocities, shape (trajectory, 1, body).
+def _unresolved(swing: Array, gained: Array) -> Array:
+    """Bound velocities hidden between frames that are too far apart, shape (trajectory, 1, body).
 
-    Accelerations that change by as much as they are may be equal by chance at both ends of a frame:
-    each may hide what they change by at most.
+    Accelerations that change by their own size may be equal by chance at both ends of a frame. So
+    every frame may hide the largest such change of the trajectory.
     """
-    gain = usual(swung) / np.maximum(usual(rotation.norm(gained)), _TINY)
-    return swung.max(axis=1, keepdims=True) * np.minimum(1.0, gain) ** 2
+    gain = usual(swing) / np.maximum(usual(rotation.norm(gained)), _TINY)
+    return swing.max(axis=1, keepdims=True) * np.minimum(1.0, gain) ** 2
 
 
 @functools.lru_cache(maxsize=1)
 def _repeats(record: Record) -> Mask:
-    """Whether bodies neither move nor turn in a step, to the last bit, (trajectory, step, body)."""
+    """Return whether bodies keep their pose in steps to the last bit, (trajectory, step, body)."""
     return _same(record.bodies.position) & _same(record.bodies.native)
 
 
 def _second_differences(gained: Array) -> Array:
-    """Sizes of those of velocities at every frame, shape (trajectory, frame, body).
+    """Return sizes of second differences of velocities at frames, (trajectory, frame, body).
 
-    Those of the ends go on as they change beside them: on one side the frames see nothing.
+    At the ends, where one neighbour is missing, they are extrapolated linearly.
     """
     inside = np.diff(gained, axis=1)
-    found = np.zeros((len(gained), gained.shape[1] + 1, gained.shape[2]))
-    found[:, 1:-1] = rotation.norm(inside)
+    sizes = np.zeros((len(gained), gained.shape[1] + 1, gained.shape[2]))
+    sizes[:, 1:-1] = rotation.norm(inside)
     if inside.shape[1]:
         for end, near, next_ in ((0, 0, 1), (-1, -1, -2)):
             beyond = inside[:, next_ % inside.shape[1]]
-            found[:, end] = rotation.norm(2.0 * inside[:, near] - beyond)
-    return found
+            sizes[:, end] = rotation.norm(2.0 * inside[:, near] - beyond)
+    return sizes
 
 
 def _same(values: Array) -> Mask:
-    """Whether vectors repeat to the last bit, (trajectory, step, body)."""
+    """Return whether vectors repeat to the last bit, (trajectory, step, body)."""
     # Component by component: reductions along a short axis are several times slower.
-    found = values[:, 1:, :, 0] == values[:, :-1, :, 0]
+    same = values[:, 1:, :, 0] == values[:, :-1, :, 0]
     for k in range(1, values.shape[-1]):
-        found &= values[:, 1:, :, k] == values[:, :-1, :, k]
-    return np.asarray(found)
+        same &= values[:, 1:, :, k] == values[:, :-1, :, k]
+    return np.asarray(same)
 
 
 def _window(values: Array) -> Array:
-    """Largest of each step and its two neighbours, shape (trajectory, step, body)."""
-    found = values.copy("K")
-    np.maximum(values[:, 1:], values[:, :-1], out=found[:, 1:])
-    found[:, :-1] = np.maximum(found[:, :-1], values[:, 1:])
-    return found
+    """Return the largest value of each step and its two neighbours, (trajectory, step, body)."""
+    highest = values.copy("K")
+    np.maximum(values[:, 1:], values[:, :-1], out=highest[:, 1:])
+    highest[:, :-1] = np.maximum(highest[:, :-1], values[:, 1:])
+    return highest
 
 
 def _with_ends(window: Array) -> Array:
-    """Let the first and last step have their neighbour's window: on one side they see nothing."""
-    found = window.copy("K")
+    """Extend the windows of the first and last step, which lack a neighbour, by the next one's."""
+    windows = window.copy("K")
     for end, inside in ((0, 1), (-1, -2)):
-        found[:, end] = np.maximum(window[:, end], window[:, inside % window.shape[1]])
-    return found
+        windows[:, end] = np.maximum(window[:, end], window[:, inside % window.shape[1]])
+    return windows
 
 
 def _hidden(record: Record, more: Forced | None, angular: bool) -> Array:
-    """What impulses may do to the mean velocities of bodies, (trajectory, step, body)."""
+    """Bound the effect of impulses on mean velocities of bodies, (trajectory, step, body)."""
     mechanism = record.mechanism
-    found = np.zeros_like(record.bodies.position[:, 1:, :, 0])
+    bounds = np.zeros_like(record.bodies.position[:, 1:, :, 0])
     if mechanism.limited:
-        found += _PATH * kicked(record, 0.0 if more is None else more.pull)[angular]
-    found[_struck(record)] = np.inf
+        bounds += _PATH * kicked(record, 0.0 if more is None else more.pull)[angular]
+    bounds[_struck(record)] = np.inf  # the number of collisions is unknown
     if not len(mechanism.sphere_body):
-        return found
-    moved = responses(mechanism)[angular]
+        return bounds
+    response = responses(mechanism)[angular]
     for push in pushes_of(record):
         group = list(push.bodies)
         path = np.full(push.steady.shape, _PATH * np.hypot(1.0, record.ground.friction))
         if len(group) > 1:  # a single body's responses are exact
             path *= _POSE * np.where(push.steady, _LASTING, 1.0)
-        most = moved[push.spheres][:, group].max(axis=0)
-        found[:, :, group] = (path * _upward(push))[..., None] * most
-    return found
+        most = response[push.spheres][:, group].max(axis=0)
+        bounds[:, :, group] = (path * _upward(push))[..., None] * most
+    return bounds
 
 
 def _struck(record: Record) -> Mask:
-    """Bodies that may collide in a step, or hang on such: how often is unknown; shape as bend."""
-    mechanism, found = record.mechanism, np.zeros(record.moved.shape[:3], dtype=bool)
+    """Find bodies that may collide in a step, or hang on such bodies, (trajectory, step, body)."""
+    mechanism, struck = record.mechanism, np.zeros(record.moved.shape[:3], dtype=bool)
     groups = {body: list(group) for group in groups_of(mechanism) for body in group}
     for k, pair in enumerate(mechanism.sphere_body[mechanism.sphere_pairs].tolist()):
         met = ~record.parted[..., k]
         for body in (one for end in pair for one in groups[end]):
-            found[..., body] |= met
-    return found
+            struck[..., body] |= met
+    return struck
 
 
 def _upward(push: Push) -> Array:
-    """Vertical impulse of the ground [N·s], where a sphere may touch, shape (trajectory, step)."""
+    """Return the ground's upward impulse [N·s], 0 if no sphere may touch, (trajectory, step)."""
     reached = push.reach.any(axis=2) & (push.impulse[..., 2] > 0.0)
     return np.where(reached, push.impulse[..., 2], 0.0)
 
 
-def _of_group(record: Record, push: Push, left: Array) -> Array:
-    """Residual of a group's centre of mass over its bound, shape (trajectory, frame, 2).
+def _of_group(record: Record, push: Push, residual: Array) -> Array:
+    """Compute the residual of a group's centre of mass over its bound, (trajectory, frame, 1).
 
-    Vertically the impulse only grows, horizontally its changes add up to μ times as much: exact but
-    for a lag, by which impulses of neighbouring steps belong to this.
+    The vertical impulse only grows, and horizontal changes add up to at most μ times as much. The
+    bound is exact except for a lag, by which impulses of neighbouring steps belong to this one.
     """
-    centre = push.middle(left)
+    centre = push.middle(residual)
     gain = _upward(push)[..., None] / push.mass
     late = abs(record.lag) / record.frame * (_window(gain) + push.blur[..., None] / push.mass)
     speed = np.nanmax(rotation.norm(record.bodies.velocity), axis=(1, 2), initial=0.0)
@@ -331,16 +330,13 @@ def _of_group(record: Record, push: Push, left: Array) -> Array:
 
 
 def _delay(record: Record, place: _Residual, turn: _Residual) -> Array:
-    """Slope of the residuals over the accelerations, over what it may be, at the last frame."""
+    """Compute the slope of residuals over accelerations, over its limit, at the last frame."""
     known = record.finite[:, 1:] & record.finite[:, :-1]
     squares, products = (
-        [
-            numbers(each.weight * rotation.dot(each.gained, other)).sum(axis=2)
-            for each, other in pairs
-        ]
+        [numbers(each.weight * rotation.dot(each.gain, other)).sum(axis=2) for each, other in pairs]
         for pairs in (
-            [(place, place.gained), (turn, turn.gained)],
-            [(place, place.left), (turn, turn.left)],
+            [(place, place.gain), (turn, turn.gain)],
+            [(place, place.difference), (turn, turn.difference)],
         )
     )
     square = np.maximum(sum(each.sum(axis=1) for each in squares), _FAINT)
@@ -352,13 +348,13 @@ def _delay(record: Record, place: _Residual, turn: _Residual) -> Array:
 
 def _framed(values: Array) -> Array:
     """Put a figure of each step at the frame at its end."""
-    found = np.empty_like(values, shape=(len(values), values.shape[1] + 1, values.shape[2]))
-    found[:, 0], found[:, 1:] = np.nan, values
-    return found
+    series = np.empty_like(values, shape=(len(values), values.shape[1] + 1, values.shape[2]))
+    series[:, 0], series[:, 1:] = np.nan, values
+    return series
 
 
 def _at_end(known: Mask, values: Array) -> Array:
     """Put figures of trajectories at their last frames, (trajectory, frame, part)."""
-    placed = np.full((len(known), known.shape[1] + 1, values.shape[1]), np.nan)
-    placed[np.arange(len(known)), known.sum(axis=1)] = values
-    return placed
+    series = np.full((len(known), known.shape[1] + 1, values.shape[1]), np.nan)
+    series[np.arange(len(known)), known.sum(axis=1)] = values
+    return series

@@ -1,7 +1,7 @@
-"""What `displacement` finds without contact, of eight trajectories at once.
+"""Figures of `displacement` without contact, for eight trajectories at once.
 
-The same sums as in `displacement`, in one pass from frame to frame instead of some hundred over
-whole arrays: numbers of a body stay in the nearest cache. Figures agree to rounding.
+Sums are those of `displacement`, in one pass from frame to frame instead of about a hundred over
+whole arrays, so that numbers of a body stay in the nearest cache. Figures agree to rounding.
 """
 
 from __future__ import annotations
@@ -40,27 +40,25 @@ from mbds_xsim.reference.traced import load, store
 _TINY = 2.2250738585072014e-308
 _SMALL = 1e-12
 
-# Rows of lanes that a step has: what is left, the same in the body's frame, the gain of the
-# velocity, whether anything moved, what velocities may do in it, weights; then, of both kinds,
-# squares and products of the gains; the fastest body's gain.
-LEFT, OWN, GAINED, MOVED, BEND, WEIGHT, SQUARE, PRODUCT, FASTEST = 0, 3, 6, 9, 10, 11, 12, 14, 16
+# Rows of lanes per step: residual, residual in the body's frame, gain of the velocity, whether
+# anything moved, allowance for bending, weights; then, of both kinds, squares and products of the
+# gains; the fastest body's gain.
+RESIDUAL, OWN, GAIN, MOVED, BEND, WEIGHT, SQUARE, PRODUCT, FASTEST = 0, 3, 6, 9, 10, 11, 12, 14, 16
 STEP = 17
-WHOLE = 1
-"""Parts of a body over the whole trajectory, by kind: the mean; of turns, that in its own frame."""
 
 
 class Rule(NamedTuple):
-    """What the figures are held against; `displacement` explains it."""
+    """Constants of the figures' limits; `displacement` explains them."""
 
     frame: float
     lag: float
-    """Over the frame."""
+    """Lag of velocities over the frame interval."""
     bend: float
     late: float
-    """Of the fastest body's gain."""
+    """Allowed share of the fastest body's gain."""
     share: float
     least: tuple[float, float]
-    """Slowest speeds that set a scale [m/s], [rad/s]."""
+    """Least speeds that set a scale [m/s], [rad/s]."""
     floor: float
     systematic: float
     errors: float
@@ -70,8 +68,8 @@ class Rule(NamedTuple):
 
 
 @entered
-def displace(m: FlatMotion, rule: Rule, work: Array, found: Array) -> None:
-    """Write the figures, shape (part, frame, trajectory), flat; work has `STEP` rows a step."""
+def displace(m: FlatMotion, rule: Rule, work: Array, figures: Array) -> None:
+    """Write the figures, shape (part, frame, trajectory), flat; `work` has `STEP` rows per step."""
     for first in range(0, m.rows, LANES):
         t = min(first, m.rows - LANES)
         for s in range(m.frames - 1):
@@ -80,10 +78,10 @@ def displace(m: FlatMotion, rule: Rule, work: Array, found: Array) -> None:
         for turns in range(2):
             floor = _prepare(m, rule, work, t, turns)
             for b in range(m.bodies):
-                _leave(m, rule, work, t, turns, b)
+                _store_residuals(m, rule, work, t, turns, b)
                 _bend(m, rule, work)
-                _judge(m, rule, work, found, t, turns, b, floor)
-        _delay(m, rule, work, found, t)
+                _judge(m, rule, work, figures, t, turns, b, floor)
+        _delay(m, rule, work, figures, t)
 
 
 @compiled
@@ -95,7 +93,7 @@ def _speed(m, turns, body, frame, t):
 
 @compiled
 def _prepare(m, rule, work, t, turns):
-    """Give the floor of a trajectory, and keep the largest gain of each step."""
+    """Return the floor of a trajectory, and store the largest gain of each step."""
     fastest = spread(0.0)
     for s in range(m.frames - 1):
         store(work, STEP * s + FASTEST, spread(0.0))
@@ -113,8 +111,8 @@ def _prepare(m, rule, work, t, turns):
 
 
 @compiled
-def _leave(m, rule, work, t, turns, b):
-    """Write what is left of each step, what the velocity gains, and whether the body moves."""
+def _store_residuals(m, rule, work, t, turns, b):
+    """Write the residual of each step, the velocity's gain, and whether the body moves."""
     place, turn = vector(m, m.position, b, 0, t), facing(m, b, 0, t)
     before = _speed(m, turns, b, 0, t)
     for s in range(m.frames - 1):
@@ -123,44 +121,44 @@ def _leave(m, rule, work, t, turns, b):
         after = _speed(m, turns, b, s + 1, t)
         step, gain = sub(there, place), sub(after, before)
         if turns:
-            left = _turn_left(rule, before, after, turn, then)
+            residual = _turn_residual(rule, before, after, turn, then)
         else:
-            left = sub(times(1.0 / rule.frame, step), times(0.5, add(after, before)))
-        left = add(left, times(rule.lag, gain))
+            residual = sub(times(1.0 / rule.frame, step), times(0.5, add(after, before)))
+        residual = add(residual, times(rule.lag, gain))
         moved = size(step[0]) + size(step[1]) + size(step[2])
         moved = moved + size(then[0] - turn[0]) + size(then[1] - turn[1])
         moved = moved + size(then[2] - turn[2]) + size(then[3] - turn[3])
-        store3(work, at + LEFT, left)
-        store3(work, at + GAINED, gain)
+        store3(work, at + RESIDUAL, residual)
+        store3(work, at + GAIN, gain)
         store(work, at + MOVED, moved)
         if turns:
-            store3(work, at + OWN, rotated(conjugate(turn), left))
+            store3(work, at + OWN, rotated(conjugate(turn), residual))
         place, turn, before = there, then, after
 
 
 @compiled
-def _turn_left(rule, begin, end, turn, then):
-    """Take the turn that velocities give, to third order, back from the recorded."""
+def _turn_residual(rule, begin, end, turn, then):
+    """Compute the recorded turn less that of the velocities, to third order, as a rate."""
     h = rule.frame
-    given = sub(times(h / 2, add(begin, end)), times(h**2 / 12, cross(begin, end)))
-    half = 0.5 * root(dot(given, given))
-    some = positive(half, half, spread(1.0))
-    share = 0.5 * positive(half, sine(some) / some, spread(1.0))
-    undone = cosine(half), -share * given[0], -share * given[1], -share * given[2]
+    predicted = sub(times(h / 2, add(begin, end)), times(h**2 / 12, cross(begin, end)))
+    half = 0.5 * root(dot(predicted, predicted))
+    divisor = positive(half, half, spread(1.0))
+    share = 0.5 * positive(half, sine(divisor) / divisor, spread(1.0))
+    undone = cosine(half), -share * predicted[0], -share * predicted[1], -share * predicted[2]
     q = hamilton(undone, hamilton(then, conjugate(turn)))
     # Rotation vector, of length π at most.
     sign = positive(-q[0], spread(-1.0), spread(1.0))
     axis = sign * q[1], sign * q[2], sign * q[3]
     length = root(dot(axis, axis))
-    seen = length - _SMALL
-    some = positive(seen, length, spread(1.0))
-    stretch = positive(seen, 2.0 * arctan2(some, sign * q[0]) / some, spread(2.0))
+    excess = length - _SMALL
+    divisor = positive(excess, length, spread(1.0))
+    stretch = positive(excess, 2.0 * arctan2(divisor, sign * q[0]) / divisor, spread(2.0))
     return times(stretch / h, axis)
 
 
 @compiled
 def _bend(m, rule, work):
-    """Write what velocities may do between the frames of each step."""
+    """Write the allowance for velocities that bend between the frames of each step."""
     steps = m.frames - 1
     for s in range(steps):  # the larger second difference of its two ends
         here = larger(_change(work, steps, s), _change(work, steps, s + 1))
@@ -174,18 +172,18 @@ def _bend(m, rule, work):
 
 
 @compiled
-def _window(work, steps, s, what):
-    most = load(work, STEP * s + what)
+def _window(work, steps, s, row):
+    most = load(work, STEP * s + row)
     if s > 0:
-        most = larger(most, load(work, STEP * (s - 1) + what))
+        most = larger(most, load(work, STEP * (s - 1) + row))
     if s + 1 < steps:
-        most = larger(most, load(work, STEP * (s + 1) + what))
+        most = larger(most, load(work, STEP * (s + 1) + row))
     return most
 
 
 @compiled
 def _change(work, steps, frame):
-    """Give the size of the second difference at a frame; at an end it goes on as beside it."""
+    """Return the size of the second difference at a frame, extrapolated linearly at an end."""
     if steps < 2:
         return spread(0.0)
     if 0 < frame < steps:
@@ -199,51 +197,51 @@ def _change(work, steps, frame):
 
 @compiled
 def _second(work, frame):
-    return sub(load3(work, STEP * frame + GAINED), load3(work, STEP * (frame - 1) + GAINED))
+    return sub(load3(work, STEP * frame + GAIN), load3(work, STEP * (frame - 1) + GAIN))
 
 
 @compiled
-def _judge(m, rule, work, found, t, turns, b, floor):
-    """Write figures of a body, and add to what the delay is made of."""
+def _judge(m, rule, work, figures, t, turns, b, floor):
+    """Write the figures of a body, and add to the sums for the delay."""
     weights, bends = spread(0.0), spread(0.0)
     mean = own = (spread(0.0), spread(0.0), spread(0.0))
     part = (2 * turns * m.bodies + b) * m.frames
     for s in range(m.frames - 1):
         at = STEP * s
-        left, gain, bend = load3(work, at + LEFT), load3(work, at + GAINED), load(work, at + BEND)
+        rest, gain, bend = load3(work, at + RESIDUAL), load3(work, at + GAIN), load(work, at + BEND)
         allowed = bend + floor
         weight = 1.0 / (allowed * allowed)
-        put_eight(found, (part + s + 1) * m.rows + t, root(dot(left, left)) / allowed)
+        put_eight(figures, (part + s + 1) * m.rows + t, root(dot(rest, rest)) / allowed)
         store(work, at + WEIGHT, weight)
         weights, bends = weights + weight, bends + weight * bend
-        mean = add(mean, times(weight, left))
+        mean = add(mean, times(weight, rest))
         if turns:
             own = add(own, times(weight, load3(work, at + OWN)))
         add_to(work, at + SQUARE + turns, weight * dot(gain, gain))
-        add_to(work, at + PRODUCT + turns, weight * dot(gain, left))
-    some = 1.0 / larger(weights, spread(_TINY))
+        add_to(work, at + PRODUCT + turns, weight * dot(gain, rest))
+    inverse = 1.0 / larger(weights, spread(_TINY))
     part = ((2 * turns + 1) * m.bodies + b + 1) * m.frames - 1
-    drift = _drift(m, rule, work, LEFT, times(some, mean), some, some * bends, floor)
-    put_eight(found, part * m.rows + t, drift)
+    drift = _drift(m, rule, work, RESIDUAL, times(inverse, mean), inverse, inverse * bends, floor)
+    put_eight(figures, part * m.rows + t, drift)
     if turns:
-        drift = _drift(m, rule, work, OWN, times(some, own), some, some * bends, floor)
-        put_eight(found, (part + m.bodies * m.frames) * m.rows + t, drift)
+        drift = _drift(m, rule, work, OWN, times(inverse, own), inverse, inverse * bends, floor)
+        put_eight(figures, (part + m.bodies * m.frames) * m.rows + t, drift)
 
 
 @compiled
-def _drift(m, rule, work, what, mean, some, bend, floor):
-    """Give the size of a mean over what it may be."""
+def _drift(m, rule, work, row, mean, inverse, bend, floor):
+    """Return the size of a mean over its limit."""
     total = spread(0.0)
     for s in range(m.frames - 1):
-        off, share = sub(load3(work, STEP * s + what), mean), some * load(work, STEP * s + WEIGHT)
+        off, share = sub(load3(work, STEP * s + row), mean), inverse * load(work, STEP * s + WEIGHT)
         total = total + share * share * dot(off, off)
     limit = (rule.systematic + rule.share / 2) * bend + rule.errors * root(total)
     return root(dot(mean, mean)) / (limit + (rule.steady + rule.share) * floor)
 
 
 @compiled
-def _delay(m, rule, work, found, t):
-    """Write the slope of what is left over the gains, over what it may be."""
+def _delay(m, rule, work, figures, t):
+    """Write the slope of residuals over gains, relative to its limit."""
     square, product, rest = spread(0.0), spread(0.0), spread(0.0)
     for s in range(m.frames - 1):
         for k in range(2):
@@ -257,4 +255,4 @@ def _delay(m, rule, work, found, t):
             off = load(work, at + PRODUCT) - slope * load(work, at + SQUARE)
             rest = rest + off * off
     allowed = rule.slope + rule.errors * (root(rest) / square)
-    put_eight(found, ((5 * m.bodies + 1) * m.frames - 1) * m.rows + t, size(slope) / allowed)
+    put_eight(figures, ((5 * m.bodies + 1) * m.frames - 1) * m.rows + t, size(slope) / allowed)

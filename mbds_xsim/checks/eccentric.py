@@ -1,13 +1,13 @@
-"""Single impacts beside the centre of mass, held against the two laws that engines have for them.
+"""Single eccentric impacts, compared with the two laws that engines have for them.
 
 - Rigid: Newton's restitution, and Coulomb's friction against the slip that the impact leaves, or
-  enough of it to leave none.
-- Compliant: restitution of the normal work, and friction against the slip of each moment.
+  enough friction to leave none.
+- Compliant: restitution of the normal work, and friction against the slip at each instant.
 
-With friction beside the centre of mass the two give different rebounds. An impact has to keep to
-one of them, in restitution and in friction. An engine has one law for all impacts, and what its
-steps leave of it differs from impact to impact, so that the mean of all impacts of a run tells the
-coefficients far better than any of them does.
+With friction the two laws give different rebounds. An impact has to follow one of them, in both
+restitution and friction. An engine has one law for all impacts, and the errors of its steps differ
+from impact to impact, so the mean over all impacts of a run shows the coefficients far better than
+any single one.
 """
 
 from __future__ import annotations
@@ -23,44 +23,44 @@ from mbds_xsim.checks.finding import Figures, check
 from mbds_xsim.checks.ground import (
     Impacts,
     at_impacts,
+    delivered_restitution,
     fast_impacts_of,
     followed,
     lowest,
     one_sphere,
     pushed,
     pushes_of,
-    told_restitution,
 )
 from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.joint_space import BodyStates
 
-_RESTITUTION = 5.0  # times the budget of balls; springs of a few steps give up to 0.033
-_FRICTION = 15.0  # times the budget; PyBullet's friction beside the slip gives up to 0.24
+_RESTITUTION = 5.0  # times the budget of balls; springs of few steps are off by up to 0.033
+_FRICTION = 15.0  # times the budget; PyBullet's friction, oblique to the slip, is off by up to 0.24
 _BLUR = 3.0  # times the rebound's speed that the course does not explain
-_PARTS = 200  # of an impact
-_MOMENT = 1e-6  # over which accelerations are differences [s]
-_STILL = 1e-9  # slip that has no direction [m/s]
-_ENOUGH = 8  # impacts; fewer tell nothing
-_SEEN = 2.0  # impacts with full slip, at least, for friction
+_PARTS = 200  # parts of an impact
+_MOMENT = 1e-6  # half the interval of differences for accelerations [s]
+_STILL = 1e-9  # slip too slow to have a direction [m/s]
+_ENOUGH = 8  # least number of impacts
+_FULL = 2.0  # least number of impacts with full slip, for friction
 _ERRORS = 4.0  # standard errors
-_POOLED_RESTITUTION = 0.02  # that springs of a few steps leave (MuJoCo: 9e-3)
-_POOLED_FRICTION = 0.03  # of μ, the same (MuJoCo: 1.5e-2)
-_MORE = 0.05  # friction by which the law is differentiated, as a share
-_SLIPS = 0.05  # of the arriving speed: a rebound with less slip may have stuck
-_EXPLAINED = 3e-3  # of the arriving speed, below which a rebound is as good as explained
+_POOLED_RESTITUTION = 0.02  # error of springs of a few steps (MuJoCo: 9e-3)
+_POOLED_FRICTION = 0.03  # the same, as a share of μ (MuJoCo: 1.5e-2)
+_MORE = 0.05  # share by which μ is raised to differentiate a law
+_SLIPS = 0.05  # share of the arriving speed; a rebound with less slip may have stuck
+_EXPLAINED = 3e-3  # share of the arriving speed; smaller errors of the rebound count as this
 
 
 @check("eccentric restitution", lambda record: _budgets(record)[0])
 def eccentric_restitution(record: Record) -> Figures | None:
-    """Compare what single eccentric impacts give back with the scene's coefficient, else None.
+    """Compare the restitution of single eccentric impacts with the scene's coefficient.
 
-    Of speed or of normal work, whichever law the impact keeps to.
+    It is that of speed or of normal work, whichever law the impact fits. None with balls alone.
     """
     groups = _deviations(record)
     if not groups:
         return None
     ratios = [ratio for _, hits, _ in groups for ratio in (hits.leaving / hits.arriving).tolist()]
-    note = told_restitution(ratios, record.ground.restitution)
+    note = delivered_restitution(ratios, record.ground.restitution)
     if ratios:
         rigid = sum(int(off[2].sum()) for _, _, off in groups)
         note += f"; {rigid} of {len(ratios)} impacts by the rigid law"
@@ -69,7 +69,7 @@ def eccentric_restitution(record: Record) -> Figures | None:
 
 @check("eccentric friction", lambda record: _budgets(record)[1])
 def eccentric_friction(record: Record) -> Figures:
-    """Compare the friction of single eccentric impacts with Coulomb's law, over μ · normal."""
+    """Compare the friction of single eccentric impacts with Coulomb's law, over μ times normal."""
     return _figures(record, 1)
 
 
@@ -86,14 +86,14 @@ def _budgets(record: Record) -> tuple[float, float]:
 
 @functools.lru_cache(maxsize=1)
 def _deviations(record: Record) -> list[tuple[str, Impacts, Array]]:
-    """Name and impacts of each group that is no ball, and how far they are from a law.
+    """Return names and impacts of groups that are not balls, and deviations from the best law.
 
-    That is the law that an impact keeps to best: deviations of restitution and of friction, and 1
-    where it is the rigid one, shape (3, impact).
+    The law is the one that an impact fits best. The array, of shape (3, impact), has deviations of
+    restitution and friction, and 1 where the rigid law fits best.
     """
     pushes = [push for push in pushes_of(record) if not push.ball]
-    found = [(push.name, fast_impacts_of(record, push)) for push in pushes]
-    return [(name, hits, _least(record, hits)) for name, hits in found]
+    impacts = [(push.name, fast_impacts_of(record, push)) for push in pushes]
+    return [(name, hits, _least(record, hits)) for name, hits in impacts]
 
 
 def _least(record: Record, hits: Impacts) -> Array:
@@ -108,7 +108,7 @@ def _from_rigid(record: Record, hits: Impacts) -> tuple[Array, Array]:
     restitution = np.abs(hits.leaving / hits.arriving - ground.restitution)
     most, across = ground.friction * hits.impulse[:, 2], hits.impulse[:, :2]
     soft = yielding(record, hits.after, hits.sphere)[:, :2, :2]
-    # What it would have taken to leave no slip, or to be at the cone's edge against it.
+    # Impulse missing to leave no slip, and deviation from the cone's edge against it.
     missing = np.linalg.solve(soft, hits.rebound[..., None])[..., 0]
     speed = np.linalg.norm(hits.rebound, axis=1, keepdims=True)
     against = -most[:, None] * hits.rebound / np.maximum(speed, np.finfo(float).tiny)
@@ -131,26 +131,26 @@ def _from_compliant(record: Record, hits: Impacts) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """What an impact comes to, one entry an impact."""
+    """Outcome of impacts by the compliant law, one entry per impact."""
 
     velocity: Array
-    """Of the sphere's lowest point at the end [m/s], shape (impact, 3)."""
+    """Final velocity of the sphere's lowest point [m/s], shape (impact, 3)."""
     friction: Array
     """Horizontal impulse [N·s], shape (impact, 2)."""
     restitution: Array
-    """Root of the normal work given back over the work taken (Stronge 1990, Proc. R. Soc. A 431,
-    169)."""
+    """Square root of the normal work given back over that taken (Stronge 1990, Proc. R. Soc. A
+    431, 169)."""
 
 
 @functools.lru_cache(maxsize=4)
 def course_of(record: Record, hits: Impacts, coefficient: float) -> Course:
     """Follow impacts through their recorded normal impulse, with a coefficient of friction.
 
-    On a compliant contact impulse builds up until the sphere leaves. Friction opposes the slip of
-    each moment, μ times the normal impulse, or holds the point where that is enough (Routh 1905,
-    Dynamics of a System of Rigid Bodies; in three dimensions Keller 1986, J. Appl. Mech. 53, 1).
-    Nothing is assumed of the spring but that its push is half a sine in time, which only matters
-    for what rotation and gravity add.
+    In a compliant contact the impulse builds up until the sphere leaves. At each instant friction
+    opposes the slip with μ times the normal impulse, or holds the point if less is enough (Routh
+    1905, Dynamics of a System of Rigid Bodies; in three dimensions Keller 1986, J. Appl. Mech. 53,
+    1). The only assumption about the spring is that its push is half a sine in time, which matters
+    only for what rotation and gravity add.
     """
     ends = (hits.before, hits.after)
     yields = [yielding(record, bodies, hits.sphere) for bodies in ends]
@@ -174,19 +174,19 @@ def course_of(record: Record, hits: Impacts, coefficient: float) -> Course:
 
 
 def yielding(record: Record, bodies: BodyStates, sphere: Index) -> Array:
-    """Velocity that a unit impulse on a sphere's lowest point gives it [1/kg], (impact, 3, 3)."""
+    """Compute velocities of spheres' lowest points per unit impulse [1/kg], (impact, 3, 3)."""
     if not len(sphere):
         return np.zeros((0, 3, 3))
     mechanism, each = record.mechanism, np.arange(len(sphere))
     body = mechanism.sphere_body[sphere]
-    given = pushed(mechanism, bodies, sphere)
+    response = pushed(mechanism, bodies, sphere)
     arm = lowest(mechanism, bodies.native[each, body], sphere)[:, None]
-    turning = rotation.cross(given.angular_velocity[each, :, body], arm)
-    return np.moveaxis(given.velocity[each, :, body] + turning, 1, 2)
+    turning = rotation.cross(response.angular_velocity[each, :, body], arm)
+    return np.moveaxis(response.velocity[each, :, body] + turning, 1, 2)
 
 
 def _acceleration(record: Record, hits: Impacts, bodies: BodyStates) -> Array:
-    """Of the lowest point without the ground [m/s²], shape (impact, 3)."""
+    """Compute the acceleration of the lowest point without the ground [m/s²], (impact, 3)."""
     inputs = (values[hits.row, hits.step] for values in (record.batch.force, record.torque))
     force, torque = inputs
     ends = []
@@ -199,12 +199,12 @@ def _acceleration(record: Record, hits: Impacts, bodies: BodyStates) -> Array:
 
 
 def _friction(slip: Array, gives: Array, alone: Array, most: Array) -> Array:
-    """Impulse of friction in a part [N·s], (impact, 2): it holds the point, or opposes its slip.
+    """Compute friction in a part of an impact [N·s], (impact, 2); it stops or opposes the slip.
 
     Args:
-        slip: At the part's start [m/s], shape (impact, 2).
-        gives: As of `yielding`.
-        alone: Change of velocity that the rest makes [m/s], shape (impact, 3).
+        slip: Slip at the part's start [m/s], shape (impact, 2).
+        gives: Velocities per unit impulse, as from `yielding`.
+        alone: Change of velocity by everything else [m/s], shape (impact, 3).
         most: Largest size of the impulse [N·s].
     """
     soft = gives[:, :2, :2]
@@ -225,64 +225,66 @@ def _direction(vectors: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
-    """What impacts show, by the rigid and by the compliant law; axes are (law, impact)."""
+class ImpactEvidence:
+    """Evidence from impacts by the rigid and by the compliant law; axes are (law, impact)."""
 
     restitution: Array
-    """Above the scene's."""
+    """Excess over the scene's coefficient."""
     weight: Array
-    """What an impact counts."""
+    """Weight of each impact."""
     product: Array
-    """Of what the law leaves of friction, with what a larger μ would add."""
+    """Product of the residual friction and the effect of a larger μ."""
     square: Array
-    """Of what a larger μ would add."""
+    """Square of the effect of a larger μ."""
 
     @property
-    def known(self) -> Shown:
-        """Those of which every number is finite."""
+    def known(self) -> ImpactEvidence:
+        """Impacts of which every number is finite."""
         values = list(vars(self).values())
         finite = np.isfinite(values).all(axis=(0, 1))
-        return Shown(*(value[:, finite] for value in values))
+        return ImpactEvidence(*(value[:, finite] for value in values))
 
     @staticmethod
-    def joined(parts: list[Shown]) -> Shown:
-        """Put the impacts of several groups of bodies or trajectories together."""
+    def joined(parts: list[ImpactEvidence]) -> ImpactEvidence:
+        """Join the impacts of several groups of bodies or trajectories."""
         fields = ("restitution", "weight", "product", "square")
-        return Shown(*(np.concatenate([getattr(p, k) for p in parts], axis=1) for k in fields))
+        return ImpactEvidence(
+            *(np.concatenate([getattr(p, k) for p in parts], axis=1) for k in fields)
+        )
 
 
 @dataclass(frozen=True)
 class Pool:
-    """The coefficients that impacts show together, as deviations from the scene's."""
+    """Coefficients that impacts show together, as deviations from the scene's."""
 
     impacts: int
     law: str
     restitution: float
     restitution_allowed: float
     friction: float
-    """As a share of μ."""
+    """Deviation as a share of μ."""
     friction_allowed: float
 
     @staticmethod
-    def of(shown: Shown) -> Pool | None:
-        """Average by the law that impacts scatter less about; None with few impacts.
+    def of(evidence: ImpactEvidence) -> Pool | None:
+        """Average by the law with the smaller scatter of impacts; None with few impacts.
 
-        What a law cannot follow, such as an impact in which it does no work, is left out.
+        Impacts that a law cannot follow, such as those in which it does no work, are left out.
         """
-        shown = shown.known
-        count = shown.weight.shape[1]
+        evidence = evidence.known
+        count = evidence.weight.shape[1]
         if count < _ENOUGH:
             return None
-        total = shown.weight.sum(axis=1)
-        mean = (shown.weight * shown.restitution).sum(axis=1) / total
-        off = shown.weight * (shown.restitution - mean[:, None])
+        total = evidence.weight.sum(axis=1)
+        mean = (evidence.weight * evidence.restitution).sum(axis=1) / total
+        off = evidence.weight * (evidence.restitution - mean[:, None])
         error = np.sqrt((off**2).sum(axis=1)) / total
-        square = shown.square.sum(axis=1)
-        seen = square > _SEEN
-        share = np.where(seen, shown.product.sum(axis=1) / np.maximum(square, _SEEN), 0.0)
-        left = shown.product - share[:, None] * shown.square
-        spread = np.where(seen, np.sqrt((left**2).sum(axis=1)) / np.maximum(square, _SEEN), np.inf)
-        k = int((error * spread if seen.all() else error).argmin())
+        square = evidence.square.sum(axis=1)
+        known = square > _FULL
+        share = np.where(known, evidence.product.sum(axis=1) / np.maximum(square, _FULL), 0.0)
+        rest = evidence.product - share[:, None] * evidence.square
+        spread = np.where(known, np.sqrt((rest**2).sum(axis=1)) / np.maximum(square, _FULL), np.inf)
+        k = int((error * spread if known.all() else error).argmin())
         return Pool(
             impacts=count,
             law=("rigid", "compliant")[k],
@@ -294,7 +296,7 @@ class Pool:
 
     @property
     def used(self) -> tuple[float, float]:
-        """Restitution and friction over what is allowed."""
+        """Deviations of restitution and friction over what is allowed."""
         return (
             abs(self.restitution) / self.restitution_allowed,
             abs(self.friction) / self.friction_allowed,
@@ -312,32 +314,34 @@ class Pool:
 def impact_coefficients(record: Record) -> Figures | None:
     """Compare the coefficients that all impacts of a run show together with the scene's.
 
-    Deviations over what is allowed: 0.02 of restitution and a share of 0.03 of friction, with four
-    standard errors. None where less than eight impacts beside centres of mass are seen.
+    Figures are deviations over what is allowed: 0.02 of restitution and a share of 0.03 of
+    friction, plus four standard errors each. None with fewer than eight eccentric impacts.
     """
-    shown = shown_of(record)
-    pool = None if shown is None else Pool.of(shown)
+    evidence = impact_evidence_of(record)
+    pool = None if evidence is None else Pool.of(evidence)
     if pool is None:
         return None
     parts = record.at_end(np.broadcast_to(pool.used, (len(record.finite), 2)))
     return Figures(parts, ("restitution", "friction"), str(pool))
 
 
-def shown_of(record: Record) -> Shown | None:
-    """Collect what the impacts of all groups that are no balls show; None without such groups."""
+def impact_evidence_of(record: Record) -> ImpactEvidence | None:
+    """Collect evidence from impacts of all groups that are not balls; None without such groups."""
     groups = [push for push in pushes_of(record) if not push.ball]
     if not groups:
         return None
-    return Shown.joined([_shown(record, fast_impacts_of(record, push)) for push in groups])
+    return ImpactEvidence.joined(
+        [_evidence(record, fast_impacts_of(record, push)) for push in groups]
+    )
 
 
-def _shown(record: Record, hits: Impacts) -> Shown:
+def _evidence(record: Record, hits: Impacts) -> ImpactEvidence:
     laws = (_by_rigid(record, hits), _by_compliant(record, hits))
-    return Shown(*(np.stack(values) for values in zip(*laws, strict=True)))
+    return ImpactEvidence(*(np.stack(values) for values in zip(*laws, strict=True)))
 
 
 def _by_rigid(record: Record, hits: Impacts) -> tuple[Array, Array, Array, Array]:
-    """Friction is known of impacts that leave a slip, which it opposes."""
+    """Evaluate impacts by the rigid law; friction shows where they leave a slip."""
     ground = record.ground
     speed = np.linalg.norm(hits.rebound, axis=1)
     slips = (speed > _SLIPS * hits.arriving).astype(float)
@@ -349,16 +353,16 @@ def _by_rigid(record: Record, hits: Impacts) -> tuple[Array, Array, Array, Array
 
 
 def _by_compliant(record: Record, hits: Impacts) -> tuple[Array, Array, Array, Array]:
-    """The share of the rebound that the course does not explain is no restitution."""
+    """Evaluate impacts by the compliant law; unexplained rebound is not restitution."""
     ground, mu = record.ground, record.ground.friction
     course, more = (course_of(record, hits, share * mu) for share in (1.0, 1.0 + _MORE))
     most = (mu or 1.0) * hits.impulse[:, 2:]
-    left = (hits.impulse[:, :2] - course.friction) / most
+    residual = (hits.impulse[:, :2] - course.friction) / most
     adds = (more.friction - course.friction) / (_MORE * most)
     blur = (course.velocity[:, 2] - hits.leaving) / hits.arriving
     return (
         course.restitution - ground.restitution - blur,
         1.0 / (blur**2 + _EXPLAINED**2),
-        np.einsum("ki,ki->k", left, adds),
+        np.einsum("ki,ki->k", residual, adds),
         np.einsum("ki,ki->k", adds, adds),
     )

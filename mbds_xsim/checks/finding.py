@@ -1,4 +1,4 @@
-"""What a check finds."""
+"""Checks, the figures that they compute, and their findings."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from mbds_xsim.checks.record import Record
 
 
 class Figures(NamedTuple):
-    """What a check calculates."""
+    """Figures that a check computes."""
 
     parts: Array
-    """Values of several parts, named alike, shape (trajectory, frame, part)."""
+    """Values of several named parts, shape (trajectory, frame, part)."""
     names: Iterable[str] = ()
     note: str = ""
     uncertainty: Array | float = 0.0
-    """As in `Finding`."""
+    """Resolution of the check, as in `Finding`."""
 
 
 @dataclass(frozen=True)
 class Check:
-    """A check, which is called with a record."""
+    """Check to call with a record."""
 
     calculate: Callable[[Record], Figures | None]
     name: str
@@ -36,9 +36,9 @@ class Check:
     unit: str
 
     def __call__(self, record: Record) -> Finding | None:
-        """Give the finding on a record; None where there is no part to look at."""
-        found = self.calculate(record)
-        if found is None or not found.parts.shape[-1]:
+        """Return the finding on a record; None if there is nothing to check."""
+        figures = self.calculate(record)
+        if figures is None or not figures.parts.shape[-1]:
             return None
         budget = self.budget
         if isinstance(budget, str):
@@ -46,51 +46,50 @@ class Check:
         return Finding.of(
             self.name,
             self.unit,
-            found.parts,
+            figures.parts,
             budget=budget(record) if callable(budget) else budget,
-            names=tuple(found.names),
-            uncertainty=found.uncertainty,
-            note=found.note,
+            names=tuple(figures.names),
+            uncertainty=figures.uncertainty,
+            note=figures.note,
         )
 
     def finding(self, record: Record) -> Finding:
-        """Give the finding on a record that has something for the check to look at."""
-        found = self(record)
-        assert found is not None, f"{self.name} does not apply to {record.scene.name}"
-        return found
+        """Return the finding on a record to which the check must apply."""
+        finding = self(record)
+        assert finding is not None, f"{self.name} does not apply to {record.scene.name}"
+        return finding
 
 
 def check(
     name: str, budget: str | float | Callable[[Record], float] | None, unit: str = "1"
 ) -> Callable[[Callable[[Record], Figures | None]], Check]:
-    """Make a check of what calculates its figures.
+    """Turn a function that computes figures into a check, as a decorator.
 
     Args:
-        name: As reports call it.
-        budget: What the figure may reach: a field of the scene's budget, a number, or what gives
-            it for a record; None: shown, not judged.
-        unit: Of the figure.
+        name: Name in reports.
+        budget: Largest allowed figure: a field of the scene's budget, a number, or a function of
+            the record; None: shown, not judged.
+        unit: Unit of the figure.
     """
     return lambda calculate: Check(calculate, name, budget, unit)
 
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """One check on all trajectories of a batch."""
+    """Result of one check for all trajectories of a batch."""
 
     check: str
     unit: str
     series: Array
-    """What the check measures, 0 is ideal; NaN where there is nothing to see; shape (trajectory,
-    frame)."""
+    """Measured values, 0 is ideal; NaN where there is nothing to measure; (trajectory, frame)."""
     budget: float | None
-    """What the figure may reach; None: shown, not judged."""
+    """Largest allowed figure; None: shown, not judged."""
     uncertainty: Array
-    """What the check itself cannot resolve, added to the budget; shape (trajectory,)."""
+    """Resolution of the check itself, added to the budget; shape (trajectory,)."""
     where: tuple[str, ...]
-    """Which joint, body or component the worst value belongs to, one a trajectory."""
+    """Joint, body or component with the worst value, one per trajectory."""
     applies: Mask
-    """Trajectories that the check is about, shape (trajectory,); others have no figure and pass."""
+    """Whether the check applies, shape (trajectory,); the others have no figure and pass."""
     note: str = ""
 
     @staticmethod
@@ -104,7 +103,7 @@ class Finding:
         uncertainty: Array | float = 0.0,
         note: str = "",
     ) -> Finding:
-        """Make a finding from values of several parts, named alike, (trajectory, frame, part)."""
+        """Make a finding from values of several named parts, shape (trajectory, frame, part)."""
         highest = np.fmax.reduce(parts, axis=1)
         worst = np.where(np.isnan(highest), -np.inf, highest).argmax(axis=1)
         return Finding(
@@ -120,7 +119,7 @@ class Finding:
         )
 
     def among(self, rows: Mask) -> Finding:
-        """Give a finding on some trajectories of a batch as one on the batch."""
+        """Expand a finding on some trajectories of a batch to the whole batch."""
         whole = np.full((len(rows), self.series.shape[1]), np.nan)
         whole[rows] = self.series
         uncertainty, where = np.zeros(len(rows)), np.full(len(rows), "", dtype=object)
@@ -131,7 +130,7 @@ class Finding:
 
     @functools.cached_property
     def figure(self) -> Array:
-        """Worst over the frames, NaN where there is none; shape (trajectory,)."""
+        """Worst value over the frames, NaN if there is none; shape (trajectory,)."""
         return np.take_along_axis(self.series, self.frame[:, None], axis=1)[:, 0]
 
     @functools.cached_property
@@ -141,13 +140,13 @@ class Finding:
 
     @functools.cached_property
     def passed(self) -> Mask:
-        """Whether the figure keeps its budget; a trajectory without a figure does not."""
+        """Whether each trajectory is within the budget, if any, or the check does not apply."""
         if self.budget is None:
             return np.ones(len(self.figure), dtype=bool)
         return (self.figure <= self.budget + self.uncertainty) | ~self.applies
 
     def line(self, row: int) -> str:
-        """Say in a line what a trajectory has of what is allowed."""
+        """Return one line with the figure of a trajectory and what is allowed."""
         allowed = np.inf if self.budget is None else self.budget
         figure, budget = apart(self.figure[row], allowed, lambda x, n: f"{x:.{n}g}", 3)
         unit = "" if self.unit == "1" else f" {self.unit}"
@@ -156,7 +155,7 @@ class Finding:
 
     @property
     def worst(self) -> int:
-        """Row of the trajectory that comes off worst: no figure at all, else the largest."""
+        """Row of the worst trajectory: one without a figure, else that with the largest excess."""
         excess: NDArray[Any] = self.figure - self.uncertainty
         excess = np.where(np.isnan(excess), np.inf, excess)
         return int(np.where(self.applies, excess, -np.inf).argmax())

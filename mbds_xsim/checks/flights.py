@@ -1,4 +1,4 @@
-"""Sums over what is known: over flights, steps in which nothing meets the ground or a stop."""
+"""Sums over flights (steps in which nothing meets the ground or a stop), and helpers for NaN."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from mbds_xsim.base.arrays import Array, Mask
 
 
 def summed(values: Array, flights: Mask) -> Array:
-    """Sum over the steps of each flight up to each step; NaN where there is none.
+    """Sum values from the start of each flight up to each of its steps; NaN outside flights.
 
     Shape (trajectory, step, component), as the values.
     """
@@ -21,12 +21,12 @@ def summed(values: Array, flights: Mask) -> Array:
 
 
 def numbers(values: Array) -> Array:
-    """Let what is unknown be 0."""
+    """Replace NaN by 0 and infinity by the largest finite number."""
     return values if np.isfinite(values).all() else np.nan_to_num(values)
 
 
 def usual(values: Array) -> Array:
-    """Lower median over the steps that are known, 0 of none, shape (trajectory, 1, …)."""
-    # Sorting puts what is unknown last; numpy's nanmedian takes ten times as long.
+    """Return the lower median over the known steps, 0 if there are none, (trajectory, 1, …)."""
+    # Sorting puts NaN last; numpy's nanmedian takes ten times as long.
     last = np.isfinite(values).sum(axis=1, keepdims=True) - 1
     return numbers(np.take_along_axis(np.sort(values, axis=1), np.maximum(last, 0) // 2, axis=1))

@@ -1,7 +1,7 @@
-"""What a scene's forces do to velocities within frames, where frames are too far apart to show it.
+"""Effects of forces on velocities within frames, where frames are too far apart to show them.
 
-A light link that whips round, or a joint that falls back on its stop, has velocities between two
-frames that no differences of recorded ones tell. The equations of motion do, at both ends.
+Between two frames, a light link that whips round or a joint that falls back on its stop has
+velocities that differences of recorded ones do not show. The equations of motion at both ends do.
 """
 
 from __future__ import annotations
@@ -12,33 +12,33 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.checks.mismatch import MOMENT, Flow, wound
+from mbds_xsim.checks.mismatch import MOMENT, Flow, winding_torque
 from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.joint_space import BodyStates, joint_rate
 
 
 @dataclass(frozen=True, eq=False)
 class Forced:
-    """What accelerations at both ends of a step tell of what is between them."""
+    """Measures of the motion within steps, from the accelerations at both ends."""
 
     places: Array
-    """Velocities that bodies would gain by the difference of both, shape (trajectory, step, body)
-    [m/s]."""
+    """Differences of linear accelerations between both ends, times the frame interval [m/s], shape
+    (trajectory, step, body)."""
     turns: Array
-    """The same of angular velocities [rad/s]."""
+    """The same for angular accelerations [rad/s]."""
     pull: Array
-    """Of joints with limits, as if they had no stops, the larger size of both ends [rad/s² or
-    m/s²], shape (trajectory, step, joint)."""
+    """Accelerations that joints with limits would have without stops, the larger size of both ends
+    [rad/s² or m/s²], shape (trajectory, step, joint)."""
 
 
 def forced(record: Record) -> Forced:
-    """Ask the equations of motion, without contact; 0 where they have no answer."""
+    """Evaluate the equations of motion without contact at both ends of steps; 0 if not finite."""
     lost = ~record.finite[..., None, None]
     bodies = record.bodies.each(lambda values: np.where(lost, values[:, :1], values))
     torque = record.torque[:, : record.steps]
-    held = wound(record.mechanism, bodies)
+    spring_torque = winding_torque(record.mechanism, bodies)
     begin, end = (
-        _accelerations(record, bodies[:, part], torque + held[:, part])
+        _accelerations(record, bodies[:, part], torque + spring_torque[:, part])
         for part in (slice(-1), slice(1, None))
     )
     places, turns = (
@@ -49,7 +49,7 @@ def forced(record: Record) -> Forced:
 
 
 def _accelerations(record: Record, states: BodyStates, torque: Array) -> tuple[Array, Array, Array]:
-    """Linear and angular ones of bodies, and those of joints with limits."""
+    """Return linear and angular accelerations of bodies, and those of joints with limits."""
     flow = Flow(record.mechanism, MOMENT * record.frame)
     closed = flow.closed(states)
     pull, push = flow.accelerations(closed, record.force, torque)

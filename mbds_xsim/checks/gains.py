@@ -1,10 +1,10 @@
-"""What the ground gives a group of bodies in a step: impulse, its moment, and spin of wheels.
+"""Impulse, moment and spin of wheels that the ground gives a group of bodies in each step.
 
-All is told in axes that turn about the vertical with the group's heaviest body, at the mean rate
-of the step. Coulomb's cone is the same in these, and under what turns on the spot, such as a car,
-contacts stay where they are and slips keep their direction. Joints drop out: theirs are impulses
-between bodies of one group, which have no part in the whole, nor about an axle in the spin of a
-body of revolution.
+All vectors are in axes that turn about the vertical with the group's heaviest body, at the mean
+rate of the step. Coulomb's cone is the same in these axes. Under a body that turns on the spot,
+such as a car, contacts stay in place in them and slips keep their direction. Joints drop out: their
+impulses act between bodies of one group, so they change neither its total momentum nor the spin of
+a body of revolution about its axle.
 """
 
 from __future__ import annotations
@@ -22,48 +22,48 @@ from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mass import of_revolution
 from mbds_xsim.scene.mechanism import Mechanism
 
-_EVEN = 1e-9  # relative, of moments of inertia; also lengths [m]
-# Times the lag, of the gyroscopic moment's change: first order; tumbling cars leave up to 4.
+_EVEN = 1e-9  # relative tolerance of moments of inertia; also of lengths [m]
+# Multiple of the lag times the gyroscopic moment's change; tumbling cars need up to 4.
 _REEL = 6.0
 _UP: Array = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
 class Axle:
-    """The only joint of a body of revolution, a hinge along its axis."""
+    """Hinge along the axis of a body of revolution, and its only joint."""
 
     name: str
     body: int
     hinge: int
-    """Its number among the hinges."""
+    """Index among the hinges."""
     sign: float
-    """Of the hinge's torque on the body: −1 where it is the parent."""
+    """Sign of the hinge's torque on the body: −1 if the body is the parent."""
     moment: float
-    """About the axle [kg·m²]."""
+    """Moment of inertia about the axle [kg·m²]."""
     axis: Array
-    """In the body's native frame, shape (3,)."""
+    """Direction in the body's native frame, shape (3,)."""
     sphere: int | None
-    """Number, within the group, of the body's contact sphere; None where it has none."""
+    """Index of the body's contact sphere within the group; None if it has none."""
     radius: float
-    """Of the sphere [m]."""
+    """Radius of the sphere [m], 0 without one."""
 
 
 @dataclass(frozen=True, eq=False)
 class Gains:
-    """What the ground gives a group in each step; axes are (trajectory, step, …)."""
+    """Momentum that the ground gives a group in each step; axes are (trajectory, step, …)."""
 
     linear: Array
     """Impulse [N·s], (…, 3)."""
     angular: Array
-    """Its moment about the centre of mass [N·m·s], (…, 3)."""
+    """Moment of the impulse about the centre of mass [N·m·s], (…, 3)."""
     arm: Array
-    """From the centre of mass to the lowest point of each sphere [m], (…, sphere, 3)."""
+    """Vectors from the centre of mass to the spheres' lowest points [m], (…, sphere, 3)."""
     vague: Array
-    """Moment that motion within the step leaves open, of an impulse of 1 N·s [m], (…)."""
+    """Uncertainty of the moment per unit impulse, from motion within the step [m], (…)."""
     blur: Array
-    """Moment that velocities beside their places leave open [N·m·s], (…)."""
+    """Uncertainty of the moment from the lag of velocities [N·m·s], (…)."""
     spin: Array
-    """Gained by bodies on axles, less what hinges gave [N·m·s], (…, axle)."""
+    """Spin gained by bodies on axles, less the impulses of hinges [N·m·s], (…, axle)."""
     lever: Array
     """Moment about the axle of an impulse of 1 N·s at the body's sphere [m], (…, axle, 3)."""
     slips: tuple[Array, Array]
@@ -74,13 +74,13 @@ class Gains:
 
 @functools.lru_cache(maxsize=4)
 def gains_of(record: Record, push: Push) -> Gains:
-    """Take momenta, inputs and gravity of a group together."""
+    """Compute the gains of a group from its momenta, inputs and gravity."""
     mechanism, states = record.mechanism, record.bodies
     heaviest = max(push.bodies, key=lambda body: float(mechanism.mass[body]))
     native = states.native[:, :, heaviest]
     hits = impacts_of(record, push)
     turn = _turned(native[:, :-1], native[:, 1:])
-    # Of a single impact it is the moment that counts, not the step.
+    # A single impact happens at one instant, so its axes do not turn.
     turn[hits.row, hits.step] = 0.0
     turn[~push.reach.any(axis=2)] = 0.0
     half = turn / 2
@@ -88,7 +88,7 @@ def gains_of(record: Record, push: Push) -> Gains:
     arm = (begin + end) / 2
     spin, lever, veer = _spins(record, push, half)
     rates = _both(half, _rates(mechanism, states, push))
-    # How far an arm is from its mean at most: at the ends, and where a path bends in between.
+    # Largest distance of an arm from its mean: at the ends, and where its path bends in between.
     strays = rotation.norm(end - begin) / 2 + record.frame / 4 * rotation.norm(rates[1] - rates[0])
     vague = np.where(push.reach, strays, 0.0).max(axis=2) + veer
     touches = push.reach.copy()
@@ -96,10 +96,10 @@ def gains_of(record: Record, push: Push) -> Gains:
     before, after = (_arms(mechanism, part, push) for part in (hits.before, hits.after))
     touches[hits.row, hits.step] = single
     arm[hits.row, hits.step] = (before + after) / 2
-    # Soft contact pushes most in the middle of its time.
+    # A soft contact pushes most in the middle of its duration.
     moved = np.where(single, rotation.norm(after - before), 0.0).max(axis=1)
     vague[hits.row, hits.step] = moved / 4
-    # Impulses of one step act at places of the step before.
+    # If velocities lag, impulses of one step act at places of the step before.
     speed = np.maximum(
         *(np.where(push.reach, rotation.norm(part), 0.0).max(axis=2) for part in rates)
     )
@@ -122,18 +122,18 @@ def gains_of(record: Record, push: Push) -> Gains:
 
 def axles_of(mechanism: Mechanism, push: Push) -> list[Axle]:
     """Find the group's bodies of revolution on axles."""
-    found = (_axle_of(mechanism, push, body) for body in push.bodies)
-    return [axle for axle in found if axle is not None]
+    axles = (_axle_of(mechanism, push, body) for body in push.bodies)
+    return [axle for axle in axles if axle is not None]
 
 
 def _axle_of(mechanism: Mechanism, push: Push, body: int) -> Axle | None:
-    mine = [joint for joint in mechanism.joints if body in (joint.parent, joint.child)]
+    joints = [joint for joint in mechanism.joints if body in (joint.parent, joint.child)]
     tied = any(body in pair.bodies for pair in (*mechanism.distances, *mechanism.springs))
-    tied = tied or any(joint.is_loaded for joint in mine)
+    tied = tied or any(joint.is_loaded for joint in joints)
     spheres = np.flatnonzero(mechanism.sphere_body[push.spheres] == body)
-    if tied or len(mine) != 1 or mine[0].kind != "hinge" or len(spheres) > 1:
+    if tied or len(joints) != 1 or joints[0].kind != "hinge" or len(spheres) > 1:
         return None
-    joint, inertia = mine[0], mechanism.inertia[body]
+    joint, inertia = joints[0], mechanism.inertia[body]
     anchor = joint.in_child if joint.child == body else joint.in_parent
     moment, _, uneven = of_revolution(inertia, joint.axis)
     centres = [anchor, *mechanism.sphere_offset[push.spheres[spheres]]]
@@ -152,8 +152,8 @@ def _axle_of(mechanism: Mechanism, push: Push, body: int) -> Axle | None:
     )
 
 
-def spin_gained(record: Record, axle: Axle) -> Array:
-    """What a body gains of spin about its axle, less what the hinge gives, (trajectory, step)."""
+def spin_gain(record: Record, axle: Axle) -> Array:
+    """Compute spin gained about an axle, less the hinge's impulse, (trajectory, step)."""
     axis = rotation.rotate(record.bodies.native[:, :, axle.body], axle.axis)
     own = axle.moment * rotation.dot(axis, record.bodies.angular_velocity[:, :, axle.body])
     drive = axle.sign * record.batch.torque[:, : record.steps, axle.hinge] * record.frame
@@ -161,15 +161,15 @@ def spin_gained(record: Record, axle: Axle) -> Array:
 
 
 def _spins(record: Record, push: Push, half: Array) -> tuple[Array, Array, Array]:
-    """What axles gained less what hinges gave, levers of their spheres, and how far these veer.
+    """Return spins gained by axles, levers of their spheres, and how far the levers veer.
 
-    I Δω about the axle is exact: nothing but the hinge and the ground has a moment about it.
+    I Δω about the axle is exact: only the hinge and the ground have a moment about it.
     """
     axles = axles_of(record.mechanism, push)
     spin, lever = np.zeros((*half.shape, len(axles))), np.zeros((*half.shape, len(axles), 3))
     veer = np.zeros(half.shape)
     for k, axle in enumerate(axles):
-        spin[..., k] = spin_gained(record, axle)
+        spin[..., k] = spin_gain(record, axle)
         axis = rotation.rotate(record.bodies.native[:, :, axle.body], axle.axis)
         begin, end = _both(half, axis)
         # axis · (−R ẑ × P)
@@ -189,12 +189,12 @@ def _linear(record: Record, push: Push, half: Array) -> Array:
     mean = frame / 2 * (x[0] + x[1]) + frame**2 / 12 * (moving[0] - moving[1])
     travel = x[1] - x[0] + rate * _across(mean)
     load = record.batch.force[:, : record.steps, group].sum(axis=2)
-    given = frame * _held(load + push.mass * np.array(record.scene.gravity), half)
-    return np.asarray(push.mass * (v[1] - v[0] + rate * _across(travel)) - given)
+    impulse = frame * _mean_load(load + push.mass * np.array(record.scene.gravity), half)
+    return np.asarray(push.mass * (v[1] - v[0] + rate * _across(travel)) - impulse)
 
 
 def _angular(record: Record, push: Push, half: Array) -> tuple[Array, Array]:
-    """About the centre of mass, and how much there is at the beginning."""
+    """Return the moment given about the centre of mass, and the initial angular momentum's size."""
     group, states = list(push.bodies), record.bodies
     mass = record.mechanism.mass[group]
     place, speed = (
@@ -205,14 +205,14 @@ def _angular(record: Record, push: Push, half: Array) -> tuple[Array, Array]:
     whole = (own + rotation.cross(place, mass[:, None] * speed)).sum(axis=2)
     begin, end = _both(half, whole)
     arm = np.add(*_both(half, place))
-    load = _held(record.batch.force[:, : record.steps, group], half[..., None])
-    given = record.frame / 2 * rotation.cross(arm, load).sum(axis=2)
-    gained = end - begin + half[..., None] * _across(begin + end) - given
-    return gained, rotation.norm(begin)
+    load = _mean_load(record.batch.force[:, : record.steps, group], half[..., None])
+    impulse = record.frame / 2 * rotation.cross(arm, load).sum(axis=2)
+    gain = end - begin + half[..., None] * _across(begin + end) - impulse
+    return gain, rotation.norm(begin)
 
 
 def _arms(mechanism: Mechanism, states: BodyStates, push: Push) -> Array:
-    """From the group's centre of mass to the lowest points of spheres, (…, sphere, 3)."""
+    """Return vectors from the centre of mass to the spheres' lowest points, (…, sphere, 3)."""
     own = push.spheres
     centre = states.points(mechanism.sphere_body[own], mechanism.sphere_offset[own])
     low = mechanism.sphere_radius[own, None] * _UP
@@ -220,14 +220,14 @@ def _arms(mechanism: Mechanism, states: BodyStates, push: Push) -> Array:
 
 
 def _rates(mechanism: Mechanism, states: BodyStates, push: Push) -> Array:
-    """Rates of these arms [m/s]."""
+    """Return the rates of the arms [m/s]."""
     own = push.spheres
     speed = states.speeds(mechanism.sphere_body[own], mechanism.sphere_offset[own])
     return np.asarray(speed - push.middle(states.velocity)[..., None, :])
 
 
 def _turned(begin: Array, end: Array) -> Array:
-    """Angle about the vertical from one rotation to another, the twist of a swing and a twist."""
+    """Return the angle about the vertical between two rotations, by swing-twist decomposition."""
     change = rotation.multiply(end, rotation.conjugate(begin))
     return (
         np.asarray(2.0 * np.arctan2(change[..., 3], change[..., 0]) + np.pi) % (2 * np.pi) - np.pi
@@ -242,17 +242,17 @@ def _about(angle: Array, vectors: Array) -> Array:
 
 
 def _both(half: Array, vectors: Array) -> tuple[Array, Array]:
-    """Vectors at the two ends of each step, in its turning axes; (trajectory, frame, …, 3)."""
+    """Return vectors (trajectory, frame, …, 3) at both ends of each step, in its turning axes."""
     angle = half.reshape(*half.shape, *(1,) * (vectors.ndim - 3))
     return _about(angle, vectors[:, :-1]), _about(-angle, vectors[:, 1:])
 
 
 def _across(vectors: Array) -> Array:
-    """ẑ × v."""
+    """Compute ẑ × v."""
     return np.stack([-vectors[..., 1], vectors[..., 0], np.zeros(vectors.shape[:-1])], axis=-1)
 
 
-def _held(load: Array, half: Array) -> Array:
-    """Mean of what is held in W over a step, in the turning axes."""
+def _mean_load(load: Array, half: Array) -> Array:
+    """Return the mean over a step, in the turning axes, of loads held in W."""
     level = np.sinc(half / np.pi)[..., None]
     return np.asarray(load * np.concatenate([level, level, np.ones_like(level)], axis=-1))

@@ -1,9 +1,8 @@
-"""What the ground gives to groups of connected bodies: impulses in steps, and single impacts.
+"""Impulses of the ground on groups of connected bodies, over steps and in single impacts.
 
-An impact between two frames in flight is taken apart by the scene's own motion: the frame before
-is followed forwards, and the frame after backwards, to where the sphere touches the ground. What
-lies between the two states is the impact: its impulse is the one that the momentum of the frames
-shows.
+An impact between two frames in flight is isolated by the scene's own equations: the frame before
+is followed forwards, and the frame after backwards, to where the sphere touches the ground. The
+change between the two states is the impact; its impulse follows from the momentum at the frames.
 """
 
 from __future__ import annotations
@@ -25,42 +24,42 @@ from mbds_xsim.checks.spheres import Neighbours, Spheres, spheres_of
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
 
-_CENTRED = 1e-9  # [m]
+_CENTRED = 1e-9  # tolerance [m]
 _SUPPORT = 2.0  # times the impulse of gravity
-_STEADY = 0.1  # of it, in vertical speed
+_STEADY = 0.1  # share of the vertical speed that gravity adds in a frame
 
 
 @dataclass(frozen=True, eq=False)
 class Push:
-    """What the ground does to a group of connected bodies that nothing else supports."""
+    """Action of the ground on a group of connected bodies that nothing else supports."""
 
     name: str
     bodies: tuple[int, ...]
     spheres: Index
-    """Which contact spheres the group has."""
+    """Indices of the group's contact spheres."""
     mass: float
     share: Array
-    """Masses of the bodies over that of all, shape (body of the group,)."""
+    """Masses of the bodies over their sum, shape (body of the group,)."""
     weight: float
     """Impulse of gravity over a step [N·s]."""
     over: Spheres
-    """The group's spheres, shape (trajectory, frame, sphere of the group)."""
+    """Gaps and speeds of the group's spheres, shape (trajectory, frame, sphere of the group)."""
     ball: bool
-    """A single body with one sphere, around its centre of mass: normal and tangential motion do
-    not mix."""
+    """Whether it is a single body with one sphere, around its centre of mass, so that normal and
+    tangential motion do not mix."""
     impulse: Array
-    """Of the ground over each step [N·s], shape (trajectory, step, 3)."""
+    """Impulse of the ground over each step [N·s], shape (trajectory, step, 3)."""
     blur: Array
-    """What of it may belong to a neighbouring step, where velocities lag [N·s], (trajectory, step).
-    """
+    """Impulse that may belong to an adjacent step if velocities lag [N·s], (trajectory, step)."""
     reach: Mask
     """Spheres that may touch in a step, shape (trajectory, step, sphere of the group)."""
     steady: Mask
     """Steps in which the ground carries the weight, and nothing that may touch moves up or down;
     shape (trajectory, step)."""
     supported: Mask
-    """Steps with no impact that counts: the ground gives no more than twice what gravity takes, and
-    spheres that may touch are slower than gravity would make them; shape (trajectory, step)."""
+    """Steps in contact without an impact that counts: the ground gives at most twice the impulse of
+    gravity, and spheres that may touch move up or down at most twice as fast as gravity makes them
+    in a frame; shape (trajectory, step)."""
 
     @functools.cached_property
     def resting(self) -> Mask:
@@ -74,16 +73,16 @@ class Push:
         return np.asarray((self.over.gap > 0.0).all(axis=2))
 
     def middle(self, values: Array) -> Array:
-        """Mean over the group's bodies by mass, of values of all bodies, shape (…, 3)."""
+        """Return the mean by mass over the group, of values of all bodies, shape (…, 3)."""
         return np.einsum("b,...bi->...i", self.share, values[..., list(self.bodies), :])
 
 
 @functools.lru_cache(maxsize=1)
 def pushes_of(record: Record) -> list[Push]:
-    """Find what the ground does to each group that has contact spheres and no other support.
+    """Find the groups that have contact spheres and no other support, with the ground's action.
 
-    Linear momentum less the impulses of gravity and inputs: exact, as forces are held over steps.
-    Bodies that collide with each other are one group.
+    The ground's impulse is the gain of momentum less the impulses of gravity and inputs, which is
+    exact, as forces are held over steps. Bodies that collide with each other are one group.
     """
     mechanism = record.mechanism
     if record.scene.ground is None:
@@ -115,7 +114,7 @@ def _push(record: Record, name: str, bodies: tuple[int, ...]) -> Push:
     reach, over = ~record.clear[:, :, spheres], record.spheres.of(spheres)
     climb = np.abs(over.climb)
     fastest = np.where(reach, np.maximum(climb[:, 1:], climb[:, :-1]), 0.0).max(axis=2)
-    # From the top of a hop into the next impact both ends are slow, and the way between is not.
+    # From the top of a hop into the next impact both ends are slow, but the way between is not.
     mean = np.abs(np.diff(over.gap, axis=1)) / record.frame
     moving = np.maximum(fastest, np.where(reach, mean, 0.0).max(axis=2))
     lift = impulse[..., 2] / (mass.sum() * (fall or 1.0))
@@ -144,17 +143,17 @@ def _is_ball(mechanism: Mechanism, bodies: tuple[int, ...], spheres: Index) -> b
 
 
 def pushed(mechanism: Mechanism, bodies: BodyStates, sphere: Index) -> BodyStates:
-    """Give the velocities that unit impulses on a sphere's lowest point make of bodies at rest.
+    """Compute velocities that unit impulses on a sphere's lowest point give to bodies at rest.
 
-    Joints share in an impulse by the least change of kinetic energy.
+    Impulses of joints follow from the least change of kinetic energy.
 
     Args:
-        mechanism: Whose bodies.
-        bodies: Where they are, shape (state, body, …).
-        sphere: The one that is pushed in each state.
+        mechanism: Mechanism with the bodies.
+        bodies: Poses of the bodies, shape (state, body, …).
+        sphere: Index of the pushed sphere in each state.
 
     Returns:
-        States with these velocities, of impulses along x, y and z, shape (state, 3, body, …).
+        States with these velocities, for impulses along x, y and z, shape (state, 3, body, …).
     """
     # The reference loads the compiled parts of scipy, which most uses do without.
     from mbds_xsim.reference.equations import dynamics_of
@@ -171,13 +170,13 @@ def pushed(mechanism: Mechanism, bodies: BodyStates, sphere: Index) -> BodyState
     spin[row, body] = np.linalg.solve(inertia, moment[..., None])[..., 0]
     dynamics = dynamics_of(mechanism)
     start = dynamics.pack(BodyStates(states.position, states.native, velocity, spin))
-    found = dynamics.unpack(dynamics.project(start))
+    projected = dynamics.unpack(dynamics.project(start))
     shape = (len(sphere), 3, mechanism.body_count)
-    return found.each(lambda values: values.reshape(*shape, -1))
+    return projected.each(lambda values: values.reshape(*shape, -1))
 
 
 def lowest(mechanism: Mechanism, native: Array, sphere: Index) -> Array:
-    """Arms from centres of mass to the lowest points of spheres [m], by the bodies' turns."""
+    """Return arms from centres of mass to spheres' lowest points [m], by bodies' rotations."""
     arm = rotation.rotate(native, mechanism.sphere_offset[sphere])
     arm[..., 2] -= mechanism.sphere_radius[sphere]
     return arm
@@ -185,75 +184,75 @@ def lowest(mechanism: Mechanism, native: Array, sphere: Index) -> Array:
 
 @functools.lru_cache(maxsize=64)
 def responses(mechanism: Mechanism) -> tuple[Array, Array]:
-    """Largest velocities that a unit impulse on a sphere's lowest point gives to each body.
+    """Return the largest velocities that unit impulses on spheres' lowest points give to bodies.
 
-    Over all directions of the impulse, at the reference pose. Linear [1/kg] and angular
-    [1/(kg·m)], each (sphere, body).
+    They are largest over all directions of the impulse, at the reference pose. Linear [1/kg] and
+    angular [1/(kg·m)], each (sphere, body).
     """
     shape = (len(mechanism.sphere_body), mechanism.body_count)
     place = np.broadcast_to(mechanism.com, (*shape, 3))
     still = np.broadcast_to(rotation.IDENTITY, (*shape, 4))
     pose = BodyStates(place, still, np.zeros_like(place), np.zeros_like(place))
-    given = pushed(mechanism, pose, np.arange(shape[0]))
+    response = pushed(mechanism, pose, np.arange(shape[0]))
     linear, angular = (
         np.linalg.norm(np.moveaxis(each, 1, -1), ord=2, axis=(-2, -1))
-        for each in (given.velocity, given.angular_velocity)
+        for each in (response.velocity, response.angular_velocity)
     )
     return np.asarray(linear), np.asarray(angular)
 
 
-_REFINEMENTS = 4  # Newton's steps to the time of touch
-_SUBSTEPS = 4  # of Runge and Kutta to it
-_APART = 0.5  # of the flight that follows a rebound: a step with so much time left has two impacts
-_SLOW = 3.0  # times what gravity and loads add in a frame: slower ones tell no restitution
+_REFINEMENTS = 4  # iterations to the time of touch
+_SUBSTEPS = 4  # Runge-Kutta steps to it
+_APART = 0.5  # share of the flight after a rebound; a step with more time left has two impacts
+_SLOW = 3.0  # times what gravity and loads add in a frame; slower impacts show no restitution
 
 
 @dataclass(frozen=True, eq=False)
 class Impacts:
-    """Impacts of one sphere each, one entry an impact."""
+    """Impacts of one sphere each, one entry per impact."""
 
     row: Index
     step: Index
     sphere: Index
     before: BodyStates
-    """At the touch on arrival, shape (impact, body, …)."""
+    """States at the touch on arrival, shape (impact, body, …)."""
     after: BodyStates
-    """At the touch on leaving."""
+    """States at the touch on leaving, same shape."""
     arriving: Array
     """Downward speed of the sphere [m/s]."""
     leaving: Array
-    """Upward speed [m/s]."""
+    """Upward speed of the sphere [m/s]."""
     slip: Array
-    """Horizontal velocity of the sphere's lowest point on arrival [m/s], shape (impact, 2)."""
+    """Slip on arrival: the lowest point's horizontal velocity [m/s], shape (impact, 2)."""
     rebound: Array
-    """The same on leaving."""
+    """Slip on leaving [m/s], shape (impact, 2)."""
     duration: Array
-    """From arrival to leaving, negative where the motions meet above the ground [s]."""
+    """Time from arrival to leaving [s], negative if the motions meet above the ground."""
     impulse: Array
-    """Of the ground [N·s], shape (impact, 3)."""
+    """Impulse of the ground [N·s], shape (impact, 3)."""
     gap: Array
-    """Between sphere and ground where the two motions meet, negative below it [m]."""
+    """Distance from the ground at which the two motions meet [m], negative below it."""
 
     def __getitem__(self, picks: Mask) -> Impacts:
-        """Take some of the impacts."""
+        """Return some of the impacts."""
         return Impacts(**{key: value[picks] for key, value in vars(self).items()})
 
 
 @check("restitution", "restitution")
 def restitution(record: Record) -> Figures | None:
-    """Compare the delivered with the scene's coefficient of restitution; None without balls.
+    """Compare the delivered coefficient of restitution with the scene's; None without balls.
 
-    Only for spheres around centres of mass, whose rebound nothing else has a part in.
+    Only balls count, whose sphere is around the centre of mass: nothing else affects their rebound.
     """
     pushes = balls_of(record)
     if not pushes:
         return None
     wanted = record.ground.restitution
-    found = [fast_impacts_of(record, push) for push in pushes]
-    ratios = [hits.leaving / hits.arriving for hits in found]
-    off = [(h.row, h.step, np.abs(r - wanted)) for h, r in zip(found, ratios, strict=True)]
-    note = told_restitution(np.concatenate(ratios).tolist(), wanted)
-    return Figures(at_impacts(record, off), [push.name for push in pushes], note)
+    impacts = [fast_impacts_of(record, push) for push in pushes]
+    ratios = [hits.leaving / hits.arriving for hits in impacts]
+    errors = [(h.row, h.step, np.abs(r - wanted)) for h, r in zip(impacts, ratios, strict=True)]
+    note = delivered_restitution(np.concatenate(ratios).tolist(), wanted)
+    return Figures(at_impacts(record, errors), [push.name for push in pushes], note)
 
 
 def at_impacts(record: Record, groups: Sequence[tuple[Index, Index, Array]]) -> Array:
@@ -265,17 +264,17 @@ def at_impacts(record: Record, groups: Sequence[tuple[Index, Index, Array]]) -> 
     return parts
 
 
-def told_restitution(ratios: list[float], wanted: float) -> str:
-    """Say which coefficients were delivered."""
+def delivered_restitution(ratios: list[float], wanted: float) -> str:
+    """Describe the coefficients of restitution that were delivered."""
     if not ratios:
         return f"no impact that tells it, the scene has {wanted:.4f}"
-    told = f"{min(ratios):.4f} to {max(ratios):.4f} delivered, median {np.median(ratios):.4f}"
-    return f"{told}, the scene has {wanted:.4f}"
+    text = f"{min(ratios):.4f} to {max(ratios):.4f} delivered, median {np.median(ratios):.4f}"
+    return f"{text}, the scene has {wanted:.4f}"
 
 
 @functools.lru_cache(maxsize=4)
 def fast_impacts_of(record: Record, push: Push) -> Impacts:
-    """Find the single impacts that are a measure of restitution."""
+    """Find the single impacts that are fast enough to show restitution."""
     hits = impacts_of(record, push)
     loads = record.loads[hits.row, hits.step, record.mechanism.sphere_body[hits.sphere]]
     return hits[hits.arriving > _SLOW * (record.fall + record.frame * loads)]
@@ -285,7 +284,7 @@ def fast_impacts_of(record: Record, push: Push) -> Impacts:
 def impacts_of(record: Record, push: Push) -> Impacts:
     """Find the steps in which one sphere, and no other of its group, hits the ground once.
 
-    And nothing but the ground pushes the group's bodies that motions without it would not have.
+    No collision, dry friction or stop may act on the group in such a step.
     """
     free = push.untouched
     alone = (push.reach.sum(axis=2) == 1) & _undisturbed(record, push)
@@ -298,10 +297,10 @@ def impacts_of(record: Record, push: Push) -> Impacts:
     arrival, before, falling = at_touch(record, row, step, step, look)
     parting, after, rising = at_touch(record, row, step, step + 1, look)
     pull = record.pull or np.finfo(float).tiny
-    left = record.frame - falling + rising
+    duration = record.frame - falling + rising
     arriving, leaving = -before.climb, after.climb
     single = (arriving > 0.0) & (leaving > 0.0) & (falling >= 0.0) & (rising <= 0.0)
-    single &= left < np.maximum(_APART * 2.0 * leaving / pull, 0.1 * record.frame)
+    single &= duration < np.maximum(_APART * 2.0 * leaving / pull, 0.1 * record.frame)
     return Impacts(
         row=row[single],
         step=step[single],
@@ -312,25 +311,25 @@ def impacts_of(record: Record, push: Push) -> Impacts:
         leaving=leaving[single],
         slip=before.slip[single],
         rebound=after.slip[single],
-        duration=left[single],
+        duration=duration[single],
         impulse=push.impulse[row, step][single],
-        gap=(-left / (1.0 / arriving + 1.0 / leaving))[single],
+        gap=(-duration / (1.0 / arriving + 1.0 / leaving))[single],
     )
 
 
 def _undisturbed(record: Record, push: Push) -> Mask:
-    """Steps in which no bodies of a group may collide, and no joint of it rubs or meets a stop.
+    """Find steps in which no bodies of a group may collide and no joint rubs or meets a stop.
 
     Shape (trajectory, step).
     """
     mechanism, group = record.mechanism, {*push.bodies}
     rubs = any(group & {joint.parent, joint.child} for joint in mechanism.frictional)
-    found = np.full(push.steady.shape, not rubs)
+    undisturbed = np.full(push.steady.shape, not rubs)
     for joint in mechanism.limited:
         if group & {joint.parent, joint.child}:
-            found &= clear_of_own(joint, record.world, record.frame)
+            undisturbed &= clear_of_own(joint, record.world, record.frame)
     inside = np.isin(mechanism.sphere_pairs, push.spheres).all(axis=1)
-    return found & record.parted[:, :, inside].all(axis=2) if inside.any() else found
+    return undisturbed & record.parted[:, :, inside].all(axis=2) if inside.any() else undisturbed
 
 
 _Touch = TypeVar("_Touch", Spheres, Neighbours)
@@ -339,10 +338,10 @@ _Touch = TypeVar("_Touch", Spheres, Neighbours)
 def at_touch(
     record: Record, row: Index, step: Index, frame: Index, look: Callable[[BodyStates], _Touch]
 ) -> tuple[BodyStates, _Touch, Array]:
-    """Follow frames to a touch: the bodies and what touches there, and the time to it [s].
+    """Follow frames to a touch; return the bodies and what touches there, and the time to it [s].
 
-    Forwards from the step's first frame, backwards from its last; NaN where it stays clear. `look`
-    gives what touches of states with shape (touch, body, …).
+    It goes forwards from a step's first frame, backwards from its last; the time is NaN if nothing
+    touches. `look` returns what touches in states of shape (touch, body, …).
     """
     bodies = record.bodies[row, frame]
     force, torque = record.batch.force[row, step], record.torque[row, step]
@@ -350,7 +349,7 @@ def at_touch(
     time, limit = np.zeros(len(row)), 1.5 * record.frame
     there, here, bend = bodies, look(bodies), np.full(len(row), -record.pull)
     for _ in range(_REFINEMENTS + 1):
-        # A parabola's root, which Newton's steps to a glance would only halve the way to.
+        # A parabola's root, as Newton's steps would only halve the way to a grazing touch.
         speed = sense * here.climb
         root = np.sqrt(np.maximum(speed**2 - 2.0 * bend * here.gap, 0.0))
         before, climb = time, here.climb
@@ -363,7 +362,7 @@ def at_touch(
 
 
 def one_sphere(record: Record, bodies: BodyStates, sphere: Index) -> Spheres:
-    """Look at one sphere of each state."""
+    """Return gap and speeds of one sphere in each state."""
     spheres, each = spheres_of(record.mechanism, bodies), np.arange(len(sphere))
     return Spheres(*(values[each, sphere] for values in vars(spheres).values()))
 
@@ -371,7 +370,7 @@ def one_sphere(record: Record, bodies: BodyStates, sphere: Index) -> Spheres:
 def followed(
     record: Record, bodies: BodyStates, force: Array, torque: Array, time: Array
 ) -> BodyStates:
-    """Follow states without contact by Runge and Kutta's method, each over its own time [s]."""
+    """Integrate states without contact by Runge-Kutta steps, each over its own time [s]."""
     # The reference loads the compiled parts of scipy, which most uses do without.
     from mbds_xsim.reference.equations import dynamics_of
 

@@ -1,4 +1,4 @@
-"""Is every frame one of the mechanism: finite, unit quaternions, as drawn, joints closed?"""
+"""Is every frame valid: finite numbers, unit quaternions, the drawn start, closed joints?"""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.coordinates import coupling_errors
 from mbds_xsim.checks.finding import Figures, check
 from mbds_xsim.checks.record import Record
-from mbds_xsim.scene.joint_space import BodyStates, taken
+from mbds_xsim.scene.joint_space import BodyStates, select_bodies
 from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint, PointPair
 from mbds_xsim.simulate import rounding
 
 _UNIT = 1e-9
 _SAME_START = 1e-12
 _SINGLE = (1 << 29) - 1
-"""Bits of a float64's significand that are 0 where a float32 has the same value."""
+"""Bits of a float64's significand that are 0 if a float32 has the same value."""
 _ROUND = (1 << 37) - 1
-"""The same of 16 significant bits: numbers such as 0.5 that are exact by nature."""
+"""Bits that are 0 if 16 significant bits suffice, as in numbers such as 0.5."""
 _FEW = 12
-"""Numbers that may be float32 by chance, however many sets are made."""
+"""Least count of changing numbers; fewer may all be float32 by chance in some set."""
 _RESIDUE = 1e-6
-"""Of the largest number: below 2⁻²⁸ a difference of large ones has no more bits than a float32."""
+"""Share of the largest number: below 2⁻²⁸ of it, differences have no more bits than a float32."""
 _MOST_SINGLE = 0.5
 _STATE = ("position", "orientation", "velocity", "angular_velocity")
 
 
 @check("finite", _UNIT)
 def finite(record: Record) -> Figures:
-    """Find numbers that are not finite (figure ∞) and quaternions that are not unit."""
+    """Find numbers that are not finite (figure ∞) and quaternions of other than unit length."""
     length = rotation.norm(record.bodies.native)
     off = np.where(record.finite[:, :, None], np.abs(length - 1.0), np.inf)
     reasons = [failure.reason for failure in record.trajectory.failures if failure is not None]
@@ -40,22 +40,22 @@ def finite(record: Record) -> Figures:
 
 @check("precision", _MOST_SINGLE)
 def precision(record: Record) -> Figures | None:
-    """Find states that were rounded to single precision: of 24 significant bits, not of 53.
+    """Find states that were rounded to single precision: 24 significant bits instead of 53.
 
-    None where the method says that they are.
+    None if the method declares single precision.
 
-    The figure is the share of float32 values among the numbers of a state array that move from
-    frame to frame and are not short by nature. Counted are those that no sound computation leaves
-    short: where the frame interval itself is a float32 number, as 1/64 s is, motion may be exact,
-    so that orientations alone are looked at, and what starts with more bits.
+    The figure is the share of float32 values among the numbers of a state array that change from
+    frame to frame and are not short by nature. If the frame interval itself is a float32 number,
+    such as 1/64 s, motion may be exact in few bits. Then only orientations count, and numbers that
+    start with more bits.
     """
     if record.method is not None and record.method.single:
         return None
-    found, batch = record.trajectory, record.batch
+    motion, batch = record.trajectory, record.batch
     exact = not _bits(np.array([record.frame]), _SINGLE).any()
-    parts = np.zeros((len(batch), len(found.time), len(_STATE)))
+    parts = np.zeros((len(batch), len(motion.time), len(_STATE)))
     for k, name in enumerate(_STATE):
-        values = getattr(found, name)
+        values = getattr(motion, name)
         single = ~_bits(values, _SINGLE)
         single[:, 0] = False
         if not single.any():
@@ -77,23 +77,25 @@ def precision(record: Record) -> Figures | None:
     return Figures(parts, names)
 
 
-@check("start", lambda record: max(_SAME_START, rounding.held(record.mechanism, record.method)))
+@check(
+    "start", lambda record: max(_SAME_START, rounding.state_error(record.mechanism, record.method))
+)
 def start(record: Record) -> Figures:
     """Compare frame 0 with the drawn start, relative to the largest value of each kind.
 
-    Velocities are also put together from rates at arms of up to the scene's length.
+    The scale of velocities includes the angular velocity at an arm of the scene's length.
     """
     batch, motion = record.batch, record.trajectory
     spin = np.abs(batch.angular_velocity).max(axis=(1, 2)) * record.scene.length
-    facing = np.sum(motion.orientation[:, 0] * batch.orientation, axis=-1, keepdims=True)
-    near = np.where(facing < 0, -batch.orientation, batch.orientation)
+    alignment = np.sum(motion.orientation[:, 0] * batch.orientation, axis=-1, keepdims=True)
+    near = np.where(alignment < 0, -batch.orientation, batch.orientation)
     pairs = (
         (motion.position[:, 0], batch.position, record.scene.length),
         (motion.orientation[:, 0], near, 1.0),
         (motion.velocity[:, 0], batch.velocity, np.maximum(1.0, spin)),
         (motion.angular_velocity[:, 0], batch.angular_velocity, 1.0),
     )
-    off = np.stack([_relative(got, drawn, floor) for got, drawn, floor in pairs])
+    off = np.stack([_relative(recorded, drawn, floor) for recorded, drawn, floor in pairs])
     parts = np.full((len(batch), len(motion.time), batch.position.shape[1]), np.nan)
     parts[:, 0] = off.max(axis=0)
     return Figures(parts, _body_names(record))
@@ -101,16 +103,16 @@ def start(record: Record) -> Figures:
 
 @check("planarity", "planarity")
 def planarity(record: Record) -> Figures | None:
-    """Measure the excursion out of the scene's dimensions over its length; None in 3D.
+    """Measure how far bodies leave the scene's dimensions, over its length; None in 3D.
 
-    In 2D no particle or centre of mass leaves its plane. In 1D the centres of mass keep their
-    height too, unless a contact carries them.
+    In 2D particles and centres of mass must stay in their planes. In 1D centres of mass must also
+    keep their height, unless the scene has contacts.
     """
     scene, mechanism, bodies = record.scene, record.mechanism, record.bodies
     if scene.dimension == 3:
         return None
-    turned = mechanism.body_orientation(bodies.native)
-    particles = mechanism.particle_positions(bodies.position, turned)[..., 1]
+    orientation = mechanism.body_orientation(bodies.native)
+    particles = mechanism.particle_positions(bodies.position, orientation)[..., 1]
     aside = np.concatenate([bodies.position[..., 1], particles], axis=-1)
     owners = [*range(mechanism.body_count), *mechanism.particle_body]
     if scene.dimension == 1 and not scene.contacts:
@@ -122,13 +124,13 @@ def planarity(record: Record) -> Figures | None:
 
 
 def _bits(values: Array, mask: int) -> Mask:
-    """Tell which numbers have any of some bits set; those that are not finite have none."""
+    """Find numbers with any bit of a mask set; those that are not finite have none."""
     return np.asarray((np.ascontiguousarray(values).view(np.int64) & mask) != 0)
 
 
-def _relative(got: Array, drawn: Array, floor: float | Array) -> Array:
+def _relative(recorded: Array, drawn: Array, floor: float | Array) -> Array:
     scale = np.maximum(floor, np.abs(drawn).max(axis=(1, 2)))
-    return np.abs(got - drawn).max(axis=2) / scale[:, None]
+    return np.abs(recorded - drawn).max(axis=2) / scale[:, None]
 
 
 def _body_names(record: Record) -> tuple[str, ...]:
@@ -139,14 +141,14 @@ def _body_names(record: Record) -> tuple[str, ...]:
 def gap(record: Record) -> Figures:
     """Measure the distance between the anchor points of each joint [m]; None without joints.
 
-    Of a slider it is the distance of the child's anchor from the parent's axis, of a distance
-    link the change of its length, of a coupling how far a slider is from where it should follow.
+    For a slider it is the distance of the child's anchor from the parent's axis, for a distance
+    link the change of its length, and for a coupling how far the slider is off its place.
     """
-    slid = _apart(record, slides=True)
+    offset = _apart(record, slides=True)
     links = record.mechanism.distances
     parts = [
-        _opened(record)[0],
-        rotation.norm(rotation.cross(_axes(record), slid)),
+        _anchor_gaps(record)[0],
+        rotation.norm(rotation.cross(_axes(record), offset)),
         np.abs(pair_distance(record.world, links) - [link.length for link in links]),
         np.abs(coupling_errors(record, "slider")[0]),
     ]
@@ -157,14 +159,14 @@ def gap(record: Record) -> Figures:
 def gap_rate(record: Record) -> Figures:
     """Measure the speed at which the gap of each joint opens [m/s]; None without joints.
 
-    It may open the gap's budget in a frame. Velocities that lag as the method declares keep to
-    joints as they were a step before; what places that turn make of that is left out.
+    The budget is the gap's over a frame. Velocities with a declared lag fit the joints of an
+    earlier instant; the part that rotation in between explains is subtracted.
     """
-    carried = taken(record.world.angular_velocity, _ends(_parted(record.mechanism)[1])[0])
+    spin = select_bodies(record.world.angular_velocity, _ends(_parted(record.mechanism)[1])[0])
     sliding = _parting(record, slides=True)
-    sliding = sliding - rotation.cross(carried, _apart(record, slides=True))
+    sliding = sliding - rotation.cross(spin, _apart(record, slides=True))
     parts = [
-        _opened(record)[1],
+        _anchor_gaps(record)[1],
         rotation.norm(rotation.cross(_axes(record), sliding)),
         np.abs(pair_rate(record.world, record.mechanism.distances)),
         np.abs(coupling_errors(record, "slider")[1]),
@@ -178,9 +180,9 @@ def gap_rate(record: Record) -> Figures:
 
 @check("angle gap rate", lambda record: record.scene.budget.angle_gap / record.frame, "rad/s")
 def angle_gap_rate(record: Record) -> Figures | None:
-    """Measure the rate at which hinges tilt, and sliders and fixed joints turn [rad/s]; else None.
+    """Measure the rates at which hinges tilt, and sliders and fixed joints turn [rad/s].
 
-    As `gap_rate`, of angles.
+    As `gap_rate`, but for angles. None without such joints.
     """
     joints = [j for j in record.mechanism.joints if j.kind != "ball"]
     if not joints:
@@ -200,7 +202,7 @@ def angle_gap_rate(record: Record) -> Figures | None:
 
 @check("angle gap", "angle_gap", "rad")
 def angle_gap(record: Record) -> Figures | None:
-    """Measure hinges' angle between axes, sliders' and fixed joints' turn [rad]; else None."""
+    """Measure tilts of hinges, and turns of sliders and fixed joints [rad]; None without these."""
     joints = [j for j in record.mechanism.joints if j.kind != "ball"]
     if not joints:
         return None
@@ -208,7 +210,7 @@ def angle_gap(record: Record) -> Figures | None:
     parent, child = _ends(joints)
     back = rotation.conjugate(states.native[..., parent, :])
     turn = rotation.multiply(back, states.native[..., child, :])
-    # A hinge's free turn is taken out: the rest is a swing of sine |across| of its half angle.
+    # Without a hinge's free turn, the rest is a swing whose half angle has the sine |across|.
     free = _free(joints)
     along = np.sum(turn[..., 1:] * free, axis=-1)
     across = np.linalg.norm(turn[..., 1:] - along[..., None] * free, axis=-1)
@@ -219,58 +221,58 @@ def angle_gap(record: Record) -> Figures | None:
 
 
 def pair_distance(states: BodyStates, pairs: tuple[PointPair, ...]) -> Array:
-    """Distances of attachment points [m], shape (…, pair), of states with the world."""
+    """Compute distances of attachment points [m], shape (…, pair), from states with the world."""
     begin, end = (states.points(*points) for points in _attached(pairs))
     return np.asarray(rotation.norm(end - begin))
 
 
 def pair_rate(states: BodyStates, pairs: tuple[PointPair, ...]) -> Array:
-    """Rates of the distances of attachment points [m/s], (…, pair), of states with the world."""
+    """Compute rates of attachment distances [m/s], (…, pair), from states with the world."""
     ends = _attached(pairs)
-    apart, parting = (
+    offset, parting = (
         b - a
         for a, b in (
             [states.points(*points) for points in ends],
             [states.speeds(*points) for points in ends],
         )
     )
-    return np.asarray(rotation.dot(parting, apart / rotation.norm(apart)[..., None]))
+    return np.asarray(rotation.dot(parting, offset / rotation.norm(offset)[..., None]))
 
 
 def _turned(record: Record, speeds: Array) -> Array:
-    """By how much a turn during the step by which velocities lag may change them, (…, frame, 1).
+    """Bound the change of lagging velocities by rotation, shape (…, frame, 1).
 
-    Methods lag by half a step where they keep joints closed at its beginning, so it is twice the
-    lag, at the fastest rate of the mechanism.
+    Methods that keep joints closed at the beginning of a step declare a lag of half a step, so the
+    bound takes twice the lag, at the fastest rotation of the mechanism.
     """
     fastest = rotation.norm(record.bodies.angular_velocity).max(axis=-1, keepdims=True)
     return np.asarray(2.0 * abs(record.lag) * fastest * speeds.max(axis=-1, keepdims=True))
 
 
 def _parted(mechanism: Mechanism) -> tuple[list[PlacedJoint], list[PlacedJoint]]:
-    """Joints with an anchor that both bodies share, and sliders."""
+    """Return joints whose bodies share an anchor, and sliders."""
     joints = mechanism.joints
     return [j for j in joints if j.kind != "slider"], [j for j in joints if j.kind == "slider"]
 
 
-def _opened(record: Record) -> tuple[Array, Array]:
-    """Distances [m] and speeds [m/s] of anchors that both bodies share, (…, joint)."""
+def _anchor_gaps(record: Record) -> tuple[Array, Array]:
+    """Return distances [m] and relative speeds [m/s] of shared anchors, shape (…, joint)."""
     if record.many:
-        return _opened_of_many(record)
+        return _anchor_gaps_of_many(record)
     kinds = _apart(record, slides=False), _parting(record, slides=False)
     return rotation.norm(kinds[0]), rotation.norm(kinds[1])
 
 
 @functools.lru_cache(maxsize=1)
-def _opened_of_many(record: Record) -> tuple[Array, Array]:
+def _anchor_gaps_of_many(record: Record) -> tuple[Array, Array]:
     from mbds_xsim.checks.balance_kernel import Ends, part_joints  # imports a compiler
 
     joints, motion = _parted(record.mechanism)[0], record.motion
     points = [_vectors([getattr(j, key) for j in joints]) for key in ("in_parent", "in_child")]
     ends = Ends(np.array(_ends(joints), dtype=np.int64).reshape(2, -1), np.array(points))
-    found = np.empty((2, len(joints), motion.frames, motion.rows))
-    part_joints(motion, ends, found.reshape(-1))
-    gap, rate = (np.asarray(values.T)[: len(record.batch)] for values in found)
+    gaps = np.empty((2, len(joints), motion.frames, motion.rows))
+    part_joints(motion, ends, gaps.reshape(-1))
+    gap, rate = (np.asarray(values.T)[: len(record.batch)] for values in gaps)
     return gap, rate
 
 
@@ -279,11 +281,11 @@ def _columns(parts: list[Array]) -> list[Array]:
 
 
 def _names(record: Record) -> tuple[str, ...]:
-    """Of the parts of gaps and their rates."""
+    """Return the names of the parts of gaps and gap rates."""
     joints, sliders = _parted(record.mechanism)
     links = (f"distance link {link.name}" for link in record.mechanism.distances)
-    held = (f"joint {j.name}" for j in [*joints, *sliders])
-    return (*held, *links, *_followers(record, "slider"))
+    joint_names = (f"joint {j.name}" for j in [*joints, *sliders])
+    return (*joint_names, *links, *_followers(record, "slider"))
 
 
 def _followers(record: Record, kind: str) -> list[str]:
@@ -291,12 +293,12 @@ def _followers(record: Record, kind: str) -> list[str]:
 
 
 def _free(joints: list[PlacedJoint]) -> Array:
-    """Axes about which joints turn freely, zero where there is none."""
+    """Return the axes about which joints turn freely, zero if there is none."""
     return np.array([j.axis if j.kind == "hinge" else np.zeros(3) for j in joints])
 
 
 def _attached(pairs: tuple[PointPair, ...]) -> list[tuple[list[int], Array]]:
-    """Bodies and points of the two ends of distance links or springs."""
+    """Return bodies and points of the two ends of distance links or springs."""
     return [
         ([pair.bodies[k] for pair in pairs], _vectors([pair.in_body[k] for pair in pairs]))
         for k in (0, 1)
@@ -305,7 +307,7 @@ def _attached(pairs: tuple[PointPair, ...]) -> list[tuple[list[int], Array]]:
 
 @functools.lru_cache(maxsize=2)
 def _arms(record: Record, slides: bool) -> list[tuple[list[int], Array]]:
-    """Bodies of the two ends of sliders, or of other joints, and arms of their anchors [m]."""
+    """Return bodies of the two ends of sliders, or other joints, and arms of their anchors [m]."""
     joints = _parted(record.mechanism)[slides]
     points = ([joint.in_parent for joint in joints], [joint.in_child for joint in joints])
     return [
@@ -315,24 +317,24 @@ def _arms(record: Record, slides: bool) -> list[tuple[list[int], Array]]:
 
 
 def _apart(record: Record, *, slides: bool) -> Array:
-    """Place of the child's anchor from the parent's, in W [m], shape (…, joint, 3)."""
+    """Return the child's anchor relative to the parent's, in W [m], shape (…, joint, 3)."""
     places = record.world.position
-    near, far = (taken(places, bodies) + arm for bodies, arm in _arms(record, slides))
+    near, far = (select_bodies(places, bodies) + arm for bodies, arm in _arms(record, slides))
     return far - near
 
 
 def _parting(record: Record, *, slides: bool) -> Array:
-    """Velocity of the child's anchor from the parent's, in W [m/s], shape (…, joint, 3)."""
+    """Return the child's anchor velocity past the parent's, in W [m/s], shape (…, joint, 3)."""
     speeds, spins = record.world.velocity, record.world.angular_velocity
     near, far = (
-        taken(speeds, bodies) + rotation.cross(taken(spins, bodies), arm)
+        select_bodies(speeds, bodies) + rotation.cross(select_bodies(spins, bodies), arm)
         for bodies, arm in _arms(record, slides)
     )
     return far - near
 
 
 def _axes(record: Record) -> Array:
-    """Axes of the sliders in W, which are fixed in the parents."""
+    """Return the axes of sliders in W; they are fixed in the parents."""
     sliders = _parted(record.mechanism)[1]
     return record.world.arms(_ends(sliders)[0], _vectors([j.axis for j in sliders]))
 

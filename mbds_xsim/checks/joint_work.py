@@ -1,6 +1,6 @@
-"""Energy that dampers, dry friction and servos with limits take within steps.
+"""Energy that dampers, dry friction and drives take within steps.
 
-Between two frames a coordinate goes by the cubic that meets places and rates at both.
+Between two frames a coordinate follows the cubic that matches places and rates at both.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from mbds_xsim.scene.joint_space import joint_rate
 from mbds_xsim.scene.mechanism import PlacedJoint, PointPair
 from mbds_xsim.scene.servo import PlacedDrive
 
-_POINTS = (16, 8)  # in a step, of the work of a servo; fewer tell how well it is known
+_POINTS = (16, 8)  # Gauß points per step for the work of a drive; the fewer give the error
 
 
 class Way(NamedTuple):
-    """Coefficients of the cubics, by the share of the step that is over, (trajectory, step)."""
+    """Coefficients of cubics in the elapsed share of a step, shape (trajectory, step)."""
 
     start: Array
     begin: Array
@@ -32,66 +32,66 @@ class Way(NamedTuple):
 
     @staticmethod
     def of(record: Record, joint: PlacedJoint) -> Way:
-        """Find those of a hinge or slider."""
+        """Return the cubics of a hinge or slider."""
         rate = joint_rate(joint, record.world)
         return Way.through(coordinate_of(record, joint), record.frame * rate)
 
     @staticmethod
     def through(place: Array, rate: Array) -> Way:
-        """Find those that meet places and rates per step, (trajectory, frame)."""
+        """Return the cubics that match places and rates per step, (trajectory, frame)."""
         moved, begin, end = np.diff(place, axis=1), rate[:, :-1], rate[:, 1:]
         return Way(place[:, :-1], begin, 3 * moved - 2 * begin - end, begin + end - 2 * moved)
 
     def moved(self, share: Array | float) -> Array:
-        """Give how far it has moved [rad or m]."""
+        """Return the way since the step began [rad or m]."""
         return np.asarray(share * (self.begin + share * (self.bend + share * self.twist)))
 
     def rate(self, share: float) -> Array:
-        """Give its rate per step."""
+        """Return the rate per step."""
         return np.asarray(self.begin + share * (2 * self.bend + 3 * share * self.twist))
 
     @property
     def square(self) -> Array:
-        """Mean square of its rate: of its mean, its change and its bend, which do not mix."""
+        """Mean square of the rate, from its orthogonal parts: mean, change and bend."""
         change = 2 * self.bend + 3 * self.twist
         return np.asarray(self.moved(1.0) ** 2 + change**2 / 12 + self.twist**2 / 20)
 
     @property
     def vague(self) -> Array:
-        """How well that is known: (mean of both ends − mean rate)², of a smooth motion 2.5 times
-        the error, and twice of a rate that is gone long before the step ends."""
+        """Error bound of `square`: (mean of both ends − mean rate)². It is 2.5 times the error of
+        a smooth motion, and twice that of a rate that dies out long before the step ends."""
         return 0.25 * self.twist**2
 
 
 @functools.lru_cache(maxsize=1)
 def losses(record: Record) -> tuple[Array, Array]:
-    """Give the energy taken up to each frame [J], (trajectory, frame), and each step's error.
+    """Return the energy taken up to each frame [J], (trajectory, frame), and each step's error.
 
-    The errors have the shape (trajectory, step); what drives give counts as taken, negative.
+    The errors have the shape (trajectory, step). Energy that drives supply counts as negative.
     """
     shape = len(record.finite), record.steps
-    taken, vague = np.zeros(shape), np.zeros(shape)
+    energy, uncertainty = np.zeros(shape), np.zeros(shape)
     for loss, error in (*_dampers(record), *_friction(record), *_drives(record)):
-        taken, vague = taken + loss, vague + error
-    return np.pad(np.cumsum(taken, axis=1), ((0, 0), (1, 0))), np.nan_to_num(vague)
+        energy, uncertainty = energy + loss, uncertainty + error
+    return np.pad(np.cumsum(energy, axis=1), ((0, 0), (1, 0))), np.nan_to_num(uncertainty)
 
 
-Taken = Iterator[tuple[Array, Array]]
-"""Energies that are taken in each step, and their errors [J], (trajectory, step)."""
+Losses = Iterator[tuple[Array, Array]]
+"""Energies taken in each step, and their errors [J], (trajectory, step)."""
 
 
 def _ways(record: Record) -> Iterator[tuple[PointPair | PlacedJoint, Way]]:
-    """Springs and joints with springs or dampers, and how they go."""
+    """Yield springs, and joints with springs or dampers, with their cubics."""
     world = record.world
     for spring in record.mechanism.springs:
-        place, rate = (find(world, (spring,))[..., 0] for find in (pair_distance, pair_rate))
+        place, rate = (measure(world, (spring,))[..., 0] for measure in (pair_distance, pair_rate))
         yield spring, Way.through(place, record.frame * rate)
     for joint in record.mechanism.compliant:
         yield joint, Way.of(record, joint)
 
 
-def _dampers(record: Record) -> Taken:
-    """Of springs and of joints: damping times the integral of the rate's square."""
+def _dampers(record: Record) -> Losses:
+    """Yield the losses of dampers: damping times the integral of the squared rate."""
     for each, path in _ways(record):
         if each.damping:
             yield (
@@ -101,21 +101,21 @@ def _dampers(record: Record) -> Taken:
 
 
 def delayed_springs(record: Record) -> Array:
-    """What springs lose for each second that they act late [J/s], (trajectory, step).
+    """Compute the energy that springs take per second of time shift [J/s], (trajectory, step).
 
-    It is a damper of the stiffness times the delay. Methods of first order take places and rates at
-    other instants.
+    A time shift acts like a damper of the stiffness times the shift. Methods of first order have
+    one, as they take places and rates at different instants.
     """
-    lost = np.zeros((len(record.finite), record.steps))
+    loss = np.zeros((len(record.finite), record.steps))
     for each, path in _ways(record):
-        lost += each.stiffness / record.frame * path.square
-    return lost
+        loss += each.stiffness / record.frame * path.square
+    return loss
 
 
-def _friction(record: Record) -> Taken:
-    """Dry: in a step in which a joint turns back all of the way there and back is left open.
+def _friction(record: Record) -> Losses:
+    """Yield losses of dry friction; if a joint turns back, its way there and back is the error.
 
-    There it goes no farther than at the smaller rate of the step's ends in half the step.
+    The error is at least the smaller rate of the step's two ends times the step.
     """
     for joint in record.mechanism.frictional:
         path = Way.of(record, joint)
@@ -132,11 +132,11 @@ def _friction(record: Record) -> Taken:
         yield joint.friction * way, joint.friction * np.maximum(way - np.abs(whole), back)
 
 
-def _drives(record: Record) -> Taken:
-    """By the effort over the way, with Gauß' rule.
+def _drives(record: Record) -> Losses:
+    """Yield minus the work of drives: the effort integrated over the way by Gauß' rule.
 
-    The error is that of their dampers, and the change with half the points, which is what a kink of
-    the effort leaves.
+    The error is that of their dampers plus the change with half the points, which a kink of the
+    effort causes.
     """
     for k, drive in enumerate(record.mechanism.drives, len(record.mechanism.hinges)):
         push, path = record.torque[:, : record.steps, k], Way.of(record, drive.joint)

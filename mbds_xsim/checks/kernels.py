@@ -1,4 +1,4 @@
-"""The checks' machine code, compiled before the workers of a data set need it."""
+"""Kernels of the checks, compiled before the workers of a data set need them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _STEPS = 10
 
 
 def _check_once() -> None:
-    """Check a body that hangs still."""
+    """Run all checks on a body that hangs still, which compiles their kernels."""
     scene = Scene(
         name="bob",
         length=1.0,
@@ -30,4 +30,4 @@ def _check_once() -> None:
 
 
 CHECKS = Kernels("checks", _check_once, 10)
-"""What checks of many trajectories need."""
+"""Kernels for the checks of many trajectories."""

@@ -16,31 +16,31 @@ from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.simulate import rounding
 
-_NOISE = 1e-4  # of the largest speed; solvers' tolerances leave up to 4e-5
-_LAG = 0.1  # of a step: a fifth of the half step that must be seen
-_METHOD = 5.0  # errors of order 2 are up to so many times step² · jerk (measured: 4.1)
+_NOISE = 1e-4  # share of the largest speed; solvers' tolerances leave up to 4e-5
+_LAG = 0.1  # share of a step: a fifth of the half step that must show
+_METHOD = 5.0  # largest error of order 2, over step² · jerk (measured: 4.1)
 _ERRORS = 3.0  # standard errors
-_REST = 1e-3  # of the speed that gravity adds in a frame: what never is faster is at rest
-_FAINT = 1e-12  # of gravity: smaller accelerations are rounding, and tell no lag
+_REST = 1e-3  # share of the speed that gravity adds in a frame; what is never faster is at rest
+_FAINT = 1e-12  # share of gravity; smaller accelerations are rounding, and show no lag
 
 
 @check("kinematics", _NOISE)
 def kinematics(record: Record) -> Figures | None:
-    """Measure how far positions move otherwise than velocities tell; None where nothing flies.
+    """Measure how far displacements are off the integral of velocities; None if nothing flies.
 
-    A step's displacement less the integral of its velocities, as RMS velocity over the largest
-    RMS speed: over the mass of all, and over points at the ends of each body, so that what turns
-    counts by what it carries. What the frames do not resolve is left out, and so is what a method
-    of its order, and rounding places in each step, may leave between positions and velocities.
+    The figure is the difference over a step, as RMS velocity over the largest RMS speed: over the
+    mass of all bodies, and over points at the ends of each body, so that a body that turns counts
+    by what it carries. Subtracted are the resolution of the frames, the error of a method of the
+    declared order, and the rounding of places in each step.
     """
     mismatch = _mismatch(record)
     if mismatch is None:
         return None
     if mismatch.frame[0] == 1 and (record.mechanism.loops or record.mechanism.distances):
-        mismatch = dataclasses.replace(mismatch, left=_started(record, mismatch))
+        mismatch = dataclasses.replace(mismatch, residual=_started(record, mismatch))
     points, order, step = mismatch.points, record.order, _step(record)
     steps = max(1, round(record.frame / step))
-    rounded = rounding.stepped(record.method, steps) * record.scene.length / record.frame
+    rounded = rounding.step_error(record.method, steps) * record.scene.length / record.frame
     whole, each = (
         _beyond(measure, mismatch, jerk, blur + rounded, step, order)
         / _largest(measure(mismatch.velocity), record)
@@ -68,39 +68,39 @@ def _beyond(
     step: float,
     order: int,
 ) -> Array:
-    """What is left [m/s], in one measure.
+    """Return the mismatch beyond known errors [m/s], in one measure.
 
-    Taken off is the blur, and a method's error of order 2, or higher in the rate at which
-    accelerations change. Methods of order 1 follow a flow of their own to second order.
+    Subtracted are the blur and a method's error: of order 2, or higher in the rate at which
+    accelerations change. Methods of order 1 follow a modified flow to second order.
     """
     pull = np.maximum(measure(mismatch.acceleration), np.finfo(float).tiny)
     rate = np.minimum(step * jerk / pull, 1.0)
     own = _METHOD * step**2 * jerk * rate ** max(order - 2, 0)
-    return np.asarray(np.maximum(measure(mismatch.left) - blur - own, 0.0))
+    return np.asarray(np.maximum(measure(mismatch.residual) - blur - own, 0.0))
 
 
 def _started(record: Record, mismatch: Mismatch) -> Array:
-    """Take off the first step's mismatch what closing loops by impulses makes of the start."""
-    left = mismatch.left.copy()
-    known = np.flatnonzero(np.isfinite(left[:, 0]).all(axis=(1, 2, 3)))
+    """Subtract from the first step's mismatch what closing loops by impulses does to the start."""
+    residual = mismatch.residual.copy()
+    known = np.flatnonzero(np.isfinite(residual[:, 0]).all(axis=(1, 2, 3)))
     if not len(known):
-        return left
+        return residual
     start = record.bodies[known, 0]
     load = record.batch.force[known, 0], record.torque[known, 0]
-    change = mismatch.points.as_bodies(left[known, 0], start.native)
-    kept = unexplained_by_loops(record.mechanism, start, change, load, _step(record))
-    left[known, 0] = mismatch.points.as_points(*kept, start.native)
-    return left
+    change = mismatch.points.as_bodies(residual[known, 0], start.native)
+    unexplained = unexplained_by_loops(record.mechanism, start, change, load, _step(record))
+    residual[known, 0] = mismatch.points.as_points(*unexplained, start.native)
+    return residual
 
 
 @check("velocity lag", lambda record: _LAG * _step(record), "s")
 def velocity_lag(record: Record) -> Figures | None:
-    """Measure by how much time velocities are off the positions' own [s]; None without flight.
+    """Measure the time shift between velocities and positions [s]; None without flight.
 
-    It is the slope of the mismatch over the accelerations that changing joint rates make, by least
-    squares over the steps, which weigh by what is resolved in them. The other accelerations are a
-    second regressor: velocities late with their places lag in both, joint rates in the first
-    alone. The lag that the method declares is taken out before.
+    It is the slope of the mismatch over the accelerations from changing joint rates, by least
+    squares over the steps, weighted by their resolution. The other accelerations are a second
+    regressor: velocities that are late together with their places lag in both, late joint rates in
+    the first alone. The declared lag of the method is removed before.
     """
     mismatch = _mismatch(record)
     if mismatch is None:
@@ -115,14 +115,14 @@ def velocity_lag(record: Record) -> Figures | None:
 
 
 def _mismatch(record: Record) -> Mismatch | None:
-    """None where contact, friction or servos leave no step to look at."""
+    """Return the mismatch; None if contact, friction or drives leave no step to check."""
     if record.steps < 1 or (_skips(record) and not np.isfinite(record.mismatch.blur).any()):
         return None
     return record.mismatch
 
 
 def _skips(record: Record) -> bool:
-    """Whether not every step is looked at, and of some trajectories none."""
+    """Return whether some steps may be left out, or all steps of some trajectories."""
     mechanism = record.mechanism
     return bool(mechanism.has_impacts or mechanism.frictional or mechanism.drives)
 
@@ -132,9 +132,9 @@ def _step(record: Record) -> float:
 
 
 def _slope(mismatch: Mismatch, resolution: float) -> tuple[Array, Array]:
-    """Slope of the mismatch over the acceleration [s] and its uncertainty, (trajectory,).
+    """Compute the slope of the mismatch over acceleration [s], and its uncertainty, (trajectory,).
 
-    The uncertainty is the blur's, and three standard errors from the scatter of the steps.
+    The uncertainty is that of the blur plus three standard errors from the scatter of the steps.
     """
     known = np.isfinite(mismatch.blur)
     blur = np.where(known, mismatch.blur, 0.0)
@@ -145,7 +145,7 @@ def _slope(mismatch: Mismatch, resolution: float) -> tuple[Array, Array]:
     def inner(one: Array, other: Array) -> Array:
         return np.where(known, weight * mismatch.points.inner(one, other), 0.0)
 
-    # What changes by less than can be told tells no lag.
+    # Changes below the resolution show no lag.
     unclear = np.sum(weight * np.where(known, mismatch.unclear, 0.0) ** 2, axis=1)
     least = np.maximum(unclear, np.finfo(float).tiny)
 
@@ -158,23 +158,23 @@ def _slope(mismatch: Mismatch, resolution: float) -> tuple[Array, Array]:
     other = mismatch.acceleration - mismatch.rate_acceleration
     rates = mismatch.rate_acceleration
     rates = rates - _each(slope_over(other, rates)) * other
-    slope = slope_over(rates, mismatch.left)
-    rest = mismatch.left - _each(slope) * rates
+    slope = slope_over(rates, mismatch.residual)
+    rest = mismatch.residual - _each(slope) * rates
     rest = rest - _each(slope_over(other, rest)) * other
     square = square_of(rates)
     error = np.sqrt(np.sum(inner(rest, rates) ** 2, axis=1))
     blurred = np.sum(weight * blur * np.where(known, mismatch.points.rms(rates), 0.0), axis=1)
-    seen = np.where(known.any(axis=1), slope, np.nan)
-    return seen, (blurred + _ERRORS * error) / square
+    lag = np.where(known.any(axis=1), slope, np.nan)
+    return lag, (blurred + _ERRORS * error) / square
 
 
 def _each(values: Array) -> Array:
-    """Values of trajectories, to multiply vectors of points with."""
+    """Expand values of trajectories, to multiply vectors of points with them."""
     return values[:, None, None, None, None]
 
 
 def _largest(speeds: Array, record: Record) -> Array:
-    """Largest of each trajectory, that of rest at least, shape (trajectory, 1, …)."""
+    """Return the largest speed of each trajectory, at least that of rest, (trajectory, 1, …)."""
     rest = _REST * record.frame * record.usual_pull
     axes = tuple(range(1, speeds.ndim))
     return np.maximum(np.nanmax(speeds, axis=axes, keepdims=True, initial=0.0), rest)
@@ -187,21 +187,22 @@ def unexplained_by_loops(
     load: tuple[Array, Array],
     step: float,
 ) -> tuple[Array, Array]:
-    """Take off changes of velocities what an impulse of the loops' constraints makes of it.
+    """Subtract from changes of velocities what an impulse of the loops' constraints explains.
 
     An engine that closes loops by impulses keeps them closed where a step begins, not where it
-    ends, so that what loops force on velocities comes a step late. The drawn start knows nothing of
-    that: in the first step velocities change by such an impulse besides.
+    ends, so that the loops' effect on velocities comes a step late. The drawn start has no such
+    delay: in the first step velocities change by an additional impulse.
 
-    That is what the tree's joints allow and no motion of the closed mechanism has a part in, by the
-    metric of kinetic energy; at most what the loops' own forces make in a step.
+    That change is allowed by the tree's joints, and orthogonal to all motions of the closed
+    mechanism in the metric of kinetic energy. It is at most what the loops' own forces do in a
+    step.
 
     Args:
-        mechanism: One with loops or distance links.
+        mechanism: Mechanism with loops or distance links.
         start: Drawn states, shape (trajectory, body, …).
-        change: Linear [m/s] and angular [rad/s], shape (trajectory, body, 3).
+        change: Linear [m/s] and angular [rad/s] changes, shape (trajectory, body, 3).
         load: Forces on bodies and torques of hinges in the first step.
-        step: Of integration [s].
+        step: Integration step [s].
     """
     # The reference loads the compiled parts of scipy, which most uses do without.
     from mbds_xsim.reference import accelerations
@@ -212,8 +213,8 @@ def unexplained_by_loops(
     impulse = [a - b for a, b in zip(open_loops, closed, strict=True)]
     pulls = (accelerations(each, start, *load) for each in (tree, mechanism))
     forced = [step * (a - b) for a, b in zip(*pulls, strict=True)]
-    most, found = (_size(mechanism, start, *each) for each in (forced, impulse))
-    share = np.minimum(1.0, most / np.maximum(found, np.finfo(float).tiny))[:, None, None]
+    most, size = (_size(mechanism, start, *each) for each in (forced, impulse))
+    share = np.minimum(1.0, most / np.maximum(size, np.finfo(float).tiny))[:, None, None]
     linear, angular = (a - share * b for a, b in zip(change, impulse, strict=True))
     return linear, angular
 
@@ -221,17 +222,17 @@ def unexplained_by_loops(
 def _allowed(
     mechanism: Mechanism, start: BodyStates, change: tuple[Array, Array]
 ) -> tuple[Array, Array]:
-    """Part of velocities that a mechanism's joints allow."""
+    """Return the part of velocities that a mechanism's joints allow."""
     from mbds_xsim.reference.equations import dynamics_of
 
     dynamics = dynamics_of(mechanism)
     packed = dynamics.pack(BodyStates(start.position, start.native, *change))
-    found = dynamics.unpack(dynamics.project(packed))
-    return found.velocity, found.angular_velocity
+    projected = dynamics.unpack(dynamics.project(packed))
+    return projected.velocity, projected.angular_velocity
 
 
 def _size(mechanism: Mechanism, start: BodyStates, linear: Array, angular: Array) -> Array:
-    """Root of twice the kinetic energy, shape (trajectory,)."""
+    """Return the square root of twice the kinetic energy, shape (trajectory,)."""
     own = rotation.rotate(rotation.conjugate(start.native), angular)
     turning = np.einsum("tbi,bij,tbj->t", own, mechanism.inertia, own)
     return np.asarray(np.sqrt(np.einsum("b,tbi,tbi->t", mechanism.mass, linear, linear) + turning))

@@ -1,7 +1,7 @@
-"""What positions do between frames that velocities do not tell.
+"""Mismatch between displacements and velocities within frames.
 
-Over every second step, so that each frame is looked at, or over fewer, the displacement of points
-on the bodies is compared with the integral of their velocities: of the quintic that meets the
+Over every second step, which covers each frame, or over fewer steps, the displacement of points on
+the bodies is compared with the integral of their velocities: that of the quintic that matches the
 velocity, and the acceleration and jerk that the scene gives, at both ends of the step. Its error is
 H⁷/100800 of the velocity's sixth derivative (Davis & Rabinowitz 1984, Methods of Numerical
 Integration, 2.9).
@@ -28,40 +28,40 @@ from mbds_xsim.scene.joint_space import (
 from mbds_xsim.scene.mechanism import Mechanism
 
 EVERY_SECOND = (0, 2)
-"""First step, and every how many: these take in every frame once."""
+"""First step and stride that cover every frame once."""
 
-MOMENT = 5e-4  # of the interval of the frames: jerks are differences of accelerations over it
-_FACTOR = 8.0  # errors of the quintic are up to so many times their estimate (measured: 7.3)
+MOMENT = 5e-4  # share of the frame interval; jerks are differences of accelerations over it
+_FACTOR = 8.0  # largest error of the quintic over its estimate (measured: 7.3)
 
 
 @dataclass(frozen=True, eq=False)
 class Mismatch:
-    """Mean velocity over a step as positions have it, less what velocities make of it.
+    """Mean velocity over a step by positions, less that by velocities.
 
     Shapes (trajectory, step, body, point, 3); NaN where frames are lost or something may touch.
     """
 
     points: CarriedPoints
     frame: Index
-    """At which each step ends, shape (step,)."""
-    left: Array
-    """[m/s]"""
+    """Frame at which each step ends, shape (step,)."""
+    residual: Array
+    """Difference of the two mean velocities [m/s]."""
     velocity: Array
-    """At the beginnings of all steps, then at their ends [m/s], shape (trajectory, 2 step, …)."""
+    """Velocities at the beginnings of steps, then at their ends [m/s], (trajectory, 2 step, …)."""
     acceleration: Array
-    """Mean over the step [m/s²]."""
+    """Mean acceleration over the step [m/s²]."""
     rate_acceleration: Array
-    """The part of it that changes of the velocity coordinates make [m/s²]."""
+    """Part of the acceleration from changes of the velocity coordinates [m/s²]."""
     unclear: Array
-    """What that may err by, being a difference over a moment [m/s²], (trajectory, step)."""
+    """Error of `rate_acceleration` as a finite difference [m/s²], (trajectory, step)."""
     jerk: Array
-    """Larger RMS of the two ends [m/s³], shape (trajectory, step)."""
+    """Larger RMS jerk of the two ends [m/s³], shape (trajectory, step)."""
     blur: Array
-    """What the integral itself leaves open [m/s], RMS, shape (trajectory, step)."""
+    """RMS error of the integral itself [m/s], shape (trajectory, step)."""
     jerk_each: Array
-    """As jerk, but of each body with points at its ends, shape (trajectory, step, body)."""
+    """Jerk of each body with points at its ends [m/s³], shape (trajectory, step, body)."""
     blur_each: Array
-    """As blur, of the same."""
+    """Error of the integral of each body with such points [m/s], (trajectory, step, body)."""
 
 
 class _Points(NamedTuple):
@@ -89,14 +89,14 @@ def mismatch_of(
     """Compare positions and velocities over some steps, outside contact.
 
     Args:
-        mechanism: Whose motion.
+        mechanism: Mechanism of the recorded motion.
         bodies: Recorded states, NaN where they are lost, shape (trajectory, frame, body, …).
-        force: [N], shape (trajectory, step, body, 3).
-        torque: [N·m], with the pushes of drives, shape (trajectory, step, hinge + drive).
+        force: Held forces [N], shape (trajectory, step, body, 3).
+        torque: Held torques [N·m] and pushes of drives, shape (trajectory, step, hinge + drive).
         flying: Steps outside contact, shape (trajectory, step).
-        frame: Interval of the frames [s].
+        frame: Interval between frames [s].
         lag: Recorded velocities belong to frame time + lag [s].
-        steps: First step, and every how many; every second takes in all frames.
+        steps: First step and stride; every second step covers all frames.
         many: As in `Record`.
     """
     first = np.arange(steps[0], bodies.position.shape[1] - 1, steps[1])
@@ -113,7 +113,7 @@ def mismatch_of(
     return Mismatch(
         points=points,
         frame=first + 1,
-        left=(end.position - begin.position) / frame - quintic,
+        residual=(end.position - begin.position) / frame - quintic,
         velocity=np.concatenate([begin.velocity, end.velocity], axis=1),
         acceleration=(begin.acceleration + end.acceleration) / 2,
         rate_acceleration=(begin.rate_acceleration + end.rate_acceleration) / 2,
@@ -126,14 +126,14 @@ def mismatch_of(
 
 
 def _ends(
-    flow: Flow, bodies: BodyStates, first: Index, held: tuple[Mask, Array, Array], lag: float
+    flow: Flow, bodies: BodyStates, first: Index, inputs: tuple[Mask, Array, Array], lag: float
 ) -> tuple[_Points, _Points]:
-    """Give the points at the beginnings of steps and at their ends; flight and loads are held."""
-    # Both at once: calls cost as much as numbers here.
+    """Return the points at the beginnings and ends of steps; `inputs` are flight and loads."""
+    # Both at once, since calls cost as much as arithmetic here.
     both, count = np.concatenate([first, first + 1]), len(first)
-    free, force, torque = (np.concatenate([each[:, first]] * 2, axis=1) for each in held)
+    free, force, torque = (np.concatenate([each[:, first]] * 2, axis=1) for each in inputs)
     if flow.mechanism.compliant or flow.mechanism.drives:
-        torque = torque + wound(flow.mechanism, bodies)[:, both]
+        torque = torque + winding_torque(flow.mechanism, bodies)[:, both]
     points = _points_at(flow, bodies[:, both], free, force, torque, lag)
     begin, end = (
         _Points(*(each[:, half] for each in points))
@@ -142,8 +142,8 @@ def _ends(
     return begin, end
 
 
-def wound(mechanism: Mechanism, bodies: BodyStates) -> Array:
-    """Torques of springs for whole turns, which states do not show [N·m], (…, frame, input)."""
+def winding_torque(mechanism: Mechanism, bodies: BodyStates) -> Array:
+    """Compute spring torques for whole turns, which states do not show [N·m], (…, frame, input)."""
     springs = [(joint, joint.stiffness) for joint in mechanism.hinges]
     springs += [(drive.joint, drive.servo.stiffness) for drive in mechanism.drives]
     torque = np.zeros((*bodies.position.shape[:2], len(springs)))
@@ -155,18 +155,18 @@ def wound(mechanism: Mechanism, bodies: BodyStates) -> Array:
 
 
 def _blur(coarse: Array, fine: Array) -> Array:
-    """Error of the quintic, from what the cubic adds to the trapezoid and the quintic to that.
+    """Estimate the quintic's error from the differences trapezoid to cubic, and cubic to quintic.
 
-    What the quintic adds may be small by chance in a step, so none has less than what is usual in
-    its trajectory.
+    The latter may be small by chance in a step, so each step has at least the usual error of its
+    trajectory.
     """
-    return np.maximum(_left(coarse, fine), _left(usual(coarse), usual(fine)))
+    return np.maximum(_extrapolate(coarse, fine), _extrapolate(usual(coarse), usual(fine)))
 
 
-def _left(coarse: Array, fine: Array) -> Array:
-    """Go on from what two formulas added, which fall alike; where they do not, nothing is resolved.
+def _extrapolate(coarse: Array, fine: Array) -> Array:
+    """Extrapolate two differences as a geometric series; if they do not fall, nothing is resolved.
 
-    Of several bodies the slowest fall counts for all.
+    The slowest fall among several bodies counts for all.
     """
     gain = np.minimum(1.0, fine / np.maximum(coarse, np.finfo(float).tiny))
     if gain.ndim > 2:
@@ -183,25 +183,25 @@ def _points_at(
     lag: float,
 ) -> _Points:
     known = known_states(states) & free
-    kept = states[known].each(np.asfortranarray)  # components apart, as in `Record`
-    near = flow.closed(kept)
+    subset = states[known].each(np.asfortranarray)  # components apart, as in `Record`
+    near = flow.closed(subset)
     if lag:
         rates = flow.accelerations(near, force[known], torque[known])
         gain = flow.of_rates(near, *rates)
-        kept = _faster(kept, *gain, -lag)
+        subset = _faster(subset, *gain, -lag)
         near = flow.closed(_faster(near, *gain, -lag))
-    points = _derivatives(flow, kept, near, force[known], torque[known])
+    points = _derivatives(flow, subset, near, force[known], torque[known])
     return _Points(*(_placed(known, values) for values in points))
 
 
 def _placed(known: Mask, values: Array) -> Array:
-    """Put values of known states where these are, NaN elsewhere."""
+    """Put values of known states in their places, NaN elsewhere."""
     shape = *known.shape, *values.shape[1:]
     if known.all():
         return values.reshape(shape)
-    found = np.full(shape, np.nan)
-    found[known] = values
-    return found
+    whole = np.full(shape, np.nan)
+    whole[known] = values
+    return whole
 
 
 def _derivatives(
@@ -214,9 +214,9 @@ def _derivatives(
     position, velocity, acceleration = carried(mechanism, states, *rates)
     change = carried(mechanism, later, *then)[2] - carried(mechanism, closed, *rates)[2]
     pull, push = flow.of_rates(closed, *rates)
-    gained = dataclasses.replace(states, velocity=pull, angular_velocity=push)
-    swung = carried(mechanism, gained, *rates)[1]
-    return _Points(position, velocity, acceleration, change / flow.moment, swung)
+    changes = dataclasses.replace(states, velocity=pull, angular_velocity=push)
+    rate_acceleration = carried(mechanism, changes, *rates)[1]
+    return _Points(position, velocity, acceleration, change / flow.moment, rate_acceleration)
 
 
 def _faster(states: BodyStates, pull: Array, push: Array, time: float) -> BodyStates:
@@ -229,22 +229,22 @@ def _faster(states: BodyStates, pull: Array, push: Array, time: float) -> BodySt
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Flow:
-    """The flow of a mechanism outside contact."""
+    """Flow of a mechanism outside contact."""
 
     mechanism: Mechanism
     moment: float
-    """Over which rates are differences [s]."""
+    """Interval of finite differences [s]."""
     many: bool = False
 
     def accelerations(self, states: BodyStates, force: Array, torque: Array) -> tuple[Array, Array]:
-        """Linear and angular accelerations, shapes (state, body, 3)."""
+        """Compute linear and angular accelerations, shapes (state, body, 3)."""
         # The reference loads the compiled parts of scipy, which most uses do without.
         from mbds_xsim.reference import accelerations
 
         return accelerations(self.mechanism, states, force, torque, many=self.many)
 
     def later(self, states: BodyStates, pull: Array, push: Array) -> BodyStates:
-        """Give states a moment later, by their linear and angular accelerations."""
+        """Return states one `moment` later, by their linear and angular accelerations."""
         moment = self.moment
         turn = moment * (states.angular_velocity + moment / 2 * push)
         return BodyStates(
@@ -255,10 +255,10 @@ class Flow:
         )
 
     def of_rates(self, states: BodyStates, pull: Array, push: Array) -> tuple[Array, Array]:
-        """Give the part of accelerations that the velocity coordinates make by their change.
+        """Return the part of accelerations that comes from changes of the velocity coordinates.
 
         These are joint rates, and velocities of free bodies. The rest comes from places that
-        change while the coordinates stand still. Shapes (state, body, 3).
+        change while the velocity coordinates stay constant. Shapes (state, body, 3).
         """
         here = to_links(self.mechanism, states)
         then = to_links(self.mechanism, self.later(states, pull, push))
@@ -268,15 +268,15 @@ class Flow:
             rate=(then.rate - here.rate) / self.moment,
             velocity=(then.velocity - here.velocity) / self.moment,
         )
-        found = to_bodies(self.mechanism, changes)
-        return found.velocity, found.angular_velocity
+        bodies = to_bodies(self.mechanism, changes)
+        return bodies.velocity, bodies.angular_velocity
 
     def closed(self, states: BodyStates) -> BodyStates:
-        """Close the joints of mechanisms whose loops may hold their bodies twice.
+        """Close the joints of mechanisms whose loops may have redundant constraints.
 
-        Where constraints depend on one another, gaps as small as engines leave tear them apart,
-        and accelerations jump. The tree's joints are closed first, so that a flat loop is flat.
-        Ball joints alone never depend on one another, but at single configurations.
+        With these, gaps as small as engines leave make constraints contradict each other, and
+        accelerations jump. The tree's joints are closed first, so that a flat loop is flat. Ball
+        joints alone are redundant at single configurations only.
         """
         mechanism = self.mechanism
         if not mechanism.loops or all(joint.kind == "ball" for joint in mechanism.joints):
@@ -285,13 +285,13 @@ class Flow:
 
         known, dynamics = known_states(states), dynamics_of(mechanism)
         tree = to_bodies(mechanism, to_links(mechanism, states[known]))
-        found = dynamics.unpack(dynamics.project(dynamics.pack(tree)))
+        projected = dynamics.unpack(dynamics.project(dynamics.pack(tree)))
         filled = states.each(lambda values: np.full_like(values, np.nan))
         for name, values in vars(filled).items():
-            values[known] = getattr(found, name)
+            values[known] = getattr(projected, name)
         return filled
 
 
 def known_states(states: BodyStates) -> Mask:
-    """Tell which states are not lost, shape of the leading axes."""
+    """Return which states have finite positions, with the shape of the leading axes."""
     return np.asarray(np.isfinite(states.position).all(axis=(-1, -2)))

@@ -12,7 +12,7 @@ from mbds_xsim.reference.lanes import eight, spread
 class FlatMotion(NamedTuple):
     """Recorded states and held forces: flat arrays of shape (component, body, frame, trajectory).
 
-    Numbers of one body and component follow each other, so that a place in these stands for a
+    Numbers of one body and component are contiguous, so that an index among them stands for a
     frame of a trajectory.
     """
 
@@ -21,16 +21,16 @@ class FlatMotion(NamedTuple):
     velocity: Array
     spin: Array
     force: Array
-    """Of steps, which are one fewer than the frames."""
+    """One per step, so one fewer than the frames."""
     bodies: int
     frames: int
     rows: int
-    """Trajectories, eight at least."""
+    """Number of trajectories, at least eight."""
 
 
 @compiled
 def vector(m, a, body, frame, t):
-    """Read vectors of a body: of trajectories from `t` on, or of places from the frame on."""
+    """Read vectors of a body for eight trajectories from `t` on, or indices from a frame on."""
     return _three(a, m.bodies * m.frames * m.rows, (body * m.frames + frame) * m.rows + t)
 
 
@@ -43,7 +43,7 @@ def facing(m, body, frame, t):
 
 
 @compiled
-def held(m, body, step, t):
+def force_on(m, body, step, t):
     """Read forces on a body."""
     steps = m.frames - 1
     return _three(m.force, m.bodies * steps * m.rows, (body * steps + step) * m.rows + t)
@@ -56,7 +56,7 @@ def _three(a, far, at):
 
 @compiled
 def conjugate(q):
-    """Give the inverse of a rotation."""
+    """Return the inverse of a rotation."""
     return q[0], -q[1], -q[2], -q[3]
 
 

@@ -1,11 +1,11 @@
-"""Does contact create energy, and does what lies on the ground stay there?
+"""Does contact create energy, and do bodies at rest on the ground stay there?
 
 A rigid impact changes the kinetic energy by the sum over its contacts of p·(u⁻ + u⁺)/2, with p the
 impulse and u the velocities of the contact point. By Newton's restitution the normal part of it is
 −(1 − e) p |u⁻|/2. In the tangential part p·u⁺ is never positive, as friction opposes the slip it
-leaves; but p·u⁻ may be, where the coupling of an eccentric impact turns the slip round. Newton's
+leaves; but p·u⁻ may be, if the coupling in an eccentric impact reverses the slip. Newton's
 and Coulomb's laws together are then not passive (Kane & Levinson 1985, Dynamics; Brach 1989,
-J. Appl. Mech. 56, 133), and an engine that keeps to them gains energy as they do.
+J. Appl. Mech. 56, 133), and an engine that follows them gains energy, too.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from mbds_xsim.checks.finding import Figures, check
 from mbds_xsim.checks.ground import Impacts, Push, balls_of, impacts_of, pushes_of
 from mbds_xsim.checks.record import Record
 
-_SLOW = 1e-3  # of the speed √(g · length)
-_NEAR = 1e-3  # of the scene's length
+_SLOW = 1e-3  # share of the speed √(g · length)
+_NEAR = 1e-3  # share of the scene's length
 _ROUND = 0.95 * np.pi  # widest angle between spheres that surround a point
-# Times the declared duration and the arriving speed. Half of it is what a spring makes that lasts
-# as long; joined bodies make one last longer, measured up to 2.6 times.
+# Times the declared duration and the arriving speed. A spring of that duration needs ½; joined
+# bodies make it last up to 2.6 times as long (measured).
 _LONGEST = 2.0
-_LASTING = 4.0  # how much sharper than in impacts it is known where the ground is that carries
+_LASTING = 4.0  # factor by which a steady gap counts more than that of an impact
 
 
 @check("passivity", "passivity")
 def passivity(record: Record) -> Figures | None:
     """Measure the rise of E − W that the law of impact does not explain, over the energy scale.
 
-    Above its running minimum, among frames in which no contact stores energy. None without
-    contact, or where something else supports a body that may touch.
+    The rise is above the running minimum, among frames in which no contact stores energy. None
+    without contact, or if something else supports a body that may touch.
     """
     scene, pushes = record.scene, _all_pushes(record)
     if not scene.contacts or (scene.ground is not None and not pushes):
@@ -48,7 +48,7 @@ def passivity(record: Record) -> Figures | None:
 
 @check("energy rise", None)
 def energy_rise(record: Record) -> Figures | None:
-    """Show the whole rise of E − W, explained or not, where the law of impact explains any."""
+    """Show the whole rise of E − W, explained or not; None if the law of impact explains none."""
     pushes = _all_pushes(record)
     if all(push.ball for push in pushes):
         return None
@@ -57,11 +57,11 @@ def energy_rise(record: Record) -> Figures | None:
 
 
 def law_gain(record: Record, push: Push) -> Array:
-    """Give the energy that impacts may add by their own law [J], shape (trajectory, step).
+    """Return the energy that impacts may add by their own law [J], shape (trajectory, step).
 
-    Of a single impact between two frames in flight it follows from the slip on arrival and the
-    impulse. Where more may have happened in a step, it is bounded by the fastest slip: that of the
-    step's ends, and what turning about a body's centre of mass makes of it in between.
+    For a single impact between two frames in flight it follows from the slip on arrival and the
+    impulse. If more may have happened in a step, it is bounded by the fastest slip: that of the
+    step's ends, plus what turning about a body's centre of mass adds in between.
     """
     gain = np.zeros(push.impulse.shape[:2])
     if push.ball:
@@ -74,25 +74,25 @@ def law_gain(record: Record, push: Push) -> Array:
     gain[unclear] = most[unclear]
     hits = impacts_of(record, push)
     forward = np.sum(hits.impulse[:, :2] * hits.slip, axis=1)
-    lost = (1.0 - ground.restitution) * hits.impulse[:, 2] * hits.arriving
-    gain[hits.row, hits.step] = 0.5 * np.maximum(forward - lost, 0.0)
+    loss = (1.0 - ground.restitution) * hits.impulse[:, 2] * hits.arriving
+    gain[hits.row, hits.step] = 0.5 * np.maximum(forward - loss, 0.0)
     return np.asarray(np.nan_to_num(gain))
 
 
 def _veering(record: Record, push: Push) -> Array:
-    """Acceleration |ω × (ω × r)| of spheres' centres [m/s²], shape (trajectory, frame, sphere)."""
+    """Compute |ω × (ω × r)| of spheres' centres [m/s²], shape (trajectory, frame, sphere)."""
     mechanism, own = record.mechanism, push.spheres
     body = mechanism.sphere_body[own]
     speed = record.bodies.speeds(body, mechanism.sphere_offset[own])
-    round_ = np.linalg.norm(speed - record.bodies.velocity[:, :, body], axis=-1)
-    return np.asarray(round_ * np.linalg.norm(record.bodies.angular_velocity[:, :, body], axis=-1))
+    swing = np.linalg.norm(speed - record.bodies.velocity[:, :, body], axis=-1)
+    return np.asarray(swing * np.linalg.norm(record.bodies.angular_velocity[:, :, body], axis=-1))
 
 
 def _collision_gain(record: Record) -> Array:
-    """Give the energy that collisions may add by their own law [J], shape (trajectory, step).
+    """Return the energy that collisions may add by their own law [J], shape (trajectory, step).
 
-    Those of balls, or without friction, none; of others, whose slip may turn round as in an
-    eccentric impact, whatever they do add in a step in which they may touch.
+    Collisions of balls, or without friction, add none. Others, whose slip may reverse as in an
+    eccentric impact, may add any energy in a step in which the bodies may touch.
     """
     mechanism, collisions = record.mechanism, record.scene.collisions
     gain = np.zeros(record.moved.shape[:2])
@@ -101,35 +101,35 @@ def _collision_gain(record: Record) -> Array:
     if collisions is None or not collisions.friction or not others:
         return gain
     met = ~record.parted[..., others].all(axis=2)
-    left = energy_of(record).total - input_work(record)
-    gain[met] = np.maximum(np.diff(left, axis=1), 0.0)[met]
+    balance = energy_of(record).total - input_work(record)
+    gain[met] = np.maximum(np.diff(balance, axis=1), 0.0)[met]
     return np.asarray(np.nan_to_num(gain))
 
 
 def _all_pushes(record: Record) -> list[Push]:
-    """Groups with contact, none where the ground's part in one of them is not known."""
+    """Return the groups with contact, or none if the ground's impulse on one is not known."""
     pushes = pushes_of(record)
     known = sum(len(push.spheres) for push in pushes)
     return pushes if known == len(record.mechanism.sphere_body) else []
 
 
 def _rise(record: Record, pushes: list[Push], explained: Array) -> tuple[Array, Array]:
-    """Rise above the running minimum over the scale, NaN where not compared; and the scale [J]."""
+    """Return the relative rise above the running minimum, NaN if not compared, and scale [J]."""
     energy = energy_of(record)
-    left = energy.total - input_work(record)
-    left[:, 1:] -= explained
-    compared, most = record.finite.copy(), left.copy()
+    balance = energy.total - input_work(record)
+    balance[:, 1:] -= explained
+    compared, most = record.finite.copy(), balance.copy()
     for push in pushes:
         compared &= settled(push)
         most += stored(record, push)
     compared[:, 1:] &= (record.neighbours.gap[:, 1:] > 0.0).all(axis=2)
-    return risen(left, most, compared) / energy.scale[:, None], energy.scale
+    return risen(balance, most, compared) / energy.scale[:, None], energy.scale
 
 
 def risen(least: Array, most: Array, compared: Mask) -> Array:
-    """Rise from the lowest that energy can have been to what it is at least.
+    """Compute the rise of the lower bound `least` above the running minimum of the upper, `most`.
 
-    In between is what contacts may store. Shape (trajectory, frame), NaN where not compared.
+    Contacts may store the energy in between. Shape (trajectory, frame), NaN where not compared.
     """
     lowest = np.minimum.accumulate(np.where(compared, most, np.inf), axis=1)
     rise = np.where(compared, np.maximum(least - lowest, 0.0), np.nan)
@@ -138,18 +138,18 @@ def risen(least: Array, most: Array, compared: Mask) -> Array:
 
 
 def settled(push: Push) -> Mask:
-    """Frames at which a group's contacts store no more than `stored`, (trajectory, frame).
+    """Find frames at which a group's contacts store no more than `stored`, (trajectory, frame).
 
-    Those in flight, those around which the ground only carries, and the start: what overlaps
-    there was put there. A slow impact, too, stores the energy it arrives with.
+    These are frames in flight, frames around which the ground only carries, and the start, whose
+    overlaps are given. Even a slow impact stores the energy it arrives with.
     """
-    found = push.untouched | push.resting
-    found[:, 0] = True
-    return np.asarray(found)
+    quiet = push.untouched | push.resting
+    quiet[:, 0] = True
+    return np.asarray(quiet)
 
 
 def stored(record: Record, push: Push) -> Array:
-    """Most that overlaps under the weight store [J]: weight times overlap, (trajectory, frame)."""
+    """Return the most energy stored under the weight [J]: weight · overlap, (trajectory, frame)."""
     return np.asarray(push.mass * record.pull * np.maximum(-push.over.gap.min(axis=2), 0.0))
 
 
@@ -157,8 +157,8 @@ def stored(record: Record, push: Push) -> Array:
 def hop(record: Record) -> Figures | None:
     """Measure how high balls get by themselves, over the scene's length; None without balls.
 
-    Nothing couples the vertical motion of a ball to the other ones, so that its energy of climb
-    and height less the work of vertical forces never rises: above the running minimum, as in
+    A ball's vertical motion is not coupled to its other motions, so its vertical kinetic and
+    potential energy less the work of vertical forces must not rise above its running minimum, as in
     `passivity`.
     """
     pushes, length, pull = balls_of(record), record.scene.length, -record.scene.gravity[2]
@@ -166,7 +166,7 @@ def hop(record: Record) -> Figures | None:
         return None
     climb = record.bodies.velocity[..., 2]
     rises = record.by_frame([_hop(record, push, pull) for push in pushes])
-    # Semi-implicit Euler keeps v²/2 + g z + g h v/2.
+    # Semi-implicit Euler conserves v²/2 + g z + g h v/2.
     step = 0.0 if record.order > 1 else record.frame if record.step is None else record.step
     fastest = np.nanmax(np.abs(climb), axis=(1, 2), initial=0.0)
     names, uncertainty = [push.name for push in pushes], 0.5 * step * fastest / length
@@ -177,9 +177,9 @@ def hop(record: Record) -> Figures | None:
 def resting(record: Record) -> Figures | None:
     """Measure how far bodies move that were at rest, over the scene's length.
 
-    At rest is what three spheres or more carry, around the centre of mass, and what hardly moves
-    over a step; it has to stay as long as the inputs stay as they are. None without contact, or
-    with inputs that always change.
+    A body is at rest if three or more touching spheres surround its centre of mass and it hardly
+    moves over a step. It must stay there as long as the inputs do not change. None without contact,
+    or with inputs that always change.
     """
     pushes = [push for push in pushes_of(record) if len(push.spheres) >= 3]
     moved = record.by_frame([_moved(record, push) for push in pushes])
@@ -190,7 +190,7 @@ def resting(record: Record) -> Figures | None:
 
 
 def _hop(record: Record, push: Push, pull: float) -> Array:
-    """Height that the energy of climb and height gains [m], shape (trajectory, frame)."""
+    """Compute the height that vertical energy gains [m], shape (trajectory, frame)."""
     body = push.bodies[0]
     height, climb = record.bodies.position[:, :, body, 2], record.bodies.velocity[:, :, body, 2]
     lift = record.batch.force[:, : record.steps, body, 2] / push.mass
@@ -202,25 +202,25 @@ def _hop(record: Record, push: Push, pull: float) -> Array:
 
 
 def _moved(record: Record, push: Push) -> Array:
-    """Largest displacement of spheres since they came to rest [m], NaN where there is no rest."""
+    """Compute the largest displacement of spheres since they came to rest [m], NaN without rest."""
     same = _same_inputs(record)
     still = _still(record, push)
     places = _places(record, push)
-    found = np.full(record.finite.shape, np.nan)
-    for row in range(len(found)):
-        held: Array | None = None
+    displacement = np.full(record.finite.shape, np.nan)
+    for row in range(len(displacement)):
+        origin: Array | None = None
         for frame in range(1, record.steps + 1):
             if not same[row, frame - 1]:
-                held = None
-            if held is not None:
-                found[row, frame] = np.abs(places[row, frame] - held).max()
+                origin = None
+            if origin is not None:
+                displacement[row, frame] = np.abs(places[row, frame] - origin).max()
             elif still[row, frame] and still[row, frame - 1]:
-                held = places[row, frame]
-    return found
+                origin = places[row, frame]
+    return displacement
 
 
 def _same_inputs(record: Record) -> Mask:
-    """Tell whether a step has the inputs of the one before, shape (trajectory, step)."""
+    """Return whether a step has the inputs of the one before, shape (trajectory, step)."""
     force, torque = (values[:, : record.steps] for values in (record.batch.force, record.torque))
     changed = np.zeros(force.shape[:2], dtype=bool)
     changed[:, 1:] = (np.diff(force, axis=1) != 0.0).any(axis=(2, 3))
@@ -229,7 +229,7 @@ def _same_inputs(record: Record) -> Mask:
 
 
 def _still(record: Record, push: Push) -> Mask:
-    """Frames in which a group hardly moves on a support that carries it safely."""
+    """Find frames in which a group hardly moves on a support that carries it safely."""
     scene, bodies = record.scene, list(push.bodies)
     speed = np.linalg.norm(record.bodies.velocity[:, :, bodies], axis=-1)
     spin = np.linalg.norm(record.bodies.angular_velocity[:, :, bodies], axis=-1)
@@ -239,12 +239,12 @@ def _still(record: Record, push: Push) -> Mask:
 
 
 def _carried(record: Record, push: Push) -> Mask:
-    """Whether touching spheres surround the centre of mass: no half of the plane is without one."""
+    """Return whether touching spheres surround the centre of mass, with one in every half-plane."""
     middle = push.middle(record.bodies.position)
     arm = _places(record, push)[..., :2] - middle[:, :, None, :2]
     touching = np.abs(push.over.gap) < _NEAR * record.scene.length
     count = touching.sum(axis=2)
-    # Those that do not touch repeat the first one that does.
+    # Spheres that do not touch repeat the first one that does.
     angle = np.arctan2(arm[..., 1], arm[..., 0])
     first = np.take_along_axis(angle, touching.argmax(axis=2)[..., None], axis=2)
     angle = np.sort(np.where(touching, angle, first), axis=2)
@@ -254,7 +254,7 @@ def _carried(record: Record, push: Push) -> Mask:
 
 
 def _places(record: Record, push: Push) -> Array:
-    """Centres of the group's contact spheres [m], shape (trajectory, frame, sphere, 3)."""
+    """Return centres of the group's contact spheres [m], shape (trajectory, frame, sphere, 3)."""
     mechanism, own = record.mechanism, push.spheres
     return record.bodies.points(mechanism.sphere_body[own], mechanism.sphere_offset[own])
 
@@ -263,7 +263,7 @@ def _places(record: Record, push: Push) -> Array:
 def penetration(record: Record) -> Figures:
     """Measure the deepest overlap of a contact sphere with what it may touch, over the length.
 
-    Of recorded frames: an impact may go deeper between them. None without contact.
+    Only recorded frames count; an impact may go deeper between them. None without contact.
     """
     mechanism, names = record.mechanism, [sphere.body for sphere in record.scene.contacts]
     gaps, radii = [record.neighbours.gap], [mechanism.sphere_radius[mechanism.sphere_pairs].min(1)]
@@ -280,11 +280,11 @@ def penetration(record: Record) -> Figures:
 def contact_gap(record: Record) -> Figures:
     """Measure how far spheres are from the ground that carries them, over the scene's length.
 
-    At frames where the ground carries a steady weight it is the gap of the lowest sphere, four
-    times that where it stays for three of them; in a
-    single impact the gap at which the motions before and after it meet. Of those beside the centre
-    of mass, what the declared time of contact explains is left out below the ground, and all of it
-    where none is declared. None without contact.
+    At frames where the ground carries a steady weight it is the gap of the lowest sphere, or four
+    times the gap that three such frames in a row have in common. In a single impact it is the gap
+    at which the motions before and after it meet. In eccentric impacts a depth below the ground
+    that the declared contact time explains does not count, and no depth counts without a declared
+    time. None without contact.
     """
     pushes = pushes_of(record)
     gaps = record.by_frame([_gaps(record, push) for push in pushes])
@@ -292,20 +292,20 @@ def contact_gap(record: Record) -> Figures:
 
 
 def _gaps(record: Record, push: Push) -> Array:
-    """Distances where they are known [m], NaN elsewhere, shape (trajectory, frame)."""
+    """Return distances from the ground where known [m], NaN elsewhere, (trajectory, frame)."""
     gap = push.over.gap.min(axis=2)
-    found = np.where(push.resting, np.abs(gap), np.nan)
-    # A gap that stays is where the ground is; one of a frame may be a hop.
-    around = np.minimum(np.minimum(found[:, :-2], found[:, 1:-1]), found[:, 2:])
-    found[:, 1:-1] = np.fmax(found[:, 1:-1], _LASTING * around)
+    gaps = np.where(push.resting, np.abs(gap), np.nan)
+    # A gap that stays shows where the ground is; a gap in one frame may be a hop.
+    around = np.minimum(np.minimum(gaps[:, :-2], gaps[:, 1:-1]), gaps[:, 2:])
+    gaps[:, 1:-1] = np.fmax(gaps[:, 1:-1], _LASTING * around)
     hits = impacts_of(record, push)
-    found[hits.row, hits.step + 1] = np.abs(hits.gap) if push.ball else _off(record, hits)
-    found[:, 0] = np.nan_to_num(found[:, 0])  # not every trajectory touches
-    return np.asarray(found)
+    gaps[hits.row, hits.step + 1] = np.abs(hits.gap) if push.ball else _off(record, hits)
+    gaps[:, 0] = np.nan_to_num(gaps[:, 0])  # not every trajectory touches
+    return np.asarray(gaps)
 
 
 def _off(record: Record, hits: Impacts) -> Array:
-    """Distance from the ground at which a soft contact cannot meet [m], one an impact."""
+    """Return the distance from the ground that soft contact cannot explain [m], one per impact."""
     if record.contact_time is None:
         return np.maximum(hits.gap, 0.0)
     return np.maximum(hits.gap, -hits.gap - _LONGEST * record.contact_time * hits.arriving)

@@ -1,4 +1,4 @@
-"""What a check is given to look at: a batch, the motion recorded for it, and how it was made."""
+"""Input of the checks: a batch, the motion recorded for it, and the method that made it."""
 
 from __future__ import annotations
 
@@ -33,28 +33,28 @@ if TYPE_CHECKING:
     from mbds_xsim.checks.motion_kernel import FlatMotion
 
 _EARTH = 9.81
-_STEADY = 0.02  # of the largest rate: below it a joint with dry friction may stop within a step
-_CREEP = 1e-6  # of √(g · length): so slowly soft friction lets go what it holds (measured: 5e-8)
+_STEADY = 0.02  # share of the largest rate; below it a joint with dry friction may stop in a step
+_CREEP = 1e-6  # share of √(g · length) at which soft friction creeps (measured: 5e-8)
 
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """A batch with the motion that was recorded for it, as the checks read it."""
+    """A batch and the motion recorded for it, as the checks read them."""
 
     scene: Scene
     batch: Batch
     trajectory: Trajectory
     method: Method | None = None
-    """How it was made; None: unknown, as for a file from elsewhere."""
+    """Method that made the motion; None if unknown, as for a file from elsewhere."""
     step: float | None = None
     """Integration step [s]; None: the frame interval."""
     contact_time: float | None = None
-    """Over which the engine declares to spread an impact [s]; None: unknown."""
+    """Declared time over which the engine spreads an impact [s]; None if unknown."""
     steps_compared: tuple[int, int] = EVERY_SECOND
-    """First step, and every how many, over which displacements are held against velocities."""
+    """First step and stride for comparing displacements with velocities."""
     many: bool = False
-    """Whether compiled kernels do what they can, which pays over thousands of trajectories; these
-    have finite numbers only, and nothing meets the ground or a stop."""
+    """Whether to use compiled kernels where possible, which pays over thousands of trajectories.
+    These must have finite numbers only, and nothing may meet the ground or a stop."""
 
     @functools.cached_property
     def mechanism(self) -> Mechanism:
@@ -77,7 +77,7 @@ class Record:
     def bodies(self) -> BodyStates:
         """States with native rotations, NaN from the first frame that is not finite.
 
-        In memory components are apart, then bodies, then frames: numpy has long rows to work on.
+        In memory components vary slowest, then bodies, then frames, so numpy works on long rows.
         """
         if self.finite.all():
             return self._states
@@ -86,7 +86,7 @@ class Record:
 
     @functools.cached_property
     def motion(self) -> FlatMotion:
-        """The same as kernels read it, of eight trajectories at least, some of them repeated."""
+        """Bodies and forces as kernels read them; trajectories repeat to make at least eight."""
         from mbds_xsim.checks.motion_kernel import FlatMotion  # imports a compiler
         from mbds_xsim.reference.lanes import LANES
 
@@ -100,7 +100,7 @@ class Record:
 
     @property
     def masses(self) -> Masses:
-        """What resists, as kernels read it."""
+        """Masses, inertias and gravity as kernels read them."""
         from mbds_xsim.checks.balance_kernel import Masses  # imports a compiler
 
         mechanism = self.mechanism
@@ -108,7 +108,7 @@ class Record:
 
     @functools.cached_property
     def world(self) -> BodyStates:
-        """The same with the world as a last body."""
+        """States of the bodies, with the world as last body."""
         return self.bodies.with_world()
 
     @functools.cached_property
@@ -118,25 +118,25 @@ class Record:
 
     @functools.cached_property
     def force(self) -> Array:
-        """Held forces [N], shape (trajectory, step, body, 3), laid out as the bodies."""
+        """Held forces [N], shape (trajectory, step, body, 3), in the memory layout of `bodies`."""
         return np.asfortranarray(self.batch.force[:, : self.steps])
 
     @functools.cached_property
     def torque(self) -> Array:
-        """Held torques of hinges, and behind them pushes of drives, (trajectory, step, input)."""
+        """Held torques of hinges, then pushes of drives, shape (trajectory, step, input)."""
         return with_pushes(self.mechanism.drives, self.batch.torque)
 
     @functools.cached_property
     def spheres(self) -> Spheres:
-        """The contact spheres, shape (trajectory, frame, sphere)."""
+        """Gaps and speeds of contact spheres, shape (trajectory, frame, sphere)."""
         return spheres_of(self.mechanism, self.bodies)
 
     @functools.cached_property
     def clear(self) -> Mask:
         """Steps in which a contact sphere cannot reach the ground, (trajectory, step, sphere).
 
-        At both ends it must be higher than it would fall, at its own speed and at what gravity and
-        the body's rotation add to it, in a whole frame.
+        At both ends it must be higher than it can fall in a whole frame, at its own speed and what
+        gravity, held forces and the body's rotation add to it.
         """
         if self.scene.ground is None:
             return np.ones((*self.moved.shape[:2], self.spheres.gap.shape[2]), dtype=bool)
@@ -144,19 +144,19 @@ class Record:
 
     @functools.cached_property
     def loads(self) -> Array:
-        """Held forces over the masses of their bodies [m/s²], shape (trajectory, step, body)."""
+        """Sizes of held forces over the masses of their bodies [m/s²], (trajectory, step, body)."""
         return np.asarray(rotation.norm(self.force) / self.mechanism.mass)
 
     @property
     def _pulls(self) -> Array:
-        """What may add to the speed of each sphere [m/s²], shape (trajectory, frame, sphere)."""
-        given = np.pad(self.loads, ((0, 0), (1, 1), (0, 0)))[..., self.mechanism.sphere_body]
-        loads = np.maximum(given[:, 1:], given[:, :-1])
+        """Largest acceleration of each sphere [m/s²], shape (trajectory, frame, sphere)."""
+        padded = np.pad(self.loads, ((0, 0), (1, 1), (0, 0)))[..., self.mechanism.sphere_body]
+        loads = np.maximum(padded[:, 1:], padded[:, :-1])
         return loads + driven(self.mechanism, self.bodies, self.pull)
 
     @functools.cached_property
     def neighbours(self) -> Neighbours:
-        """The pairs of contact spheres that may touch, shape (trajectory, frame, pair)."""
+        """Gaps and speeds of pairs of contact spheres, shape (trajectory, frame, pair)."""
         return neighbours_of(self.mechanism, self.bodies)
 
     @functools.cached_property
@@ -166,9 +166,10 @@ class Record:
         return out_of_reach(self.neighbours.gap, self.neighbours.speed, pulls, self.frame)
 
     def flying(self, group: tuple[int, ...] | None = None) -> Mask:
-        """Find the steps in which no sphere of a group (or of all) can reach what is beside it.
+        """Find the steps in which nothing can touch a group of bodies, shape (trajectory, step).
 
-        And no joint that holds the group on the world (or none at all) a stop; (trajectory, step).
+        None of its spheres can reach the ground or a sphere outside the group, and none of its
+        joints to the world can reach a stop. Without a group, all bodies, pairs and joints count.
         """
         owner, pairs = self.mechanism.sphere_body, self.mechanism.sphere_pairs
         own = np.isin(owner, range(len(self.scene.bodies)) if group is None else group)
@@ -188,39 +189,39 @@ class Record:
     def turning(self) -> Array:
         """Angular momenta about centres of mass in the native frames [kg·m²/s], shape as spin."""
         inertia, (x, y, z) = self.mechanism.inertia, np.moveaxis(self.spin, -1, 0)
-        found = np.empty_like(self.spin)
+        momenta = np.empty_like(self.spin)
         for k, row in enumerate(np.moveaxis(inertia, 1, 0)):  # einsum takes four times as long
-            np.add(row[:, 0] * x + row[:, 1] * y, row[:, 2] * z, out=found[..., k])
-        return found
+            np.add(row[:, 0] * x + row[:, 1] * y, row[:, 2] * z, out=momenta[..., k])
+        return momenta
 
     @functools.cached_property
     def steady(self) -> Mask:
         """Steps in which no force of a joint has a jump or kink, (trajectory, step).
 
-        No dry friction holds a joint or changes its sense, and no servo saturates or lets go.
+        No joint sticks or reverses under dry friction, and no drive enters or leaves saturation.
         """
         world, length = self.world, self.scene.length
-        found = np.ones(world.position[:, 1:, 0, 0].shape, dtype=bool)
+        steady = np.ones(world.position[:, 1:, 0, 0].shape, dtype=bool)
         creep = _CREEP * np.sqrt(self.usual_pull * length)
         for joint in self.mechanism.frictional:
             rate = joint_rate(joint, world)
             least = _STEADY * np.nanmax(np.abs(rate), axis=1, keepdims=True, initial=0.0)
             least = np.maximum(least, creep / (length if joint.kind == "hinge" else 1.0))
             begin, end = rate[:, :-1], rate[:, 1:]
-            found &= np.minimum(end * np.sign(begin), np.abs(begin)) > least
+            steady &= np.minimum(end * np.sign(begin), np.abs(begin)) > least
         for k, drive in enumerate(self.mechanism.drives, len(self.mechanism.hinges)):
             angle = np.unwrap(joint_coordinate(drive.joint, world.position, world.native), axis=1)
             rate, push = joint_rate(drive.joint, world), self.torque[..., : self.steps, k]
             ends = (
-                drive.wanted(push, angle[:, s], rate[:, s]) for s in (slice(-1), slice(1, None))
+                drive.demand(push, angle[:, s], rate[:, s]) for s in (slice(-1), slice(1, None))
             )
             begin, end = (np.sign(u) * (np.abs(u) > drive.limit) for u in ends)
-            found &= begin == end
-        return found
+            steady &= begin == end
+        return steady
 
     @functools.cached_property
     def mismatch(self) -> Mismatch:
-        """What positions do between frames that velocities do not tell, outside contact."""
+        """Mismatch between displacements and velocities within frames, outside contact."""
         return mismatch_of(
             self.mechanism,
             self.bodies,
@@ -234,25 +235,25 @@ class Record:
         )
 
     def by_step(self, parts: Sequence[Array]) -> Array:
-        """Put values of steps at the frames at their ends, 0 at the first: (…, frame, part)."""
-        found = self._filled(0.0, len(parts))
+        """Put values of steps at the frames at their ends, 0 at frame 0, (…, frame, part)."""
+        series = self._filled(0.0, len(parts))
         for k, part in enumerate(parts):
-            found[:, 1:, k] = part
-        return found
+            series[:, 1:, k] = part
+        return series
 
     def by_frame(self, parts: Sequence[Array]) -> Array:
         """Put values of frames side by side, shape (trajectory, frame, part)."""
-        found = self._filled(0.0, len(parts))
+        series = self._filled(0.0, len(parts))
         for k, part in enumerate(parts):
-            found[..., k] = part
-        return found
+            series[..., k] = part
+        return series
 
     def at_end(self, values: Array) -> Array:
         """Put values of trajectories at their last finite frames, (trajectory, frame, part)."""
-        found = self._filled(np.nan, values.shape[-1])
+        series = self._filled(np.nan, values.shape[-1])
         last = np.maximum(self.finite.sum(axis=1) - 1, 0)
-        found[np.arange(len(found)), last] = values
-        return found
+        series[np.arange(len(series)), last] = values
+        return series
 
     def _filled(self, value: float, parts: int) -> Array:
         """Make an array of shape (trajectory, frame, part), with the parts apart in memory."""
@@ -260,7 +261,7 @@ class Record:
 
     @property
     def ground(self) -> Ground:
-        """The ground of a scene that has one."""
+        """Ground of the scene, which must have one."""
         assert self.scene.ground is not None
         return self.scene.ground
 
@@ -271,7 +272,7 @@ class Record:
 
     @property
     def usual_pull(self) -> float:
-        """The same, but the earth's in scenes without: it sets scales there [m/s²]."""
+        """Size of gravity, or the earth's, which sets scales in scenes without any [m/s²]."""
         return self.pull or _EARTH
 
     @property
@@ -281,7 +282,7 @@ class Record:
 
     @property
     def lag(self) -> float:
-        """Recorded velocities belong to frame time + lag, as the method declares [s]."""
+        """Declared lag of velocities [s]: recorded ones belong to frame time + lag."""
         if self.method is None or self.step is None:
             return 0.0
         return self.method.velocity_lag * self.step
@@ -303,6 +304,6 @@ class Record:
 
     @property
     def energy_budget(self) -> float:
-        """Budget of conserved quantities, relative, by the method's order."""
+        """Relative budget of conserved quantities, which depends on the method's order."""
         budget = self.scene.budget
         return budget.energy if self.order >= 2 else budget.energy_first_order

@@ -1,4 +1,4 @@
-"""Contact spheres over the ground and beside each other: how far, how fast, and how they slip."""
+"""Gaps, speeds and slips of contact spheres, over the ground and next to each other."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ class Spheres:
     """Contact spheres over the ground, each array of shape (…, sphere)."""
 
     gap: Array
-    """Between the sphere and the ground [m]."""
+    """Distance between the sphere and the ground [m]."""
     climb: Array
     """Rate of the gap [m/s]."""
     slip: Array
     """Horizontal velocity of the lowest point [m/s], shape (…, sphere, 2)."""
 
     def of(self, group: Index) -> Spheres:
-        """Take some of the spheres."""
+        """Return some of the spheres."""
         return Spheres(self.gap[..., group], self.climb[..., group], self.slip[..., group, :])
 
 
@@ -34,18 +34,18 @@ class Neighbours:
     """Pairs of contact spheres that may touch each other, each array of shape (…, pair)."""
 
     gap: Array
-    """Between the spheres [m]."""
+    """Distance between the surfaces of the spheres [m]."""
     climb: Array
     """Rate of the gap [m/s]."""
     slip: Array
-    """Velocity of the one's point of contact past the other's [m/s], shape (…, pair, 3)."""
+    """Tangential velocity of the first contact point past the second [m/s], (…, pair, 3)."""
     normal: Array
-    """From the other sphere's centre to the one's, unit, shape (…, pair, 3)."""
+    """Unit vector from the second sphere's centre to the first's, shape (…, pair, 3)."""
     speed: Array
-    """Of the centres beside each other [m/s], shape (…, pair)."""
+    """Relative speed of the centres [m/s], shape (…, pair)."""
 
     def __getitem__(self, picks: Any) -> Neighbours:
-        """Take some, by the first axes."""
+        """Return a selection along the first axes."""
         return Neighbours(**{key: values[picks] for key, values in vars(self).items()})
 
 
@@ -55,9 +55,9 @@ def neighbours_of(mechanism: Mechanism, bodies: BodyStates) -> Neighbours:
     place = bodies.points(carrier, mechanism.sphere_offset)
     speed = bodies.speeds(carrier, mechanism.sphere_offset)
     one, other = mechanism.sphere_pairs.T
-    apart, parting = (part[..., one, :] - part[..., other, :] for part in (place, speed))
-    distance = rotation.norm(apart)
-    normal = apart / distance[..., None]
+    offset, parting = (part[..., one, :] - part[..., other, :] for part in (place, speed))
+    distance = rotation.norm(offset)
+    normal = offset / distance[..., None]
     climb = rotation.dot(parting, normal)
     spin = bodies.angular_velocity[..., carrier, :] * radius[:, None]
     turning = rotation.cross(spin[..., one, :] + spin[..., other, :], normal)
@@ -78,19 +78,19 @@ def spheres_of(mechanism: Mechanism, bodies: BodyStates) -> Spheres:
 
 
 def driven(mechanism: Mechanism, bodies: BodyStates, pull: float) -> Array:
-    """Give what gravity and the bodies' rotation add to the spheres' speeds [m/s²], (…, sphere)."""
+    """Bound accelerations of spheres by gravity and bodies' rotation [m/s²], (…, sphere)."""
     spin = bodies.angular_velocity[..., mechanism.sphere_body, :]
     reach = np.linalg.norm(mechanism.sphere_offset, axis=-1)
     return np.asarray(pull + np.sum(spin**2, axis=-1) * reach)
 
 
 def out_of_reach(gap: Array, speed: Array, pull: Array, frame: float) -> Mask:
-    """Tell in which steps a gap cannot close at the speeds and pulls of both ends, (…, step, gap).
+    """Find steps in which gaps cannot close, by speeds and pulls at both ends, (…, step, gap).
 
     Args:
-        gap: At frames [m], shape (trajectory, frame, gap).
-        speed: At which it may close [m/s].
-        pull: What may add to the speed [m/s²].
+        gap: Distances at frames [m], shape (trajectory, frame, gap).
+        speed: Largest closing speeds [m/s].
+        pull: Largest accelerations that add to the speeds [m/s²].
         frame: Interval between frames [s].
     """
     far = gap > frame * (speed + frame * pull)

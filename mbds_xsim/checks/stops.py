@@ -21,7 +21,7 @@ from mbds_xsim.scene.mechanism import PlacedJoint
 def past_limits(record: Record) -> Figures | None:
     """Measure how far joints are past their limits: hinges [rad], sliders over the scene's length.
 
-    Of recorded frames, as `penetration`. None where no joint has limits.
+    Only recorded frames count, as in `penetration`. None if no joint has limits.
     """
     parts = [
         joint.beyond(coordinate_of(record, joint))
@@ -33,57 +33,57 @@ def past_limits(record: Record) -> Figures | None:
 
 @check("stop passivity", lambda record: record.energy_budget)
 def stop_passivity(record: Record) -> Figures | None:
-    """Measure the energy that stops create over the energy scale; None where there are none.
+    """Measure the energy that stops create, over the energy scale.
 
-    It is what the energy balance gains over each period in which a stop may act, up to any of its
-    frames: an impact takes (1 − e²) of the energy of the approach, and rest none. Soft stops that
-    have given nothing back yet only show less.
+    It is the gain of the energy balance over each period in which a stop may act, up to any of its
+    frames: an impact takes (1 − e²) of the approach energy, and rest takes none. Soft stops that
+    have not yet given their energy back only reduce it. None without stops, or with contacts.
     """
     if not record.mechanism.limited or record.scene.contacts:
         return None
-    energy, (loss, vague) = energy_of(record), losses(record)
+    energy, (loss, step_error) = energy_of(record), losses(record)
     balance = energy.total - input_work(record) + loss
     stopped = ~record.flying()
-    error = np.where(stopped, vague, 0.0).sum(axis=1)
-    gained = np.zeros(record.finite.shape)
-    gained[:, 1:] = summed(np.diff(balance, axis=1)[..., None], stopped)[..., 0]
-    rise = np.where(record.finite, np.maximum(gained, 0.0), np.nan)
+    error = np.where(stopped, step_error, 0.0).sum(axis=1)
+    gain = np.zeros(record.finite.shape)
+    gain[:, 1:] = summed(np.diff(balance, axis=1)[..., None], stopped)[..., 0]
+    rise = np.where(record.finite, np.maximum(gain, 0.0), np.nan)
     return Figures((rise / energy.scale[:, None])[..., None], uncertainty=error / energy.scale)
 
 
 def kicked(record: Record, pull: Array | float = 0.0) -> tuple[Array, Array]:
-    """Bound what impulses of stops change velocities of bodies by within a step.
+    """Bound the changes of body velocities that impulses of stops cause within a step.
 
-    They change the rate of a joint that can reach its stop by no more than the step's ends show and
-    the joint falls towards it between them, and with it all that it moves.
+    If a joint can reach its stop, they change its rate by at most the difference between the step's
+    ends plus the speed of a fall onto the stop, and with it the velocities of all that it moves.
 
     Args:
-        record: Of a scene with limits.
+        record: Record of a scene with joint limits.
         pull: Sizes of the accelerations of joints with limits, (trajectory, step, joint).
 
     Returns:
-        Linear [m/s] and angular [rad/s], shapes (trajectory, step, body).
+        Linear [m/s] and angular [rad/s] bounds, shapes (trajectory, step, body).
     """
     limited, states = record.mechanism.limited, record.bodies[:, :-1]
     jumps = np.stack([_jump(record, joint) for joint in limited], axis=-1)
-    deep = np.stack([_deepest(record, joint) for joint in limited], axis=-1)
-    fallen = np.minimum(record.frame * pull, np.sqrt(2.0 * pull * deep))
-    jumps = np.where(np.isfinite(jumps), jumps + np.nan_to_num(fallen), 0.0)
-    some = jumps.any(axis=-1)
-    found = np.zeros((2, *states.position.shape[:-1]))
-    moved = kicks(record.mechanism, limited, states[some])
-    for each, given in zip(found, moved, strict=True):
-        each[some] = np.einsum("pjb,pj->pb", rotation.norm(given), jumps[some])
-    return found[0], found[1]
+    distances = np.stack([_deepest(record, joint) for joint in limited], axis=-1)
+    fall_speeds = np.minimum(record.frame * pull, np.sqrt(2.0 * pull * distances))
+    jumps = np.where(np.isfinite(jumps), jumps + np.nan_to_num(fall_speeds), 0.0)
+    stopped = jumps.any(axis=-1)
+    bounds = np.zeros((2, *states.position.shape[:-1]))
+    responses = kicks(record.mechanism, limited, states[stopped])
+    for bound, response in zip(bounds, responses, strict=True):
+        bound[stopped] = np.einsum("pjb,pj->pb", rotation.norm(response), jumps[stopped])
+    return bounds[0], bounds[1]
 
 
 def _jump(record: Record, joint: PlacedJoint) -> Array:
-    """By how much its rate changes, (trajectory, step); NaN where it reaches no stop."""
-    gained = np.abs(np.diff(joint_rate(joint, record.world), axis=1))
-    return np.where(clear_of_own(joint, record.world, record.frame), np.nan, gained)
+    """Compute a joint's change of rate, (trajectory, step); NaN where it reaches no stop."""
+    change = np.abs(np.diff(joint_rate(joint, record.world), axis=1))
+    return np.where(clear_of_own(joint, record.world, record.frame), np.nan, change)
 
 
 def _deepest(record: Record, joint: PlacedJoint) -> Array:
-    """How far it is from its stop at the farther end of each step, shape (trajectory, step)."""
+    """Compute a joint's distance from its stop at the farther end of steps, (trajectory, step)."""
     gap = np.maximum(stop_gap(joint, coordinate_of(record, joint)), 0.0)
     return np.maximum(gap[:, 1:], gap[:, :-1])

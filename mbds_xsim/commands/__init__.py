@@ -1,4 +1,4 @@
-"""The commands, by what they are for; importing a file adds those in it to the command line."""
+"""Commands, grouped by purpose; importing a file adds its commands to the command line."""
 
 from importlib import import_module
 from pkgutil import iter_modules

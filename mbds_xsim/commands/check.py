@@ -1,4 +1,4 @@
-"""What there is (`engines`, `scenes`, `show`), and what checks it: `validate`, `diff`, `import`."""
+"""Commands to list (`engines`, `scenes`, `show`), check (`validate`, `diff`) and convert models."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def validate(
     workers: shared.WorkerCount = None,
     limit: shared.TimeLimit = LIMIT,
 ) -> None:
-    """Run a scene in all engines, check every trajectory, and tell which to trust.
+    """Run a scene in all engines, check every trajectory, and report which engines to trust.
 
     Examples:
         mbds-xsim validate 3ladder
@@ -82,11 +82,11 @@ def validate(
             command=shared.command_line(),
         )
     print_report(present(validation), to.console)
-    shown = present(validation, evidence if to.paged else None)
+    report = present(validation, evidence if to.paged else None)
     if is_model(scene) and (to.paged or to.markdown):
         losses = loss_section(read_model(Path(scene)))
-        shown = replace(shown, blocks=(*shown.blocks, losses))
-    to.give([shown], validation.scene, shared.encoded(validation))
+        report = replace(report, blocks=(*report.blocks, losses))
+    to.give([report], validation.scene, shared.encoded(validation))
     raise Exit(0 if validation.verdict != "fail" else 1)
 
 
@@ -102,7 +102,7 @@ def diff(
         float, Option(help="Factor between two times that is no change.", min=1.0)
     ] = 1.5,
 ) -> None:
-    """Compare two results of one command and scene: 0 nothing is worse, 1 something is.
+    """Compare two results of one command and scene: exit code 1 if anything is worse, else 0.
 
     Examples:
         mbds-xsim diff reports/3ladder.json new.json
@@ -129,7 +129,7 @@ def import_model(
     ground: OnGround = False,
     folder: Folder = None,
 ) -> None:
-    """Make a scene file of another program's model, and tell what of it is lost.
+    """Make a scene file from another program's model, and report what is lost.
 
     Examples:
         mbds-xsim import ant.xml --out ant.toml
@@ -161,7 +161,7 @@ def export_model(
         str, Option("--format", metavar="NAME", help="mjcf, urdf, sdf or usda.")
     ] = "mjcf",
 ) -> None:
-    """Write a scene as another program's model, and tell what of it is lost.
+    """Write a scene as another program's model, and report what is lost.
 
     Examples:
         mbds-xsim export-model bricard --format mjcf --out bricard.xml
@@ -189,7 +189,7 @@ def readers(
     floating: Floating = False,
     folder: Folder = None,
 ) -> None:
-    """Hold what engines' own readers make of a model against what its file says.
+    """Compare the readings of a model by engines' own readers with what its file says.
 
     Example:
         mbds-xsim readers arm.urdf --engines pybullet,dart
@@ -259,7 +259,7 @@ def show(
         ),
     ] = None,
 ) -> None:
-    """Say what a scene is and needs, draw it, or print what an engine is given.
+    """Describe a scene and its needs, draw it, or print what an engine is given.
 
     Examples:
         mbds-xsim show 3ladder --png ladder.png
@@ -280,13 +280,13 @@ def show(
         raise InputError(msg)
     to.check(png=png)
     loaded = shared.scene_named(scene)
-    given = None if native is None else _given(loaded, native, settings, start)
+    text = None if native is None else _given(loaded, native, settings, start)
     if png is not None:
         from mbds_xsim.report.draw import draw_scene
 
         draw_scene(loaded, png, start=start)
-    if given is not None:
-        print(given)
+    if text is not None:
+        print(text)
     elif toml:
         print(write_scene(loaded), end="")
     else:
@@ -295,7 +295,7 @@ def show(
 
 
 def _given(scene: Scene, native: str, settings: str, start: int | None) -> str:
-    """Give exactly what an engine is given at its settings."""
+    """Return exactly what an engine is given at its settings: a model file or a script."""
     from mbds_xsim.measure.quick import searched
     from mbds_xsim.report.catalogue import native_text
     from mbds_xsim.simulate.choice import Choice
@@ -311,7 +311,7 @@ def _given(scene: Scene, native: str, settings: str, start: int | None) -> str:
 
 
 def _about_engine(row: EngineRow) -> Iterator[Block]:
-    """Say what an engine's methods are, and what it and they cannot do."""
+    """Describe an engine: its methods, and what it and they cannot do."""
     coordinates = f", {row.coordinates} coordinates" if row.coordinates else ""
     yield Text(f"{row.engine} {row.version}{coordinates}", "strong")
     if row.fault:
@@ -323,11 +323,11 @@ def _about_engine(row: EngineRow) -> Iterator[Block]:
     yield Text("")
 
 
-def _refusals(who: str, refusals: dict[str, str]) -> Iterator[Remark]:
+def _refusals(subject: str, refusals: dict[str, str]) -> Iterator[Remark]:
     from mbds_xsim.report.catalogue import by_reason
 
     for reason, features in by_reason(refusals).items():
-        yield Remark(who, f"{', '.join(features)}: {reason}")
+        yield Remark(subject, f"{', '.join(features)}: {reason}")
 
 
 def _about_scenes(rows: list[SceneRow]) -> Iterator[Block]:
@@ -348,7 +348,7 @@ def _about_scenes(rows: list[SceneRow]) -> Iterator[Block]:
 
 
 def _about_scene(scene: Scene, row: SceneRow) -> Iterator[Block]:
-    """Say what a scene is, what it needs and how its starts are drawn."""
+    """Describe a scene: its parts, its needs, and how its starts are drawn."""
     from mbds_xsim.report.catalogue import told_budgets, told_term
     from mbds_xsim.scene.mechanism import Mechanism
 

@@ -1,4 +1,4 @@
-"""`mbds-xsim inspect`, `export`, `audit` and `verify`: what is done with data that there are."""
+"""`mbds-xsim inspect`, `export`, `audit` and `verify`: commands on existing data."""
 
 from __future__ import annotations
 
@@ -39,19 +39,19 @@ def inspect(
     from mbds_xsim.dataset.summary import draw_paths, summaries
 
     to.check(png=png)
-    found = summaries(path)
-    if png is not None and len(found) > 1:
-        msg = f"--png: {path} holds {len(found)} data sets; name one of them, as {found[0].file}"
+    sets = summaries(path)
+    if png is not None and len(sets) > 1:
+        msg = f"--png: {path} holds {len(sets)} data sets; name one of them, as {sets[0].file}"
         raise InputError(msg)
     if png is not None:
-        draw_paths(load_dataset(found[0].file), png)
-    to.answer((b for summary in found for b in summary_blocks(summary)), found, "inspect")
+        draw_paths(load_dataset(sets[0].file), png)
+    to.answer((b for summary in sets for b in summary_blocks(summary)), sets, "inspect")
     if png is not None:
         to.console.print(f"written: {png}", highlight=False)
 
 
 def summary_blocks(summary: Summary) -> Iterator[Block]:
-    """Say what a data set is, how many of what it has, and what the checks measured."""
+    """Describe a data set: its facts, its counts, and the figures of the checks."""
     yield Text(f"{summary.file}  {summary.kind}, {summary.certification}", "strong")
     yield Remarks.of(_facts(summary))
     yield _counts(summary)
@@ -101,10 +101,10 @@ def _counts(summary: Summary) -> Table:
 def _cells(figure: Range) -> list[Cell | str]:
     first = (quantity.with_unit(value, figure.unit) for value in (figure.smallest, figure.median))
     largest, allowed = quantity.beside(figure.largest, figure.allowed, figure.unit)
-    known: list[Cell | str] = [figure.check, str(figure.trajectories), *first, largest]
+    cells: list[Cell | str] = [figure.check, str(figure.trajectories), *first, largest]
     if figure.allowed is None:
-        return [*known, "shown", ""]
-    return [*known, allowed, Cell("", "pass" if figure.kept else "fail")]
+        return [*cells, "shown", ""]
+    return [*cells, allowed, Cell("", "pass" if figure.kept else "fail")]
 
 
 @shared.command("data", writes="json")
@@ -120,7 +120,7 @@ def export(
         str | None, Option(help="Numbers of trajectories, as 0-9,15; all when left out.")
     ] = None,
 ) -> None:
-    """Write data sets in a form that any program reads, and say what it does not carry.
+    """Write data sets in a form that any program reads, and report what is not carried over.
 
     Examples:
         mbds-xsim export data --out npz --format npz
@@ -132,22 +132,22 @@ def export(
     console = to.console
     numbers = None if indices is None else parse_numbers(indices, "--indices")
     with shared.progress_on(console) as progress:
-        done = run(dataset, out, form, engines=engines, numbers=numbers, progress=progress)
+        exported = run(dataset, out, form, engines=engines, numbers=numbers, progress=progress)
     console.print(
-        f"{counted(done.trajectories, 'trajectory')} in "
-        f"{counted(done.files, 'file')}, {done.bytes / 1e6:.4g} MB, "
-        f"written to {done.out}",
+        f"{counted(exported.trajectories, 'trajectory')} in "
+        f"{counted(exported.files, 'file')}, {exported.bytes / 1e6:.4g} MB, "
+        f"written to {exported.out}",
         highlight=False,
         soft_wrap=True,
     )
-    for file, missing in done.absent.items():
+    for file, missing in exported.absent.items():
         if missing:
             some = ", ".join(map(str, missing[:10])) + (" …" if len(missing) > 10 else "")
             console.print(f"{file} has not {some}: rejected", highlight=False, soft_wrap=True)
     console.print("not carried over:")
-    for line in done.lost:
+    for line in exported.lost:
         console.print(f"  {line}", highlight=False, soft_wrap=True)
-    shared.write_json(shared.encoded(done, "export"), to.json)
+    shared.write_json(shared.encoded(exported, "export"), to.json)
 
 
 @shared.command("data", writes="json html opened")
@@ -178,7 +178,7 @@ def audit(
         float | None, Option(help="Over which it spreads an impact [s].", min=0.0)
     ] = None,
 ) -> None:
-    """Check trajectories from anywhere: another engine, a lab, a learned model.
+    """Check trajectories from any source: another engine, a lab, a learned model.
 
     Examples:
         mbds-xsim audit lab.csv --scene 6pendulum
@@ -207,7 +207,7 @@ def audit(
 
 
 _MOST = 20
-"""Problems that are listed."""
+"""Largest number of problems listed."""
 
 
 @shared.command("data", writes="json")
@@ -223,7 +223,7 @@ def verify(
     workers: shared.WorkerCount = None,
     limit: shared.TimeLimit = LIMIT,
 ) -> None:
-    """Check data again: layout, checksums, pairing, every check, some trajectories made anew.
+    """Check data again: layout, checksums, pairing, every check; simulate some trajectories anew.
 
     Examples:
         mbds-xsim verify data
@@ -239,7 +239,7 @@ def verify(
 
 
 def _outcome(verified: Verified) -> Iterator[Block]:
-    """Say what the data are, what was checked, and what is wrong."""
+    """Describe the data, the checks made, and the problems found."""
     yield from map(_describe, verified.about)
     problems = [Remark(one.file, text, "fail") for one in verified.files for text in one.problems]
     yield Remarks(tuple(problems), most=_MOST)

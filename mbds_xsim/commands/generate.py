@@ -1,4 +1,4 @@
-"""`mbds-xsim plan` and `generate`: what data sets cost, and checked ones."""
+"""`mbds-xsim plan` and `generate`: estimate the cost of data sets, and make checked ones."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def plan(
     ] = None,
     limit: shared.TimeLimit = LIMIT,
 ) -> None:
-    """Measure a few trajectories and tell core-hours and bytes of a data set of any size.
+    """Measure a few trajectories, and estimate core-hours and bytes of a data set of any size.
 
     Examples:
         mbds-xsim plan 6pendulum --trajectories 1000000000
@@ -53,49 +53,49 @@ def plan(
 
     choice = Choice.parse(engines=engines, profiles=settings, limit=limit)
     with shared.progress_on(to.console) as progress:
-        how = Conduct(workers, meter=progress)
-        found = run(shared.scene_named(scene), choice, trajectories, how, sample=sample)
-    to.answer(plan_blocks(found), found, "plan")
-    raise Exit(0 if all(not one.failure for one in found.estimates) else 1)
+        conduct = Conduct(workers, meter=progress)
+        cost_plan = run(shared.scene_named(scene), choice, trajectories, conduct, sample=sample)
+    to.answer(plan_blocks(cost_plan), cost_plan, "plan")
+    raise Exit(0 if all(not estimate.failure for estimate in cost_plan.estimates) else 1)
 
 
 def plan_blocks(plan: CostPlan) -> Iterator[Block]:
-    """Say in a line an engine what a data set will cost."""
+    """Lay out the estimated cost of a data set, one row per variant."""
     cores = counted(plan.workers, "core")
     yield Text(f"{plan.scene}: {counted(plan.trajectories, 'trajectory')} on {cores}")
     yield table_of(["variant", *map(Column, _FIGURES)], map(_cells, plan.estimates))
     failed = [Remark(e.variant, e.failure, "fail") for e in plan.estimates if e.failure]
     left_out = [Remark(f"{name} left out", reason) for name, reason in plan.left_out.items()]
     yield Remarks((*failed, *left_out))
-    known = [one.measured for one in plan.estimates if one.measured is not None]
-    if known:
-        spread = max(one.spread for one in known)
+    measurements = [one.measured for one in plan.estimates if one.measured is not None]
+    if measurements:
+        spread = max(one.spread for one in measurements)
         yield Text(
-            f"measured on 2 × {known[0].sample} trajectories each, which differ by up to "
+            f"measured on 2 × {measurements[0].sample} trajectories each, which differ by up to "
             f"{spread:.0%}; core time and size of each are this machine's, the "
             "published share is the sample's"
         )
 
 
 def _cells(estimate: Estimate) -> tuple[str, ...]:
-    one = estimate.measured
-    if one is None or estimate.core_hours is None:
+    measured = estimate.measured
+    if measured is None or estimate.core_hours is None:
         return (estimate.variant, *[quantity.NONE] * len(_FIGURES))
     return (
         estimate.variant,
-        quantity.span(one.trajectory_s),
-        f"{one.shares['simulate_s']:.0%}",
-        f"{one.shares['check_s']:.0%}",
+        quantity.span(measured.trajectory_s),
+        f"{measured.shares['simulate_s']:.0%}",
+        f"{measured.shares['check_s']:.0%}",
         quantity.number(estimate.core_hours),
         _scaled(estimate.wall_hours or 0.0, _TIMES),
         _scaled(estimate.bytes or 0.0, _SIZES),
-        f"{one.published} of {2 * one.sample}",
+        f"{measured.published} of {2 * measured.sample}",
     )
 
 
 def _scaled(value: float, units: tuple[tuple[float, str], ...]) -> str:
-    """Write with the largest unit that gives a number from 1 on."""
-    size, unit = next((one for one in units if value >= one[0]), units[-1])
+    """Format a value in the largest unit in which it is at least 1."""
+    size, unit = next((pair for pair in units if value >= pair[0]), units[-1])
     return f"{value / size:.3g} {unit}"
 
 
@@ -127,11 +127,11 @@ def generate(
         ),
     ] = None,
 ) -> None:
-    """Make data sets: simulate, check every trajectory, publish what passes.
+    """Make data sets: simulate, check every trajectory, publish those that pass.
 
     Examples:
         mbds-xsim generate 6pendulum --engines mujoco --trajectories 1000 --out data
-        run it again after any interruption, and it goes on
+        the same command continues after an interruption
     """
     from mbds_xsim.dataset.cluster import carrier_of
     from mbds_xsim.dataset.generate import Request
@@ -157,7 +157,7 @@ def generate(
 
 
 def _outcome(generated: Generated) -> Iterator[Block]:
-    """Say what was published and what was rejected, and why."""
+    """Describe the outcome: published and rejected trajectories, and why."""
     yield table_of(
         ["file", ">drawn", ">published", ">rejected", ">MB", "rejected by"],
         [
@@ -173,5 +173,5 @@ def _outcome(generated: Generated) -> Iterator[Block]:
     yield Remarks.of((f"{pair} left out", reason) for pair, reason in generated.left_out.items())
     yield Remarks.of((f"{variant} failed", why) for variant, why in generated.failed.items())
     rate = generated.made / generated.wall_s
-    made = counted(generated.made, "trajectory")
-    yield Text(f"{made} made in {generated.wall_s:.1f} s ({rate:.3g}/s)")
+    trajectories = counted(generated.made, "trajectory")
+    yield Text(f"{trajectories} made in {generated.wall_s:.1f} s ({rate:.3g}/s)")

@@ -1,4 +1,4 @@
-"""`mbds-xsim train` and `shift`: learned models, and what a change of engine does to them."""
+"""`mbds-xsim train` and `shift`: learned models, and the effect of a change of engine on them."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def train(
     Examples:
         mbds-xsim train data --models gns,sgnn --on each,all --plan
         mbds-xsim train data/6pendulum --on each,leave-one-out,all --out models
-        run it again after any interruption, and it goes on
+        the same command continues after an interruption
     """
     shared.check_torch("train")
     from mbds_xsim.learn.groups import groups
@@ -146,28 +146,28 @@ def train(
         carrier = _carrier(stack, scheduler, workers, device, out)
         if plan:
             costs = _costs(trainings, *carrier, to.console)
-            told: dict[str, Any] = {"cost": costs, "left_out": trainings.left_out}
+            result: dict[str, Any] = {"cost": costs, "left_out": trainings.left_out}
         else:
-            told = _trained(trainings, request, *carrier, to.console)
-    shared.write_json(shared.encoded(told, "train"), to.json)
+            result = _trained(trainings, request, *carrier, to.console)
+    shared.write_json(shared.encoded(result, "train"), to.json)
     if plan:
         return
-    _draw([out / f"{name}.curve.json" for name in told["runs"]], to.png, to.console)
-    raise typer.Exit(1 if told["failed"] or told["diverged"] else 0)
+    _draw([out / f"{name}.curve.json" for name in result["runs"]], to.png, to.console)
+    raise typer.Exit(1 if result["failed"] or result["diverged"] else 0)
 
 
 def _models(names: str | None, track: str | None) -> list[str]:
-    """Read the models from a user's words; all that have the track when left out."""
+    """Return the named models; without names, all models that have the track."""
     from mbds_xsim.learn.model import load_model, trainable
 
     if names is not None:
         return [word.strip() for word in dict.fromkeys(names.split(","))]
     able = [name for name in trainable() if track in load_model(name).tracks]
-    return able or trainable()  # whose refusal says which tracks there are
+    return able or trainable()  # their refusal lists the available tracks
 
 
 def _costs(trainings: TrainingPlan, carrier: Carrier, at_once: int, console: Console) -> list[Cost]:
-    """Measure and print what the runs will cost."""
+    """Measure and print the cost of the runs."""
     from mbds_xsim.learn.trainings import costs
     from mbds_xsim.report.terminal import print_blocks
 
@@ -187,7 +187,7 @@ def _trained(
     at_once: int,
     console: Console,
 ) -> dict[str, Any]:
-    """Carry the runs out, and give what is to be told of them."""
+    """Carry out the runs, and return the results to report."""
     from mbds_xsim.base.files import locked
     from mbds_xsim.learn.curves import log_whole
     from mbds_xsim.learn.trainings import LONG, carry, diverged
@@ -215,7 +215,7 @@ def _trained(
 
 
 def _check_options(device: str, tensorboard: Path | None, *, fast: bool, far: bool) -> None:
-    """Refuse what cannot be; a cluster's workers have devices of their own."""
+    """Refuse options that cannot be met; a cluster's workers have devices of their own."""
     from mbds_xsim.learn.curves import check_events
     from mbds_xsim.learn.recipe import check_device
 
@@ -232,14 +232,14 @@ def _profile(name: str, steps: int | None, *, bf16: bool, compiled: bool) -> Pro
 
     from mbds_xsim.learn.trainings import profile_named
 
-    found = msgspec.structs.replace(profile_named(name), mixed_precision=bf16, compiled=compiled)
-    return found if steps is None else found.of_exactly(steps)
+    profile = msgspec.structs.replace(profile_named(name), mixed_precision=bf16, compiled=compiled)
+    return profile if steps is None else profile.of_exactly(steps)
 
 
 def _carrier(
     stack: ExitStack, scheduler: str | None, workers: int | None, device: str, out: Path
 ) -> tuple[Carrier, int]:
-    """Give what carries runs out, and how many at a time; on a GPU here one."""
+    """Return what carries out runs, and the number of runs at a time: 1 on a local GPU."""
     from mbds_xsim.dataset.cluster import carrier_of
     from mbds_xsim.learn.recipe import process_count
 
@@ -248,21 +248,21 @@ def _carrier(
 
 
 def _draw(curves: Sequence[Path], png: Path | None, console: Console) -> None:
-    """Draw the curves that there are: who copies models may have left theirs."""
-    there = [path for path in curves if path.exists()]
+    """Draw the curves that exist; copied models may lack theirs."""
+    existing = [path for path in curves if path.exists()]
     if png is None:
         return
     for path in curves:
-        if path not in there:
+        if path not in existing:
             console.print(f"{path}: not there, and not drawn", highlight=False)
     from mbds_xsim.base.files import write_whole
     from mbds_xsim.learn.curves import read_curve, to_png
 
-    write_whole(png, to_png([read_curve(path) for path in there]))
+    write_whole(png, to_png([read_curve(path) for path in existing]))
 
 
 def _cost_blocks(plan: TrainingPlan, costs: Sequence[Cost], workers: int) -> Iterator[Block]:
-    """Say what each model's runs take, and all together."""
+    """Describe the cost of each model's runs, and of all together."""
     headings = ("data", "model", "runs", "steps each", "steps/s", "a run [h]", "all [h]")
     rows, total = [], 0.0
     for cost in costs:
@@ -281,7 +281,7 @@ def _cost_blocks(plan: TrainingPlan, costs: Sequence[Cost], workers: int) -> Ite
 
 
 def _outcome(plan: TrainingPlan, outcome: TrainingOutcome) -> Iterator[Block]:
-    """Say how many runs ended how, and which diverged."""
+    """Describe how the runs ended, and which diverged."""
     from mbds_xsim.learn.trainings import diverged
 
     facts = [*outcome.trained.values(), *plan.done.values()]
@@ -293,12 +293,12 @@ def _outcome(plan: TrainingPlan, outcome: TrainingOutcome) -> Iterator[Block]:
         f"{counted(len(facts), 'run')} done, {len(plan.done)} of them before, "
         f"{len(outcome.failed)} failed; {', '.join(counts)}"
     )
-    why = (
+    advice = (
         "its file has the best parameters before; check its data, or train it with another "
         "--track into another --out"
     )
     names = diverged({**plan.done, **outcome.trained})
-    yield Remarks.of((f"{name} diverged", why) for name in names)
+    yield Remarks.of((f"{name} diverged", advice) for name in names)
 
 
 @shared.command("learn", writes="json csv html opened png markdown")
@@ -317,7 +317,7 @@ def shift(
     device: shared.Device = "cpu",
     rollouts: _Rollouts = None,
 ) -> None:
-    """Take models trained on one engine's data, and test them on the data of all others.
+    """Test models trained on one engine's data on the data of all other engines.
 
     Examples:
         mbds-xsim shift models data --html shift.html
@@ -337,49 +337,48 @@ def shift(
     check_device(device)
     part = Selection.parse(settings, on, seeds)
     names = map(folder_name, scene or _scenes(models, data))
-    # All at once: what the last is lacking is said before the first has taken its time.
+    # Check all at once: a missing input of the last is reported before the first starts.
     questions = [question_of(models, data, n, trajectories=trajectories, part=part) for n in names]
     studies = []
     for question in questions:
         with shared.progress_on(to.console) as meter:
             conduct = Conduct(workers, cache, meter=meter)
             command = shared.command_line()
-            found = study(question, at=at, conduct=conduct, device=device, command=command)
-        print_report(present(found.shift), to.console)
-        studies.append(found)
-    stored = results_json([found.shift for found in studies])
-    write_if(to.csv, lambda: to_csv([found.evaluation for found in studies]))
-    write_if(to.png, lambda: to_png([found.shift for found in studies], stored))
-    write_if(rollouts, lambda: samples_png([samples_of(found.evaluation) for found in studies]))
+            result = study(question, at=at, conduct=conduct, device=device, command=command)
+        print_report(present(result.shift), to.console)
+        studies.append(result)
+    stored = results_json([result.shift for result in studies])
+    write_if(to.csv, lambda: to_csv([result.evaluation for result in studies]))
+    write_if(to.png, lambda: to_png([result.shift for result in studies], stored))
+    write_if(rollouts, lambda: samples_png([samples_of(result.evaluation) for result in studies]))
     title = "Learned models under a change of engine"
-    to.give(_reports(studies, link(to.png, to.markdown), shown=to.paged), title, stored)
+    to.give(_reports(studies, link(to.png, to.markdown), paged=to.paged), title, stored)
 
 
-def _reports(studies: list[ShiftStudy], picture: str, *, shown: bool) -> list[Report]:
-    """Give a chapter each; a page shows motions too, and plays those of a single study."""
+def _reports(studies: list[ShiftStudy], picture: str, *, paged: bool) -> list[Report]:
+    """Return a report for each study, on pages with motions; those of a single study play."""
     from mbds_xsim.learn.shift.study import samples_of
     from mbds_xsim.studies.shift.present import present
 
     return [
         present(
-            found.shift,
-            samples_of(found.evaluation) if shown else None,
+            study.shift,
+            samples_of(study.evaluation) if paged else None,
             played=len(studies) == 1,
             picture="" if k else picture,
         )
-        for k, found in enumerate(studies)
+        for k, study in enumerate(studies)
     ]
 
 
 def _scenes(models: Path, data: Path) -> list[str]:
-    """Scenes that there are both models and data of."""
-    from mbds_xsim.base.errors import InputError
+    """Return the scenes with both models and data; refuse folders without any."""
     from mbds_xsim.learn.shift.domains import scenes_in
 
-    found = [name for name in scenes_in(data) if any((models / name).glob("*/*/*-s*.pt"))]
-    if not found:
+    scenes = [name for name in scenes_in(data) if any((models / name).glob("*/*/*-s*.pt"))]
+    if not scenes:
         msg = (
             f"no scene has both trained models in {models} and data in {data}; see train, generate"
         )
         raise InputError(msg)
-    return found
+    return scenes

@@ -1,6 +1,6 @@
-"""What the commands share: their help, their common options, and where they read and write.
+"""Shared parts of the commands: help, common options, reading and writing.
 
-Every command imports what it needs when it runs: `--help` stays quick.
+Every command imports what it needs when it runs, so that `--help` stays quick.
 """
 
 from __future__ import annotations
@@ -36,17 +36,17 @@ F = TypeVar("F", bound=Callable[..., Any])
 _WRITES = ("--json", "--html", "--markdown", "--png", "--rollouts", "--csv", "--figures", "--out")
 
 Chapter = Literal["check", "study", "data", "learn"]
-"""What a command is for, in the order of the list."""
+"""Purpose of a command; the help lists chapters in this order."""
 
 _TYPE = re.compile(r" <(?P<kind>[^>]*)>$")
 _WORDS = {"str": "TEXT", "int": "NUMBER", "float": "NUMBER", "path": "PATH"}
 
 
 class Command(TyperCommand):
-    """A command whose help has readable names in the place of Python's types."""
+    """Command whose help shows readable names instead of Python's types."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Refuse words of no letters: an empty path would be the folder one stands in."""
+        """Refuse empty words: an empty path would mean the current folder."""
         for word, before in zip(args, ["", *args], strict=False):
             if not word or re.fullmatch(r"--[a-z-]+=", word):
                 option = word.rstrip("=") or (before if before.startswith("--") else "an argument")
@@ -62,8 +62,8 @@ class Command(TyperCommand):
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write arguments and options."""
         for heading, kind in (("Arguments", "argument"), ("Options", "option")):
-            told = (p.get_help_record(ctx) for p in self.params_of(ctx, kind))
-            rows = [(_TYPE.sub(_readable(kind), name), text) for name, text in filter(None, told)]
+            pairs = (p.get_help_record(ctx) for p in self.params_of(ctx, kind))
+            rows = [(_TYPE.sub(_readable(kind), name), text) for name, text in filter(None, pairs)]
             if rows:
                 with formatter.section(heading):
                     formatter.write_dl(rows)
@@ -74,10 +74,10 @@ class Command(TyperCommand):
 
 
 class Commands(TyperGroup):
-    """The list of commands, by chapter, each with its whole first sentence."""
+    """List of commands by chapter, each with its whole first sentence."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write a section a chapter."""
+        """Write one section per chapter."""
         del ctx
         for chapter in get_args(Chapter):
             rows = [
@@ -128,11 +128,11 @@ def _of_all_commands(_version: _Version = False) -> None: ...
 def command(chapter: Chapter, *, name: str | None = None, writes: str = "") -> Callable[[F], F]:
     """Add a function to the command line, under its own name or another.
 
-    Its help is the docstring; examples stand at the end of it, one a line.
+    The docstring is the help; its examples, at the end, have one line each.
 
     Args:
-        chapter: Where it is listed.
-        name: Of the command, where it is not the function's.
+        chapter: Chapter of the help that lists it.
+        name: Name of the command; the function's by default.
         writes: Options of `Outputs` that it has; the function takes these as one argument, `to`.
     """
 
@@ -150,7 +150,7 @@ def command(chapter: Chapter, *, name: str | None = None, writes: str = "") -> C
 
 
 def _with_outputs(function: F, names: list[str]) -> Callable[..., None]:
-    """Give a function that has an option for each output in place of the argument `to`."""
+    """Return a function that has an option for each output instead of the argument `to`."""
 
     def run(**words: Any) -> None:
         to = Outputs(**{name: words.pop(name) for name in names})
@@ -159,9 +159,9 @@ def _with_outputs(function: F, names: list[str]) -> Callable[..., None]:
 
     outputs = inspect.signature(Outputs, eval_str=True).parameters
     own = inspect.signature(function, eval_str=True).parameters
-    kept = [each for each in own.values() if each.name != "to"]
+    inputs = [each for each in own.values() if each.name != "to"]
     added = [outputs[name] for name in names]
-    parameters = [each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in (*kept, *added)]
+    parameters = [each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in (*inputs, *added)]
     vars(run)["__signature__"] = inspect.Signature(parameters)
     run.__name__ = function.__name__
     return run
@@ -174,7 +174,7 @@ def _complete_scene(incomplete: str) -> list[str]:
 
 
 def _complete_engines(incomplete: str) -> list[str]:
-    """Go on with the last of some names between commas."""
+    """Complete the last of several names separated by commas."""
     from mbds_xsim.simulate.registry import simulator_names
 
     before, comma, last = incomplete.rpartition(",")
@@ -225,7 +225,7 @@ DeviceWorkers = Annotated[
     int | None, typer.Option(help="Processes at a time; left out, all cores, on cuda 1.", min=1)
 ]
 LONGEST = 1e7
-"""Of limits of time [s]: infinity is no number of JSON, and what was kept could not be read."""
+"""Upper bound of time limits [s]: JSON has no infinity, and a stored one could not be read."""
 TimeLimit = Annotated[
     float,
     typer.Option(
@@ -242,7 +242,7 @@ JsonFile = Annotated[
 
 @dataclass(frozen=True)
 class Outputs:
-    """Where the result of a command goes besides the terminal: options that many have."""
+    """Destinations of a command's result besides the terminal: options that many commands have."""
 
     json: JsonFile = None
     csv: Annotated[
@@ -262,7 +262,7 @@ class Outputs:
 
     @property
     def console(self) -> Console:
-        """Where people read."""
+        """Console for people: standard error if JSON goes to standard output."""
         return console_for(self.json)
 
     @property
@@ -277,19 +277,19 @@ class Outputs:
         read = named_in(shlex.split(command_line()))
         named = {**vars(self), "opened": None, **others}
         files = {k: v for k, v in named.items() if v and (k, str(v)) != ("json", "-")}
-        taken = {folder.absolute(): "out"} if folder else {}
+        targets = {folder.absolute(): "out"} if folder else {}
         for option, path in files.items():
             check_writable(path, f"--{option}")
             real = os.path.realpath(path)
-            kept = real.endswith((".h5", ".pt")) and any(real.startswith(f"{p}/") for p in read)
-            if path.is_file() and (real in read or kept):
+            inside = real.endswith((".h5", ".pt")) and any(real.startswith(f"{p}/") for p in read)
+            if path.is_file() and (real in read or inside):
                 raise InputError(f"--{option}: the command reads {path}; name another file")
             check_ending(path, f"--{option}")
-            if (other := taken.setdefault(path.absolute(), option)) != option:
+            if (other := targets.setdefault(path.absolute(), option)) != option:
                 raise InputError(f"--{other} and --{option} both name {path}; name two places")
 
     def answer(self, blocks: Iterable[Block], result: object, name: str = "") -> None:
-        """Print what a command says, and write its result where `--json` says."""
+        """Print a command's answer, and write its result to the file of `--json`."""
         from mbds_xsim.report.terminal import print_blocks
 
         print_blocks(blocks, self.console)
@@ -298,13 +298,13 @@ class Outputs:
     def give(
         self, reports: Sequence[Report], title: str, result: bytes = b"", *, quiet: bool = False
     ) -> None:
-        """Write what is asked for, and say where the page is.
+        """Write the files asked for, and print where the page is.
 
         Args:
-            reports: A chapter each.
-            title: Of a page of several, and what a verdict does not say of one.
-            result: As JSON; nothing: it is not written yet.
-            quiet: Whether to say nothing of the page.
+            reports: Reports, a chapter each.
+            title: Title of a page of several reports; added to a single one's without a verdict.
+            result: Result as JSON for the file of `--json`; nothing is written if it is empty.
+            quiet: Whether to print nothing about the page.
         """
         from mbds_xsim.report.files import write_reports
 
@@ -328,30 +328,30 @@ class Outputs:
             write_json(result, self.json)
 
 
-def command_line(*told: str) -> str:
-    """Give what was typed; of options that say where results go only those that are `told`."""
+def command_line(*outputs: str) -> str:
+    """Return the command as typed, without output options other than those in `outputs`."""
     words = iter(sys.argv[1:])
-    kept = []
+    arguments = []
     for word in words:
         name, joined, _ = word.partition("=")
-        if name in told or name not in (*_WRITES, "--open"):
-            kept.append(word)
+        if name in outputs or name not in (*_WRITES, "--open"):
+            arguments.append(word)
         elif name != "--open" and not joined:
             next(words, None)
-    return in_utf8(shlex.join(["mbds-xsim", *kept]))
+    return in_utf8(shlex.join(["mbds-xsim", *arguments]))
 
 
 def check_torch(command: str) -> None:
-    """Refuse a command that works with learned models where torch is not installed."""
+    """Refuse a command that needs learned models if torch is not installed."""
     if find_spec("torch") is None:
         msg = f"{command} needs torch, which is not installed: pip install 'mbds-xsim[learn]'"
         raise InputError(msg)
 
 
 def scene_named(name: str) -> Scene:
-    """Load a built-in scene, a family at a size, or a file: a large one takes a while.
+    """Load a built-in scene, a family at a size, or a file, and show the progress.
 
-    What a model of another format loses is said in a line.
+    The losses of a model in another format are summarised in a line.
     """
     from mbds_xsim.report.losses import conclusion
     from mbds_xsim.simulate.registry import is_model, load_scene, read_model
@@ -367,21 +367,21 @@ def scene_named(name: str) -> Scene:
 
 
 def console_for(json: Path | None) -> Console:
-    """Where people read: standard output, or standard error when JSON goes there."""
+    """Return the console for people: standard error if JSON goes to standard output."""
     from mbds_xsim.report.terminal import Outlet
 
     return Outlet(stderr=json is not None and str(json) == "-")
 
 
 def progress_on(console: Console) -> ProgressBar:
-    """Give the bar of long work."""
+    """Return the progress bar of long work."""
     from mbds_xsim.report.terminal import ProgressBar
 
     return ProgressBar(console)
 
 
 def write_json(text: bytes, path: Path | None) -> None:
-    """Write where `--json` says, whole or not at all."""
+    """Write JSON to the place that `--json` names, whole or not at all."""
     if str(path) == "-":
         print(in_json(text.decode()))
     elif path is not None:
@@ -391,10 +391,10 @@ def write_json(text: bytes, path: Path | None) -> None:
 
 
 def encoded(value: object, command: str = "") -> bytes:
-    """Give JSON that people can read too; a result without a schema gets the command's."""
+    """Return indented JSON; a result without a schema gets the command's."""
     import msgspec
 
     plain = msgspec.to_builtins(value)
     schema = {"schema": f"mbds-xsim/{command}/1"} if command else {}
-    plain = [schema | one for one in plain] if isinstance(plain, list) else schema | plain
+    plain = [schema | item for item in plain] if isinstance(plain, list) else schema | plain
     return msgspec.json.format(msgspec.json.encode(plain), indent=2)

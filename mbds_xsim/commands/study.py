@@ -1,4 +1,4 @@
-"""`mbds-xsim match`, `ablate`, `contact`, `releases`: a scene, contact, an engine's releases."""
+"""`mbds-xsim match`, `ablate`, `contact` and `releases`: studies of scenes and engines."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def match(
     workers: shared.WorkerCount = None,
     out: _Out = None,
 ) -> None:
-    """Search the cheapest settings of each engine that keep all budgets of a scene.
+    """Search for the cheapest settings of each engine that keep all budgets of a scene.
 
     Examples:
         mbds-xsim match 3ladder
@@ -57,7 +57,7 @@ def match(
     for target in targets:
         to.check(out=target)
         settings_there(target)
-    found = []
+    results = []
     for name, target in zip(scenes, targets, strict=True):
         scene = shared.scene_named(name)
         with StudyBar(console, workers or core_count(), scene.name) as meter:
@@ -74,15 +74,17 @@ def match(
         print_report(present(result), console)
         write_whole(target, matched_toml(result, settings_there(target)).encode())
         console.print(f"written: {target}", highlight=False)
-        found.append(result)
-    reports = [present(result) for result in found]
-    to.give(reports, "Matched settings", shared.encoded(found[0] if len(found) == 1 else found))
-    met = all(engine.meets_budget for result in found for engine in result.engines)
+        results.append(result)
+    reports = [present(result) for result in results]
+    to.give(
+        reports, "Matched settings", shared.encoded(results[0] if len(results) == 1 else results)
+    )
+    met = all(engine.meets_budget for result in results for engine in result.engines)
     raise Exit(0 if met else 1)
 
 
 def _targets(scenes: list[str], engines: tuple[str, ...], out: Path | None) -> list[Path]:
-    """Say where each scene's settings go."""
+    """Return the file that each scene's settings go to."""
     from mbds_xsim.simulate.registry import REFERENCE, is_foreign, scene_names
     from mbds_xsim.studies.match import stored_path
 
@@ -117,7 +119,7 @@ def ablate(
     workers: shared.WorkerCount = None,
     limit: shared.TimeLimit = LIMIT,
 ) -> None:
-    """Drop and halve what a scene models; compare with the disagreement between engines.
+    """Drop and halve each effect that a scene models; compare with the engines' disagreement.
 
     Examples:
         mbds-xsim ablate 3ladder
@@ -133,7 +135,7 @@ def ablate(
     if len(choice.profiles) > 1:
         msg = f"--settings: got {settings}, allowed is one of matched, native and a file"
         raise InputError(msg)
-    found = []
+    results = []
     for scene in [shared.scene_named(name) for name in scenes]:
         with shared.progress_on(to.console) as progress:
             result = study(
@@ -144,9 +146,9 @@ def ablate(
                 command=shared.command_line(),
             )
         print_report(present(result), to.console)
-        found.append(result)
-        to.give([present(one) for one in found], "")
-    shared.write_json(shared.encoded(found[0] if len(found) == 1 else found), to.json)
+        results.append(result)
+        to.give([present(one) for one in results], "")
+    shared.write_json(shared.encoded(results[0] if len(results) == 1 else results), to.json)
 
 
 @shared.command("study", writes="json markdown")
@@ -162,7 +164,7 @@ def contact(
         Path | None, Option(metavar="DIR", help="Draw the page's figures into a folder.")
     ] = None,
 ) -> None:
-    """Measure what contact means in each engine: rebound, friction, rest, energy, limits.
+    """Measure contact in each engine: rebound, friction, rest, energy, limits.
 
     Examples:
         mbds-xsim contact --engines dart
@@ -172,25 +174,25 @@ def contact(
     from mbds_xsim.studies.contact.present import present, study_contact
 
     choice = Choice.parse(engines=engines, profiles=settings, limit=limit)
-    if choice.given:
+    if choice.settings:
         msg = f"--settings: got {settings}, allowed are matched and native: what is measured has "
         raise InputError(msg + "scenes of its own, and a file of settings is matched for one scene")
-    drawn = {} if figures is None else _figure_files(figures)
-    for picture in drawn.values():
+    pictures = {} if figures is None else _figure_files(figures)
+    for picture in pictures.values():
         to.check(figures=picture)
     with shared.progress_on(to.console) as progress:
-        how = Conduct(workers, meter=progress)
-        study = study_contact(choice, how, shared.command_line())
+        conduct = Conduct(workers, meter=progress)
+        study = study_contact(choice, conduct, shared.command_line())
     to.answer(present(study), study, "contact")
-    if drawn:
+    if pictures:
         from mbds_xsim.studies.contact.present import draw_study
 
-        draw_study(study, drawn)
+        draw_study(study, pictures)
     if to.markdown is not None:
         from mbds_xsim.base.files import write_whole
         from mbds_xsim.studies.contact.page import contact_page
 
-        write_whole(to.markdown, contact_page(study, drawn, to.markdown.parent).encode())
+        write_whole(to.markdown, contact_page(study, pictures, to.markdown.parent).encode())
 
 
 def _figure_files(folder: Path) -> dict[str, Path]:
@@ -215,9 +217,9 @@ def releases(
     cache: shared.CacheUse = True,
     workers: shared.WorkerCount = None,
 ) -> None:
-    """Measure every release of an engine on the index, and say which changed what.
+    """Measure every release of an engine on the package index, and report which changed what.
 
-    Each is installed into a folder of its own in the cache; what is there is used again.
+    Each is installed into a folder of its own in the cache, and used again by later runs.
 
     Examples:
         mbds-xsim releases mujoco --since 3.7.0

@@ -1,4 +1,4 @@
-"""`mbds-xsim tradeoff` and `stability`: what methods come to over their steps."""
+"""`mbds-xsim tradeoff` and `stability`: results of methods over their steps."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def tradeoff(
 
     choice, console = Choice.parse(engines=engines, also=(REFERENCE,)), to.console
     loaded = [shared.scene_named(name) for name in scenes]
-    asked = {"choice": choice, "starts": starts, "seed": seed, "limit": limit}
+    options = {"choice": choice, "starts": starts, "seed": seed, "limit": limit}
     if onto is not None and (engines or (starts, seed, limit) != (_STARTS, 0, _LIMIT)):
         msg = "--onto: the stored trade-off has engines, starts, seed and limit of its own"
         raise InputError(f"{msg}; leave --engines, --starts, --seed and --limit out")
@@ -86,11 +86,11 @@ def tradeoff(
     studies, rows = [], []
     for scene in loaded:
         with StudyBar(console, workers or core_count(), scene.name) as meter:
-            study, found = _chart(
-                scene, onto, trained, asked, Conduct(workers, cache, fresh, meter)
+            study, added = _chart(
+                scene, onto, trained, options, Conduct(workers, cache, fresh, meter)
             )
         studies.append(study)
-        rows += found
+        rows += added
         print_report(present(study), console)
     stored = results_json(studies)
     write_if(to.csv, lambda: rows_csv(rows))
@@ -104,10 +104,10 @@ def _chart(
     scene: Scene,
     onto: Path | None,
     trained: list[TrainedModel],
-    asked: Mapping[str, Any],
+    options: Mapping[str, Any],
     conduct: Conduct,
 ) -> tuple[Tradeoff, list[Measurement]]:
-    """Measure the engines of a scene, or take them from where they are stored, then the models."""
+    """Measure a scene's engines, or load their stored results, then measure the models."""
     from mbds_xsim.studies.tradeoff import read_tradeoff
     from mbds_xsim.studies.tradeoff.study import tradeoff_with_rows
 
@@ -117,7 +117,7 @@ def _chart(
         study = read_tradeoff(onto)
         command = f"{study.command} && {command}"
     else:
-        study, rows = tradeoff_with_rows(scene, command=command, conduct=conduct, **asked)
+        study, rows = tradeoff_with_rows(scene, command=command, conduct=conduct, **options)
         command = ""
     if not trained:
         return study, rows
@@ -130,7 +130,7 @@ def _chart(
 def _models(
     places: list[Path] | None, onto: Path | None, scenes: list[Scene]
 ) -> list[TrainedModel]:
-    """Find the models, and refuse them before engines are measured where there are none."""
+    """Find the models; refuse scenes without any before engines are measured."""
     if onto is not None and (not places or len(scenes) != 1):
         msg = "--onto: models are put onto a stored trade-off; name one SCENE and --models"
         raise InputError(msg)
@@ -140,10 +140,10 @@ def _models(
     from mbds_xsim.learn.trained import trained_in
     from mbds_xsim.studies.tradeoff.learned import models_of
 
-    found = trained_in(places)
+    models = trained_in(places)
     for scene in scenes:
-        models_of(scene, found)
-    return found
+        models_of(scene, models)
+    return models
 
 
 T = TypeVar("T")
@@ -195,7 +195,7 @@ def stability(
     workers: shared.WorkerCount = None,
     out: _Out = None,
 ) -> None:
-    """Map where methods fail: what breaks first, at which step, and whether the engine says so.
+    """Map where methods fail: what breaks first, at which step, and whether the engine reports it.
 
     Examples:
         mbds-xsim stability --list
@@ -236,7 +236,7 @@ def stability(
 
 
 def _mapped(plan: SurveyPlan, console: Console, out: Path | None, *, single: bool) -> Survey:
-    """Survey and say one study, and write its files before the next one begins."""
+    """Run and present one study, and write its files before the next one begins."""
     from mbds_xsim.report.terminal import StudyBar, print_blocks, print_report
     from mbds_xsim.studies.stability.present import cells_of, present
     from mbds_xsim.studies.stability.survey import survey
@@ -275,7 +275,7 @@ def _outsiders(places: list[Path] | None) -> tuple[Simulator, ...]:
 
 
 def _profiles(words: str) -> tuple[Profile, ...]:
-    """Read the profiles from a user's words, each once."""
+    """Return the named profiles, each once; refuse files of settings."""
     from mbds_xsim.simulate.choice import as_profile, is_file
 
     if paths := [word for word in words.split(",") if is_file(word)]:
@@ -298,7 +298,7 @@ def _values(study: Study, value: str | None, *, quick: bool) -> tuple[Value, ...
 
 
 def _counts(step: float | None, *, quick: bool) -> tuple[int, ...]:
-    """Steps a frame."""
+    """Return the numbers of steps per frame."""
     from mbds_xsim.simulate.adapter import Settings
     from mbds_xsim.studies.stability import COUNTS, FRAME
 
@@ -308,5 +308,5 @@ def _counts(step: float | None, *, quick: bool) -> tuple[int, ...]:
 
 
 def _three(values: tuple[T, ...]) -> tuple[T, ...]:
-    """Keep the first, the middle and the last."""
+    """Return the first, the middle and the last value."""
     return (values[0], values[len(values) // 2], values[-1])

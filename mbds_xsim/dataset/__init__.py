@@ -1,1 +1,1 @@
-"""Data sets: made, checked, published, read."""
+"""Making, checking, publishing and reading data sets."""

@@ -1,4 +1,4 @@
-"""Check trajectories from anywhere, and say which checks their file does not allow."""
+"""Check trajectories from any source, and report which checks their file does not allow."""
 
 from __future__ import annotations
 
@@ -43,27 +43,27 @@ _SAME_START = 1e-12
 
 @dataclass(frozen=True)
 class Audited:
-    """What became of the trajectories of a file."""
+    """Result of the audit of a file of trajectories."""
 
     file: str
     scene: str
     verdict: str
-    """"pass" or "fail", of the checks that ran."""
+    """Result of the checks that ran: "pass" or "fail"."""
     trajectories: int
     steps: int
     frame_s: float
     given: tuple[str, ...]
     """Arrays that the file has."""
     taken: tuple[str, ...]
-    """What was taken for what: the start, the inputs, the method, what was derived."""
+    """Assumptions: the start, the inputs, the method, and the quantities that were derived."""
     findings: tuple[FindingResult, ...]
     reasons: tuple[str, ...]
     """A line for each check that failed."""
     not_checked: dict[str, str]
-    """Checks that could not run, with the reason."""
+    """Checks that could not run, each with the reason."""
 
     def to_frame(self) -> Any:
-        """Give a `pandas.DataFrame` with a row for each check."""
+        """Return a `pandas.DataFrame` with one row per check."""
         return frame_of(self.findings)
 
 
@@ -72,24 +72,24 @@ def audit_file(path: Path, scene: Scene | None, origin: Provenance) -> Audited:
 
     Args:
         path: npz, HDF5 or CSV; `docs/data-commands.md` lists names and columns.
-        scene: What moves; None: what the file says.
-        origin: What else is known.
+        scene: Scene that moves; the file's own if None.
+        origin: Further facts, which take precedence over those in the file.
 
     Raises:
-        InputError: The file, or what is told of it, cannot be used.
+        InputError: The file, or a fact given about it, cannot be used.
     """
-    found: dict[str, list[_Part]] = {}
-    taken, not_checked = dict[str, None](), dict[str, str]()
+    by_check: dict[str, list[_Part]] = {}
+    assumptions, not_checked = dict[str, None](), dict[str, str]()
     first: _Case | None = None
     for foreign in read_foreign(path, scene):
         case = _Case.of(foreign, origin)
         first = first or case
         for finding in case.findings():
-            found.setdefault(finding.check, []).append(_Part.of(case.batch, finding))
-        taken |= dict.fromkeys(case.taken)
+            by_check.setdefault(finding.check, []).append(_Part.of(case.batch, finding))
+        assumptions |= dict.fromkeys(case.assumptions)
         not_checked |= case.not_checked
-    assert first is not None  # no trajectory is refused
-    worst = [max(parts, key=lambda part: part.excess) for parts in found.values()]
+    assert first is not None  # a file without trajectories is refused
+    worst = [max(parts, key=lambda part: part.excess) for parts in by_check.values()]
     reasons = tuple(line for part in worst for line in part.lines)
     return Audited(
         file=str(path),
@@ -99,22 +99,22 @@ def audit_file(path: Path, scene: Scene | None, origin: Provenance) -> Audited:
         steps=foreign.steps,
         frame_s=foreign.scene.clock.frame,
         given=tuple(foreign.arrays),
-        taken=(_start_taken(first, case), *taken),
-        findings=tuple(map(_pooled, worst, found.values())),
+        taken=(_start_assumption(first, case), *assumptions),
+        findings=tuple(map(_pooled, worst, by_check.values())),
         reasons=reasons,
-        not_checked={name: why for name, why in not_checked.items() if name not in found},
+        not_checked={name: reason for name, reason in not_checked.items() if name not in by_check},
     )
 
 
 @dataclass(frozen=True)
 class _Part:
-    """What a check finds about some of the trajectories."""
+    """Finding of one check about some of the trajectories."""
 
     excess: float
-    """Of the worst figure, less what the check cannot resolve."""
+    """Worst figure less its uncertainty; infinite if it is NaN."""
     result: FindingResult
     lines: list[str]
-    """Why it failed."""
+    """Reasons why the check failed."""
 
     @staticmethod
     def of(batch: Batch, finding: Finding) -> _Part:
@@ -124,37 +124,37 @@ class _Part:
 
 
 def _pooled(worst: _Part, parts: list[_Part]) -> FindingResult:
-    """Give findings about some trajectories at a time as one about all of them."""
+    """Combine findings about parts of the trajectories into one about all of them."""
     if len(parts) == 1:
         return worst.result
     return msgspec.structs.replace(
         worst.result,
         passed=all(part.result.passed for part in parts),
         figures=tuple(figure for part in parts for figure in part.result.figures),
-        note="",  # told of some trajectories alone
+        note="",  # it is about some of the trajectories only
     )
 
 
 @dataclass(eq=False)
 class _Case:
-    """A file with its starts and inputs; collects what was taken for granted and left out."""
+    """A file with its starts and inputs; collects the assumptions made and the checks left out."""
 
     foreign: Foreign
     batch: Batch
     named: bool
-    """Whether seed and index name the start."""
+    """Whether seed and index are given, so that the start is known."""
     origin: Provenance
-    taken: list[str]
+    assumptions: list[str]
     not_checked: dict[str, str]
 
     @staticmethod
     def of(foreign: Foreign, origin: Provenance) -> _Case:
-        """Settle starts and inputs."""
+        """Determine starts and inputs."""
         origin = _completed(origin, foreign)
-        taken: list[str] = []
+        assumptions: list[str] = []
         named = origin.index is not None and origin.seed is not None
-        batch = _drawn(foreign, origin) if named else _unnamed(foreign, taken)
-        return _Case(foreign, batch, named, origin, taken, {})
+        batch = _draw_starts(foreign, origin) if named else _unnamed(foreign, assumptions)
+        return _Case(foreign, batch, named, origin, assumptions, {})
 
     @functools.cached_property
     def points(self) -> Points:
@@ -162,72 +162,72 @@ class _Case:
         return Points.of(self.foreign.scene)
 
     def rounding(self, *names: str) -> float:
-        """By how much numbers of some arrays may be rounded, those that are there."""
+        """Return the largest rounding error of the named arrays; missing arrays count as exact."""
         return max(self.foreign.rounding.get(name, 0.0) for name in names)
 
     def findings(self) -> list[Finding]:
         """Run every check that the file allows."""
-        arrays, found = self.foreign.arrays, list[Finding]()
+        arrays, findings = self.foreign.arrays, list[Finding]()
         points = arrays.get("position")
         if "body/position" in arrays:
             states = {key: arrays.get(f"body/{key}") for key in STATES}
             blur = self.rounding(*(f"body/{key}" for key in STATES))
-            found += self._of_bodies(states, blur, self.rounding("body/orientation"))
+            findings += self._of_bodies(states, blur, self.rounding("body/orientation"))
             if points is not None:
-                found.append(self._carried(points))
+                findings.append(self._carried(points))
         elif points is not None:
-            found += self._of_points(points, arrays.get("velocity"))
+            findings += self._of_points(points, arrays.get("velocity"))
         if self.named:
-            found += [*self._inputs(), *self._errors()]
+            findings += [*self._inputs(), *self._errors()]
         else:
             reason = "no --index and --seed: which start it is is not told"
             self.not_checked |= dict.fromkeys(("start", *_OF_REFERENCE), reason)
-        return found
+        return findings
 
     def _of_bodies(
         self, states: dict[str, Array | None], blur: float | None, turned: float
     ) -> list[Finding]:
-        """Run the checks on states of bodies, without velocities those of positions alone.
+        """Run the checks on body states; without velocities, only the checks of positions.
 
-        They may be rounded by `blur`, orientations by `turned`; None: what was fitted is not held
-        against the start, which the points are.
+        States may be rounded by `blur`, orientations by `turned`. `blur` is None for states fitted
+        to points: then the points, and not the bodies, are compared with the start.
         """
         method, step = self._method()
         spread = self.origin.contact_time_s
         trajectory = self._trajectory(states)
         record = Record(self.foreign.scene, self.batch, trajectory, method, step, spread)
         if states["velocity"] is not None:
-            found = audited(record)
+            findings = audited(record)
         else:
-            maybe = [check(record) for check in _OF_POSITIONS]
-            found = [finding for finding in maybe if finding is not None]
+            results = [check(record) for check in _OF_POSITIONS]
+            findings = [finding for finding in results if finding is not None]
             self._leave_out("no velocities")
         if blur is None:
             self.not_checked["precision"] = "bodies are fitted to the particles"
-        off = {"start": blur or 0.0, "finite": turned}
-        if max(off.values()) > _SAME_INPUT:
+        rounding = {"start": blur or 0.0, "finite": turned}
+        if max(rounding.values()) > _SAME_INPUT:
             self.not_checked["precision"] = "the numbers are float32, or have no more digits"
-            self.taken.append(
-                f"rounding: start and finite may be off by {max(off.values()):.0e} for it"
+            self.assumptions.append(
+                f"rounding: start and finite may be off by {max(rounding.values()):.0e} for it"
             )
         return [
-            dataclasses.replace(one, uncertainty=one.uncertainty + off.get(one.check, 0.0))
-            for one in found
+            dataclasses.replace(one, uncertainty=one.uncertainty + rounding.get(one.check, 0.0))
+            for one in findings
             if one.check not in self.not_checked
             if one.check != "start" or (self.named and blur is not None)
         ]
 
     def _trajectory(self, states: dict[str, Array | None]) -> Trajectory:
-        """Give the core's type; velocities that nothing looks at are those of the start."""
+        """Return a `Trajectory`; missing states are those of the start in every frame."""
         whole = {key: values for key, values in states.items() if values is not None}
         for key in set(STATES) - set(whole):
-            frames = (len(self.batch), self.foreign.steps + 1, *getattr(self.batch, key).shape[1:])
-            whole[key] = np.broadcast_to(getattr(self.batch, key)[:, None], frames)
+            shape = (len(self.batch), self.foreign.steps + 1, *getattr(self.batch, key).shape[1:])
+            whole[key] = np.broadcast_to(getattr(self.batch, key)[:, None], shape)
         failures = (None,) * len(self.batch)
         return Trajectory(self.foreign.arrays["time"], **whole, failures=failures)
 
     def _of_points(self, position: Array, velocity: Array | None) -> list[Finding]:
-        """Fit rigid bodies to the points, and check these where the points tell all of them."""
+        """Fit rigid bodies to the points, and check the bodies if the points determine them all."""
         scene = self.foreign.scene
         fit = recover(scene, position, velocity)
         names = tuple(body.name for body in scene.bodies)
@@ -237,87 +237,89 @@ class _Case:
             reason = f"the particles do not tell how {few} turned; give body states"
             self._leave_out(reason, *_positional(scene))
             return [rigid, *self._start_of(position, velocity)]
-        self.taken.append("body states: rigid bodies fitted to the particles by least squares")
+        self.assumptions.append(
+            "body states: rigid bodies fitted to the particles by least squares"
+        )
         states = {key: getattr(fit, key) for key in STATES}
         return [*self._of_bodies(states, None, 0.0), rigid, *self._start_of(position, velocity)]
 
     def _start_of(self, position: Array, velocity: Array | None) -> list[Finding]:
-        """Hold the particles at frame 0 against the start that is named."""
+        """Compare the particles at frame 0 with the start that seed and index give."""
         if not self.named:
             return []
         drawn = self._trajectory({})
         parts = np.full((*position.shape[:2], 1), np.nan)
         pairs = zip((position, velocity), self.points.motion(drawn), strict=True)
-        off = [np.abs(got[:, 0] - own[:, 0]) for got, own in pairs if got is not None]
-        parts[:, 0, 0] = np.stack([each.max(axis=(1, 2)) for each in off]).max(axis=0)
-        coarse = self.rounding("position", "velocity")
-        return [Finding.of("start", "1", parts, budget=_SAME_START, uncertainty=coarse)]
+        errors = [np.abs(got[:, 0] - own[:, 0]) for got, own in pairs if got is not None]
+        parts[:, 0, 0] = np.stack([error.max(axis=(1, 2)) for error in errors]).max(axis=0)
+        rounding = self.rounding("position", "velocity")
+        return [Finding.of("start", "1", parts, budget=_SAME_START, uncertainty=rounding)]
 
     def _carried(self, position: Array) -> Finding:
-        """Hold particles against the bodies that carry them."""
-        off = np.linalg.norm(position - self._positions(), axis=-1)
+        """Compare the particles with the bodies that carry them."""
+        distance = np.linalg.norm(position - self._positions(), axis=-1)
         scene = self.foreign.scene
         names = tuple(scene.bodies[body].name for body in self.points.body)
-        return Finding.of("particles", "m", off, budget=scene.budget.gap, names=names)
+        return Finding.of("particles", "m", distance, budget=scene.budget.gap, names=names)
 
     def _leave_out(self, reason: str, *more: str) -> None:
         touching = _OF_CONTACT if self.foreign.scene.contacts else ()
         self.not_checked |= dict.fromkeys((*more, *_OF_VELOCITIES, *touching), reason)
 
     def _method(self) -> tuple[Method | None, float | None]:
-        """What is known of how it was made."""
+        """Return the method and the step of the trajectories, as far as they are known."""
         origin = self.origin
         if origin.method_order is None and origin.velocity_lag_s is None:
-            self.taken.append("method: unknown, so budgets are those of first order")
+            self.assumptions.append("method: unknown, so budgets are those of first order")
             return None, origin.step_s
         step = origin.step_s or self.foreign.scene.clock.frame
         order, lag = origin.method_order or 1, (origin.velocity_lag_s or 0.0) / step
-        when = f"{lag:g} steps off the frames" if lag else "at the frames"
+        timing = f"{lag:g} steps off the frames" if lag else "at the frames"
         single = bool(origin.single_precision)
-        bits = ", in single precision" if single else ""
+        precision = ", in single precision" if single else ""
         method = Method("told", "semi-implicit Euler", order, velocity_lag=lag, single=single)
-        held = method.order_for(self.foreign.scene)
-        judged = f", judged as of order {held} (forces have kinks)" if held < order else ""
-        self.taken.append(f"method: of order {order}{judged}, velocities {when}{bits}")
+        actual = method.order_for(self.foreign.scene)
+        judged = f", judged as of order {actual} (forces have kinks)" if actual < order else ""
+        self.assumptions.append(f"method: of order {order}{judged}, velocities {timing}{precision}")
         return method, step
 
     def _inputs(self) -> list[Finding]:
-        """Hold inputs of the file against those that seed and index give."""
-        found = []
+        """Compare the inputs in the file with those that seed and index give."""
+        findings = []
         for key in ("force", "torque"):
-            given = self.foreign.arrays.get(f"input/{key}")
-            if given is None or not given.size:
+            inputs = self.foreign.arrays.get(f"input/{key}")
+            if inputs is None or not inputs.size:
                 continue
             drawn = getattr(self.batch, key)
-            off = np.abs(given - drawn).reshape(*given.shape[:2], -1).max(axis=2)
+            deviation = np.abs(inputs - drawn).reshape(*inputs.shape[:2], -1).max(axis=2)
             scale = max(1.0, float(np.abs(drawn).max()))
             rounding = self.rounding(f"input/{key}") / scale
-            parts = np.pad(off / scale, ((0, 0), (0, 1)))[:, :, None]
-            found.append(Finding.of(key, "1", parts, budget=_SAME_INPUT, uncertainty=rounding))
-        return found
+            parts = np.pad(deviation / scale, ((0, 0), (0, 1)))[:, :, None]
+            findings.append(Finding.of(key, "1", parts, budget=_SAME_INPUT, uncertainty=rounding))
+        return findings
 
     def _errors(self) -> list[Finding]:
-        """Hold some of the trajectories against the reference, by their points."""
+        """Compare the points of the first trajectories with the reference."""
         rows = list(range(min(len(self.batch), _MOST_COMPARED - self.foreign.first)))
         if not rows:
             return []
         scene, batch = self.foreign.scene, self.batch[rows]
         solved = reference_of(scene, batch, cache=True)
         if self.foreign.total > _MOST_COMPARED:
-            self.taken.append(
+            self.assumptions.append(
                 f"reference: compared with the first {_MOST_COMPARED} trajectories only"
             )
-        apart = self._positions()[rows] - self.points.motion(solved.trajectory)[0]
-        error = np.sqrt(np.mean(np.sum(apart**2, axis=-1), axis=-1))
-        found = error_findings(scene, batch, error, solved.trajectory, solved.growth)
-        if all(finding.check != "error at 1 s" for finding in found):
+        offset = self._positions()[rows] - self.points.motion(solved.trajectory)[0]
+        error = np.sqrt(np.mean(np.sum(offset**2, axis=-1), axis=-1))
+        findings = error_findings(scene, batch, error, solved.trajectory, solved.growth)
+        if all(finding.check != "error at 1 s" for finding in findings):
             self.not_checked["error at 1 s"] = (
                 "needs a frame at 1 s that the reference knows, of an interval low or medium"
             )
-        return found
+        return findings
 
     def _positions(self) -> Array:
-        """Give the points, from the bodies where these are given."""
+        """Return positions of the points, computed from the bodies if the file has them."""
         arrays = self.foreign.arrays
         if "body/position" not in arrays:
             return arrays["position"]
@@ -326,7 +328,7 @@ class _Case:
 
 
 def _positional(scene: Scene) -> list[str]:
-    """Checks of positions that apply to a scene, but for those that particles allow, too."""
+    """List the checks of positions that apply to a scene and that particles alone do not allow."""
     mechanism = Mechanism.of(scene)
     applies = {
         "gap": mechanism.joints or mechanism.distances,
@@ -338,9 +340,9 @@ def _positional(scene: Scene) -> list[str]:
 
 
 def _completed(origin: Provenance, foreign: Foreign) -> Provenance:
-    """Add what the file says where the user says nothing; of numbers those of its trajectories."""
+    """Add the file's facts where the user gives none; keep only these trajectories' indices."""
     first, total = foreign.first, foreign.total
-    said = {key: value for key, value in vars(origin).items() if value is not None}
+    facts = {key: value for key, value in vars(origin).items() if value is not None}
     if origin.index is not None:
         if len(origin.index) != total:
             msg = (
@@ -348,16 +350,16 @@ def _completed(origin: Provenance, foreign: Foreign) -> Provenance:
                 f"{total}, one a trajectory"
             )
             raise InputError(msg)
-        said["index"] = origin.index[first : first + foreign.count]
-    elif len(given := foreign.said.get("index", range(foreign.count))) != foreign.count:
-        msg = f"{foreign.source}: index: got {len(given)} numbers, allowed is one a trajectory"
+        facts["index"] = origin.index[first : first + foreign.count]
+    elif len(index := foreign.facts.get("index", range(foreign.count))) != foreign.count:
+        msg = f"{foreign.source}: index: got {len(index)} numbers, allowed is one a trajectory"
         raise InputError(msg)
     default = {} if origin.index is None else {"seed": 0}
-    return Provenance(**(default | foreign.said | said))
+    return Provenance(**(default | foreign.facts | facts))
 
 
-def _start_taken(first: _Case, last: _Case) -> str:
-    """Say which starts they are, from the first trajectory to the last."""
+def _start_assumption(first: _Case, last: _Case) -> str:
+    """Describe the starts, from the first trajectory to the last."""
     if not last.named:
         return "start: frame 0 of the file"
     origin, ends = first.origin, (int(first.batch.index[0]), int(last.batch.index[-1]))
@@ -366,9 +368,9 @@ def _start_taken(first: _Case, last: _Case) -> str:
     return f"start and inputs: those of seed {origin.seed}, index {numbers}, {noise} noise"
 
 
-def _drawn(foreign: Foreign, origin: Provenance) -> Batch:
-    """Draw the starts; the file may have fewer frames, but the same ones."""
-    clock, own = foreign.asked.clock, foreign.scene.clock
+def _draw_starts(foreign: Foreign, origin: Provenance) -> Batch:
+    """Draw the starts; the file may have fewer frames than the scene, but at the same times."""
+    clock, own = foreign.original.clock, foreign.scene.clock
     if own.frame != clock.frame or own.steps > clock.steps:
         msg = (
             f"{foreign.source}: got {own.steps} steps of {own.frame:.6g} s, allowed for a start "
@@ -377,20 +379,20 @@ def _drawn(foreign: Foreign, origin: Provenance) -> Batch:
         )
         raise InputError(msg)
     noise, index = origin.noise is not False, origin.index or ()
-    batch = draw_batch(foreign.asked, index, seed=origin.seed or 0, noise=noise)
+    batch = draw_batch(foreign.original, index, seed=origin.seed or 0, noise=noise)
     return batch.truncated(own.steps)
 
 
-def _unnamed(foreign: Foreign, taken: list[str]) -> Batch:
-    """Give the file's own start, its inputs, or none but those that the scene lists."""
+def _unnamed(foreign: Foreign, assumptions: list[str]) -> Batch:
+    """Return a batch with the inputs in the file, or with only those that the scene lists."""
     scene, count = foreign.scene, foreign.count
     batch = draw_batch(scene, [0], noise=False, inputs=False)
     batch = batch[np.zeros(count, dtype=np.int64)]
     inputs = {}
     for key in ("force", "torque"):
-        given = foreign.arrays.get(f"input/{key}")
-        inputs[key] = getattr(batch, key) if given is None else given
+        values = foreign.arrays.get(f"input/{key}")
+        inputs[key] = getattr(batch, key) if values is None else values
         if getattr(batch, key).size:
-            what = "none but what the scene lists" if given is None else "those of the file"
-            taken.append(f"{key}s: {what}")
+            source = "none but what the scene lists" if values is None else "those of the file"
+            assumptions.append(f"{key}s: {source}")
     return dataclasses.replace(batch, index=np.arange(count), **inputs)

@@ -1,9 +1,8 @@
-"""What lies beside the data sets of a scene for those who find them: a card, and metadata.
+"""Description of the data sets of a scene, stored next to them: a card, and metadata.
 
-The metadata are in the Croissant format of MLCommons, version 1.0, which lists the files with their
-checksums and, as inline records, the arrays in them: Croissant itself has no way into an HDF5 file.
-See http://mlcommons.org/croissant/1.0. What a publisher adds to either stays when they are written
-again.
+The metadata are in the Croissant format of MLCommons, version 1.0
+(http://mlcommons.org/croissant/1.0). They list the files with their checksums and, as inline
+records, the arrays in them: Croissant itself cannot describe the content of an HDF5 file.
 """
 
 from __future__ import annotations
@@ -57,17 +56,17 @@ _TYPES = {str: "sc:Text", int: "sc:Integer"}
 def write_card(folder: Path) -> None:
     """Write the card and the metadata of all data sets of one scene; the same for the same data.
 
-    What a publisher added to those that are there is kept.
+    A publisher's additions are kept: in the metadata always, in the card until the data change.
 
     Raises:
-        InputError: They cannot be written.
+        InputError: The data cannot be read, or the files cannot be written.
     """
     for name, content in descriptions(folder).items():
         put(folder / name, _with_additions(folder / name, content))
 
 
 def descriptions(folder: Path) -> dict[str, bytes]:
-    """Give the card and the metadata that the data in a folder have.
+    """Return the card and the metadata of the data in a folder, keyed by file name.
 
     Raises:
         InputError: The data cannot be read.
@@ -78,31 +77,31 @@ def descriptions(folder: Path) -> dict[str, bytes]:
 
 
 def missing_lines(text: str, wanted: str) -> Iterator[tuple[int, str]]:
-    """Give the first line, with its number, that a text does not have after those before it."""
+    """Yield the first wanted line, with its number, that a text lacks or has in another order."""
     rest = iter(text.split("\n"))
     for number, line in enumerate(wanted.split("\n"), 1):
-        if line not in rest:  # takes lines up to it
+        if line not in rest:  # consumes the text up to this line
             yield number, line
             return
 
 
 def _with_additions(path: Path, content: bytes) -> bytes:
-    """Give the new content of a card or of metadata, with what only a publisher can have added.
+    """Return the new content of a card or of metadata, with the additions of a publisher.
 
-    Metadata keep the entries that the data do not give. A card that still says all that the data
-    give stays as it is; where the data have changed it is written anew.
+    Metadata keep the entries that the data do not give. A card that still has every line that the
+    data give stays as it is; otherwise it is written anew, without additions.
     """
     try:
         old = path.read_bytes()
         if path.suffix != ".json":
             return content if any(missing_lines(old.decode(), content.decode())) else old
-        there, ours = json.loads(old), json.loads(content)
+        stored, entries = json.loads(old), json.loads(content)
     except (OSError, ValueError):
         return content
-    if not isinstance(there, dict) or there.keys() <= ours.keys():
+    if not isinstance(stored, dict) or stored.keys() <= entries.keys():
         return content
-    added = {key: value for key, value in there.items() if key not in ours}
-    return _json(ours | added)
+    added = {key: value for key, value in stored.items() if key not in entries}
+    return _json(entries | added)
 
 
 def _json(metadata: dict[str, Any]) -> bytes:
@@ -112,23 +111,23 @@ def _json(metadata: dict[str, Any]) -> bytes:
 def _card(sets: Sequence[Dataset], joint: Path) -> str:
     attrs, scene = in_markdown(sets[0].attributes), sets[0].scene
     noise = "with" if attrs["noise"] and scene.noise else "without"
-    rest = sentence(in_markdown(scene.description))
+    intro = sentence(in_markdown(scene.description))
     with open_hdf5(joint) as file:
         valid = np.asarray(file["valid_in_all"][()])
     digest = hashlib.sha256(sets[0].attributes["scene"].encode()).hexdigest()
     example = sets[0].path.name
-    made = "".join(_row(data) for data in sets)
+    rows = "".join(_row(data) for data in sets)
     rejected = "".join(_rejections(data) for data in sets)
     return f"""# {in_markdown(scene.name)}: simulated trajectories
 
-{rest}{scene.dimension}D, bodies: {len(scene.bodies)}, points: {len(sets[0]["graph/point_body"])};
+{intro}{scene.dimension}D, bodies: {len(scene.bodies)}, points: {len(sets[0]["graph/point_body"])};
 {attrs["steps"]} steps of {attrs["frame_s"]:g} s a trajectory, SI units, z up. Starts and inputs are
 those of seed {attrs["seed"]}, {noise} random forces: trajectory i is the same start in every file,
 in the speed interval low, medium or high by i mod 3.
 
 | file | engine | method | step [s] | | drawn | published | rejected |
 | --- | --- | --- | --- | --- | --- | --- | --- |
-{made}
+{rows}
 {valid.sum()} of {len(valid)} are published in all of them (`{joint.name}`). *Certified*: every
 check of every trajectory held, and the engine's model read back as the scene. *Uncertified*: what
 an ordinary user of the engine gets; the figures of the checks are stored all the same.
@@ -170,7 +169,7 @@ checksums; who publishes the data adds `license`, `url`, `creator` and `datePubl
 
 
 def _split(sets: Sequence[Dataset]) -> str:
-    """Say what decides the part of a trajectory, and whether it has the same one in all files."""
+    """Describe the split, and whether a trajectory is in the same part in all files."""
     parts = "the first 80 % train, then 10 % validation, 10 % test."
     if len({data.attributes["count"] for data in sets}) == 1:
         return f"By index, so the same in every file: {parts}"
@@ -194,7 +193,7 @@ def _row(data: Dataset) -> str:
 
 
 def _pace(data: Dataset) -> str:
-    """Give the step, or the tolerance of a method that chooses its steps."""
+    """Return the step, or the tolerance of the reference, which chooses its own steps."""
     options = json.loads(data.attributes["options"])
     if _is_truth(data):
         return f"{RTOL} {options[RTOL]:g}"
@@ -206,7 +205,7 @@ def _is_truth(data: Dataset) -> bool:
 
 
 def _truth(sets: Sequence[Dataset]) -> str:
-    """Say of data that no engine made what they are; nothing where there are none."""
+    """Describe data made by the reference and not by an engine; empty if there are none."""
     names = " and ".join(f"`{data.path.name}`" for data in sets if _is_truth(data))
     return (
         f"{names}: made by the reference of mbds-xsim, which engines are held against, and not by "
@@ -218,13 +217,13 @@ def _truth(sets: Sequence[Dataset]) -> str:
 
 
 def _rejections(data: Dataset) -> str:
-    """One line on what was rejected by what, nothing where all passed."""
+    """Return a line that counts rejections by check; empty if all trajectories passed."""
     names = [file.name for file in data.files]
-    found = causes(rejected_beside(data), names).most_common()
-    if not found:
+    counts = causes(rejected_beside(data), names).most_common()
+    if not counts:
         return ""
-    which = ", ".join(f"{cause} {count}" for cause, count in sorted(found))
-    return f"\nRejected from `{data.path.name}` by the check that failed first: {which}.\n"
+    listing = ", ".join(f"{cause} {count}" for cause, count in sorted(counts))
+    return f"\nRejected from `{data.path.name}` by the check that failed first: {listing}.\n"
 
 
 def _parts(data: Dataset) -> str:
@@ -238,7 +237,7 @@ def _parts(data: Dataset) -> str:
 def _croissant(sets: Sequence[Dataset], joint: Path) -> bytes:
     """Describe the data sets of one scene; the same data give the same bytes.
 
-    What only a publisher knows is left out: license, url, creator and datePublished.
+    Entries that only a publisher knows are left out: license, url, creator and datePublished.
     """
     scene = sets[0].scene
     engines = ", ".join(dict.fromkeys(data.attributes["engine"] for data in sets))
@@ -260,7 +259,7 @@ def _croissant(sets: Sequence[Dataset], joint: Path) -> bytes:
 
 
 def _distribution(sets: Sequence[Dataset], joint: Path) -> Iterator[dict[str, Any]]:
-    """The joined files, and the shards that they read from."""
+    """Yield the joined files, the joint file, and the shards that the joined files read from."""
     for path in (*(data.path for data in sets), joint):
         yield _node(
             "FileObject",
@@ -282,7 +281,7 @@ def _distribution(sets: Sequence[Dataset], joint: Path) -> Iterator[dict[str, An
 
 
 def _records(name: str, rows: Sequence[dict[str, str | int]]) -> dict[str, Any]:
-    """Put a table into the metadata itself."""
+    """Return a table as inline records of the metadata."""
     fields = [
         _node("Field", f"{name}/{key}", dataType=_TYPES[type(value)])
         for key, value in rows[0].items()
@@ -296,7 +295,7 @@ def _node(kind: str, name: str, **more: Any) -> dict[str, Any]:
 
 
 def _arrays() -> list[dict[str, str | int]]:
-    """Datasets of the HDF5 files, as `docs/dataset-layout.md` lists them."""
+    """List the datasets of the joined files, as in `docs/dataset-layout.md`."""
     return [
         {
             "path": field.name,
@@ -311,7 +310,7 @@ def _arrays() -> list[dict[str, str | int]]:
 
 
 def _counts(sets: Sequence[Dataset]) -> list[dict[str, str | int]]:
-    """Trajectories of each file, part of the split, and interval."""
+    """Count the trajectories of each file, part of the split, and interval."""
     return [
         {"file": data.path.name, "split": part, "interval": interval, "trajectories": number}
         for data in sets

@@ -1,8 +1,7 @@
-"""Have tasks carried out by a Dask cluster, whose workers see the same folder.
+"""Execution of tasks on a Dask cluster whose workers see the same folder.
 
-A task goes to a Dask worker and there into a process of its own, as it does on one machine: an
-engine that crashes takes no worker with it. A worker that is lost is the scheduler's to replace;
-what it was at is tried again.
+A Dask worker runs each task in a process of its own, as on a single machine, so an engine that
+crashes does not end the worker. If a worker is lost, the scheduler gives its tasks to another one.
 """
 
 from __future__ import annotations
@@ -21,10 +20,10 @@ from mbds_xsim.base.frame import optional
 from mbds_xsim.base.isolate import Carrier, Task, run_tasks
 from mbds_xsim.simulate.registry import package_version
 
-_PATIENCE = 10.0  # for the scheduler's first answer [s]
-_LOOK = 0.5  # between two looks at what has ended [s]
-_FETCH = 10.0  # for an answer that is there [s]
-_GRACE = 30.0  # for another worker, where the last one is gone [s]
+_PATIENCE = 10.0  # longest wait for the scheduler's first answer [s]
+_LOOK = 0.5  # interval between two checks for ended tasks [s]
+_FETCH = 10.0  # longest time to fetch an answer that is ready [s]
+_GRACE = 30.0  # longest wait for a new worker after the last one is gone [s]
 _AWAITED = ("pending", "lost")
 _PACKAGES = ("mbds-xsim", "mujoco", "pybullet", "dartpy", "exudyn", "numpy", "h5py")
 
@@ -32,12 +31,12 @@ _PACKAGES = ("mbds-xsim", "mujoco", "pybullet", "dartpy", "exudyn", "numpy", "h5
 def carrier_of(
     stack: ExitStack, address: str | None, workers: int | None, out: Path
 ) -> tuple[Carrier, int | None]:
-    """Give what carries tasks out, and how many at a time: processes here, or a cluster.
+    """Return the carrier of tasks, local processes or a cluster, and its number of workers.
 
-    The stack lets go of the cluster, whose workers must see the folder.
+    The stack closes the connection to the cluster, whose workers must see the folder `out`.
 
     Raises:
-        InputError: Both are given, or the cluster is not one that could.
+        InputError: Both `address` and `workers` are given, or the cluster cannot be used.
     """
     if address is None:
         return run_tasks, workers
@@ -49,14 +48,14 @@ def carrier_of(
 
 
 class Cluster(AbstractContextManager["Cluster"]):
-    """A `Carrier`; use it in a `with` block.
+    """Dask cluster as a `Carrier`; use it in a `with` block.
 
     Args:
-        address: Of the scheduler, as `tcp://host:8786`.
+        address: Address of the scheduler, such as `tcp://host:8786`.
         out: Folder of the data; every worker must see it under this path.
 
     Raises:
-        InputError: Dask is not installed, nobody answers, there is no worker, or one differs.
+        InputError: Dask is missing, no scheduler answers, or workers are missing or unsuitable.
     """
 
     def __init__(self, address: str, out: Path) -> None:
@@ -80,11 +79,11 @@ class Cluster(AbstractContextManager["Cluster"]):
 
     @property
     def workers(self) -> int:
-        """Tasks that the cluster carries out at a time."""
+        """Number of tasks that the cluster carries out at a time."""
         try:
             return sum(self._client.nthreads().values())
         except Exception as error:
-            raise self._lost(error) from error
+            raise self._disconnection(error) from error
 
     def __exit__(self, *_: object) -> None:
         self._client.close()
@@ -96,7 +95,7 @@ class Cluster(AbstractContextManager["Cluster"]):
         finished: Callable[[int, Any], None] | None = None,
         **_: Any,
     ) -> list[Any]:
-        """Carry out all tasks; how many at a time is the cluster's own affair."""
+        """Carry out all tasks; the cluster decides how many run at a time."""
         answers: list[Any] = [None] * len(tasks)
         futures: list[Any] = []
         try:
@@ -106,17 +105,17 @@ class Cluster(AbstractContextManager["Cluster"]):
                 if finished is not None:
                     finished(place, answers[place])
         finally:
-            with suppress(Exception):  # the scheduler may be what is gone
+            with suppress(Exception):  # the scheduler itself may be gone
                 self._client.cancel(futures, force=True)
         return answers
 
     def _check(self, address: str, out: Path) -> None:
-        """Find workers, and that they are like this process and see its folder."""
+        """Check that there are workers, that they see the folder, and that their versions match."""
         out.mkdir(parents=True, exist_ok=True)
         mark = out / f".seen-{uuid.uuid4().hex}"
         mark.touch()
         try:
-            sight = self._asked(mark.is_file)
+            sight = self._ask_workers(mark.is_file)
         finally:
             mark.unlink()
         if not sight:
@@ -129,12 +128,12 @@ class Cluster(AbstractContextManager["Cluster"]):
                 f"{len(sight)}); --out must be a folder that all workers share under one path"
             )
             raise InputError(msg)
-        self._alike("python", self._asked(platform.python_version), platform.python_version())
+        self._alike("python", self._ask_workers(platform.python_version), platform.python_version())
         for package in _PACKAGES:
-            self._alike(package, self._asked(version, package), package_version(package))
+            self._alike(package, self._ask_workers(version, package), package_version(package))
 
     def _alike(self, package: str, theirs: dict[str, Any], here: str) -> None:
-        """Compare versions, which decide what data come out."""
+        """Refuse workers with another version of a package, which could give different data."""
         for worker, answer in theirs.items():
             there = "not installed" if isinstance(answer, PackageNotFoundError) else answer
             if there != here:
@@ -144,21 +143,21 @@ class Cluster(AbstractContextManager["Cluster"]):
                 )
                 raise InputError(msg)
 
-    def _asked(self, function: Callable[..., Any], *arguments: Any) -> dict[str, Any]:
-        """Call a function of the standard library, which a worker has, in each of them."""
+    def _ask_workers(self, function: Callable[..., Any], *arguments: Any) -> dict[str, Any]:
+        """Call a function on every worker: one of the standard library, which all of them have."""
         try:
             answers: dict[str, Any] = self._client.run(function, *arguments, on_error="return")
         except Exception as error:
-            raise self._lost(error) from error
+            raise self._disconnection(error) from error
         return answers
 
     def _as_they_end(self, futures: Sequence[Any]) -> Iterator[tuple[int, Any]]:
-        """Give the answer of each future with its place; while none ends, see whether one can.
+        """Yield the index and answer of each future as it ends, as long as there are workers.
 
-        An answer may get lost with the worker that holds it: the scheduler has it made again.
+        An answer may be lost with the worker that holds it: the scheduler has it made again.
 
         Raises:
-            InputError: None can: the scheduler is gone, or all workers are.
+            InputError: No future can end any more: the scheduler or all workers are gone.
         """
         pending = dict(enumerate(futures))
         last = time.monotonic()
@@ -168,7 +167,7 @@ class Cluster(AbstractContextManager["Cluster"]):
             for place in ended:
                 try:
                     answer = self._answer(pending[place])
-                except OSError:  # broken off as it came; whether anybody is there is asked below
+                except OSError:  # the transfer broke off; the workers are checked below
                     continue
                 came = True
                 del pending[place]
@@ -185,11 +184,11 @@ class Cluster(AbstractContextManager["Cluster"]):
                     raise InputError(msg)
 
     def _answer(self, future: Any) -> Any:
-        """Give what came of a task.
+        """Return the answer of a task.
 
         Raises:
-            InputError: It was not carried out, and no other will be.
-            OSError: The answer does not come, or is no longer there.
+            InputError: The task could not be carried out, and no other could.
+            OSError: The answer does not arrive, or is no longer available.
         """
         status = future.status
         if status == "finished":
@@ -197,7 +196,7 @@ class Cluster(AbstractContextManager["Cluster"]):
         if status in _AWAITED:
             raise TimeoutError
         if status != "error":
-            raise self._lost(status)
+            raise self._disconnection(status)
         error = future.exception()
         msg = (
             f"--scheduler: workers cannot carry out tasks: {type(error).__name__}: {error}; "
@@ -205,8 +204,8 @@ class Cluster(AbstractContextManager["Cluster"]):
         )
         raise InputError(" ".join(msg.split()))
 
-    def _lost(self, why: object) -> InputError:
-        reason = f"{type(why).__name__}: {why}" if isinstance(why, Exception) else str(why)
+    def _disconnection(self, cause: object) -> InputError:
+        reason = f"{type(cause).__name__}: {cause}" if isinstance(cause, Exception) else str(cause)
         return InputError(
             f"--scheduler: {self._address} is gone ({' '.join(reason.split())}); start it again "
             "with `dask scheduler`, and run the same command again, it goes on"
@@ -214,6 +213,6 @@ class Cluster(AbstractContextManager["Cluster"]):
 
 
 def _carry_out(task: Task) -> Any:
-    """Run in a Dask worker."""
+    """Run a task on a Dask worker, in a process of its own."""
     (answer,) = run_tasks([task], workers=1)
     return answer

@@ -1,8 +1,8 @@
-"""The bytes of a data file, put together in memory.
+"""Encoding of a data file as bytes in memory.
 
-They follow from its content alone: no times, no paths, and a fixed file format. The library never
-writes to disk, so that a full disk or a kill cannot leave a half-written structure, and gets no
-more than room for the values of datasets, which go to the disk from where they are.
+They depend on its content alone: no times, no paths, and a fixed file format. HDF5 never writes to
+disk, so that a full disk or a kill cannot leave a half-written structure. It only reserves space
+for the values of datasets, which are written to disk straight from their arrays.
 """
 
 from __future__ import annotations
@@ -18,29 +18,29 @@ from numpy.typing import NDArray
 from mbds_xsim.dataset.hdf5 import CONTENT, SUM, Attributes, bytes_of, digest, sum_of
 from mbds_xsim.dataset.layout import FIELDS, Field
 
-_ALIGNMENT = 64  # of datasets in a file, so that they can be mapped as arrays
+_ALIGNMENT = 64  # bytes, so that datasets can be mapped as arrays
 _GROWTH = 2**22  # bytes by which a file in memory grows
 
 
 @dataclass(frozen=True)
 class Virtual:
-    """A dataset that takes its rows, one after the other, from its namesakes in other files."""
+    """Dataset whose rows are those of the same dataset in other files, one after the other."""
 
     like: NDArray[Any]
-    """An array of its type and shape, but for the number of rows."""
+    """Array with the type and shape of the dataset, except for the number of rows."""
     rows: Sequence[tuple[str, int]]
-    """Names of the files, from the folder of this one, and how many rows each has."""
+    """Paths of the files, relative to the folder of this one, and the number of rows in each."""
 
 
 Datasets = Mapping[str, NDArray[Any] | Virtual]
 
 
 def encode(datasets: Datasets, attributes: Attributes) -> list[memoryview]:
-    """Give the bytes of a file, with what the layout says of each dataset, and checksums.
+    """Return the bytes of a file, with the layout's description of each dataset, and checksums.
 
-    They come in pieces, of which the values of datasets are the arrays themselves.
+    They come in pieces; those with values of datasets are views of the arrays, not copies.
     """
-    said: dict[str, dict[str, Any]] = {}
+    descriptions: dict[str, dict[str, Any]] = {}
     values: dict[int, memoryview] = {}
     with h5py.File(
         "new",
@@ -53,34 +53,34 @@ def encode(datasets: Datasets, attributes: Attributes) -> list[memoryview]:
         alignment_interval=_ALIGNMENT,
     ) as file:
         for name in sorted(datasets):
-            field, given = FIELDS[name], datasets[name]
+            field, dataset = FIELDS[name], datasets[name]
             file.require_group(name.rpartition("/")[0] or "/")
             about = {"axes": ", ".join(field.axes), "unit": field.unit, "meaning": field.meaning}
-            if isinstance(given, Virtual):
-                _put_virtual(file, name, given)
+            if isinstance(dataset, Virtual):
+                _put_virtual(file, name, dataset)
             else:
-                stored, more = _stored(field, given)
+                stored, more = _stored(field, dataset)
                 values |= _put(file, name, stored)
                 about |= {**more, SUM: sum_of(stored)}
-            said[name] = about
+            descriptions[name] = about
             _put_attributes(file[name], about)
-        content = digest({**said, "": attributes})
+        content = digest({**descriptions, "": attributes})
         _put_attributes(file, {**attributes, CONTENT: content})
         file.flush()
         return _with_values(memoryview(file.id.get_file_image()), values)
 
 
 def _with_values(image: memoryview, values: Mapping[int, memoryview]) -> list[memoryview]:
-    """Put values where a file has room for them; the keys are the places."""
-    pieces, at = [], 0
-    for place in sorted(values):
-        pieces += [image[at:place], values[place]]
-        at = place + len(values[place])
-    return [*pieces, image[at:]]
+    """Insert values where a file has space for them; the keys are byte offsets."""
+    pieces, end = [], 0
+    for offset in sorted(values):
+        pieces += [image[end:offset], values[offset]]
+        end = offset + len(values[offset])
+    return [*pieces, image[end:]]
 
 
 def _stored(field: Field, values: Any) -> tuple[NDArray[Any], dict[str, Any]]:
-    """Give values as a file has them, and what was rounded."""
+    """Return values as a file stores them, and attributes that describe their rounding."""
     if field.dtype == "text":
         encoded = [str(text).encode() for text in values]
         kind = h5py.string_dtype("utf-8", max([1, *map(len, encoded)]))
@@ -88,23 +88,23 @@ def _stored(field: Field, values: Any) -> tuple[NDArray[Any], dict[str, Any]]:
     stored = np.ascontiguousarray(values, dtype=field.dtype)
     if field.dtype != "<f4":
         return stored, {}
-    how = "to the nearest float32 of the float64 value"
-    return stored, {"rounding": how, "largest_rounding": _largest(stored - values)}
+    mode = "to the nearest float32 of the float64 value"
+    return stored, {"rounding": mode, "largest_rounding": _largest(stored - values)}
 
 
 def _put(file: Any, name: str, stored: NDArray[Any]) -> dict[int, memoryview]:
-    """Make room for a dataset; give its values by their place in the file."""
+    """Reserve space for a dataset; return its values, keyed by their byte offset in the file."""
     creation = _untimed()
     creation.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
     creation.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
     kind = h5py.h5t.py_create(stored.dtype, logical=True)
     space = h5py.h5s.create_simple(stored.shape)
-    made = h5py.h5d.create(file.id, name.encode(), kind, space, dcpl=creation)
-    return {made.get_offset(): bytes_of(stored)} if stored.size else {}
+    dataset = h5py.h5d.create(file.id, name.encode(), kind, space, dcpl=creation)
+    return {dataset.get_offset(): bytes_of(stored)} if stored.size else {}
 
 
 def _put_virtual(file: Any, name: str, values: Virtual) -> None:
-    """Write where the rows of a dataset are; where a file is missing it has no numbers."""
+    """Write where the rows of a dataset are; rows of a missing file read as NaN, 255 or −1."""
     inner, dtype = values.like.shape[1:], values.like.dtype
     space = h5py.h5s.create_simple((sum(count for _, count in values.rows), *inner))
     creation = _untimed()
@@ -122,14 +122,14 @@ def _put_virtual(file: Any, name: str, values: Virtual) -> None:
 
 
 def _untimed() -> Any:
-    """Say how a dataset is made; h5py's own ways put the time of the day into a file."""
+    """Return properties that create a dataset without a time stamp, unlike the default ones."""
     creation = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     creation.set_obj_track_times(False)
     return creation
 
 
 def _largest(values: NDArray[Any]) -> float:
-    """Largest size, of those that are numbers."""
+    """Return the largest absolute value of the finite numbers."""
     ends = values.min(initial=0.0), values.max(initial=0.0)
     if not np.isfinite(ends).all():
         return _largest(values[np.isfinite(values)])
@@ -137,6 +137,6 @@ def _largest(values: NDArray[Any]) -> float:
 
 
 def _put_attributes(item: Any, attributes: Attributes) -> None:
-    its = item.attrs
+    target = item.attrs
     for key in sorted(attributes):
-        its[key] = attributes[key]
+        target[key] = attributes[key]

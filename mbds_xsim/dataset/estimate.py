@@ -1,4 +1,4 @@
-"""What a data set of any size will cost, measured on a few of its trajectories."""
+"""Cost estimates for data sets of any size, measured on a few of their trajectories."""
 
 from __future__ import annotations
 
@@ -20,55 +20,55 @@ from mbds_xsim.measure.quick import searched
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.choice import Choice
 
-_JOINED_BYTES = 9  # of a trajectory in the joined file: its index and split
+_JOINED_BYTES = 9  # index and split of a trajectory in the joined file
 _HOUR = 3600.0
 
 
 @dataclass(frozen=True)
 class ShardCost:
-    """What a few trajectories cost, made as `generate` makes them."""
+    """Measured cost of a few trajectories, made as `generate` makes them."""
 
     sample: int
-    """Trajectories of a measured shard."""
+    """Number of trajectories in a measured shard."""
     published: int
-    """Of those of the two measured shards."""
+    """Number of published trajectories in the two measured shards."""
     shard_s: float
     """Processor time of a shard without trajectories [s]."""
     trajectory_s: float
     """Processor time that each trajectory adds [s]."""
     spread: float
-    """Difference of the two measured shards over their mean."""
+    """Difference between the times of the two measured shards, relative to their mean."""
     shares: dict[str, float]
-    """Parts of the processor time in which is drawn, simulated, checked and written."""
+    """Shares of the processor time by stage: drawing, simulating, checking and writing."""
     shard_bytes: float
-    """Of a shard without trajectories."""
+    """Size of a shard without trajectories."""
     trajectory_bytes: float
-    """That each trajectory adds."""
+    """Size that each trajectory adds."""
     audit_s: float | None
-    """Processor time of holding the audit sample of 15 000 trajectories against the reference
-    [s]; None: not measured here."""
+    """Processor time of comparing the audit sample of 15 000 trajectories with the reference [s];
+    None if not measured here."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """What one variant will cost."""
+    """Estimated cost of one variant."""
 
     variant: str
     method: str
     step_s: float
     measured: ShardCost | None
     failure: str
-    """Why nothing could be measured, empty otherwise."""
+    """Reason why nothing could be measured; empty otherwise."""
     shards: int
     core_hours: float | None
     wall_hours: float | None
-    """On the cores that were named."""
+    """Wall time with the requested number of processes."""
     bytes: float | None
 
 
 @dataclass(frozen=True)
 class CostPlan:
-    """What a data set will cost."""
+    """Estimated cost of a data set."""
 
     scene: str
     trajectories: int
@@ -85,24 +85,24 @@ def plan(
     *,
     sample: int = 6,
 ) -> CostPlan:
-    """Measure a few trajectories of each engine, one at a time, and tell what all would cost.
+    """Measure a few trajectories of each engine, one engine at a time, and estimate the total cost.
 
     Args:
-        scene: What to simulate.
-        choice: In which engines at which settings.
-        trajectories: How many are planned.
-        conduct: How, and how many processes will be at work.
-        sample: Of how many a measured shard is.
+        scene: Scene to simulate.
+        choice: Engines and their settings.
+        trajectories: Number of trajectories planned.
+        conduct: Options of the work, with the number of processes that will make the data.
+        sample: Number of trajectories in a measured shard.
 
     Raises:
-        InputError: The engines cannot do the scene.
+        InputError: The engines cannot simulate the scene.
     """
     choice = searched(scene, choice, conduct)
     contenders, left_out = choice.contenders(scene)
     variants = [Variant(scene, contender, seed=0, noise=True) for contender in contenders]
     meter = conduct.meter
     meter.begin(len(variants))
-    # The reference is the same for all engines; what it costs is measured once.
+    # The reference is the same for all engines, so its cost is measured once.
     tasks = [
         Task(measure, (one, sample, one is variants[0]), one.contender.limit) for one in variants
     ]
@@ -125,7 +125,7 @@ def estimate(
     audit_s: float,
     workers: int,
 ) -> Estimate:
-    """Extrapolate what was measured: shards and trajectories cost what they cost, each alike."""
+    """Extrapolate the measured cost, taking each shard and each trajectory to cost the same."""
     shards = variant.shard_count(trajectories)
     about = variant.name, variant.method.name, variant.contender.settings.step
     if isinstance(answer, Crash):
@@ -139,9 +139,9 @@ def estimate(
 
 
 def measure(variant: Variant, sample: int, audit: bool) -> ShardCost:
-    """Make a shard of one trajectory and two of several, after one that loads everything.
+    """Measure a shard of one trajectory and two of several, after one that loads everything.
 
-    None of them is of the audit sample, which is measured by itself.
+    Their trajectories are not in the audit sample, whose cost is measured separately.
     """
     with tempfile.TemporaryDirectory() as folder:
         out, first = Path(folder), AUDITED
@@ -151,30 +151,30 @@ def measure(variant: Variant, sample: int, audit: bool) -> ShardCost:
         runs = [_make(item, out / f"many{item.first}") for item in items]
         seconds, sizes = ([float(run[key]) for run in runs] for key in ("seconds", "bytes"))
         mean, more = float(np.mean(seconds)), max(sample - 1, 1)
-        each = max(mean - one["seconds"], 0.0) / more
-        each = min(each or mean / sample, mean / sample)
-        alone = max(mean - sample * each, 0.0)
-        added = (float(np.mean(sizes)) - one["bytes"]) / more
+        trajectory_s = max(mean - one["seconds"], 0.0) / more
+        trajectory_s = min(trajectory_s or mean / sample, mean / sample)
+        shard_s = max(mean - sample * trajectory_s, 0.0)
+        trajectory_bytes = (float(np.mean(sizes)) - one["bytes"]) / more
         audit_s = None
         if audit:
             audited = _make(Item(variant, 0, AUDITED), out / "audit")
-            audit_s = max(audited["seconds"] - alone - AUDITED * each, 0.0)
+            audit_s = max(audited["seconds"] - shard_s - AUDITED * trajectory_s, 0.0)
     total = sum(run[stage] for run in runs for stage in STAGES) or 1.0
     return ShardCost(
         sample=sample,
         published=sum(run["published"] for run in runs),
-        shard_s=alone,
-        trajectory_s=each,
+        shard_s=shard_s,
+        trajectory_s=trajectory_s,
         spread=abs(seconds[0] - seconds[1]) / mean,
         shares={stage: sum(run[stage] for run in runs) / total for stage in STAGES},
-        shard_bytes=max(one["bytes"] - added, 0.0),
-        trajectory_bytes=added,
+        shard_bytes=max(one["bytes"] - trajectory_bytes, 0.0),
+        trajectory_bytes=trajectory_bytes,
         audit_s=audit_s,
     )
 
 
 def _make(item: Item, out: Path) -> dict[str, Any]:
-    """Make a shard and tell its processor time, its bytes, and what its log says."""
+    """Make a shard; return its processor time, its bytes, and the facts in its log."""
     begin = time.process_time()
     make_shard(item, out)
     seconds = time.process_time() - begin

@@ -1,6 +1,6 @@
-"""Data sets as npz or CSV files, which any program reads; what is lost on the way is said.
+"""Export of data sets to npz or CSV files, which any program reads, and what it leaves out.
 
-In CSV files a trajectory is a table: a line a frame, a column for each of its numbers.
+In CSV files a trajectory is a table: a line for each frame, a column for each of its numbers.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ LOST: dict[Form, tuple[str, ...]] = {
         "(input/known_force)",
     ),
 }
-"""What a form does not carry."""
+"""Information that each form does not carry."""
 
 _FACTS = (
     "scene_name", "seed", "noise", "engine", "engine_version", "profile", "certification",
@@ -65,7 +65,7 @@ _FORMS = {
     "input/force": "b{}_f{}",
     "input/torque": "h{}_t",
 }
-"""Names of the columns of an array, of the number of a point, body or hinge and its component."""
+"""Templates of column names, for a number (of a point, body or hinge) and a component."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,13 +73,13 @@ class Group:
     """The columns of one array."""
 
     name: str
-    """Of the array, as in `docs/dataset-layout.md`."""
+    """Name of the array, as in `docs/dataset-layout.md`."""
     columns: NDArray[np.str_]
-    """In the shape of a frame of the array: (point or body, component), or (hinge,)."""
+    """Column names in the shape of a frame: (point or body, component), (hinge,), () for time."""
 
     @property
     def span(self) -> str:
-        """First and last column, for people."""
+        """First and last column, as text for people."""
         names = self.columns.ravel()
         return f"{names[0]} … {names[-1]}" if len(names) > 1 else str(names[0])
 
@@ -88,36 +88,36 @@ _TIME = Group(TIME, np.array(TIME))
 
 
 def groups(scene: Scene) -> list[Group]:
-    """Give the columns that a scene's trajectory may have; those without numbers are left out."""
+    """Return the groups of columns that a scene's trajectory may have, without empty ones."""
     sizes = axis_sizes(scene)
     letters = {"xyz": "xyz", "wxyz": "wxyz", "axis": ["xyz"[k] for k in Points.of(scene).axes]}
-    found = []
+    column_groups = []
     for name, form in _FORMS.items():
         shape = [sizes[axis] for axis in FIELDS[name].axes[2:]]
         components = letters.get(FIELDS[name].axes[-1], [""])
         columns = [form.format(k, c) for k in range(shape[0]) for c in components]
         if columns:
-            found.append(Group(name, np.reshape(columns, shape)))
-    return found
+            column_groups.append(Group(name, np.reshape(columns, shape)))
+    return column_groups
 
 
-def _sort_columns(scene: Scene, got: list[str], source: str) -> list[Group]:
-    """Tell which arrays the columns of a file are."""
+def _sort_columns(scene: Scene, names: list[str], source: str) -> list[Group]:
+    """Return the arrays to which the columns of a file belong; refuse unknown or repeated ones."""
     allowed = groups(scene)
-    twice = sorted({name for name in got if got.count(name) > 1})
+    twice = sorted({name for name in names if names.count(name) > 1})
     known = {TIME} | {str(name) for group in allowed for name in group.columns.ravel()}
-    strange = [name for name in got if name not in known]
-    if strange or twice or TIME not in got:
+    strange = [name for name in names if name not in known]
+    if strange or twice or TIME not in names:
         spans = "; ".join(f"{group.span} ({group.name})" for group in allowed)
         wrong = f"column {(strange or twice)[0]!r}" if strange or twice else "no column 'time'"
         again = " twice" if twice and not strange else ""
         msg = f"{source}: got {wrong}{again}, allowed for {scene.name} are time; {spans}"
         raise InputError(msg)
-    return [group for group in allowed if _is_given(group, set(got), source)]
+    return [group for group in allowed if _is_present(group, set(names), source)]
 
 
-def _is_given(group: Group, got: set[str], source: str) -> bool:
-    missing = [name for name in group.columns.ravel() if name not in got]
+def _is_present(group: Group, names: set[str], source: str) -> bool:
+    missing = [name for name in group.columns.ravel() if name not in names]
     if missing and len(missing) < group.columns.size:
         msg = f"{source}: {group.name} needs the columns {group.span}, {missing[0]} is missing"
         raise InputError(msg)
@@ -127,22 +127,22 @@ def _is_given(group: Group, got: set[str], source: str) -> bool:
 def read_csv(
     path: Path, scene: Scene | None
 ) -> tuple[dict[str, NDArray[Any]], dict[str, str], dict[str, float]]:
-    """Read rows of columns, and before them facts, as `# seed: 0`.
+    """Read a table of numbers, and facts in the lines before it, such as `# seed: 0`.
 
-    A row of inputs acts from its frame to the next: that of the last frame means nothing.
+    The inputs in a row act from its frame to the next one; those in the last row mean nothing.
 
     Returns:
-        Arrays, facts, and by how much the numbers of each array may be rounded.
+        Arrays, facts, and the largest rounding error of each array.
 
     Raises:
-        InputError: A column is not known, time is missing, or an array is there in part.
+        InputError: The scene, the time or part of an array is missing, or a column is not known.
     """
     if scene is None:
         msg = f"{path}: a CSV file does not tell its scene; give it with --scene"
         raise InputError(msg)
     lines = path.read_text("utf-8-sig").splitlines()
-    said = [line.lstrip(_COMMENT).partition(":") for line in lines if line.startswith(_COMMENT)]
-    facts = {key.strip(): text.strip() for key, _, text in said}
+    comments = [line.lstrip(_COMMENT).partition(":") for line in lines if line.startswith(_COMMENT)]
+    facts = {key.strip(): text.strip() for key, _, text in comments}
     rows = list(csv.reader(line for line in lines if line and not line.startswith(_COMMENT)))
     if len(rows) < 3:
         msg = (
@@ -153,56 +153,56 @@ def read_csv(
     arrays, rounding = dict[str, NDArray[Any]](), dict[str, float]()
     for group in (_TIME, *_sort_columns(scene, names, str(path))):
         frames = rows[1:-1] if FIELDS[group.name].per_step else rows[1:]
-        read = [_column(frames, names.index(name), name, path) for name in group.columns.flat]
-        values = np.stack([numbers for numbers, _ in read], axis=-1)
+        columns = [_column(frames, names.index(name), name, path) for name in group.columns.flat]
+        values = np.stack([numbers for numbers, _ in columns], axis=-1)
         arrays[group.name] = values.reshape(len(frames), *group.columns.shape)
-        rounding[group.name] = max(off for _, off in read)
+        rounding[group.name] = max(error for _, error in columns)
     if "index" in facts:
         arrays["index"] = np.array([attribute("index", facts, f"{path}: ", strict=False)])
     return arrays, facts, rounding
 
 
 def _column(rows: list[list[str]], place: int, name: str, path: Path) -> tuple[Array, float]:
-    """Give the numbers of a column, and half a unit of the last digit that is written."""
+    """Return the numbers of a column, and their rounding: half a unit of the last digit or more."""
     texts = [row[place].strip() if place < len(row) else "" for row in rows]
-    decimals, read = [], []
+    exponents, values = [], []
     for frame, text in enumerate(texts):
         try:
-            decimals.append(Decimal(text).as_tuple().exponent)
-            read.append(float(text))  # a signalling NaN is a Decimal alone
+            exponents.append(Decimal(text).as_tuple().exponent)
+            values.append(float(text))  # refuses a signalling NaN, unlike Decimal
         except (ArithmeticError, ValueError):
             msg = f"{path}: frame {frame}, column {name}: got {text!r}, allowed is a number"
             raise InputError(msg) from None
-    last = min((digit for digit in decimals if isinstance(digit, int)), default=0)
-    numbers = np.array(read)
+    last = min((exponent for exponent in exponents if isinstance(exponent, int)), default=0)
+    numbers = np.array(values)
     return numbers, max(0.5 * 10.0**last, _coarse(numbers))
 
 
 def _coarse(numbers: Array) -> float:
-    """Rounding of numbers that are float32 written as short as they can be; 0 of others."""
+    """Return the rounding of numbers that are float32 values in their shortest form, else 0."""
     short = numbers.astype(np.float32)
     return rounding_of(short) if (short.astype(str).astype(np.float64) == numbers).all() else 0.0
 
 
 def rounding_of(values: NDArray[Any]) -> float:
-    """Give by how much values of this type and size may be rounded."""
+    """Return the largest rounding error of values of this type and size; 0 for integers."""
     if values.dtype.kind != "f":
         return 0.0
     return float(np.finfo(values.dtype).eps / 2 * np.abs(values).max(initial=0.0))
 
 
 def csv_of(scene: Scene, arrays: Mapping[str, NDArray[Any]], facts: Mapping[str, Any]) -> bytes:
-    """Write what `read_csv` reads, with the shortest texts that read back as the same numbers."""
-    there = [_TIME, *(group for group in groups(scene) if group.name in arrays)]
+    """Encode a table for `read_csv`, with the shortest texts that read back as the same numbers."""
+    present = [_TIME, *(group for group in groups(scene) if group.name in arrays)]
     lines = [f"{_COMMENT} {key}: {on_a_line(str(value))}" for key, value in facts.items()]
-    lines.append(",".join(str(name) for group in there for name in group.columns.flat))
-    return ("\n".join([*lines, *_lines(there, arrays)]) + "\n").encode()
+    lines.append(",".join(str(name) for group in present for name in group.columns.flat))
+    return ("\n".join([*lines, *_lines(present, arrays)]) + "\n").encode()
 
 
-def _lines(there: list[Group], arrays: Mapping[str, NDArray[Any]]) -> Iterator[str]:
-    """Put columns side by side; inputs have nothing in the last frame."""
+def _lines(present: list[Group], arrays: Mapping[str, NDArray[Any]]) -> Iterator[str]:
+    """Yield rows with all columns side by side; cells of inputs are empty in the last frame."""
     parts = [
-        arrays[group.name].astype(str).reshape(-1, group.columns.size).tolist() for group in there
+        arrays[group.name].astype(str).reshape(-1, group.columns.size).tolist() for group in present
     ]
     for frame in range(len(parts[0])):
         cells = (part[frame] if frame < len(part) else [""] * len(part[0]) for part in parts)
@@ -211,7 +211,7 @@ def _lines(there: list[Group], arrays: Mapping[str, NDArray[Any]]) -> Iterator[s
 
 @dataclass(frozen=True)
 class Exported:
-    """What was written."""
+    """Record of an export."""
 
     out: str
     form: Form
@@ -220,7 +220,7 @@ class Exported:
     bytes: int
     lost: tuple[str, ...]
     absent: dict[str, list[int]]
-    """Of each data set, the numbers asked for that it has not, since they were rejected."""
+    """Numbers asked for that are missing because they were rejected, keyed by data file."""
 
 
 def export(
@@ -232,28 +232,28 @@ def export(
     numbers: Sequence[int] | None = None,
     progress: Meter,
 ) -> Exported:
-    """Write data sets in another form, a folder for each scene and variant.
+    """Write data sets in another form, with a folder for each scene and variant.
 
-    npz files hold as many trajectories as the shards, CSV files one each.
+    An npz file holds as many trajectories as a shard, a CSV file holds one.
 
     Args:
         path: A data file, or a folder of them.
         out: Folder to write to, made if needed.
-        form: Which form.
-        engines: Only those of these, comma-separated.
-        numbers: Only trajectories of these numbers.
-        progress: Where it is told.
+        form: Form of the files.
+        engines: Engines whose data sets are written, comma-separated; all if None.
+        numbers: Numbers of the trajectories that are written; all if None.
+        progress: Receiver of progress reports.
 
     Raises:
-        InputError: There is no such data, it is not what was written, or the folder holds
+        InputError: There are no such data, they are not what was written, or the folder holds
             something else.
     """
     sets = {file: load_dataset(file) for file in joined_files(path, engines)}
     absent = {str(file): _absent(data, numbers) for file, data in sets.items()}
-    with tidied(_folder(data, out) for data in sets.values()):  # after a run that was killed
+    with tidied(_folder(data, out) for data in sets.values()):  # files of killed runs
         for data in sets.values():
             _check_target(data, out, form, numbers)
-            data.check()  # the form has no checksums by which one could find out later
+            data.check()  # damage could not be found later: the form has no checksums
     progress.begin(sum(len(data.files) for data in sets.values()))
     files = count = size = 0
     for data in sets.values():
@@ -278,7 +278,7 @@ def _folder(data: Dataset, out: Path) -> Path:
 
 
 def _absent(data: Dataset, numbers: Sequence[int] | None) -> list[int]:
-    """Give those of the numbers that were drawn and rejected; refuse those never drawn."""
+    """Return the numbers asked for that were rejected; refuse numbers that were never drawn."""
     attrs = data.attributes
     first, end = attrs["first"], attrs["first"] + attrs["count"]
     beyond = [number for number in numbers or () if not first <= number < end]
@@ -292,7 +292,7 @@ def _absent(data: Dataset, numbers: Sequence[int] | None) -> list[int]:
 
 
 def _check_target(data: Dataset, out: Path, form: Form, numbers: Sequence[int] | None) -> None:
-    """Refuse a folder with files that this export does not write: they would look like part."""
+    """Refuse a folder with files that this export does not write: they would look like its own."""
     folder = _folder(data, out)
     if form == "csv":
         chosen = data.index if numbers is None else numbers
@@ -301,8 +301,8 @@ def _check_target(data: Dataset, out: Path, form: Form, numbers: Sequence[int] |
         ends = np.cumsum([part.rows for part in data.parts])
         rows = np.flatnonzero(np.isin(data.index, data.index if numbers is None else numbers))
         names = {f"{data.files[k].stem}.npz" for k in np.searchsorted(ends, rows, side="right")}
-    there = {file.name for file in folder.iterdir()} if folder.is_dir() else set()
-    strange = sorted(there - names - {_README, _SCENE})
+    present = {file.name for file in folder.iterdir()} if folder.is_dir() else set()
+    strange = sorted(present - names - {_README, _SCENE})
     if strange:
         msg = f"--out: {folder} holds {strange[0]}, which is not of this export; name another --out"
         raise InputError(msg)
@@ -313,17 +313,17 @@ def _csv_name(number: int) -> str:
 
 
 def _npz(data: Dataset, part: Dataset, rows: NDArray[np.int64]) -> Iterator[tuple[str, bytes]]:
-    """All trajectories of a shard, under the names of the data set."""
+    """Yield a file with the chosen trajectories of a shard, under the names of the data set."""
     if not len(rows):
         return
-    carried = [
+    fields = [
         field
         for field in FIELDS.values()
         if field.name in part and not field.name.startswith(_NOT_CARRIED)
     ]
     arrays: dict[str, Any] = {
         field.name: part[field.name][rows] if field.per_trajectory else part[field.name]
-        for field in carried
+        for field in fields
     }
     splits = _splits(data)
     if splits:
@@ -340,7 +340,7 @@ def _npz(data: Dataset, part: Dataset, rows: NDArray[np.int64]) -> Iterator[tupl
 
 
 def _csv(data: Dataset, part: Dataset, rows: NDArray[np.int64]) -> Iterator[tuple[str, bytes]]:
-    """A file a trajectory: facts, names of columns, a row a frame."""
+    """Yield a file for each trajectory: facts, names of columns, and a row for each frame."""
     splits = _splits(data)
     for row in rows.tolist():
         number = int(part.index[row])
@@ -361,21 +361,21 @@ _WRITERS = {"npz": _npz, "csv": _csv}
 
 
 def _readme(data: Dataset, form: Form) -> str:
-    """Say in the folder what the files are, and what they lack."""
+    """Return a text that says what the files in the folder are, and what they lack."""
     attrs = in_markdown(data.attributes)
     command = f"mbds-xsim audit FILE.{form}" + (f" --scene {_SCENE}" if form == "csv" else "")
     lost = "".join(f"- {line}\n" for line in LOST[form])
     if form == "npz":
-        names = "".join(
+        table = "".join(
             f"| `{field.name}` | {', '.join(field.axes)} | {field.unit} | {field.meaning} |\n"
             for field in FIELDS.values()
             if field.name == "split"
             or ("shard" in field.kinds and not field.name.startswith(_NOT_CARRIED))
         )
-        names = f"| array | axes | unit | |\n| --- | --- | --- | --- |\n{names}"
+        table = f"| array | axes | unit | |\n| --- | --- | --- | --- |\n{table}"
     else:
-        names = "| columns | unit | |\n| --- | --- | --- |\n| `time` | s | of each frame |\n"
-        names += "".join(
+        table = "| columns | unit | |\n| --- | --- | --- |\n| `time` | s | of each frame |\n"
+        table += "".join(
             f"| `{group.span}` | {FIELDS[group.name].unit} | {FIELDS[group.name].meaning} |\n"
             for group in groups(data.scene)
         )
@@ -385,7 +385,7 @@ Exported from an mbds-xsim data set: method {attrs["method"]} at {attrs["step_s"
 {attrs["seed"]}, {attrs["certification"]}. Bodies, points and hinges are numbered in the order of
 `{_SCENE}`, W has z up, quaternions are w, x, y, z.
 
-{names}
+{table}
 Not carried over:
 
 {lost}

@@ -1,6 +1,6 @@
-"""Trajectories from anywhere: npz, HDF5 or CSV in documented names, held against their scene.
+"""Trajectories from any source (npz, HDF5, CSV; documented names), checked against their scene.
 
-They are read some at a time, so that any file fits the memory.
+They are read some at a time, so that a file may be larger than the memory.
 """
 
 from __future__ import annotations
@@ -40,16 +40,16 @@ from mbds_xsim.scene.scene import Clock, Scene
 _DAMAGE = (
     OSError, zipfile.BadZipFile, zlib.error, UnicodeDecodeError, EOFError, csv.Error, RuntimeError,
 )  # fmt: skip
-"""What reading a file raises that is damaged, encrypted, or something else."""
+"""Errors raised on reading a file that is damaged, encrypted, or of another kind."""
 _SAME_FRAME = 1e-4  # relative
 _AT_ONCE = 100_000  # frames of bodies or points; the checks take some 5 kB for each
 _RANKS = {name: len(FIELDS[name].axes) for name in (*MOTION, "index")}
-"""Arrays of trajectories, and how many axes they have where the first one counts trajectories."""
+"""Number of axes of each array of trajectories, if its first axis counts trajectories."""
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """Which starts trajectories have and how they were made, as far as it is known."""
+    """Starts of trajectories and how they were made; None for anything unknown."""
 
     index: tuple[int, ...] | None = None
     seed: int | None = None
@@ -61,14 +61,14 @@ class Provenance:
     single_precision: bool | None = None
 
     def __post_init__(self) -> None:
-        """Refuse times that are no numbers."""
+        """Refuse times that are not finite."""
         for key in ("step_s", "velocity_lag_s", "contact_time_s"):
             if (value := getattr(self, key)) is not None:
                 bounds.finite(key, value)
 
 
 FACTS = tuple(each.name for each in fields(Provenance) if each.name != "index")
-"""What a file may say beside its numbers."""
+"""Facts that a file may state in addition to its arrays."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,42 +76,42 @@ class Foreign:
     """Some trajectories of a file, in the shapes of a data set."""
 
     source: str
-    asked: Scene
-    """As it was given."""
+    original: Scene
+    """Scene as the user or the file gives it."""
     scene: Scene
-    """With the clock of the file."""
+    """Scene with the clock of the file."""
     arrays: dict[str, Array]
-    """Those of `time`, `position`, `velocity`, `body/…`, `input/…` that are there."""
+    """Arrays that the file has among `time`, `position`, `velocity`, `body/…` and `input/…`."""
     rounding: dict[str, float]
-    """By how much the numbers of each array may be rounded, in their own unit."""
-    said: dict[str, Any]
-    """Those fields of a `Provenance` that the file tells."""
+    """Largest rounding error of each array, in its own unit."""
+    facts: dict[str, Any]
+    """Fields of a `Provenance` that the file states."""
     first: int
-    """Place in the file of the first of these trajectories."""
+    """Row in the file of the first of these trajectories."""
     total: int
-    """Trajectories of the file."""
+    """Number of trajectories in the file."""
 
     @property
     def count(self) -> int:
-        """How many trajectories these are."""
+        """Number of these trajectories."""
         return next(len(values) for name, values in self.arrays.items() if name != TIME)
 
     @property
     def steps(self) -> int:
-        """Recorded steps."""
+        """Number of recorded steps."""
         return len(self.arrays[TIME]) - 1
 
 
 @dataclass(frozen=True)
-class _Opened:
-    """A file that is read: every format gives the same."""
+class _OpenFile:
+    """An open file, in a form common to all formats."""
 
     arrays: Mapping[str, Any]
-    """They give their shape and type, rows by slices without a gap, and all of them by `[()]`."""
+    """Arrays with shape and type: successive slices read their rows, `[()]` reads everything."""
     facts: Mapping[str, Any]
-    """What else the file says."""
+    """Facts that the file states."""
     rounding: dict[str, float] = field(default_factory=dict)
-    """Of arrays whose type does not tell by how much their numbers may be rounded."""
+    """Largest rounding errors of arrays whose type does not determine them."""
 
 
 def read_foreign(path: Path, scene: Scene | None) -> Iterator[Foreign]:
@@ -119,42 +119,42 @@ def read_foreign(path: Path, scene: Scene | None) -> Iterator[Foreign]:
 
     Args:
         path: `.csv`: one trajectory; `.npz`, `.h5` or `.hdf5`: one or more.
-        scene: What moves; None: what the file itself says.
+        scene: Scene that moves; the file's own if None.
 
     Raises:
-        InputError: It cannot be read, or is no trajectory of the scene.
+        InputError: The file cannot be read, or does not hold trajectories of the scene.
     """
     refuse_other(path)
     if path.suffix not in _FORMATS:
         msg = f"{path}: got a file {path.suffix or 'without ending'}, allowed is .npz, .csv, .h5"
         raise InputError(msg)
     try:
-        with _FORMATS[path.suffix](path, scene) as opened:
-            yield from _trajectories(opened, scene, path)
+        with _FORMATS[path.suffix](path, scene) as file:
+            yield from _trajectories(file, scene, path)
     except _DAMAGE as error:
         msg = f"{path} cannot be read as {path.suffix[1:]} ({error}); it is something else"
         raise InputError(msg) from error
 
 
 @contextmanager
-def _open_csv(path: Path, scene: Scene | None) -> Iterator[_Opened]:
-    """Give the columns of one trajectory as arrays."""
-    yield _Opened(*read_csv(path, scene))
+def _open_csv(path: Path, scene: Scene | None) -> Iterator[_OpenFile]:
+    """Open the columns of one trajectory as arrays."""
+    yield _OpenFile(*read_csv(path, scene))
 
 
 @contextmanager
-def _open_hdf5(path: Path, _: Scene | None) -> Iterator[_Opened]:
-    """Give arrays by their paths and attributes as facts."""
+def _open_hdf5(path: Path, _: Scene | None) -> Iterator[_OpenFile]:
+    """Open arrays by their paths, and attributes as facts."""
     with open_hdf5(path) as file:
         arrays = datasets_in(file)
         for name in _RANKS.keys() & arrays.keys():
             check_sources(arrays[name])
-        yield _Opened(arrays, plain(file.attrs))
+        yield _OpenFile(arrays, plain(file.attrs))
 
 
 @contextmanager
-def _open_npz(path: Path, _: Scene | None) -> Iterator[_Opened]:
-    """Give arrays by their names; what has no axes is a fact."""
+def _open_npz(path: Path, _: Scene | None) -> Iterator[_OpenFile]:
+    """Open arrays by their names; those without axes are facts."""
     with ExitStack() as stack:
         archive = stack.enter_context(zipfile.ZipFile(path))
         refuse_bomb(path, sum(member.file_size for member in archive.infolist()))
@@ -163,40 +163,40 @@ def _open_npz(path: Path, _: Scene | None) -> Iterator[_Opened]:
             for name in archive.namelist()
         }
         facts = {name: one[()].item() for name, one in members.items() if not one.shape}
-        yield _Opened({name: one for name, one in members.items() if one.shape}, facts)
+        yield _OpenFile({name: one for name, one in members.items() if one.shape}, facts)
 
 
 _FORMATS = {".csv": _open_csv, ".npz": _open_npz, ".h5": _open_hdf5, ".hdf5": _open_hdf5}
 
 
-def _trajectories(opened: _Opened, given: Scene | None, path: Path) -> Iterator[Foreign]:
-    """Read some trajectories at a time; what belongs to no motion is passed over."""
-    sources = _sources(opened.arrays, path)
-    many = {name for name, one in sources.items() if len(one.shape) == _RANKS.get(name)}
+def _trajectories(file: _OpenFile, override: Scene | None, path: Path) -> Iterator[Foreign]:
+    """Read some trajectories at a time; skip arrays that belong to no motion."""
+    sources = _sources(file.arrays, path)
+    many = {name for name, source in sources.items() if len(source.shape) == _RANKS.get(name)}
     if many == {"index"}:
-        many = set()  # one trajectory, whose arrays have no such axis
+        many = set()  # one trajectory: no array has an axis that counts them
     total = _same_count({name: sources[name].shape[0] for name in sorted(many)}, path)
     if total < 1:
         msg = f"{path}: got no trajectory, allowed is 1 or more"
         raise InputError(msg)
     each = max((math.prod(sources[name].shape[1:3]) for name in many), default=1)
     size = max(1, _AT_ONCE // max(1, each))
-    shared = {name: np.asarray(one[()]) for name, one in sources.items() if name not in many}
-    scene = given or _own_scene(opened.facts, path)
+    shared = {name: np.asarray(source[()]) for name, source in sources.items() if name not in many}
+    scene = override or _own_scene(file.facts, path)
     for first in range(0, total, size):
         arrays = shared | {name: np.asarray(sources[name][first : first + size]) for name in many}
-        rounding = {name: rounding_of(array) for name, array in arrays.items()} | opened.rounding
+        rounding = {name: rounding_of(array) for name, array in arrays.items()} | file.rounding
         own, checked = _checked(arrays, scene, rounding[TIME], first, str(path))
-        said = _said(arrays, opened.facts, f"{path}: ")
-        yield Foreign(str(path), scene, own, checked, rounding, said, first, total)
+        facts = _facts_of(arrays, file.facts, f"{path}: ")
+        yield Foreign(str(path), scene, own, checked, rounding, facts, first, total)
 
 
 def _sources(arrays: Mapping[str, Any], path: Path) -> dict[str, Any]:
-    """Give what belongs to motions, or refuse a file with other arrays or values."""
+    """Return the arrays of motions; refuse unknown arrays, and values that are not numbers."""
     strange = [name for name in arrays if name not in FIELDS]
     if strange or TIME not in arrays:
-        got = f"an array {strange[0]!r}" if strange else "no array 'time'"
-        msg = f"{path}: got {got}, allowed are {', '.join((TIME, *MOTION))}"
+        fault = f"an array {strange[0]!r}" if strange else "no array 'time'"
+        msg = f"{path}: got {fault}, allowed are {', '.join((TIME, *MOTION))}"
         raise InputError(msg)
     sources = {name: one for name, one in arrays.items() if name in (TIME, *_RANKS)}
     for name, one in sources.items():
@@ -207,7 +207,7 @@ def _sources(arrays: Mapping[str, Any], path: Path) -> dict[str, Any]:
 
 
 def _same_count(counts: dict[str, int], source: Path | str) -> int:
-    """Give how many trajectories arrays have, 1 where none is of several."""
+    """Return the number of trajectories common to all arrays; 1 if there are no arrays."""
     if len(set(counts.values())) > 1:
         sizes = ", ".join(f"{name} {count}" for name, count in counts.items())
         msg = f"{source}: got arrays of different numbers of trajectories: {sizes}"
@@ -216,7 +216,7 @@ def _same_count(counts: dict[str, int], source: Path | str) -> int:
 
 
 def _member(file: IO[bytes], path: Path) -> Any:
-    """Give an array of an npz file; one in Fortran's order is read whole, rows are all over it."""
+    """Open an array of an npz file; in Fortran order its rows are scattered, so all is read."""
     readers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
     try:
         version = npy.read_magic(file)
@@ -236,23 +236,23 @@ def _member(file: IO[bytes], path: Path) -> Any:
 
 @dataclass(frozen=True)
 class _Stream:
-    """An array that can be read from its beginning on alone."""
+    """Array that can only be read from start to end."""
 
     file: IO[bytes]
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
 
     def __getitem__(self, rows: slice | tuple[()]) -> NDArray[Any]:
-        """Read all of it, or the next rows."""
+        """Read the whole array, or the next rows."""
         if not isinstance(rows, slice):
             return self.take(self.shape)
         return self.take((len(range(*rows.indices(self.shape[0]))), *self.shape[1:]))
 
     def take(self, shape: tuple[int, ...]) -> NDArray[Any]:
         """Read an array of this shape from where the last one ended."""
-        wanted = math.prod(shape) * self.dtype.itemsize
-        content = self.file.read(wanted)
-        if len(content) < wanted or min(shape, default=0) < 0:
+        size = math.prod(shape) * self.dtype.itemsize
+        content = self.file.read(size)
+        if len(content) < size or min(shape, default=0) < 0:
             msg = "an array ends too early"
             raise EOFError(msg)
         return np.frombuffer(content, self.dtype).reshape(shape)
@@ -265,19 +265,19 @@ def _own_scene(facts: Mapping[str, Any], path: Path) -> Scene:
     return scene_of(facts["scene"], path, "give it with --scene")
 
 
-def _said(arrays: Mapping[str, Any], facts: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Give what the file tells of how it was made, and the numbers of these trajectories."""
-    said = {key: attribute(key, facts, where, strict=False) for key in FACTS if key in facts}
+def _facts_of(arrays: Mapping[str, Any], facts: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Return the file's facts on how it was made, and the indices of these trajectories."""
+    provenance = {key: attribute(key, facts, where, strict=False) for key in FACTS if key in facts}
     if "index" in arrays:
         numbers = [{"index": each} for each in arrays["index"].ravel().tolist()]
-        said["index"] = tuple(attribute("index", n, where, strict=False) for n in numbers)
-    return said
+        provenance["index"] = tuple(attribute("index", n, where, strict=False) for n in numbers)
+    return provenance
 
 
 def _checked(
     arrays: Mapping[str, NDArray[Any]], scene: Scene, blur: float, first: int, source: str
 ) -> tuple[Scene, dict[str, Array]]:
-    """Hold times, shapes and numbers against the scene; give it with their clock, and them."""
+    """Check times, shapes and numbers; return the scene with the file's clock, and the arrays."""
     if not {"position", "body/position"} & arrays.keys():
         msg = f"{source}: got no positions, allowed are position (of particles) or body/position"
         raise InputError(msg)
@@ -292,9 +292,9 @@ def _checked(
 
 
 def _clock(time: Array, blur: float, scene: Scene, source: str) -> Clock:
-    """Give the frames of a file; as far as times may be rounded, by `blur`, they need not be alike.
+    """Return the clock of a file; its steps may differ as far as rounding of times (`blur`) allows.
 
-    Rounding hides no frame that is missing: it never excuses half a frame.
+    A missing frame is always found: rounding excuses no more than half a frame.
     """
     if time.ndim != 1 or len(time) < 2:
         msg = f"{source}: time: got shape {time.shape}, allowed is one number a frame, 2 or more"
@@ -304,25 +304,25 @@ def _clock(time: Array, blur: float, scene: Scene, source: str) -> Clock:
         msg = f"{source}: time: got {time[k]} in frame {k}; allowed are finite numbers"
         raise InputError(msg)
     steps = np.diff(time)
-    usual = float(np.median(steps))
-    off = np.abs(steps - usual)
-    if usual <= 0 or off.max() > _SAME_FRAME * usual + min(4.0 * blur, 0.5 * usual):
-        k = int(off.argmax())
+    median = float(np.median(steps))
+    deviation = np.abs(steps - median)
+    if median <= 0 or deviation.max() > _SAME_FRAME * median + min(4.0 * blur, 0.5 * median):
+        k = int(deviation.argmax())
         msg = (
             f"{source}: time is not uniform: frame {k + 1} comes {steps[k]:.6g} s after the one "
-            f"before, the median is {usual:.6g} s; resample it, or leave frames out"
+            f"before, the median is {median:.6g} s; resample it, or leave frames out"
         )
         raise InputError(msg)
     frame, mean = scene.clock.frame, float(steps.mean())
-    coarse = min(2.0 * blur / len(steps), 0.1 * frame)
-    same = abs(mean - frame) <= _SAME_FRAME * frame + coarse
+    tolerance = min(2.0 * blur / len(steps), 0.1 * frame)
+    same = abs(mean - frame) <= _SAME_FRAME * frame + tolerance
     return Clock(frame=frame if same else mean, steps=len(steps))
 
 
 def _shaped(
     arrays: Mapping[str, NDArray[Any]], scene: Scene, clock: Clock, first: int, source: str
 ) -> dict[str, Array]:
-    """Give the arrays a first axis of trajectories and hold their shapes against the scene."""
+    """Return arrays with a first axis of trajectories; check shapes, and that all is finite."""
     shaped: dict[str, Array] = {}
     for group in groups(scene):
         if group.name not in arrays:

@@ -1,6 +1,6 @@
-"""Which trajectories are published: those of which every check holds.
+"""Choice of the trajectories to publish: those that pass the checks.
 
-A few of them are held against the reference too, which costs too much for all.
+A few of them are also compared with the reference, which would cost too much for all.
 """
 
 from __future__ import annotations
@@ -39,52 +39,52 @@ from mbds_xsim.simulate.timed import Simulation, simulate
 # and bound the memory.
 _BODY_FRAMES = 100_000
 
-# Holding displacements against velocities costs more than all other checks together, and what it
-# finds, frames that belong to another time, is in all of a trajectory.
+# Comparing displacements with velocities costs more than all other checks together. The fault it
+# finds, frames that belong to another time, affects a whole trajectory, so few frames suffice.
 _SPARSE = 96
-_MANY = 192  # steps; of shorter trajectories all frames are looked at
+_MANY = 192  # steps; in shorter trajectories all frames are compared
 
 _BRIEF = LEAST_SPAN
-"""Steps over which one trajectory of any other shard is held against the reference, which over all
-steps costs as much as simulating a whole shard does in the fastest engine."""
+"""Steps over which a trajectory outside the audit sample is compared with the reference; all steps
+would cost as much as simulating a whole shard in the fastest engine."""
 _GROWTH = 10.0
-"""Taken for the sensitivity over so few steps: of the paper's scenes it is 3 at most."""
+"""Sensitivity assumed over so few steps; it is at most 3 in the paper's scenes."""
 
 TOGETHER = "together"
-"""How a reason begins that trajectories give together and none of them by itself."""
+"""Prefix of a reason that only shows in several trajectories together."""
 
 COLUMNS: dict[str, str] = {
     **{check.name: check.unit for check in CHECKS},
     "error at 1 s": "m",
     "error growth-weighted": "m",
 }
-"""Columns of the check table and their units: those of all checks, then those that need the
-reference and are known of the audit sample alone."""
+"""Columns of the check table and their units: all checks, then the errors against the reference,
+which are known for the audit sample only."""
 
 _NUMBERS = {name: k for k, name in enumerate(COLUMNS)}
 
 
 @dataclass(eq=False)
 class CheckTable:
-    """What the checks make of some trajectories, as it is stored."""
+    """Results of the checks on some trajectories, as they are stored."""
 
     figure: Array
-    """NaN where a check does not apply, shape (trajectory, check)."""
+    """Worst figures, NaN where a check does not apply, shape (trajectory, check)."""
     allowed: Array
-    """What the figure may reach; ∞: shown, not judged."""
+    """Largest allowed figures; ∞ if a figure is shown but not judged."""
     frame: NDArray[np.int32]
     reasons: list[list[str]]
-    """Of each trajectory, why it does not pass all checks; in the order of the checks."""
+    """Reasons why each trajectory fails, in the order of the checks."""
     failed: Mask
-    """Shape (trajectory, check)."""
+    """Whether each check fails, shape (trajectory, check)."""
     ended: Mask
-    """Whether the engine ended it before its time: no check can then pass it; (trajectory,)."""
+    """Whether the engine ended the trajectory early, so that it fails anyway; (trajectory,)."""
     misbuilt: list[str]
-    """What the engine's model has otherwise than the scene: all trajectories are wrong then."""
+    """Faults of the engine's model as a whole: with any of them all trajectories are wrong."""
 
     @staticmethod
     def empty(count: int) -> CheckTable:
-        """Nothing has been checked yet."""
+        """Return a table in which nothing has been checked yet."""
         shape = (count, len(COLUMNS))
         return CheckTable(
             figure=np.full(shape, np.nan),
@@ -99,40 +99,40 @@ class CheckTable:
     def add(self, rows: Index, findings: Iterable[Finding]) -> None:
         """Store findings about some of the trajectories."""
         for finding in findings:
-            column, about = _NUMBERS[finding.check], finding.applies
+            column, applies = _NUMBERS[finding.check], finding.applies
             budget = np.inf if finding.budget is None else finding.budget
-            self.figure[rows[about], column] = finding.figure[about]
-            self.allowed[rows[about], column] = budget + finding.uncertainty[about]
-            self.frame[rows[about], column] = finding.frame[about]
+            self.figure[rows[applies], column] = finding.figure[applies]
+            self.allowed[rows[applies], column] = budget + finding.uncertainty[applies]
+            self.frame[rows[applies], column] = finding.frame[applies]
             self.failed[rows, column] = ~finding.passed
             for k in np.flatnonzero(~finding.passed):
                 line = f"{finding.line(int(k))}, frame {finding.frame[k]}"
                 self.reasons[rows[k]].append(line)
 
     def published(self, *, certified: bool) -> Mask:
-        """Tell which trajectories came to their end and pass all checks, or those of integrity."""
+        """Return which complete trajectories pass all checks, or only integrity if uncertified."""
         judged = list(COLUMNS) if certified else list(INTEGRITY)
         failed = self.failed[:, [_NUMBERS[name] for name in judged]].any(axis=1) | self.ended
         return np.asarray(~failed & (not (certified and self.misbuilt)))
 
     def reason(self, row: int) -> str:
-        """Say in one line why a trajectory does not pass."""
+        """Return the reasons why a trajectory fails, on one line."""
         return "; ".join([*self.misbuilt, *self.reasons[row]])
 
 
 @dataclass(frozen=True)
 class Making:
-    """What the checks must know of how trajectories were made."""
+    """Facts that the checks need about how trajectories were made."""
 
     method: Method
     step: float
-    """[s]"""
+    """Integration step [s]."""
     contact_time: float
-    """Over which the engine spreads an impact [s]."""
+    """Time over which the engine spreads an impact [s]."""
 
     @staticmethod
     def of(contender: Contender) -> Making:
-        """Ask the engine's adapter."""
+        """Return the facts that the engine's adapter declares."""
         adapter, settings = load_adapter(contender.engine), contender.settings
         time = adapter.contact_scales(settings).time
         return Making(adapter.methods[settings.method], settings.step, time)
@@ -145,9 +145,9 @@ def judge_rows(
     making: Making,
     truth: ReferenceOutcome | None = None,
 ) -> CheckTable:
-    """Check every trajectory; what a figure is depends on the trajectory and its number alone.
+    """Check every trajectory; its figures depend only on the trajectory and its number.
 
-    The truth is the reference of the audit sample's rows; left out, it is solved here.
+    `truth` is the reference solution of the rows in the audit sample; it is solved here if None.
     """
     verdict = CheckTable.empty(len(batch))
     for row, failure in enumerate(trajectory.failures):
@@ -181,7 +181,7 @@ def judge_rows(
 def _groups(
     scene: Scene, index: Index, trajectory: Trajectory
 ) -> Iterator[tuple[int, Index, bool]]:
-    """Give groups of trajectories that are checked at once, and whether all numbers are finite."""
+    """Yield groups to check at once: group number, rows, and whether all numbers are finite."""
     size = max(1, _BODY_FRAMES // ((scene.clock.steps + 1) * len(scene.bodies)))
     sound = trajectory.finite
     for group in np.unique(index // size):
@@ -192,13 +192,13 @@ def _groups(
 
 
 def _view(rows: Index) -> slice | list[int]:
-    """Give a slice, which copies nothing, where rows follow each other."""
+    """Return consecutive rows as a slice, which copies nothing; other rows as a list."""
     first, last = int(rows[0]), int(rows[-1])
     return slice(first, last + 1) if last - first + 1 == len(rows) else rows.tolist()
 
 
 def _steps_compared(scene: Scene, group: int) -> tuple[int, int]:
-    """Every 96th step, others in each group: together they take in all frames."""
+    """Return first step and stride: every 96th step, shifted so that groups cover all frames."""
     if scene.clock.steps < _MANY:
         return EVERY_SECOND
     return 2 * (group % (_SPARSE // 2)), _SPARSE
@@ -207,9 +207,9 @@ def _steps_compared(scene: Scene, group: int) -> tuple[int, int]:
 def sample_findings(
     scene: Scene, batch: Batch, trajectory: Trajectory, solved: ReferenceOutcome
 ) -> list[Finding]:
-    """Hold trajectories against the reference, as `mbds-xsim validate` does.
+    """Compare trajectories with the reference, as `mbds-xsim validate` does.
 
-    Stored solutions would save time but not be the same to the last bit.
+    Stored solutions would save time, but would not be the same to the last bit.
     """
     truth = solved.trajectory
     error = agreement.particle_error(Mechanism.of(scene), trajectory, truth)
@@ -223,10 +223,10 @@ def limit_faults(
     trajectory: Trajectory,
     solved: ReferenceOutcome | None = None,
 ) -> list[str]:
-    """Say in a line each where runs at other steps converge to anything but the reference.
+    """List, one per line, where runs at other steps converge to anything but the reference.
 
-    Of trajectories that came to their end. Where their reference is left out, that of their first
-    steps is solved here, and no more of them is looked at.
+    The trajectories must have reached their end. If their reference is None, only their first
+    steps are compared, for which it is solved here.
     """
     rows, settings = list(range(len(batch))), contender.settings
     steps = other_steps(scene, contender)
@@ -240,12 +240,12 @@ def limit_faults(
 
     def run(step: float) -> None:
         other = Settings(settings.method, step, settings.options)
-        made = _made(scene, brief, contender.engine, other)
-        outcome.keep_step(step, made)
-        if isinstance(made, Crash):
+        result = _made(scene, brief, contender.engine, other)
+        outcome.keep_step(step, result)
+        if isinstance(result, Crash):
             return
-        own = made.rollout_s * step / settings.step * batch.steps / brief.steps
-        outcome.parts[:] = [dataclasses.replace(made, trajectory=trajectory, rollout_s=own)]
+        rollout_s = result.rollout_s * step / settings.step * batch.steps / brief.steps
+        outcome.parts[:] = [dataclasses.replace(result, trajectory=trajectory, rollout_s=rollout_s)]
 
     for step in steps:
         run(step)
@@ -255,9 +255,9 @@ def limit_faults(
 
 
 def _made(scene: Scene, batch: Batch, engine: str, settings: Settings) -> Simulation | Crash:
-    """Run an engine at a step that nobody asked for: where it cannot, the shard is none the worse.
+    """Run an engine at an additional step; if it cannot, the shard is not affected.
 
-    The check then says what it can without.
+    The check then does without this run.
     """
     try:
         return simulate(scene, batch, engine, settings)
@@ -268,11 +268,11 @@ def _made(scene: Scene, batch: Batch, engine: str, settings: Settings) -> Simula
 def _beginning(
     scene: Scene, batch: Batch, trajectory: Trajectory
 ) -> tuple[Scene, Batch, Trajectory]:
-    """Give the first steps of trajectories, as of a scene that ends then."""
+    """Return the first steps of trajectories, with a scene that ends after them."""
     steps = min(_BRIEF, batch.steps)
     clock = msgspec.structs.replace(scene.clock, steps=steps)
-    kept = {key: getattr(trajectory, key)[:, : steps + 1] for key in STATES}
-    brief = dataclasses.replace(trajectory, time=trajectory.time[: steps + 1], **kept)
+    states = {key: getattr(trajectory, key)[:, : steps + 1] for key in STATES}
+    brief = dataclasses.replace(trajectory, time=trajectory.time[: steps + 1], **states)
     return msgspec.structs.replace(scene, clock=clock), batch.truncated(steps), brief
 
 

@@ -1,6 +1,6 @@
-"""Make data sets: one variant an engine and scene, in shards, then joined.
+"""Generation of data sets: one variant for each scene, engine and setting, in shards, then joined.
 
-Shards are made by processes, also by engines that crash theirs.
+Shards are made in processes of their own, so that an engine that crashes does no further harm.
 """
 
 from __future__ import annotations
@@ -45,14 +45,14 @@ from mbds_xsim.simulate.timed import Work, forewarnings
 _TRAJECTORY_TIMEOUT = 600.0  # [s]
 _TRIES = 2
 _FEW = 5
-_INTERVAL = 0.3  # between two looks at the logs [s]
+_INTERVAL = 0.3  # time between two readings of the logs [s]
 _LARGEST_SEED = 2**63 - 1
-_MOST = 1_000_000_000  # trajectories; to list the shards of many more takes hours and the memory
+_MOST = 1_000_000_000  # trajectories; to list the shards of many more takes hours and much memory
 
 
 @dataclass(frozen=True)
 class Request:
-    """What is asked for."""
+    """Request for data sets."""
 
     scenes: tuple[Scene, ...]
     choice: Choice
@@ -64,30 +64,30 @@ class Request:
 
 @dataclass(frozen=True)
 class Generated:
-    """What came of a request."""
+    """Outcome of a request."""
 
     variants: tuple[VariantCount, ...]
     left_out: dict[str, str]
-    """Scenes and engines that do not go together, with the reason."""
+    """Pairs of scene and engine that do not go together, each with the reason."""
     failed: dict[str, str]
-    """Variants that were begun but cannot be made, with the reason; the others are whole."""
+    """Variants that were begun but cannot be made, with the reason; all others are complete."""
     made: int
-    """Trajectories that this run made; an earlier one may have made others."""
+    """Number of trajectories that this run made; an earlier one may have made others."""
     wall_s: float
 
     def to_frame(self) -> Any:
-        """Give a `pandas.DataFrame` with a row for each data set."""
+        """Return a `pandas.DataFrame` with one row per data set."""
         return frame_of(self.variants)
 
 
 class ShardProgress(Meter, Protocol):
-    """Where progress is told: of settings that are found, then of trajectories that are made."""
+    """Receiver of progress reports: on settings found, then on trajectories made."""
 
     def begin(self, total: int, done: int = 0) -> None:
-        """Say how many there are, and how many an earlier run has made."""
+        """Report the total number, and the number that an earlier run has made."""
 
     def made(self, done: int, rejected: int) -> None:
-        """Count trajectories that were made since, and how many of them were rejected."""
+        """Count newly made trajectories, and those of them that were rejected."""
 
 
 def generate(
@@ -97,10 +97,10 @@ def generate(
     progress: ShardProgress | None = None,
     carry_out: Carrier = run_tasks,
 ) -> Generated:
-    """Make what is missing of the data asked for; run again after any interruption to go on.
+    """Make the requested data that are missing; after an interruption, run again to continue.
 
     Raises:
-        InputError: Nothing can be made as asked, or the folder holds or gets something else.
+        InputError: Nothing can be made as asked, or the folder holds other data or is in use.
     """
     begin, progress = time.perf_counter(), progress or Silent()
     if not 1 <= request.trajectories <= _MOST:
@@ -114,7 +114,7 @@ def generate(
     variants, left_out = _variants(request, workers, progress)
     for scene in {variant.scene.name: variant.scene for variant in variants}.values():
         _check_drawn(scene, request)
-    out = request.out.absolute()  # workers stand elsewhere
+    out = request.out.absolute()  # workers have another current folder
     with locked(request.out):
         for variant in variants:
             check_same_draws(variant, request.out)
@@ -136,13 +136,13 @@ def generate(
             every = [item for items in todo.values() for item in items]
             failures = _make(every, out, workers=processes, carry_out=carry_out)
         failed = {f"{v.scene.name} {v.name}": reason for v, reason in failures.items()}
-        whole = [variant for variant in variants if variant not in failures]
-        if not whole:
+        complete = [variant for variant in variants if variant not in failures]
+        if not complete:
             raise InputError("; ".join(f"{name}: {reason}" for name, reason in failed.items()))
-        counts = tuple(join(whole, request.trajectories, request.out))
-        for folder in dict.fromkeys(variant.folder(request.out).parent for variant in whole):
+        counts = tuple(join(complete, request.trajectories, request.out))
+        for folder in dict.fromkeys(variant.folder(request.out).parent for variant in complete):
             write_card(folder)
-    made = sum(item.count for variant in whole for item in todo[variant])
+    made = sum(item.count for variant in complete for item in todo[variant])
     return Generated(counts, left_out, failed, made, time.perf_counter() - begin)
 
 
@@ -165,7 +165,7 @@ def _variants(
 
 
 def _forewarnings(items: list[Item], workers: int | None) -> list[str]:
-    """Announce what will take minutes, from a few steps of the engine."""
+    """Return warnings of work that will take minutes, judged by a few steps of the engine."""
     count, variant = sum(item.count for item in items), items[0].variant
     scene, contender = variant.scene, variant.contender
     steps = count * scene.clock.duration / contender.settings.step
@@ -176,18 +176,18 @@ def _forewarnings(items: list[Item], workers: int | None) -> list[str]:
 
 def _check_drawn(scene: Scene, request: Request) -> None:
     """Refuse a scene whose trajectories are copies: no part of such a set could test another."""
-    count = min(request.trajectories, len(INTERVALS) + 1)  # the last is of the first's interval
+    count = min(request.trajectories, len(INTERVALS) + 1)  # the last shares the first's interval
     drawn = draw_batch(scene, range(count), seed=request.seed, noise=request.noise)
     first: dict[bytes, int] = {}
     for row in range(count):
-        one = drawn[row : row + 1]
-        values = (one.position, one.orientation, one.velocity, one.angular_velocity)
-        same = first.setdefault(
-            b"".join(v.tobytes() for v in (*values, one.force, one.torque)), row
+        start = drawn[row : row + 1]
+        values = (start.position, start.orientation, start.velocity, start.angular_velocity)
+        earlier = first.setdefault(
+            b"".join(v.tobytes() for v in (*values, start.force, start.torque)), row
         )
-        if same != row:
+        if earlier != row:
             msg = (
-                f"{scene.name}: trajectories {same} and {row} would be the same, as nothing of "
+                f"{scene.name}: trajectories {earlier} and {row} would be the same, as nothing of "
                 "them is drawn; give the scene [[sampling]] or noise, or ask for --trajectories "
                 f"{row}"
             )
@@ -197,21 +197,21 @@ def _check_drawn(scene: Scene, request: Request) -> None:
 def _make(
     items: Sequence[Item], out: Path, *, workers: int, carry_out: Carrier
 ) -> dict[Variant, str]:
-    """Make shards; those that are there when this ends abnormally are complete.
+    """Make shards; those that are in place after an abnormal end are complete.
 
-    Each process makes shards of one variant, the next that no other has claimed. Where one ends
-    without an answer the shard is tried again, for it may have been killed from outside. Where
-    that ends again the trajectories that end it are looked for and rejected.
+    Each process makes shards of one variant, always the next that no other process has claimed. If
+    it ends without an answer, its shard is tried again, as it may have been killed from outside. If
+    it ends again, the trajectories that end it are found and rejected.
 
     Returns:
-        Of variants that cannot be made, why: a shard that cannot be written, or an engine that
-        refuses the scene or always ends its process. The others are whole.
+        Reasons why variants cannot be made: a shard cannot be written, or the engine refuses the
+        scene or always ends its process. All other variants are complete.
     """
     todo = list(items)
     tries: Counter[Item] = Counter()
     crashes: dict[Item, Crashes] = {}
     failed: dict[Variant, str] = {}
-    idle = 0  # rounds in which processes ended before they came to anything
+    idle = 0  # rounds in which processes ended without any progress
     while todo:
         ended: dict[Variant, list[Crash]] = {item.variant: [] for item in todo}
         with _claims(out) as claims:
@@ -222,26 +222,26 @@ def _make(
                     ended[variant].append(answer)
                     if answer.refused:
                         failed.setdefault(variant, answer.reason)
-            left = [
+            remaining = [
                 item for item in todo if item.variant not in failed and not item.path(out).exists()
             ]
-            guilty = [item for item in left if not claim(claims, item)]
-        idle = 0 if guilty or len(left) < len(todo) else idle + 1
+            guilty = [item for item in remaining if not claim(claims, item)]
+        idle = 0 if guilty or len(remaining) < len(todo) else idle + 1
         if idle > _TRIES:
-            failed[left[0].variant] = _despair(left[0], ended)
+            failed[remaining[0].variant] = _despair(remaining[0], ended)
         for item in guilty:
             tries[item] += 1
             if tries[item] == _TRIES:
                 crashes[item] = _crashes(item, workers, carry_out)
             elif tries[item] > _TRIES:
                 failed.setdefault(item.variant, _despair(item, ended))
-        todo = [item for item in left if item.variant not in failed]
+        todo = [item for item in remaining if item.variant not in failed]
     return failed
 
 
 @contextmanager
 def _claims(out: Path) -> Iterator[Path]:
-    """Give an empty folder in which processes claim shards."""
+    """Provide an empty folder in which processes claim shards."""
     folder = out / ".claims"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
@@ -261,33 +261,33 @@ def _tasks(
 
 
 def _crashes(item: Item, workers: int, carry_out: Carrier) -> Crashes:
-    """Find the trajectories that end the engine's process, by halving.
+    """Find the trajectories that end the engine's process, by bisection.
 
-    Where each of a few from all over the shard does, none of the others is tried.
+    If each of a few from all over the shard does so, the others count as well, without a trial.
     """
     variant, most = item.variant, item.variant.contender.limit
 
-    def tried(groups: list[list[int]]) -> list[tuple[list[int], str]]:
+    def try_groups(groups: list[list[int]]) -> list[tuple[list[int], str]]:
         tasks = [
             Task(try_out, (variant, g), min(_TRAJECTORY_TIMEOUT * len(g), most)) for g in groups
         ]
         answers = zip(groups, carry_out(tasks, workers=workers), strict=True)
-        return [(group, one.reason) for group, one in answers if isinstance(one, Crash)]
+        return [(group, answer.reason) for group, answer in answers if isinstance(answer, Crash)]
 
     few = [[item.indices[k * (item.count - 1) // (_FEW - 1)]] for k in range(_FEW)]
-    guilty = tried(few) if item.count > _FEW else []
+    guilty = try_groups(few) if item.count > _FEW else []
     if len(guilty) == _FEW:
-        others = f"not tried, as each of {_FEW} others of its shard ended: {guilty[0][1]}"
-        return dict.fromkeys(item.indices, others) | {group[0]: why for group, why in guilty}
-    found: dict[int, str] = {}
+        untried = f"not tried, as each of {_FEW} others of its shard ended: {guilty[0][1]}"
+        return dict.fromkeys(item.indices, untried) | {group[0]: why for group, why in guilty}
+    reasons: dict[int, str] = {}
     groups = [list(item.indices)]
     while groups:
-        guilty = tried(groups)
-        found |= {group[0]: reason for group, reason in guilty if len(group) == 1}
+        guilty = try_groups(groups)
+        reasons |= {group[0]: reason for group, reason in guilty if len(group) == 1}
         larger = [group for group, _ in guilty if len(group) > 1]
         halves = ((group[: len(group) // 2], group[len(group) // 2 :]) for group in larger)
         groups = [half for pair in halves for half in pair]
-    return found
+    return reasons
 
 
 def _despair(item: Item, ended: dict[Variant, list[Crash]]) -> str:
@@ -298,7 +298,7 @@ def _despair(item: Item, ended: dict[Variant, list[Crash]]) -> str:
 
 @contextmanager
 def _watched(folders: Sequence[Path], progress: ShardProgress) -> Iterator[None]:
-    """Tell what is added to the logs of some folders while the block runs."""
+    """Report the lines added to the logs of some folders while the block runs."""
     logs = [folder / LOG for folder in folders]
     places = {path: path.stat().st_size if path.exists() else 0 for path in logs}
 
@@ -316,7 +316,7 @@ def _watched(folders: Sequence[Path], progress: ShardProgress) -> Iterator[None]
 
 
 def _added(path: Path, places: dict[Path, int]) -> list[dict[str, int]]:
-    """Read the lines of a log that were added since, and note the place up to which it is read."""
+    """Read the lines added to a log since the last call, and note how far it has been read."""
     if not path.exists():
         return []
     with path.open("rb") as file:
@@ -329,7 +329,7 @@ def _added(path: Path, places: dict[Path, int]) -> list[dict[str, int]]:
 
 @contextmanager
 def repeating(look: Callable[[], None]) -> Iterator[None]:
-    """Look again and again while the block runs."""
+    """Call `look` at regular intervals while the block runs."""
     ended = threading.Event()
 
     def go_on() -> None:

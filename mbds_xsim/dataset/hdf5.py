@@ -1,6 +1,6 @@
-"""Data files as HDF5: read with suspicion, held against the layout and against their checksums.
+"""HDF5 data files: read with suspicion, checked against the layout and against their checksums.
 
-Checksums are of what a file means. Whatever is wrong with a file is said in one line that names it.
+Checksums cover the content of a file, not its bytes. Each fault is one line that names the file.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.layout import (
+    ATTRIBUTE_DEFAULTS,
     ATTRIBUTES,
     FIELDS,
     FORMAT,
     SHARED,
-    UNSAID,
     VERSION,
     Field,
     attribute,
@@ -36,40 +36,40 @@ from mbds_xsim.scene.scene import Scene
 _JOINT = (*SHARED, "kind", "count")
 _OPTIONAL = ("input/known_force",)
 _SMALL = 2**26  # bytes that any file may unpack to
-_DENSEST = 100  # times that what is larger may be packed; motions come to 5 at most
+_DENSEST = 100  # largest compression factor of larger files; motions reach 5 at most
 
 
 @contextmanager
 def open_hdf5(path: Path) -> Iterator[Any]:
-    """Open a data file to read; all that it has is in it, but for virtual datasets.
+    """Open a data file for reading; only its virtual datasets may refer to other files.
 
     Raises:
-        InputError: There is none, or what is read of it is truncated, damaged or something else.
+        InputError: There is no such file, or it is truncated, damaged or something else.
     """
     refuse_other(path)
     try:
         with h5py.File(path, "r") as file:
             _check_self_contained(file, path)
             yield file
-    # HDF5 gives all of these for damage, the last two for types and text that are none any more.
+    # HDF5 raises all of these for damage, the last two for damaged types and text.
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
         msg = f"{path} cannot be read as HDF5 ({_brief(error)}); it is truncated or something else"
         raise InputError(msg) from error
 
 
 def datasets_in(file: Any) -> dict[str, Any]:
-    """Give all datasets of an open file by their paths, in the order of these."""
+    """Return all datasets of an open file, keyed and sorted by their paths."""
     names: list[str] = []
     file.visit(names.append)  # nothing may be raised while the library visits
-    found = {name: file[name] for name in sorted(names)}
-    return {name: item for name, item in found.items() if isinstance(item, h5py.Dataset)}
+    items = {name: file[name] for name in sorted(names)}
+    return {name: item for name, item in items.items() if isinstance(item, h5py.Dataset)}
 
 
 def refuse_other(path: Path) -> None:
-    """Refuse what is no file: a pipe would be waited for without end.
+    """Refuse anything but a regular file: reading a pipe could wait forever.
 
     Raises:
-        InputError: There is nothing of this name, or a folder, a pipe or a device.
+        InputError: Nothing has this name, or it is a folder, a pipe or a device.
     """
     if path.is_file():
         return
@@ -81,15 +81,15 @@ def refuse_other(path: Path) -> None:
 
 
 def refuse_bomb(path: Path, unpacked: int, size: int | None = None) -> None:
-    """Refuse to unpack what no simulation is as dense as.
+    """Refuse to unpack data that are packed more densely than those of any simulation.
 
     Args:
         path: The file.
-        unpacked: What it says it unpacks to [bytes].
-        size: Of what it reads from [bytes]; the file itself when left out.
+        unpacked: Size to which the file claims to unpack [bytes].
+        size: Size of the files that it reads from [bytes]; that of the file itself if None.
 
     Raises:
-        InputError: It is many times the file.
+        InputError: The unpacked size is many times the packed one.
     """
     size = path.stat().st_size if size is None else size
     if unpacked > max(_SMALL, _DENSEST * size):
@@ -101,10 +101,10 @@ def refuse_bomb(path: Path, unpacked: int, size: int | None = None) -> None:
 
 
 def check_sources(dataset: Any) -> None:
-    """Hold a virtual dataset against the files that it reads from, which HDF5 lets be missing.
+    """Check that the sources of a virtual dataset exist: HDF5 itself tolerates missing ones.
 
     Raises:
-        InputError: One is not there, or has no such dataset of its own.
+        InputError: A file is missing, has no such dataset of its own, or unpacks to too much.
     """
     if not dataset.is_virtual:
         return
@@ -125,7 +125,7 @@ def check_sources(dataset: Any) -> None:
 
 
 def _check_self_contained(file: Any, path: Path) -> None:
-    """Refuse links and data in other files, and more data than there can be."""
+    """Refuse links to other files, data in other files, and more data than there can be."""
     links: list[tuple[bytes, int]] = []
     # Nothing may be raised while the library visits.
     file.id.links.visit(lambda name, link: links.append((name, link.type)), info=True)
@@ -146,61 +146,61 @@ def _check_self_contained(file: Any, path: Path) -> None:
 
 
 def _brief(error: Exception) -> str:
-    """What the library says behind its "Unable to …", on one line."""
+    """Return the cause in an error of the library, without its "Unable to …", on one line."""
     whole = " ".join(str(error.args[0] if error.args else error).split())
     _, bracket, cause = whole.partition("(")
     return cause.removesuffix(")") if bracket else whole
 
 
 def attributes_of(path: Path) -> dict[str, Any]:
-    """Attributes of a data file.
+    """Return the attributes of a data file.
 
     Raises:
-        InputError: It is no data file, of a newer layout, or an attribute is missing or wrong.
+        InputError: It is not a data file, has a newer layout, or an attribute is missing or wrong.
     """
     with open_hdf5(path) as file:
-        found = plain(file.attrs)
-    if not _is(found.get("format"), FORMAT):
+        attrs = plain(file.attrs)
+    if not _is(attrs.get("format"), FORMAT):
         msg = f"{path} is HDF5, but no {FORMAT} file: its attribute 'format' does not say so"
         raise InputError(msg)
-    if not isinstance(found.get("layout_version"), int) or found["layout_version"] > VERSION:
+    if not isinstance(attrs.get("layout_version"), int) or attrs["layout_version"] > VERSION:
         msg = (
-            f"{path} has layout version {found.get('layout_version')}, this program reads up to "
+            f"{path} has layout version {attrs.get('layout_version')}, this program reads up to "
             f"{VERSION}; install a newer mbds-xsim"
         )
         raise InputError(msg)
-    wanted = [key for key in ATTRIBUTES if key in _JOINT or not _is(found.get("kind"), "joint")]
-    line = f"{path}: attribute ", "; get the file again"
-    given = UNSAID | found
-    return found | {key: attribute(key, given, *line) for key in wanted}
+    required = [key for key in ATTRIBUTES if key in _JOINT or not _is(attrs.get("kind"), "joint")]
+    context = f"{path}: attribute ", "; get the file again"
+    with_defaults = ATTRIBUTE_DEFAULTS | attrs
+    return attrs | {key: attribute(key, with_defaults, *context) for key in required}
 
 
 def scene_of(text: Any, path: Path, advice: str = "get the file again") -> Scene:
-    """Read the scene that a file has as text.
+    """Parse the scene that a file holds as text.
 
     Raises:
-        InputError: It is none.
+        InputError: The text is not a scene.
     """
     try:
         return msgspec.convert(tomllib.loads(str(text)), Scene)
-    # The last are what the parser has for text that is none, numbers and brackets without end.
+    # The parser raises the last two for invalid text, huge numbers and deep nesting.
     except (msgspec.ValidationError, TypeError, ValueError, RecursionError) as error:
         msg = f"{path}: its attribute scene is no scene: {error}; {advice}"
         raise InputError(msg) from error
 
 
 def check_fit(file: Any, path: Path, kind: str, scene: Scene | None) -> None:
-    """Raise InputError where the datasets are not those of the layout and the scene."""
-    wrong = next(misfits(file, kind, scene), None)
-    if wrong is not None:
-        msg = f"{path}: {wrong}; get it again, or generate it anew"
+    """Raise InputError unless the datasets are those of the layout and the scene."""
+    fault = next(misfits(file, kind, scene), None)
+    if fault is not None:
+        msg = f"{path}: {fault}; get it again, or generate it anew"
         raise InputError(msg)
 
 
 def misfits(file: Any, kind: str, scene: Scene | None) -> Iterator[str]:
-    """Say of each dataset that is not as the layout has it what is wrong with it.
+    """Yield the faults of datasets that differ from the layout.
 
-    The scene decides the lengths of axes; a file without trajectories has none.
+    The scene decides the lengths of axes; it is None for a file without trajectories.
     """
     sizes = {"two": 2} if scene is None else axis_sizes(scene)
     for field in FIELDS.values():
@@ -214,12 +214,12 @@ def misfits(file: Any, kind: str, scene: Scene | None) -> Iterator[str]:
 
 
 def _misfit(field: Field, dataset: Any, sizes: dict[str, int]) -> Iterator[str]:
-    """Compare one; an axis that nothing has decided yet is as long as its first dataset's."""
+    """Compare one dataset; the first one with an axis of undecided length decides the length."""
     for axis, size in zip(field.axes, dataset.shape, strict=False):
         sizes.setdefault(axis, size)
-    wanted = tuple(sizes.get(axis, 0) for axis in field.axes)
-    if dataset.shape != wanted:
-        yield f"layout: {field.name} has the shape {dataset.shape}, not {wanted}"
+    shape = tuple(sizes.get(axis, 0) for axis in field.axes)
+    if dataset.shape != shape:
+        yield f"layout: {field.name} has the shape {dataset.shape}, not {shape}"
     is_text = h5py.check_string_dtype(dataset.dtype) is not None
     if is_text != (field.dtype == "text") or not (
         is_text or dataset.dtype == np.dtype(field.dtype)
@@ -227,8 +227,8 @@ def _misfit(field: Field, dataset: Any, sizes: dict[str, int]) -> Iterator[str]:
         yield f"layout: {field.name} has the type {dataset.dtype}, not {field.dtype}"
 
 
-def _is(got: Any, wanted: str) -> bool:
-    return isinstance(got, str) and got == wanted
+def _is(value: Any, expected: str) -> bool:
+    return isinstance(value, str) and value == expected
 
 
 Attributes = Mapping[str, Any]
@@ -240,10 +240,10 @@ SUM = "sha256"
 
 
 def values_of(dataset: Any) -> NDArray[Any]:
-    """Read a dataset whole; text as text.
+    """Read a whole dataset; text is returned as `str`.
 
     Raises:
-        InputError: It is virtual, and what it reads from is not there.
+        InputError: The dataset is virtual, and a file that it reads from is missing.
     """
     check_sources(dataset)
     is_text = h5py.check_string_dtype(dataset.dtype) is not None
@@ -251,14 +251,14 @@ def values_of(dataset: Any) -> NDArray[Any]:
 
 
 def check_content(path: Path, names: Collection[str] | None = None) -> str | None:
-    """Hold a file against its checksums; tell what differs, None where nothing does.
+    """Compare a file with its checksums; return the first difference, or None if there is none.
 
-    Of datasets the values of those named are read, or of all.
+    Only the values of the datasets in `names` are read, or of all if it is None.
     """
     with open_hdf5(path) as file:
         for name, dataset in datasets_in(file).items():
-            written = dataset.attrs.get(SUM) if names is None or name in names else None
-            if written is not None and str(written) != sum_of(np.asarray(dataset[()])):
+            checksum = dataset.attrs.get(SUM) if names is None or name in names else None
+            if checksum is not None and str(checksum) != sum_of(np.asarray(dataset[()])):
                 return f"dataset {name} is not what was written"
         if str(file.attrs.get(CONTENT)) != _content_of(file):
             return "attributes are not what was written"
@@ -266,33 +266,33 @@ def check_content(path: Path, names: Collection[str] | None = None) -> str | Non
 
 
 def _content_of(file: Any) -> str:
-    found = {name: dataset.attrs for name, dataset in datasets_in(file).items()}
+    attributes = {name: dataset.attrs for name, dataset in datasets_in(file).items()}
     own = {key: value for key, value in file.attrs.items() if key != CONTENT}
-    return digest({**found, "": own})
+    return digest({**attributes, "": own})
 
 
 def digest(attributes: Mapping[str, Attributes]) -> str:
-    """Checksum of the attributes of all datasets, their checksums among them, and of the file."""
+    """Return a checksum of the attributes of all datasets, checksums included, and of the file."""
     texts = {name: plain(each) for name, each in attributes.items()}
     return hashlib.sha256(json.dumps(texts, sort_keys=True, default=repr).encode()).hexdigest()
 
 
 def sum_of(values: NDArray[Any]) -> str:
-    """Checksum of an array: of its type, shape and values."""
+    """Return a checksum of an array's type, shape and values."""
     if values.dtype.hasobject:
-        return ""  # nothing that is written so
-    found = hashlib.sha256(f"{values.dtype.str} {values.shape} ".encode())
-    found.update(bytes_of(values))
-    return found.hexdigest()
+        return ""  # such arrays are never written
+    checksum = hashlib.sha256(f"{values.dtype.str} {values.shape} ".encode())
+    checksum.update(bytes_of(values))
+    return checksum.hexdigest()
 
 
 def bytes_of(values: NDArray[Any]) -> memoryview:
-    """Give the bytes of an array in the order of its last axis."""
+    """Return the bytes of an array in C order."""
     return np.ascontiguousarray(values).reshape(-1).view(np.uint8).data
 
 
 def plain(attributes: Any) -> dict[str, Any]:
-    """Give attributes as JSON can hold them."""
+    """Return attributes as values that JSON can hold."""
     return {
         key: value.item() if isinstance(value, np.generic) else value
         for key, value in attributes.items()

@@ -1,7 +1,7 @@
 """The layout of data files, as data; `docs/dataset-layout.md` shows it as a tree.
 
-Every file is HDF5 in the format of version 1.10. Datasets are contiguous and without filters: one
-trajectory, and any window of frames of it, is one run of bytes that can be mapped into memory.
+Every file is HDF5 in the format of version 1.10. Datasets are contiguous and without filters: a
+trajectory, or any window of its frames, is a single run of bytes that can be mapped into memory.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ JOINT = f"joint{SUFFIX}"
 
 
 def variant_files(folder: Path) -> list[Path]:
-    """Joined files of the variants of a scene."""
+    """Return the joined files of all variants of a scene."""
     return [path for path in sorted(folder.glob(f"*{SUFFIX}")) if path.name != JOINT]
 
 
 def rejected_folder(folder: Path) -> Path:
-    """Where the trajectories are that do not pass, beside the folder of the shards of a variant."""
+    """Return the folder of a variant's rejected trajectories, given the folder of its shards."""
     return folder.parents[1] / "rejected" / folder.parent.name / folder.name
 
 
 FORMAT = "mbds-xsim data"
 VERSION = 1
-"""Of the layout. A reader refuses what is newer; a new optional dataset does not raise it."""
+"""Version of the layout. Readers refuse a newer one; a new optional dataset does not raise it."""
 
 
 @dataclass(frozen=True)
@@ -45,11 +45,11 @@ class Field:
     """Path in the file."""
     axes: tuple[str, ...]
     dtype: str
-    """Of numpy; "text" for UTF-8 of fixed length."""
+    """Type as numpy writes it; "text" for UTF-8 of fixed length."""
     unit: str
     meaning: str
     kinds: tuple[str, ...] = ("shard", "rejected", "joined")
-    """Of files that have it."""
+    """Kinds of files that have the dataset."""
 
     @property
     def per_trajectory(self) -> bool:
@@ -58,12 +58,12 @@ class Field:
 
     @property
     def per_step(self) -> bool:
-        """Whether it has values for the steps between frames, which are one fewer."""
+        """Whether the values are for the steps between frames, which are one fewer than frames."""
         return "step" in self.axes
 
 
-_WHOLE = ("trajectory", "frame")
-_HELD = ("trajectory", "step")
+_FRAMES = ("trajectory", "frame")
+_STEPS = ("trajectory", "step")
 
 _FIELDS = (
     Field(
@@ -71,33 +71,33 @@ _FIELDS = (
     ),
     Field("interval", ("trajectory",), "<u1", "1", "0 low, 1 medium, 2 high: index mod 3"),
     Field("time", ("frame",), "<f8", "s", "of each frame"),
-    Field("position", (*_WHOLE, "point", "axis"), "<f4", "m", "of the particles in W"),
-    Field("velocity", (*_WHOLE, "point", "axis"), "<f4", "m/s", "of the particles in W"),
-    Field("body/position", (*_WHOLE, "body", "xyz"), "<f8", "m", "of centres of mass in W"),
-    Field("body/orientation", (*_WHOLE, "body", "wxyz"), "<f8", "1", "unit quaternion, body to W"),
-    Field("body/velocity", (*_WHOLE, "body", "xyz"), "<f8", "m/s", "of centres of mass in W"),
-    Field("body/angular_velocity", (*_WHOLE, "body", "xyz"), "<f8", "rad/s", "in W"),
+    Field("position", (*_FRAMES, "point", "axis"), "<f4", "m", "of the particles in W"),
+    Field("velocity", (*_FRAMES, "point", "axis"), "<f4", "m/s", "of the particles in W"),
+    Field("body/position", (*_FRAMES, "body", "xyz"), "<f8", "m", "of centres of mass in W"),
+    Field("body/orientation", (*_FRAMES, "body", "wxyz"), "<f8", "1", "unit quaternion, body to W"),
+    Field("body/velocity", (*_FRAMES, "body", "xyz"), "<f8", "m/s", "of centres of mass in W"),
+    Field("body/angular_velocity", (*_FRAMES, "body", "xyz"), "<f8", "rad/s", "in W"),
     Field("start/position", ("trajectory", "body", "xyz"), "<f8", "m", "as drawn"),
     Field("start/orientation", ("trajectory", "body", "wxyz"), "<f8", "1", "as drawn"),
     Field("start/velocity", ("trajectory", "body", "xyz"), "<f8", "m/s", "as drawn"),
     Field("start/angular_velocity", ("trajectory", "body", "xyz"), "<f8", "rad/s", "as drawn"),
     Field(
         "input/force",
-        (*_HELD, "body", "xyz"),
+        (*_STEPS, "body", "xyz"),
         "<f8",
         "N",
         "all that acts on centres of mass in W, the noise included, held over each step",
     ),
     Field(
         "input/known_force",
-        (*_HELD, "body", "xyz"),
+        (*_STEPS, "body", "xyz"),
         "<f8",
         "N",
         "the same without the noise: what a model may be told; absent where there is none",
     ),
     Field(
         "input/torque",
-        (*_HELD, "hinge"),
+        (*_STEPS, "hinge"),
         "<f8",
         "N·m",
         "about each hinge, on the child, and the opposite on the parent, held over each step",
@@ -147,10 +147,10 @@ MOTION = tuple(
     for field in _FIELDS
     if field.axes[1:2] in (("frame",), ("step",)) and field.name != "input/known_force"
 )
-"""Datasets that hold motions and what drives them."""
+"""Datasets that hold motions and the inputs that drive them."""
 
 Kind = Literal["text", "truth", "natural", "number", "positive"]
-"""Of an attribute."""
+"""Kind of values that an attribute has."""
 
 _LARGEST = float(np.finfo(np.float64).max)
 _KINDS: dict[Kind, tuple[str, Any]] = {
@@ -160,7 +160,7 @@ _KINDS: dict[Kind, tuple[str, Any]] = {
     "number": ("a finite number", Annotated[float, msgspec.Meta(ge=-_LARGEST, le=_LARGEST)]),
     "positive": ("a positive number", Annotated[float, msgspec.Meta(gt=0, le=_LARGEST)]),
 }
-"""What is allowed of each, in words and as a type."""
+"""Allowed values of each kind, in words and as a type."""
 
 ATTRIBUTES: dict[str, Kind] = {
     "kind": "text",
@@ -192,59 +192,59 @@ ATTRIBUTES: dict[str, Kind] = {
     "numpy_version": "text",
     "mbds_xsim_version": "text",
 }
-"""Attributes of a file beside its format, layout and checksum."""
+"""Attributes of a file in addition to its format, layout version and checksum."""
 
-UNSAID: dict[str, Any] = {"checks_version": 0, "single_precision": False}
-"""What holds where a file does not say it: older ones have no version of the checks."""
+ATTRIBUTE_DEFAULTS: dict[str, Any] = {"checks_version": 0, "single_precision": False}
+"""Defaults of attributes that a file may lack: older ones have no version of the checks."""
 
 
 def attribute(
-    key: str, given: Mapping[str, Any], where: str, advice: str = "", *, strict: bool = True
+    key: str, attributes: Mapping[str, Any], where: str, advice: str = "", *, strict: bool = True
 ) -> Any:
-    """Give one of the attributes, or of a trajectory's numbers "index", in its type.
+    """Return an attribute, or the number "index" of a trajectory, in its type.
 
     Args:
-        key: Of the attribute.
-        given: What there is.
-        where: What the line begins with if it is wrong.
-        advice: What it ends with.
-        strict: Whether it must have its type; else a text or a number of another type may say it.
+        key: Name of the attribute.
+        attributes: Attributes of the file.
+        where: Beginning of the error line.
+        advice: End of the error line.
+        strict: Whether the value must have its type; if not, text and other numbers are converted.
 
     Raises:
-        InputError: There is none, or it is another than allowed.
+        InputError: The attribute is missing, or its value is not allowed.
     """
     words, kind = _KINDS[ATTRIBUTES.get(key, "natural")]
     try:
-        return msgspec.convert(given.get(key), kind, strict=strict)
+        return msgspec.convert(attributes.get(key), kind, strict=strict)
     except msgspec.ValidationError:
-        got = repr(given[key])[:60] if key in given else "none"
+        got = repr(attributes[key])[:60] if key in attributes else "none"
         raise InputError(f"{where}{key}: got {got}, allowed is {words}{advice}") from None
 
 
 SHARED = ("format", "layout_version", "scene_name", "scene", "seed", "noise")
-"""Attributes that are alike in all variants of a scene in one folder."""
+"""Attributes that are the same in all variants of a scene in one folder."""
 
 INTEGRITY = ("finite", "start")
-"""What even an uncertified trajectory must pass."""
+"""Checks that even an uncertified trajectory must pass."""
 
 AUDIT_EVERY = 15_000
 AUDITED = 3  # one of each interval
 AUDIT_SAMPLE = f"index mod {AUDIT_EVERY} < {AUDITED}"
-"""Trajectories that are held against the reference too, which costs too much for all."""
+"""Trajectories that are also compared with the reference, which would cost too much for all."""
 
 
 def sampled(index: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Rows of the trajectories of the audit sample."""
+    """Return the rows of the trajectories in the audit sample."""
     return np.flatnonzero(index % AUDIT_EVERY < AUDITED)
 
 
 SPLITS = ("train", "validation", "test")
 """Parts of a data set by index, the same in every engine."""
 _OF = 15_000
-_ENDS = (12_000, 13_500)  # the paper's 13 500 and 1 500; the last 1 500 of the former validate
+_ENDS = (12_000, 13_500)  # the paper has 13 500 and 1 500; the last 1 500 of the 13 500 validate
 
 
 def split_of(index: NDArray[np.int64], trajectories: int) -> NDArray[np.uint8]:
-    """Give 0 train, 1 validation, 2 test: the first 80 % drawn, the next 10 %, the rest."""
+    """Return 0 for train (the first 80 % drawn), 1 for validation (the next 10 %), 2 for test."""
     ends = [end * trajectories // _OF for end in _ENDS]
     return np.searchsorted(ends, index, side="right").astype(np.uint8)

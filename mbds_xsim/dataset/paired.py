@@ -1,4 +1,4 @@
-"""The same motions in several engines, paired by their number: nothing but the engine differs."""
+"""Trajectories with the same starts in several engines, paired by number: only engines differ."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ _SAME = ("scene", "seed", "noise", "frame_s", "steps", "count")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PairedData:
-    """Trajectories that several data sets of a scene have, matched by their number.
+    """Trajectories that several data sets of a scene have in common, matched by their number.
 
-    `pairs["position"]` and all other datasets of trajectories come as `PairedSeries`; what is the
-    same in all, such as `pairs["time"]`, as an array. `len(pairs)` counts trajectories.
+    `pairs["position"]` and other series of trajectories are `PairedSeries`; a dataset that is the
+    same in all files, such as `pairs["time"]`, is an array. `len(pairs)` counts trajectories.
     """
 
     files: dict[str, Dataset]
-    """By engine and settings, as in `mujoco-matched`: the order of the axis `engine`."""
+    """Data sets by engine and settings, as in `mujoco-matched`, in the order of axis `engine`."""
     index: Index
     """Number of each trajectory, ascending."""
 
@@ -57,10 +57,10 @@ class PairedData:
         return (name for name in self._first if all(name in one for one in self.files.values()))
 
     def __getitem__(self, name: str) -> PairedSeries | NDArray[Any]:
-        """Give a dataset of all engines by its path in the files.
+        """Return a dataset of all engines by its path in the files.
 
         Raises:
-            UnknownDataset: A file has none of this name.
+            UnknownDataset: A file has no dataset of this name.
         """
         values = [one[name] for one in self.files.values()]
         series = tuple(value for value in values if isinstance(value, Series))
@@ -90,60 +90,60 @@ class PairedData:
 
 
 def load_pairs(*paths: str | Path, split: str | None = None) -> PairedData:
-    """Pair data sets of one scene: the trajectories that all have, of the same starts and inputs.
+    """Pair data sets of one scene: trajectories that all have, with the same starts and inputs.
 
-    Nothing but indices and starts is read; series are read when they are asked for.
+    Only indices and starts are read now; series are read when they are used.
 
     Args:
         paths: Data files, or folders of them such as `data/6pendulum`.
-        split: Only "train", "validation" or "test".
+        split: Part to load: "train", "validation" or "test"; all if None.
 
     Raises:
-        InputError: There are no two data sets, or they do not belong together: another scene,
-            seed, length or start, or no trajectory that all have.
+        InputError: There are fewer than two data sets, or they do not belong together: scene,
+            seed, length or starts differ, or no trajectory is in all of them.
     """
-    found = [load_dataset(file) for path in paths for file in joined_files(path_of("paths", path))]
-    where = ", ".join(map(str, paths))
-    files = {one.variant: one for one in found}
-    if len(found) < 2 or len(files) < len(found):
-        names = ", ".join(str(one.path) for one in found)
+    sets = [load_dataset(file) for path in paths for file in joined_files(path_of("paths", path))]
+    source = ", ".join(map(str, paths))
+    files = {one.variant: one for one in sets}
+    if len(sets) < 2 or len(files) < len(sets):
+        names = ", ".join(str(one.path) for one in sets)
         msg = (
-            f"{where}: got {names or 'none'}, pairing takes two or more data sets, each of another"
+            f"{source}: got {names or 'none'}, pairing takes two or more data sets, each of another"
         )
         raise InputError(f"{msg} engine or settings")
-    check_alike(found)
-    index = numbers_in(found, split)
+    check_alike(sets)
+    index = numbers_in(sets, split)
     if not len(index):
         part = f"{split} trajectory" if split else "trajectory"
-        msg = f"{where}: no {part} is valid in all {len(files)} data sets; generate more"
+        msg = f"{source}: no {part} is valid in all {len(files)} data sets; generate more"
         raise InputError(msg)
     pairs = PairedData(files, index)
-    check_paired(found, pairs.rows, STARTS)
+    check_paired(sets, pairs.rows, STARTS)
     return pairs
 
 
 def numbers_in(files: Sequence[Dataset], split: str | None) -> Index:
-    """Index of the trajectories that all files have (in a part), ascending."""
+    """Return the numbers of the trajectories that all files have (in a part), ascending."""
     each = [one.index if split is None else one.index[one.rows_of(split)] for one in files]
     return functools.reduce(np.intersect1d, each)
 
 
 def check_alike(files: Sequence[Dataset]) -> None:
-    """Raise InputError unless files are of the same scene, draws and length."""
+    """Raise InputError unless all files have the same scene, draws and length."""
     first = files[0]
     for file in files[1:]:
         for key in _SAME:
             if file.attributes[key] != first.attributes[key]:
-                what = "another scene" if key == "scene" else f"{key} {file.attributes[key]}"
+                mismatch = "another scene" if key == "scene" else f"{key} {file.attributes[key]}"
                 msg = (
-                    f"{file.path}: {what}, unlike {first.path.name}; domains must be the same "
+                    f"{file.path}: {mismatch}, unlike {first.path.name}; domains must be the same "
                     "motions, generate them in one run"
                 )
                 raise InputError(msg)
 
 
 def check_paired(files: Sequence[Dataset], rows: Sequence[Index], names: Sequence[str]) -> None:
-    """Raise InputError unless datasets are the same bits: nothing but the engine may differ."""
+    """Raise InputError unless datasets are equal to the last bit: only the engine may differ."""
     for name in names:
         first = np.asarray(files[0][name][rows[0]])
         for file, chosen in zip(files[1:], rows[1:], strict=True):

@@ -1,4 +1,4 @@
-"""The points of a scene whose motion is published, from the bodies' motion and back."""
+"""Points of a scene whose motion is published: computed from the bodies' motion, and back."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from mbds_xsim.scene.sampling import noise_components
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Trajectory
 
-_BODY_FRAMES = 20_000  # worked on at once: their arrays stay in a core's cache
+_BODY_FRAMES = 20_000  # processed at once, so that their arrays stay in a core's cache
 
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Particles, and stand-ins in bodies without any."""
+    """Particles, and stand-in points in bodies without particles."""
 
     mechanism: Mechanism
     body: Index
     """Body of each point, shape (point,)."""
     offset: Array
-    """From its centre of mass in the native frame [m], shape (point, 3)."""
+    """Offset from the body's centre of mass in the native frame [m], shape (point, 3)."""
     axes: list[int]
     """Components of W in which the scene moves."""
 
@@ -39,7 +39,7 @@ class Points:
         return Points(mechanism, *markers(mechanism), noise_components(scene))
 
     def motion(self, trajectory: Trajectory) -> tuple[Array, Array]:
-        """Positions [m] and velocities [m/s], each of shape (trajectory, frame, point, axis)."""
+        """Return positions [m] and velocities [m/s] of shape (trajectory, frame, point, axis)."""
         count, frames, bodies = trajectory.position.shape[:3]
         shape = (count, frames, len(self.body), len(self.axes))
         position, velocity = np.empty(shape), np.empty(shape)
@@ -50,7 +50,7 @@ class Points:
         return position, velocity
 
     def _moved(self, trajectory: Trajectory) -> tuple[Array, Array]:
-        # So laid out in memory, components are apart, and numpy is several times faster.
+        # This memory layout keeps components apart, which makes numpy several times faster.
         states = BodyStates.of(self.mechanism, trajectory).each(np.asfortranarray)
         arm = states.arms(self.body, self.offset)
         swing = rotation.cross(states.angular_velocity[..., self.body, :], arm)
@@ -61,13 +61,13 @@ class Points:
         return position[..., self.axes], velocity[..., self.axes]
 
     def lifted(self, values: NDArray[Any], rest: Array | float = 0.0) -> Array:
-        """Give three components; those that the scene does not move in are at rest."""
+        """Return three components; those in which the scene does not move are those of `rest`."""
         whole = np.broadcast_to(rest, (*values.shape[:-1], 3)).copy()
         whole[..., self.axes] = values
         return whole
 
     def graph(self) -> dict[str, NDArray[Any]]:
-        """Nodes and edges; static nodes are numbered after the points."""
+        """Return nodes and edges; static nodes are numbered after the points."""
         scene = self.mechanism.scene
         edges = np.array(scene.edges, dtype=np.int64).reshape(-1, 2)
         shift = len(self.body) - scene.particle_count
@@ -81,7 +81,7 @@ class Points:
 
 
 def axis_sizes(scene: Scene) -> dict[str, int]:
-    """Lengths of the axes of the layout that the scene decides."""
+    """Return the lengths of the layout's axes that the scene decides."""
     points = Points.of(scene)
     return {
         "frame": scene.clock.steps + 1,
@@ -98,38 +98,38 @@ def axis_sizes(scene: Scene) -> dict[str, int]:
     }
 
 
-_COINCIDENT = 1e-9  # of the scene's length
+_COINCIDENT = 1e-9  # relative to the scene's length
 
 
 @dataclass(frozen=True, eq=False)
 class Recovered:
-    """The rigid motion of every body that is nearest to the points."""
+    """Rigid motion of every body that fits the points best."""
 
     position: Array
-    """Of centres of mass [m], shape (trajectory, frame, body, 3)."""
+    """Positions of centres of mass [m], shape (trajectory, frame, body, 3)."""
     orientation: Array
-    """Shape (trajectory, frame, body, 4)."""
+    """Unit quaternions, shape (trajectory, frame, body, 4)."""
     velocity: Array | None
-    """[m/s]; None without velocities of the points."""
+    """Velocities of centres of mass [m/s]; None without velocities of the points."""
     angular_velocity: Array | None
-    """[rad/s]."""
+    """Angular velocities in W [rad/s]; None without velocities of the points."""
     residual: Array
-    """Largest distance of a point of the body from where the rigid body has it [m], shape
+    """Largest distance of a point of the body from its place in the rigid body [m], shape
     (trajectory, frame, body)."""
     undetermined: tuple[str, ...]
-    """Bodies whose orientation, about a line at least, the points do not tell."""
+    """Bodies whose orientation the points do not determine, at least about one line."""
 
 
 def recover(scene: Scene, position: Array, velocity: Array | None) -> Recovered:
     """Fit rigid bodies to points by least squares (Kabsch), and twists to their velocities.
 
-    Joints help: where one sits on a point of another body, or is fixed in W, that point is one
-    of this body's, too. A scene that stays in its plane turns about y alone.
+    Joints help: a joint on a point of another body, or one that is fixed in W, counts as a point
+    of this body, too. Bodies of a scene that stays in its plane rotate about y only.
 
     Args:
-        scene: What moves.
-        position: Of the points [m], shape (trajectory, frame, point, axis).
-        velocity: Of the points [m/s], the same shape; None: not known.
+        scene: Scene that moves.
+        position: Positions of the points [m], shape (trajectory, frame, point, axis).
+        velocity: Velocities of the points [m/s], in the same shape; None if unknown.
     """
     points = Points.of(scene)
     mechanism = points.mechanism
@@ -153,8 +153,8 @@ def recover(scene: Scene, position: Array, velocity: Array | None) -> Recovered:
 
 _Known = tuple[Array, Index, Array]
 """Points whose place in a body is known, own ones and joints on another body's point: the offset
-from its centre of mass in the native frame [m], shape (known, 3); the number of the point, −1 where
-it is fixed in W; the place of those [m], shape (known, 3)."""
+from its centre of mass in the native frame [m], shape (known, 3); the number of the point, −1 if it
+is fixed in W; the position in W of fixed points [m], shape (known, 3)."""
 
 
 def _known(points: Points, body: int) -> _Known:
@@ -169,63 +169,63 @@ def _known(points: Points, body: int) -> _Known:
         other = joint.parent
         if body == joint.parent:
             here, there, other = there, here, joint.child
-        found = -1 if other == WORLD_INDEX else _point_at(points, mechanism, other, there)
-        if found is not None:
+        point = -1 if other == WORLD_INDEX else _point_at(points, mechanism, other, there)
+        if point is not None:
             offset.append(here)
-            source.append(found)
+            source.append(point)
             place.append(there)
     return np.reshape(offset, (-1, 3)), np.array(source, dtype=int), np.reshape(place, (-1, 3))
 
 
 def _point_at(points: Points, mechanism: Mechanism, body: int, offset: Array) -> int | None:
     near = np.linalg.norm(points.offset - offset, axis=1) <= _COINCIDENT * mechanism.scene.length
-    found = np.flatnonzero(near & (points.body == body))
-    return int(found[0]) if len(found) else None
+    matches = np.flatnonzero(near & (points.body == body))
+    return int(matches[0]) if len(matches) else None
 
 
 def _fit(
     known: _Known, fixed: Array, place: Array, speed: Array | None
 ) -> tuple[Array, Array, Array, Array, Array, bool]:
-    """Fit one body; directions that stay fixed in it and in W are like points at no distance.
+    """Fit one body; `fixed` directions, the same in it and in W, count as further arms.
 
     Returns:
-        Position, turn of the native frame, velocity, angular velocity, and residual; whether the
-        points determine them.
+        Position, orientation of the native frame, velocity, angular velocity, residual, and whether
+        the points determine them.
     """
-    offset, source, held = known
-    given = np.where((source < 0)[:, None], held, place[..., source, :])
-    middle, centre = offset.mean(axis=0), given.mean(axis=-2)
+    offset, source, anchors = known
+    targets = np.where((source < 0)[:, None], anchors, place[..., source, :])
+    middle, centre = offset.mean(axis=0), targets.mean(axis=-2)
     arms = offset - middle
     reach = float(np.sqrt((arms**2).sum(axis=1).max(initial=0.0)))
     still = fixed * max(reach, 1e-12)
     spread = np.linalg.svd(np.concatenate([arms, still]), compute_uv=False)
     determined = int((spread > 1e-6 * max(reach, 1e-12)).sum()) >= 2 and reach > 0
-    inside = given - centre[..., None, :]
+    inside = targets - centre[..., None, :]
     turn = _nearest_turn(np.einsum("...ki,kj->...ij", inside, arms) + still.T @ still)
     native = rotation.from_matrix(turn)
     position = centre - rotation.rotate(native, middle)
-    apart = given - position[..., None, :] - rotation.rotate(native[..., None, :], offset)
-    residual = np.linalg.norm(apart, axis=-1).max(axis=-1)
+    misfit = targets - position[..., None, :] - rotation.rotate(native[..., None, :], offset)
+    residual = np.linalg.norm(misfit, axis=-1).max(axis=-1)
     velocity = rate = np.zeros_like(position)
     if speed is not None:
-        moved = np.where((source < 0)[:, None], 0.0, speed[..., source, :])
-        rate = _twist(inside, still, moved - moved.mean(axis=-2, keepdims=True))
-        velocity = moved.mean(axis=-2) + rotation.cross(rate, position - centre)
+        velocities = np.where((source < 0)[:, None], 0.0, speed[..., source, :])
+        rate = _twist(inside, still, velocities - velocities.mean(axis=-2, keepdims=True))
+        velocity = velocities.mean(axis=-2) + rotation.cross(rate, position - centre)
     return position, native, velocity, rate, residual, determined
 
 
 def _nearest_turn(covariance: Array) -> Array:
-    """Give the rotation matrices that match best, shape (…, 3, 3)."""
+    """Return the best-fitting rotation matrices (Kabsch), shape (…, 3, 3)."""
     left, _, right = np.linalg.svd(covariance)
     sign = np.ones((*covariance.shape[:-2], 3))
     sign[..., 2] = np.sign(np.linalg.det(left @ right))
     return np.asarray((left * sign[..., None, :]) @ right)
 
 
-def _twist(inside: Array, still: Array, moved: Array) -> Array:
-    """Give the angular velocities that match best [rad/s], shape (…, 3)."""
+def _twist(inside: Array, still: Array, velocities: Array) -> Array:
+    """Return the best-fitting angular velocities [rad/s], shape (…, 3)."""
     arms = np.concatenate([inside, np.broadcast_to(still, (*inside.shape[:-2], *still.shape))], -2)
     square = np.einsum("...k,...k->...", arms, arms).sum(axis=-1)
     inertia = square[..., None, None] * np.eye(3) - np.einsum("...ki,...kj->...ij", arms, arms)
-    momentum = rotation.cross(inside, moved).sum(axis=-2)
+    momentum = rotation.cross(inside, velocities).sum(axis=-2)
     return np.asarray(np.einsum("...ij,...j->...i", np.linalg.pinv(inertia), momentum))

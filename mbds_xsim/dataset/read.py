@@ -1,4 +1,4 @@
-"""Read data files lazily: arrays as numpy gives them, straight from the bytes of the file."""
+"""Lazy reading of data files: numpy arrays straight from the bytes of the files."""
 
 from __future__ import annotations
 
@@ -28,23 +28,23 @@ from mbds_xsim.dataset.series import MappedFile, Series, Windows
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import STATES, Batch, Failure, Trajectory
 
-_LONGEST = 10_000_000  # range of numbers of trajectories
+_LONGEST = 10_000_000  # longest range of trajectory numbers
 _AT_ONCE = ("index", "split", "reason")
 
 
 class UnknownDataset(UnknownName, KeyError):
-    """A name under which a data set has nothing."""
+    """Error for the name of a dataset that a file does not have."""
 
-    __str__ = Exception.__str__  # that of KeyError puts quotes around the line
+    __str__ = Exception.__str__  # KeyError's own puts quotes around the line
 
 
 def load_dataset(path: str | Path) -> Dataset:
-    """Open a data file: of one variant (`…/mujoco-matched.h5`), one shard, or the rejected.
+    """Open a data file: one variant (`…/mujoco-matched.h5`), one shard, or rejected trajectories.
 
-    Nothing but the index is read. Arrays are read, or mapped, when they are asked for.
+    Only the index and other small datasets are read now. Series are read or mapped when used.
 
     Raises:
-        InputError: It is no data file, of a newer layout, damaged, or its shards are not beside it.
+        InputError: It is no data file, has a newer layout, is damaged, or its shards are missing.
     """
     path = path_of("path", path)
     attributes = attributes_of(path)
@@ -55,15 +55,15 @@ def load_dataset(path: str | Path) -> Dataset:
     scene = scene_of(attributes["scene"], path)
     with open_hdf5(path) as file:
         check_fit(file, path, kind, scene)
-        found = {name: field for name, field in FIELDS.items() if name in file}
+        fields = {name: field for name, field in FIELDS.items() if name in file}
         small = {
             name: values_of(file[name])
-            for name, field in found.items()
+            for name, field in fields.items()
             if name in _AT_ONCE or not field.per_trajectory
         }
         like = {
             name: np.empty((0, *file[name].shape[1:]), file[name].dtype)
-            for name in found
+            for name in fields
             if name not in small
         }
     parts: tuple[MappedFile, ...] = (MappedFile.of(path, len(small["index"])),)
@@ -90,39 +90,39 @@ def _parts(path: Path, small: dict[str, NDArray[Any]]) -> Iterator[MappedFile]:
 class Dataset:
     """Trajectories of one scene in one engine: a mapping from names of datasets to their values.
 
-    As in a frame of pandas, iterating and `in` are about names, `len` about rows: these are the
-    published trajectories, by their index. What belongs to trajectories comes as a `Series`, to be
-    indexed by row; what belongs to all, such as `time` or `graph/edge`, as an array.
+    As in a pandas DataFrame, iteration and `in` go over names, and `len` counts rows. Rows are the
+    file's trajectories, ordered by index. A dataset of trajectories is a `Series`, indexed by row;
+    a dataset that all trajectories share, such as `time` or `graph/edge`, is an array.
     """
 
     path: Path
     attributes: dict[str, Any]
-    """How it was made: scene, engine, settings, seed, versions; see `docs/dataset-layout.md`."""
+    """Scene, engine, settings, seed, versions and more; see `docs/dataset-layout.md`."""
     scene: Scene
-    """The scene, as the file has it."""
+    """Scene as the file has it."""
     parts: tuple[MappedFile, ...]
-    """Files in which its trajectories are, and how many each has."""
+    """Files that hold the trajectories, with the number of rows in each."""
     small: dict[str, NDArray[Any]]
-    """Index, split, and datasets that belong to no trajectory: time, graph, names of checks."""
+    """Index, split, reason, and datasets that belong to no trajectory: time, graph, check names."""
     like: dict[str, NDArray[Any]]
-    """The others: arrays of their type and shape, without a trajectory."""
+    """Empty arrays with the type and shape of all other datasets, keyed by name."""
 
     def __len__(self) -> int:
         return len(self.index)
 
     def __repr__(self) -> str:
         attrs = self.attributes
-        made = f"{attrs['engine']} {attrs['profile']} ({attrs['certification']})"
+        source = f"{attrs['engine']} {attrs['profile']} ({attrs['certification']})"
         return (
-            f"<{attrs['scene_name']} {made}: "
+            f"<{attrs['scene_name']} {source}: "
             f"{len(self)} trajectories of {attrs['steps']} steps of {attrs['frame_s']} s>"
         )
 
     def __getitem__(self, name: Any) -> NDArray[Any] | Series:
-        """Give a dataset by its path in the file; one of trajectories as a `Series`.
+        """Return a dataset by its path in the file; one of trajectories as a `Series`.
 
         Raises:
-            UnknownDataset: The file has none of this name.
+            UnknownDataset: The file has no dataset of this name.
         """
         if not isinstance(name, str):
             got = repr(name) if isinstance(name, int | slice) else "…"
@@ -144,19 +144,19 @@ class Dataset:
         return (name for name in FIELDS if name in self)
 
     def keys(self) -> KeysView[str]:
-        """Names of the datasets, in the order of the layout."""
+        """Return the names of the datasets, in the order of the layout."""
         return dict.fromkeys(self).keys()
 
     def values(self) -> ValuesView[NDArray[Any] | Series]:
-        """The datasets, in the order of their names."""
+        """Return the datasets, in the order of the layout."""
         return {name: self[name] for name in self}.values()
 
     def items(self) -> ItemsView[str, NDArray[Any] | Series]:
-        """Names and datasets."""
+        """Return names and datasets, in the order of the layout."""
         return {name: self[name] for name in self}.items()
 
     def get(self, name: str, default: Any = None) -> Any:
-        """Give a dataset, or the default where the file has none of this name."""
+        """Return a dataset, or the default if the file has none of this name."""
         try:
             return self[name]
         except UnknownDataset:
@@ -164,7 +164,7 @@ class Dataset:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """Files in which its trajectories are."""
+        """Files that hold the trajectories."""
         return tuple(part.path for part in self.parts)
 
     @property
@@ -174,7 +174,7 @@ class Dataset:
 
     @property
     def lack(self) -> str:
-        """Says that there is nothing to read; "" where there is."""
+        """Message that there is nothing to read; empty if there is something."""
         drawn = self.attributes["count"]
         return "" if len(self) else f"none of {drawn} trajectories drawn passed its checks"
 
@@ -185,7 +185,7 @@ class Dataset:
 
     @property
     def time(self) -> NDArray[np.float64]:
-        """Of each frame [s], shape (frame,)."""
+        """Time of each frame [s], shape (frame,)."""
         return self.small["time"]
 
     @property
@@ -204,7 +204,7 @@ class Dataset:
         return Series(self.parts, name, self.like[name])
 
     def rows_of(self, split: str) -> NDArray[np.int64]:
-        """Rows of "train", "validation" or "test".
+        """Return the rows of "train", "validation" or "test".
 
         Raises:
             InputError: There is no such part, or the file is a shard, which has no split.
@@ -223,8 +223,8 @@ class Dataset:
         """Read datasets of trajectories into an `xarray.Dataset` with the axes of the layout.
 
         Args:
-            names: Which datasets to read.
-            rows: Of which trajectories: a slice, a list or a mask.
+            names: Datasets to read.
+            rows: Rows of the trajectories to read: a slice, a list or a mask.
 
         Raises:
             InputError: xarray is not installed.
@@ -233,34 +233,34 @@ class Dataset:
         return labelled(arrays, trajectory=self.index[rows], frame=self.time)
 
     def batch(self, rows: Any = slice(None)) -> Batch:
-        """Starts and inputs of trajectories, the noise included."""
+        """Return the starts and inputs of trajectories, including the noise."""
         starts = {key: self._series(f"start/{key}")[rows] for key in STATES}
         force, torque = self._series("input/force")[rows], self._series("input/torque")[rows]
         return Batch(index=self.index[rows], **starts, force=force, torque=torque)
 
     def trajectory(self, rows: Any = slice(None)) -> Trajectory:
-        """Motions of the bodies; one that has no numbers to its end is a failure."""
+        """Return the motions of the bodies; one with NaN or infinity counts as a failure."""
         states = {key: self._series(f"body/{key}")[rows] for key in STATES}
-        each = [np.isfinite(values).all(axis=(2, 3)) for values in states.values()]
+        finite = [np.isfinite(values).all(axis=(2, 3)) for values in states.values()]
         failures = tuple(
             None if row.all() else Failure(int(np.argmin(row)), "no numbers")
-            for row in np.logical_and.reduce(each)
+            for row in np.logical_and.reduce(finite)
         )
         return Trajectory(self.time, **states, failures=failures)
 
     def check(self, names: Collection[str] | None = None) -> None:
-        """Hold values against the checksums that were written with them, which reading does not.
+        """Compare values with the checksums that were written with them; reading does not do so.
 
         Args:
-            names: Only these datasets'; all when left out.
+            names: Datasets to check; all if None.
 
         Raises:
-            InputError: Something is not what was written.
+            InputError: A file is not what was written.
         """
         for path in dict.fromkeys((self.path, *self.files)):
-            wrong = check_content(path, names)
-            if wrong is not None:
-                raise InputError(f"{path}: {wrong}; get it again, or generate it anew")
+            fault = check_content(path, names)
+            if fault is not None:
+                raise InputError(f"{path}: {fault}; get it again, or generate it anew")
         for path, content in zip(self.files, self.small.get("shard/content", ()), strict=False):
             if attributes_of(path)[CONTENT] != content:
                 msg = f"{path}: not the shard that {self.path.name} joins; generate it anew"
@@ -274,13 +274,13 @@ class Dataset:
         rows: NDArray[np.int64] | None = None,
         names: tuple[str, ...] = ("position", "velocity"),
     ) -> Windows:
-        """All windows of so many frames, for training; a torch `Dataset` in all but name.
+        """Return all windows of `length` frames, for training; usable as a torch `Dataset`.
 
         Args:
-            length: Frames of a window: of history and of target together.
-            split: Only of this part.
-            rows: Only of these trajectories: their rows, as of `joint.h5`, or a mask of all.
-            names: Which datasets to take.
+            length: Number of frames in a window, history and target together.
+            split: Part from which windows are taken; all if None.
+            rows: Rows of the trajectories to take, or a mask of all rows; all if None.
+            names: Datasets to take.
         """
         chosen = np.arange(len(self)) if split is None else self.rows_of(split)
         if rows is not None:
@@ -289,7 +289,7 @@ class Dataset:
 
 
 def labelled(arrays: Mapping[str, tuple[tuple[str, ...], Any]], **coordinates: Any) -> Any:
-    """Give an `xarray.Dataset` of arrays, each with its axes, and of coordinates of their axes.
+    """Return an `xarray.Dataset` of arrays, each with its axes, and the coordinates of these axes.
 
     Raises:
         InputError: xarray is not installed.
@@ -302,43 +302,43 @@ def labelled(arrays: Mapping[str, tuple[tuple[str, ...], Any]], **coordinates: A
 
 
 def joined_files(path: Path, engines: str | None = None) -> list[Path]:
-    """Give the data sets of a folder, or the one that a file is.
+    """Return the files of the data sets in a folder, or the given file itself.
 
     Args:
-        path: A data file, or a folder that `mbds-xsim generate` has made, or one within.
-        engines: Only those of these, comma-separated.
+        path: A data file, or a folder that `mbds-xsim generate` has made, or one within it.
+        engines: Engines whose data sets are returned, comma-separated; all if None.
 
     Raises:
-        InputError: There are none.
+        InputError: There are no data sets, or none of an engine named.
     """
     if not path.exists():
         msg = f"{path}: there is no such file or folder"
         raise InputError(msg)
-    # Named by engine and settings; shards are by a number, and files of others need not be read.
-    sets = [path] if path.is_file() else sorted(path.rglob(f"*-*{SUFFIX}"))
-    kinds = {file: attributes_of(file) for file in sets}
-    found = [file for file, attrs in kinds.items() if path.is_file() or attrs["kind"] == "joined"]
-    if not found:
+    # Data sets are named by engine and settings, shards by a number; others need not be read.
+    candidates = [path] if path.is_file() else sorted(path.rglob(f"*-*{SUFFIX}"))
+    kinds = {file: attributes_of(file) for file in candidates}
+    files = [file for file, attrs in kinds.items() if path.is_file() or attrs["kind"] == "joined"]
+    if not files:
         msg = f"{path} holds no data set; name a folder that mbds-xsim generate has finished"
         raise InputError(msg)
     if engines is None:
-        return found
+        return files
     wanted = [word.strip() for word in engines.split(",")]
-    there = sorted({str(kinds[file].get("engine")) for file in found})
-    strange = [word for word in wanted if word not in there]
+    available = sorted({str(kinds[file].get("engine")) for file in files})
+    strange = [word for word in wanted if word not in available]
     if strange:
-        msg = f"--engines: got {strange[0]!r}, allowed for {path} is {', '.join(there)}"
+        msg = f"--engines: got {strange[0]!r}, allowed for {path} is {', '.join(available)}"
         raise InputError(msg)
-    return [file for file in found if kinds[file].get("engine") in wanted]
+    return [file for file in files if kinds[file].get("engine") in wanted]
 
 
 def parse_numbers(text: str, option: str) -> list[int]:
-    """Read numbers and ranges, ascending, each once.
+    """Parse numbers and ranges, such as "0-9,15"; return them ascending, each once.
 
     Raises:
-        InputError: It is something else, or a range that would fill the memory.
+        InputError: The text is something else, or has a range that would fill the memory.
     """
-    found: set[int] = set()
+    numbers: set[int] = set()
     for word in text.split(","):
         match = re.fullmatch(r"\s*(\d{1,15})(?:-(\d{1,15}))?\s*", word)
         first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
@@ -348,5 +348,5 @@ def parse_numbers(text: str, option: str) -> list[int]:
                 "0-9,15"
             )
             raise InputError(msg)
-        found |= set(range(first, last + 1))
-    return sorted(found)
+        numbers |= set(range(first, last + 1))
+    return sorted(numbers)

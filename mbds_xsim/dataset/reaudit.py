@@ -27,32 +27,33 @@ from mbds_xsim.simulate.claims import Method
 from mbds_xsim.simulate.registry import load_adapter
 from mbds_xsim.simulate.timed import simulate
 
-_SAME_DRAW = 1e-12  # relative; what another processor's sine may differ by
-_SAME_FIGURE = 1e-6  # of the figure, or of what is allowed
+_SAME_DRAW = 1e-12  # relative; sines of two processors may differ by as much
+_SAME_FIGURE = 1e-6  # relative to the figure or to its limit
 _SOURCES = {"interval": "index mod 3", "time": "that of the scene's frames"}
-_ROUNDED = 2.0**-23  # of float32, relative: the nearest of two neighbours
-_SAME_MOTION = 1e-6  # of a state's scale; rounding that chaos has amplified
-_SAME_AT_FIRST = 1e-10  # the same, up to the frame _EARLY
+_ROUNDED = 2.0**-23  # spacing of float32, relative: either neighbour may be stored
+_SAME_MOTION = 1e-6  # relative to a state's scale; rounding that chaos has amplified
+_SAME_AT_FIRST = 1e-10  # the same, up to frame _EARLY
 _EARLY = 5
 
 
 @dataclass
 class FileReport:
-    """What became of one file."""
+    """Report on one file."""
 
     file: str
     kind: str
     trajectories: int = 0
     problems: list[str] = field(default_factory=list)
-    """What is wrong; nothing: it holds what it says."""
+    """Faults; empty if the file is sound."""
     notes: list[str] = field(default_factory=list)
-    """What else there is to know."""
+    """Remarks that are not faults."""
 
 
 def reaudit(path: Path, report: FileReport, resimulated: int, seed: int) -> None:
-    """Check layout, numbers, draws, points and every check of a shard, or of rejected trajectories.
+    """Check a shard or a file of rejected trajectories: layout, numbers, draws, points, all checks.
 
-    Some, chosen by the seed, are simulated again, if the engine is here. The report is added to.
+    Some trajectories of a shard, chosen by the seed, are simulated again if the engine is
+    installed. Findings are added to the report.
     """
     attributes = attributes_of(path)
     scene, report.kind = scene_of(attributes["scene"], path), attributes["kind"]
@@ -62,7 +63,7 @@ def reaudit(path: Path, report: FileReport, resimulated: int, seed: int) -> None
         return
     data = load_dataset(path)
     report.problems += _numbers(data)
-    if len(data):  # all of a shard may have been rejected
+    if len(data):  # all trajectories of a shard may have been rejected
         for check in (_derived, _orientations, _checks):
             report.problems += check(data)
     if not _same_checks(data):
@@ -76,7 +77,7 @@ def reaudit(path: Path, report: FileReport, resimulated: int, seed: int) -> None
 
 
 def _numbers(data: Dataset) -> Iterator[str]:
-    """The numbering of the trajectories, and what repeats what the scene says."""
+    """Yield faults in the numbering, the counts, and the attributes that repeat the scene."""
     attrs, index = data.attributes, data.index
     first, count = attrs["first"], attrs["count"]
     if len(index) and (
@@ -96,30 +97,30 @@ def _numbers(data: Dataset) -> Iterator[str]:
 
 
 def _derived(data: Dataset) -> Iterator[str]:
-    """Whatever follows from the scene, from seed and index, and from the states of the bodies.
+    """Yield faults in data that follow from the scene, seed and index, or states of the bodies.
 
-    Starts and inputs must be those of seed and index: so engines are paired.
+    Starts and inputs must be those of seed and index, since these pair the engines.
     """
     attrs, scene = data.attributes, data.scene
     drawn = draw_batch(scene, data.index.tolist(), seed=attrs["seed"], noise=attrs["noise"])
     frames = scene.clock.frame * np.arange(scene.clock.steps + 1, dtype=np.float64)
     motion = dataclasses.replace(data.trajectory(), time=frames)
     for name, wanted in derived(scene, drawn, motion, attrs["seed"]).items():
-        off = _off(data[name][:], wanted) if name in data else np.zeros(0, dtype=bool)
-        if not off.any():
+        deviating = _off(data[name][:], wanted) if name in data else np.zeros(0, dtype=bool)
+        if not deviating.any():
             continue
         group, _, key = name.rpartition("/")
         if group in ("start", "input"):
             yield f"pairing: {key} is not what seed {attrs['seed']} and index give"
         elif name in MOTION:
-            row = np.argwhere(off)[0][0]
+            row = np.argwhere(deviating)[0][0]
             yield f"{name}: not that of the bodies, first of trajectory {data.index[row]}"
         else:
             yield f"{name}: not {_SOURCES.get(name, 'that of the scene')}"
 
 
 def _off(got: NDArray[Any], wanted: NDArray[Any]) -> NDArray[np.bool_]:
-    """Where values are others, but for rounding and what another processor's sine may do."""
+    """Mark values that differ by more than rounding and another processor's sine explain."""
     if got.dtype.kind != "f":
         return np.asarray(got != wanted)
     near = _SAME_DRAW * max(1.0, float(np.abs(wanted).max(initial=0.0)))
@@ -129,11 +130,11 @@ def _off(got: NDArray[Any], wanted: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 def _orientations(data: Dataset) -> Iterator[str]:
-    """Quaternions must go on with the sign that they have at the start."""
-    given = data["body/orientation"][:]
-    turned = rotation.continuous(given, data["start/orientation"][:])
-    off = (turned != given) & np.isfinite(given)
-    for row, frame in zip(*np.nonzero(off.any(axis=(2, 3))), strict=True):
+    """Yield the first change of sign of a quaternion, from the start or from frame to frame."""
+    orientation = data["body/orientation"][:]
+    continuous = rotation.continuous(orientation, data["start/orientation"][:])
+    flipped = (continuous != orientation) & np.isfinite(orientation)
+    for row, frame in zip(*np.nonzero(flipped.any(axis=(2, 3))), strict=True):
         yield (
             f"body/orientation: changes its sign at frame {frame} of trajectory "
             f"{data.index[row]}; what is learned from it would see a jump"
@@ -142,10 +143,10 @@ def _orientations(data: Dataset) -> Iterator[str]:
 
 
 def _checks(data: Dataset) -> Iterator[str]:
-    """Every check must find what it found, and the verdict be what it was.
+    """Repeat every check; yield differences from the stored figures and verdicts.
 
-    Checks that are newer than the file were not measured then; they judge all the same. The figures
-    of an older version may be others, and so may what it rejected.
+    Checks that are newer than the file have no figures in it, but they judge all the same. Figures
+    and rejections of an older version are not compared, since they may have been others.
     """
     if not set(data["check/name"][:].tolist()) <= set(COLUMNS):
         yield "checks: another version's; install the version that the file names"
@@ -175,24 +176,24 @@ def _figures(data: Dataset, verdict: CheckTable) -> Iterator[str]:
     columns = [list(COLUMNS).index(name) for name in names]
     allowed = verdict.allowed[:, columns]
     for key in ("figure", "allowed"):
-        stored, found = data[f"check/{key}"][:], getattr(verdict, key)[:, columns]
-        scale = np.fmax(np.abs(stored), np.where(np.isfinite(found), np.abs(found), 0.0))
+        stored, computed = data[f"check/{key}"][:], getattr(verdict, key)[:, columns]
+        scale = np.fmax(np.abs(stored), np.where(np.isfinite(computed), np.abs(computed), 0.0))
         scale = np.fmax(scale, np.where(np.isfinite(allowed), allowed, 0.0))
-        same = (stored == found) | (np.abs(stored - found) <= _SAME_FIGURE * scale)
-        # A check may not apply to any of the trajectories left, and so to none.
-        same |= np.isnan(stored) | np.isnan(found)
+        same = (stored == computed) | (np.abs(stored - computed) <= _SAME_FIGURE * scale)
+        # A check may apply to none of the trajectories that are left after rejection.
+        same |= np.isnan(stored) | np.isnan(computed)
         for row, column in np.argwhere(~same)[:3]:
             yield (
                 f"checks: {names[column]} of trajectory {data.index[row]} is stored "
-                f"as {key} {stored[row, column]:.9g} and found as {found[row, column]:.9g}"
+                f"as {key} {stored[row, column]:.9g} and found as {computed[row, column]:.9g}"
             )
 
 
 def making_of(data: Dataset) -> Making:
-    """Give what a file says of how it was made.
+    """Return the facts in a file about how its trajectories were made.
 
     The file has the order that the method reached in this scene. Friction, stops and saturated
-    servos lower that of fixed steps; a file with a higher one is of a method that adapts its steps.
+    servos lower the order at fixed steps; if the file's is higher, the method adapts its steps.
     """
     attrs = data.attributes
     method = Method(
@@ -208,7 +209,7 @@ def making_of(data: Dataset) -> Making:
 
 
 def _settings(data: Dataset) -> Settings:
-    """Give the settings to make it again."""
+    """Return the settings to simulate the trajectories again."""
     attrs = data.attributes
     try:
         options = msgspec.json.decode(attrs["options"], type=dict[str, Any])
@@ -219,12 +220,12 @@ def _settings(data: Dataset) -> Settings:
 
 
 def _simulate_again(data: Dataset, report: FileReport, count: int, seed: int) -> None:
-    """Simulate some of the trajectories again, where the engine is here in the same version."""
+    """Simulate some trajectories again, if the same version of the engine is installed."""
     attrs = data.attributes
-    here = _version(attrs["engine"])
-    if here != attrs["engine_version"]:
+    version = _version(attrs["engine"])
+    if version != attrs["engine_version"]:
         note = f"not simulated again: {attrs['engine']} {attrs['engine_version']} is not here"
-        report.notes.append(note + (f", but {here}" if here else ""))
+        report.notes.append(note + (f", but {version}" if version else ""))
         return
     rng = np.random.default_rng([seed, attrs["first"]])
     rows = np.sort(rng.choice(len(data), count, replace=False)).tolist()
@@ -239,23 +240,23 @@ def _compare(
     length: float,
     report: FileReport,
 ) -> None:
-    """Compare all states: the same bits, or what another processor's last digit may grow to.
+    """Compare all states; differences may be as large as rounding on another processor can grow.
 
-    A difference that is there from the first frames on has not grown: it is no rounding.
+    A difference that is there from the first frames on has not grown: it is not rounding.
     """
     largest, differing = 0.0, False
     for key in STATES:
         new, old = getattr(made, key), getattr(stored, key)
         scale = length if key == "position" else max(1.0, float(np.abs(old).max(initial=0.0)))
-        off = np.where(new == old, 0.0, np.abs(new - old) / scale).max(axis=(2, 3))
-        off = np.where(np.isnan(off), np.inf, off)
-        largest = max(largest, float(off.max()))
-        allowed = np.where(np.arange(off.shape[1]) <= _EARLY, _SAME_AT_FIRST, _SAME_MOTION)
-        for row in np.flatnonzero((off > allowed).any(axis=1))[:1]:
-            frame, differing = int(np.argmax(off[row] > allowed)), True
+        difference = np.where(new == old, 0.0, np.abs(new - old) / scale).max(axis=(2, 3))
+        difference = np.where(np.isnan(difference), np.inf, difference)
+        largest = max(largest, float(difference.max()))
+        allowed = np.where(np.arange(difference.shape[1]) <= _EARLY, _SAME_AT_FIRST, _SAME_MOTION)
+        for row in np.flatnonzero((difference > allowed).any(axis=1))[:1]:
+            frame, differing = int(np.argmax(difference[row] > allowed)), True
             report.problems.append(
                 f"simulated again: {key} of trajectory {index[row]} differs by "
-                f"{off[row, frame]:.2g} of its scale at frame {frame}"
+                f"{difference[row, frame]:.2g} of its scale at frame {frame}"
             )
     same = "the same bits" if largest == 0.0 else f"within {largest:.1g} of their scale, rounding"
     if not differing:

@@ -1,4 +1,4 @@
-"""Datasets over all files of a data set, as numpy has arrays, and windows of their frames."""
+"""Datasets over all files of a data set, used like numpy arrays, and windows of their frames."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from mbds_xsim.dataset.hdf5 import open_hdf5, refuse_other, values_of
 _OPEN = 256  # files that are mapped at a time
 
 Stamp = tuple[int, int, int]
-"""Of a file: its number in the file system, its size, and when it was changed."""
+"""Identity of a file: its inode number, its size, and the time of its last change [ns]."""
 
 
 @dataclass(frozen=True)
@@ -32,23 +32,23 @@ class MappedFile:
     path: Path
     rows: int
     stamp: Stamp
-    """Of the file when it was opened: what is there later may be another."""
+    """Stamp of the file when it was opened; another file may take its place later."""
 
     @staticmethod
     def of(path: Path, rows: int) -> MappedFile:
-        """Note what a file is now."""
+        """Record the present state of a file."""
         refuse_other(path)
         return MappedFile(path, rows, _stamp(path))
 
     def values(self, name: str, like: NDArray[Any]) -> NDArray[Any]:
-        """Map a dataset, or read it where it cannot be mapped; it cannot be written to.
+        """Map a dataset, or read it if it cannot be mapped; the result is read-only.
 
         Args:
-            name: Of the dataset.
-            like: An array of its type, and of its shape but for the number of rows.
+            name: Name of the dataset.
+            like: Array with the type and shape of the dataset, except for the number of rows.
 
         Raises:
-            InputError: It is another than expected, or the file was changed.
+            InputError: The dataset has another type or shape, or the file was changed.
         """
         values = _values(self, name)
         wanted = (self.rows, *like.shape[1:])
@@ -81,11 +81,11 @@ def _values(part: MappedFile, name: str) -> NDArray[Any]:
 
 
 def _offset(dataset: Any, stamp: Stamp) -> int | None:
-    """Where values are in a file as one run of bytes that numpy has alike; None: they are not.
+    """Return where values start in a file if numpy can map them as one run of bytes, else None.
 
     Every layout of HDF5 but the contiguous one keeps values in another form or place: chunks, which
     alone may have filters, the header (compact), other files (external, virtual). A type may also
-    be stored as no type of numpy.
+    be stored in a form that numpy does not have.
     """
     creation = dataset.id.get_create_plist()
     contiguous = creation.get_layout() == h5py.h5d.CONTIGUOUS
@@ -108,38 +108,38 @@ def _bytes_of(part: MappedFile) -> mmap.mmap:
 
 
 def _stamp(path: Path) -> Stamp:
-    found = path.stat()
-    return found.st_ino, found.st_size, found.st_mtime_ns
+    status = path.stat()
+    return status.st_ino, status.st_size, status.st_mtime_ns
 
 
 class Rows(ABC):
-    """A dataset of trajectories that is indexed as an array, reading only the rows asked for.
+    """Dataset of trajectories that is indexed like an array, and reads only the rows asked for.
 
-    As in `series[3]`, `series[-1]`, `series[10:20, ::5]`, `series[[4, 2]]`, `series[mask]`.
+    Examples: `series[3]`, `series[-1]`, `series[10:20, ::5]`, `series[[4, 2]]`, `series[mask]`.
     """
 
     name: str
     like: NDArray[Any]
-    """An array of its type and shape without a trajectory."""
+    """Array of the same type and shape, without a trajectory."""
 
     @abstractmethod
     def __len__(self) -> int:
-        """Count trajectories."""
+        """Return the number of trajectories."""
 
     @abstractmethod
     def _one(self, row: int) -> NDArray[Any]:
-        """Give one trajectory, by a row from 0 on."""
+        """Return one trajectory, by a row counted from 0."""
 
     @abstractmethod
     def _take(self, rows: Index) -> NDArray[Any]:
-        """Read some trajectories, in the shape of their rows."""
+        """Read some trajectories; the first axes of the result are those of `rows`."""
 
     def __repr__(self) -> str:
         return f"<{self.name}: {self.dtype} of shape {self.shape}>"
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of the whole."""
+        """Shape of the whole dataset."""
         return (len(self), *self.like.shape[1:])
 
     @property
@@ -153,7 +153,7 @@ class Rows(ABC):
         return self.like.dtype
 
     def __getitem__(self, key: Any) -> NDArray[Any]:
-        """Give what an array of the whole would give."""
+        """Index the dataset as if it were one array."""
         rows, *rest = key if isinstance(key, tuple) and key else (key,)
         if isinstance(rows, int | np.integer) and not isinstance(rows, bool):
             if not -len(self) <= rows < len(self):
@@ -164,18 +164,18 @@ class Rows(ABC):
         chosen = np.arange(len(self))[rows] if isinstance(rows, slice | list | np.ndarray) else None
         if chosen is None or (rest and chosen.ndim != 1):
             return np.asarray(self)[key]
-        taken = self._take(chosen)
+        values = self._take(chosen)
         if not rest:
-            return taken
-        # Beside other arrays, that of the rows goes in step with them, as numpy has it.
-        own = slice(None) if isinstance(rows, slice) else np.arange(len(taken))
-        return taken[(own, *rest)]
+            return values
+        # As in numpy, the array of rows advances in step with other index arrays.
+        own = slice(None) if isinstance(rows, slice) else np.arange(len(values))
+        return values[(own, *rest)]
 
     def __iter__(self) -> Iterator[NDArray[Any]]:
         return (self[row] for row in range(len(self)))
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        """Read the whole."""
+        """Read the whole dataset."""
         if copy is False:
             msg = f"{self.name}: an array of the whole is a copy of what is in the files"
             raise ValueError(msg)
@@ -187,7 +187,7 @@ class Rows(ABC):
 class Series(Rows):
     """A dataset of trajectories, over all shards, mapped from the files' bytes.
 
-    One trajectory is mapped, and cannot be written to; several are read.
+    A single trajectory is mapped and read-only; several are read into a new array.
     """
 
     parts: tuple[MappedFile, ...]
@@ -196,18 +196,18 @@ class Series(Rows):
 
     @functools.cached_property
     def first(self) -> Index:
-        """First row of each shard, then the number of rows."""
+        """First row of each shard, and last the number of rows."""
         return np.concatenate([[0], np.cumsum([part.rows for part in self.parts])])
 
     def __len__(self) -> int:
         return int(self.first[-1])
 
     def shard(self, k: int) -> NDArray[Any]:
-        """Map one shard, shape (trajectory, frame, …); it cannot be written to."""
+        """Map one shard as a read-only array, shape (trajectory, frame, …)."""
         return self.parts[k].values(self.name, self.like)
 
     def shard_of(self, rows: Any) -> Any:
-        """Number of the shard of each row."""
+        """Return the number of the shard that holds each row."""
         return np.searchsorted(self.first, rows, side="right") - 1
 
     def _one(self, row: int) -> NDArray[Any]:
@@ -215,12 +215,12 @@ class Series(Rows):
         return self.shard(shard)[row - self.first[shard]]
 
     def _take(self, rows: Index) -> NDArray[Any]:
-        found = np.empty((*rows.shape, *self.like.shape[1:]), self.dtype)
+        values = np.empty((*rows.shape, *self.like.shape[1:]), self.dtype)
         shard = self.shard_of(rows)
         for k in np.unique(shard):
-            here = shard == k
-            found[here] = self.shard(int(k))[rows[here] - self.first[k]]
-        return found
+            in_shard = shard == k
+            values[in_shard] = self.shard(int(k))[rows[in_shard] - self.first[k]]
+        return values
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -231,7 +231,7 @@ class PairedSeries(Rows):
     like: NDArray[Any]
     members: tuple[Series, ...]
     rows: tuple[Index, ...]
-    """Of each engine: the row of each trajectory."""
+    """Rows of the trajectories in each engine's data."""
 
     @staticmethod
     def of(members: tuple[Series, ...], rows: tuple[Index, ...]) -> PairedSeries:
@@ -255,15 +255,15 @@ class PairedSeries(Rows):
 class Windows:
     """All windows of some trajectories, numbered trajectory by trajectory.
 
-    It is what torch calls a map-style dataset: `len`, `windows[k]`, and `__getitems__`, by which
-    `torch.utils.data.DataLoader` fetches a batch at once. `take` is the quickest way.
+    It is what torch calls a map-style dataset: it has `len`, `windows[k]`, and `__getitems__`, with
+    which `torch.utils.data.DataLoader` fetches a batch at once. `take` is the fastest way to read.
     """
 
     series: tuple[Series, ...]
     rows: Index
-    """Trajectories that the windows come from."""
+    """Rows of the trajectories that the windows come from."""
     length: int
-    """Frames of a window."""
+    """Number of frames in a window."""
 
     def __post_init__(self) -> None:
         frames = self.series[0].shape[1]
@@ -273,37 +273,37 @@ class Windows:
 
     @property
     def per_trajectory(self) -> int:
-        """Windows of one trajectory."""
+        """Number of windows in one trajectory."""
         return self.series[0].shape[1] - self.length + 1
 
     def __len__(self) -> int:
         return len(self.rows) * self.per_trajectory
 
     def where(self, numbers: Index) -> tuple[Index, Index]:
-        """Row of the trajectory and first frame of each window."""
+        """Return the row of the trajectory and the first frame of each window."""
         return self.rows[numbers // self.per_trajectory], numbers % self.per_trajectory
 
     def take(self, numbers: Index | Sequence[int]) -> tuple[NDArray[Any], ...]:
-        """Read windows, one array a dataset, of shape (window, frame, …).
+        """Read windows: one array per dataset, of shape (window, frame, …).
 
         Raises:
-            IndexError: A number is not one of `len(windows)`.
+            IndexError: A number is not an integer from 0 to `len(windows)` − 1.
         """
-        given = np.asarray(numbers)
-        if given.size and given.dtype.kind not in "iu":
-            msg = f"windows are taken by whole numbers, got {given.dtype}"
+        indices = np.asarray(numbers)
+        if indices.size and indices.dtype.kind not in "iu":
+            msg = f"windows are taken by whole numbers, got {indices.dtype}"
             raise IndexError(msg)
-        numbers = given.astype(np.int64)
-        wrong = numbers[(numbers < 0) | (numbers >= len(self))]
-        if len(wrong):
-            msg = f"window {wrong[0]} of {len(self)}"
+        numbers = indices.astype(np.int64)
+        outside = numbers[(numbers < 0) | (numbers >= len(self))]
+        if len(outside):
+            msg = f"window {outside[0]} of {len(self)}"
             raise IndexError(msg)
         row, frame = self.where(numbers)
         shard = self.series[0].shard_of(row)
         return tuple(self._gather(series, shard, row, frame) for series in self.series)
 
     def __getitem__(self, number: int) -> tuple[NDArray[Any], ...]:
-        """Read one window, one array a dataset, of shape (frame, …)."""
+        """Read one window: one array per dataset, of shape (frame, …)."""
         number = range(len(self))[number]
         return tuple(values[0] for values in self.take([number]))
 
@@ -313,13 +313,13 @@ class Windows:
 
     def _gather(self, series: Series, shard: Index, row: Index, frame: Index) -> NDArray[Any]:
         shape = (len(row), self.length, *series.shape[2:])
-        found = np.empty(shape, series.shard(0).dtype)
+        windows = np.empty(shape, series.shard(0).dtype)
         for k in np.unique(shard):
             here = np.flatnonzero(shard == k)
             first = (row[here] - series.first[k]) * series.shape[1] + frame[here]
             frames = series.shard(int(k)).reshape(-1, *series.shape[2:])
-            found[here] = frames[first[:, None] + self._steps]
-        return found
+            windows[here] = frames[first[:, None] + self._steps]
+        return windows
 
     @functools.cached_property
     def _steps(self) -> Index:

@@ -1,4 +1,4 @@
-"""Shards: draw, simulate, check, write what is published and what is rejected; then join them."""
+"""Shards: draw, simulate and check trajectories, write published and rejected ones, join files."""
 
 from __future__ import annotations
 
@@ -50,28 +50,28 @@ from mbds_xsim.simulate.readback import compare
 from mbds_xsim.simulate.timed import simulate
 
 LOG = "log.jsonl"
-"""Processor time of the shards of a folder, one JSON object a line; no part of the data."""
+"""Log of the processor time of a folder's shards, one JSON object a line; no part of the data."""
 
 STAGES = ("draw_s", "simulate_s", "check_s", "write_s")
-"""Of a shard, as its log names them."""
+"""Stages of making a shard, as its log names them."""
 
 ROLLOUT = "rollout_s"
-"""Of `simulate_s`, what the engine took for the motions, without loading engine and model."""
+"""Part of `simulate_s` that the engine took for motions, without loading engine and model."""
 
 Crashes = Mapping[int, str]
-"""Trajectories that end the engine's process, each with how."""
+"""Numbers of the trajectories that end the engine's process, each with the reason."""
 
 
 def make_shards(work: Mapping[Item, Crashes], out: Path, claims: Path) -> None:
-    """Make those of some shards that no other process has claimed, one after the other."""
+    """Make, one after the other, the given shards that no other process has claimed."""
     for item, crashes in work.items():
         if claim(claims, item):
-            isolate.begin()  # the limit is one shard's
+            isolate.begin()  # the time limit is for one shard
             make_shard(item, out, crashes=crashes)
 
 
 def claim(claims: Path, item: Item) -> bool:
-    """Take a shard, unless another process was first: who makes the file, makes the shard."""
+    """Claim a shard by creating a file; return False if another process was first."""
     variant = item.variant
     name = f"{folder_name(variant.scene.name)} {variant.name} {item.first}"
     try:
@@ -82,17 +82,17 @@ def claim(claims: Path, item: Item) -> bool:
 
 
 def make_shard(item: Item, out: Path, *, crashes: Crashes | None = None) -> None:
-    """Make one shard; when its file is there it is complete.
+    """Make one shard; once its file is there, it is complete.
 
     Raises:
-        InputError: It cannot be written.
+        InputError: The shard cannot be written.
     """
     watch, variant = _Watch(), item.variant
     batch = draw_batch(variant.scene, item.indices, seed=variant.seed, noise=variant.noise)
     watch.lap("draw_s")
     trajectory, misbuilt, rollout_s = _simulated(variant, batch, crashes or {})
     watch.lap("simulate_s")
-    verdict = _judged(variant, batch, trajectory)
+    verdict = _judge(variant, batch, trajectory)
     verdict.misbuilt += misbuilt
     watch.lap("check_s")
     passed = verdict.published(certified=variant.certified)
@@ -102,7 +102,7 @@ def make_shard(item: Item, out: Path, *, crashes: Crashes | None = None) -> None
     path = item.path(out)
     rejected_path = rejected_folder(path.parent) / item.file_name
     if passed.all():
-        # Of a shard of fewer trajectories, or one begun before.
+        # It may be left from a shard of fewer trajectories, or from one begun before.
         rejected_path.unlink(missing_ok=True)
     else:
         reasons = np.array([verdict.reason(int(row)) for row in np.flatnonzero(~passed)])
@@ -121,7 +121,7 @@ def try_out(variant: Variant, indices: Sequence[int]) -> None:
 
 
 class _Watch:
-    """Processor time of the stages [s]."""
+    """Stopwatch for the processor time of the stages [s]."""
 
     def __init__(self) -> None:
         self.laps: dict[str, float] = {}
@@ -136,24 +136,24 @@ class _Watch:
 def _simulated(
     variant: Variant, batch: Batch, crashes: Crashes
 ) -> tuple[Trajectory, list[str], float]:
-    """Run the engine on what does not crash it; tell what its model has otherwise, and its time."""
+    """Simulate trajectories that do not crash; return all, model faults, and CPU time [s]."""
     contender, scene = variant.contender, variant.scene
     runs = [row for row, index in enumerate(batch.index.tolist()) if index not in crashes]
     if not runs:
         return _crashed(variant, batch, crashes), [], 0.0
     some = batch if len(runs) == len(batch) else batch[runs]
-    done = simulate(scene, some, contender.engine, contender.settings)
+    simulation = simulate(scene, some, contender.engine, contender.settings)
     about = Mechanism.of(scene), some, contender.settings
-    lines = compare(*about, done.readback, variant.method)
+    lines = compare(*about, simulation.readback, variant.method)
     misbuilt = [f"read-back: {line}" for line in lines]
     if some is batch:
-        return done.trajectory, misbuilt, done.cpu_s
-    whole = _crashed(variant, batch, crashes).replaced(np.array(runs), done.trajectory)
-    return whole, misbuilt, done.cpu_s
+        return simulation.trajectory, misbuilt, simulation.cpu_s
+    whole = _crashed(variant, batch, crashes).replaced(np.array(runs), simulation.trajectory)
+    return whole, misbuilt, simulation.cpu_s
 
 
 def _crashed(variant: Variant, batch: Batch, crashes: Crashes) -> Trajectory:
-    """Give trajectories without numbers, and why some of them have none."""
+    """Return trajectories of NaN, and the failures of those that crash."""
     frames = np.asarray(variant.scene.clock.frame * np.arange(batch.steps + 1), dtype=np.float64)
     empty = Trajectory.empty(frames, len(batch), len(variant.scene.bodies))
     failures = (
@@ -162,13 +162,13 @@ def _crashed(variant: Variant, batch: Batch, crashes: Crashes) -> Trajectory:
     return dataclasses.replace(empty, failures=tuple(failures))
 
 
-def _judged(variant: Variant, batch: Batch, trajectory: Trajectory) -> CheckTable:
-    """Check every trajectory, and where some of them converge to as the step goes to zero."""
+def _judge(variant: Variant, batch: Batch, trajectory: Trajectory) -> CheckTable:
+    """Check every trajectory, and the limit of some of them as the step goes to zero."""
     scene, rows = variant.scene, sampled(batch.index)
     truth = reference_of(scene, batch[rows], False) if len(rows) else None
     verdict = judge_rows(scene, batch, trajectory, Making.of(variant.contender), truth)
     sound = ~(verdict.failed.any(axis=1) | verdict.ended)
-    if not len(rows) or not sound[rows].all():  # what fails by itself tells nothing of the others
+    if not len(rows) or not sound[rows].all():  # a failed one says nothing of the others
         rows, truth = np.flatnonzero(sound)[:1], None
     if variant.certified and len(rows):
         some = (batch[rows], trajectory[rows.tolist()])
@@ -195,10 +195,10 @@ def _datasets(
 def derived(
     scene: Scene, batch: Batch, trajectory: Trajectory, seed: int
 ) -> dict[str, NDArray[Any]]:
-    """Give the datasets that follow from a scene, what was drawn, and the motion of its bodies."""
+    """Return the datasets that follow from a scene, its draws, and the motion of its bodies."""
     points = Points.of(scene)
     position, velocity = points.motion(trajectory)
-    found = {
+    datasets = {
         "interval": batch.index % len(INTERVALS),
         "time": trajectory.time,
         "position": position,
@@ -210,12 +210,12 @@ def derived(
     }
     if scene.forces or any(isinstance(term, Wind) for term in scene.sampling):
         known = draw_batch(scene, batch.index.tolist(), seed=seed, noise=False)
-        found["input/known_force"] = known.force
-    return found
+        datasets["input/known_force"] = known.force
+    return datasets
 
 
 def _rows(datasets: Mapping[str, NDArray[Any]], rows: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
-    """Some of the trajectories, with what belongs to all."""
+    """Return some of the trajectories, with the datasets that all of them share."""
     return {
         name: values[rows] if FIELDS[name].per_trajectory and not rows.all() else values
         for name, values in datasets.items()
@@ -231,23 +231,23 @@ def _log(folder: Path, facts: Mapping[str, Any]) -> None:
         os.close(handle)
 
 
-def spent(joined: Path) -> dict[str, float]:
-    """Processor time over all shards of a joined file [s], of each stage that their log tells.
+def stage_times(joined: Path) -> dict[str, float]:
+    """Return the processor time over all shards of a joined file [s], by stage of their log.
 
-    Of a shard that was made twice the last time counts; nothing where there is no log, as of data
-    that were fetched from elsewhere.
+    If a shard was made twice, the last time counts. The result is empty if there is no log, as with
+    data that were fetched from elsewhere.
     """
     path = joined.with_suffix("") / LOG
     lines = path.read_text("utf-8").splitlines() if path.is_file() else []
     shards = {facts["first"]: facts for facts in map(json.loads, lines)}
-    each = shards.values()
-    told = [stage for stage in (*STAGES, ROLLOUT) if all(stage in facts for facts in each)]
-    return {stage: sum(facts[stage] for facts in each) for stage in told} if shards else {}
+    entries = shards.values()
+    stages = [stage for stage in (*STAGES, ROLLOUT) if all(stage in facts for facts in entries)]
+    return {stage: sum(facts[stage] for facts in entries) for stage in stages} if shards else {}
 
 
 @dataclass(frozen=True)
 class VariantCount:
-    """What came of one variant."""
+    """Outcome of one variant."""
 
     scene: str
     variant: str
@@ -256,7 +256,7 @@ class VariantCount:
     published: int
     rejected: int
     rejected_by: dict[str, int]
-    """By the check that failed first."""
+    """Numbers of rejected trajectories, keyed by the check that failed first."""
     bytes: int
 
 
@@ -297,7 +297,7 @@ def _join_variant(variant: Variant, trajectories: int, out: Path) -> VariantCoun
 def joined(
     shards: Sequence[Shard], trajectories: int, attributes: dict[str, Any]
 ) -> list[memoryview]:
-    """The bytes of a file that finds the trajectories of all shards; they stay where they are."""
+    """Return the bytes of a file that refers to the trajectories of all shards, without a copy."""
     index = np.concatenate([shard.index for shard in shards])
     rows = [(f"{shard.path.parent.name}/{shard.path.name}", len(shard.index)) for shard in shards]
     with open_hdf5(shards[0].path) as first:
@@ -319,7 +319,7 @@ def joined(
 
 
 class Shard:
-    """What joining needs of a shard."""
+    """Facts of a shard that are needed to join it."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -329,22 +329,22 @@ class Shard:
 
 
 def causes(folder: Path, names: Sequence[str]) -> Counter[str]:
-    """Count rejected trajectories by what failed first."""
-    found: Counter[str] = Counter()
+    """Count rejected trajectories by the check that failed first."""
+    counts: Counter[str] = Counter()
     for name in names:
         if (folder / name).exists():
             with open_hdf5(folder / name) as file:
-                found.update(map(cause_of, file["reason"].asstr()[()]))
-    return found
+                counts.update(map(cause_of, file["reason"].asstr()[()]))
+    return counts
 
 
 def cause_of(reason: str) -> str:
-    """Give what failed first, whenever it did."""
+    """Return the check that failed first, or "ended early", from the text of a reason."""
     return re.sub(r"^ended at frame \d+$", "ended early", reason.split(":")[0])
 
 
 def _join_scene(folder: Path) -> None:
-    """Write which trajectories are published in all variants that a folder holds."""
+    """Write the joint file: which trajectories are published in all variants of a folder."""
     with open_hdf5(variant_files(folder)[0]) as file:
         shared = {key: file.attrs[key] for key in SHARED}
     datasets = joint_datasets(folder)
@@ -353,7 +353,7 @@ def _join_scene(folder: Path) -> None:
 
 
 def joint_datasets(folder: Path) -> dict[str, NDArray[Any]]:
-    """Find which of the trajectories that were drawn are published in each variant, and in all."""
+    """Find which of the drawn trajectories are published in each variant, and in all variants."""
     paths = variant_files(folder)
     masks = [_published(path) for path in paths]
     common = min(map(len, masks))
@@ -366,6 +366,6 @@ def joint_datasets(folder: Path) -> dict[str, NDArray[Any]]:
 
 
 def _published(path: Path) -> NDArray[np.bool_]:
-    """Tell of each number that was drawn whether a joined file has its trajectory."""
+    """Return, for each number that was drawn, whether a joined file has its trajectory."""
     with open_hdf5(path) as file:
         return np.isin(np.arange(file.attrs["count"]), file["index"][()])

@@ -1,4 +1,4 @@
-"""What a data set is and holds, from its files; a picture has the paths of its points."""
+"""Summary of a data set from its files, and a picture of the paths of its points."""
 
 from __future__ import annotations
 
@@ -25,29 +25,29 @@ from mbds_xsim.report.motion import Projection
 from mbds_xsim.report.themed import DRAWN, PALE
 from mbds_xsim.scene.sampling_terms import INTERVALS
 
-_WIDE = 1.8  # times its height: panels of such a motion stand above each other
+_WIDE = 1.8  # width over height from which panels are stacked
 
 
 @dataclass(frozen=True)
 class Range:
-    """What a check finds over a data set."""
+    """Figures of a check over a data set."""
 
     check: str
     unit: str
     trajectories: int
-    """Of which it has a figure."""
+    """Number of trajectories for which the check has a figure."""
     smallest: float
     median: float
     largest: float
     allowed: float | None
-    """The least that is allowed of any; None: shown, not judged."""
+    """Smallest limit of any trajectory; None if the figure is shown but not judged."""
     kept: bool
-    """Whether each trajectory has no more than is allowed of it."""
+    """Whether every trajectory keeps its own limit."""
 
 
 @dataclass(frozen=True)
 class Summary:
-    """A data set in brief."""
+    """Summary of a data set."""
 
     file: str
     kind: str
@@ -73,33 +73,33 @@ class Summary:
     published: int
     rejected: int
     rejected_by: dict[str, int]
-    """By the check that failed first."""
+    """Numbers of rejected trajectories, keyed by the check that failed first."""
     counts: dict[str, dict[str, int]]
-    """Trajectories of each part of the split in each interval."""
+    """Number of trajectories in each part of the split and each interval."""
     figures: tuple[Range, ...]
     shards: int
     bytes: int
-    """Of the file, its shards, and the rejected trajectories beside them."""
+    """Size of the file, its shards, and the files of rejected trajectories."""
 
 
 def summaries(path: Path) -> list[Summary]:
-    """Sum up a data file, or all data sets of a folder.
+    """Summarize a data file, or all data sets of a folder.
 
     Raises:
-        InputError: There are none, or their shards are missing.
+        InputError: There are no data sets, or their shards are missing.
     """
     return [summary_of(load_dataset(file)) for file in joined_files(path)]
 
 
 def summary_of(data: Dataset) -> Summary:
-    """Sum up a data set."""
+    """Summarize a data set."""
     attrs, scene = data.attributes, data.scene
     rejected = rejected_beside(data)
     files = {data.path, *data.files, *rejected.glob("*.h5")}
     names = [file.name for file in data.files]
-    by = causes(rejected, names)
+    by_cause = causes(rejected, names)
     if attrs["kind"] == "rejected":
-        by = Counter(map(cause_of, data.small["reason"]))
+        by_cause = Counter(map(cause_of, data.small["reason"]))
     own = {field.name for field in dataclasses.fields(Summary)} - {"scene"}
     return Summary(
         **{key: attrs[key] for key in own & ATTRIBUTES.keys()},
@@ -109,7 +109,7 @@ def summary_of(data: Dataset) -> Summary:
         bodies=len(scene.bodies),
         points=len(data["graph/point_body"]),
         drawn=attrs["count"],
-        rejected_by=dict(by.most_common()),
+        rejected_by=dict(by_cause.most_common()),
         counts=counts_of(data),
         figures=tuple(_ranges(data)),
         shards=len(data.files),
@@ -118,13 +118,13 @@ def summary_of(data: Dataset) -> Summary:
 
 
 def rejected_beside(data: Dataset) -> Path:
-    """Where the trajectories lie that a joined file has not; as the layout has it."""
+    """Return the folder of a joined file's rejected trajectories; an absent one for other files."""
     folder = data.path.absolute().with_suffix("")
     return rejected_folder(folder) if data.attributes["kind"] == "joined" else folder
 
 
 def counts_of(data: Dataset) -> dict[str, dict[str, int]]:
-    """Count by split and interval; a shard has no split."""
+    """Count trajectories by split and interval; those of a shard, which has no split, as "all"."""
     interval = data.index % len(INTERVALS)
     split = data.small.get("split")
     parts: dict[str, NDArray[Any]] = (
@@ -142,15 +142,15 @@ def _ranges(data: Dataset) -> Iterable[Range]:
     figures, allowed = np.asarray(data["check/figure"]), np.asarray(data["check/allowed"])
     names, units = data["check/name"], data["check/unit"]
     for column, (name, unit) in enumerate(zip(names, units, strict=True)):
-        here = ~np.isnan(figures[:, column])
-        if not here.any():
+        applies = ~np.isnan(figures[:, column])
+        if not applies.any():
             continue
-        values, limits = figures[here, column], allowed[here, column]
+        values, limits = figures[applies, column], allowed[applies, column]
         least = float(np.nanmin(limits)) if np.isfinite(limits).any() else None
         yield Range(
             check=str(name),
             unit=str(unit),
-            trajectories=int(here.sum()),
+            trajectories=int(applies.sum()),
             smallest=float(values.min()),
             median=float(np.median(values)),
             largest=float(values.max()),
@@ -160,18 +160,18 @@ def _ranges(data: Dataset) -> Iterable[Range]:
 
 
 def draw_paths(data: Dataset, path: Path) -> None:
-    """Draw into a PNG file the first trajectory of each interval.
+    """Draw the first trajectory of each interval into a PNG file.
 
-    Paths are seen as `mbds-xsim show --png` sees the scene, with the bodies at the start and at
-    the end; a scene in one dimension as its coordinate over time.
+    The view is that of `mbds-xsim show --png`, with the bodies at the start and at the end. A scene
+    in one dimension is drawn as its coordinate over time.
 
     Raises:
         InputError: The set is empty, or the file cannot be written.
     """
     rows = [
-        int(found[0])
+        int(matches[0])
         for k in range(len(INTERVALS))
-        if len(found := np.flatnonzero(data.index % len(INTERVALS) == k))
+        if len(matches := np.flatnonzero(data.index % len(INTERVALS) == k))
     ]
     if not rows:
         msg = f"--png: {data.path} has no trajectories to draw"
@@ -184,11 +184,11 @@ def draw_paths(data: Dataset, path: Path) -> None:
         for axes, row in zip(panels, rows, strict=True):
             _panel(axes, data, row)
         _name_axes(panels, data, stacked=stacked)
-        about = data.attributes
+        attrs = data.attributes
         figure.suptitle(
-            f"{in_figure(about['scene_name'])} in {about['engine']} {about['engine_version']}, "
-            f"{about['method']} at {about['step_s']:.4g} s ({about['certification']})"
-            + ("" if about["dimension"] == 1 else ": start grey, end black"),
+            f"{in_figure(attrs['scene_name'])} in {attrs['engine']} {attrs['engine_version']}, "
+            f"{attrs['method']} at {attrs['step_s']:.4g} s ({attrs['certification']})"
+            + ("" if attrs["dimension"] == 1 else ": start grey, end black"),
             fontsize=10,
             y=1.0,
             va="bottom",
@@ -199,7 +199,7 @@ def draw_paths(data: Dataset, path: Path) -> None:
 
 
 def _panel_size(data: Dataset, rows: list[int]) -> tuple[tuple[float, float], bool]:
-    """Fit the panels to the motion [inches]; wide ones stand above each other."""
+    """Return the size of a panel [inches] that fits the motion, and whether panels are stacked."""
     if data.attributes["dimension"] == 1:
         return (3.6, 4.0), False
     view, points = _view(data), Points.of(data.scene)
@@ -236,7 +236,7 @@ def _panel(axes: Any, data: Dataset, row: int) -> None:
 def _bones(
     axes: Any, data: Dataset, view: Projection, flat: Array, colour: str, width: float
 ) -> None:
-    """Draw points and edges of one frame, and what is fixed."""
+    """Draw the points, edges and fixed nodes of one frame."""
     fixed = view.flat(Points.of(data.scene).lifted(np.asarray(data["graph/static_node"])))
     nodes = np.concatenate([flat, fixed])
     for a, b in np.asarray(data["graph/edge"]):
@@ -246,7 +246,7 @@ def _bones(
 
 
 def _view(data: Dataset) -> Projection:
-    """Look as the picture of the scene does."""
+    """Return the projection that the picture of the scene has."""
     points = Points.of(data.scene)
     rest = points.mechanism.com[points.body] + points.offset
     return Projection.of(rest, data.scene.dimension)
@@ -263,6 +263,6 @@ def _name_axes(panels: Any, data: Dataset, *, stacked: bool) -> None:
 
 
 def _direction(axis: Array) -> str:
-    """Name a coordinate, or say that it is none."""
-    found = np.flatnonzero(np.abs(axis) > 1 - 1e-9)
-    return f"{'xyz'[int(found[0])]} [m]" if len(found) else "projected [m]"
+    """Return the name of an axis, "projected" if it is not a coordinate."""
+    components = np.flatnonzero(np.abs(axis) > 1 - 1e-9)
+    return f"{'xyz'[int(components[0])]} [m]" if len(components) else "projected [m]"

@@ -1,4 +1,4 @@
-"""What a set of trajectories is made by, the shards it comes in, and which are to be made."""
+"""Variants of a data set: how each is made, its shards, and which of these are missing."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from mbds_xsim.simulate.choice import Contender
 from mbds_xsim.simulate.claims import Method
 from mbds_xsim.simulate.registry import load_adapter, package_version
 
-_SHARD_BYTES = 2**25  # of motion; a worker holds some ten times as much
+_SHARD_BYTES = 2**25  # bytes of motion in a shard; a worker holds about ten times as much
 _MOST = 300
 _FEWEST, _PART = 16, 8
-_BODY_BYTES = 13 * 8  # of a body in a frame
+_BODY_BYTES = 13 * 8  # bytes of a body in a frame
 _POINT_BYTES = 2 * 3 * 4
 
 
@@ -39,7 +39,7 @@ class Variant:
 
     @property
     def name(self) -> str:
-        """Engine and profile, the name of its folder and file."""
+        """Engine and profile, as in the names of the variant's folder and file."""
         return f"{self.contender.engine}-{self.contender.profile}"
 
     @property
@@ -54,7 +54,7 @@ class Variant:
 
     @cached_property
     def recipe(self) -> dict[str, Any]:
-        """Attributes of its files that say how it is made; two with the same are the same data."""
+        """Attributes that say how the data are made; variants with equal ones have equal data."""
         settings, method = self.contender.settings, self.method
         adapter = load_adapter(self.contender.engine)
         return {
@@ -86,10 +86,10 @@ class Variant:
         }
 
     def items(self, trajectories: int) -> Iterator[Item]:
-        """Shards of the trajectories 0 … trajectories − 1; they follow from the scene alone.
+        """Yield the shards of the trajectories 0 … trajectories − 1; the scene alone decides them.
 
-        Each is at most an eighth of all before it, so that of few trajectories there is work for
-        many processes, too, and that more trajectories go on where these end.
+        Each has at most an eighth of the trajectories before it, or 16 if that is more. So even few
+        trajectories give work to many processes, and a larger set extends a smaller one.
         """
         first = 0
         while first < trajectories:
@@ -98,7 +98,7 @@ class Variant:
             first += size
 
     def shard_count(self, trajectories: int) -> int:
-        """How many shards so many trajectories have, without going through them all."""
+        """Return the number of shards of so many trajectories, without going through them all."""
         count = first = 0
         while first < trajectories and self._size(first) < self._most:
             count, first = count + 1, first + self._size(first)
@@ -109,13 +109,13 @@ class Variant:
 
     @cached_property
     def _most(self) -> int:
-        """Trajectories that a shard may have."""
+        """Largest number of trajectories in a shard."""
         scene = self.scene
         frame = len(scene.bodies) * _BODY_BYTES + scene.particle_count * _POINT_BYTES
         return max(1, min(_SHARD_BYTES // ((scene.clock.steps + 1) * frame), _MOST))
 
     def folder(self, out: Path) -> Path:
-        """Where its shards are."""
+        """Return the folder of the variant's shards."""
         return out / folder_name(self.scene.name) / self.name
 
 
@@ -134,29 +134,29 @@ class Item:
 
     @property
     def indices(self) -> range:
-        """Numbers of its trajectories."""
+        """Numbers of the shard's trajectories."""
         return range(self.first, self.first + self.count)
 
     def path(self, out: Path) -> Path:
-        """Where its file is."""
+        """Return the path of the shard's file."""
         return self.variant.folder(out) / self.file_name
 
 
 def folder_name(scene_name: str) -> str:
-    """Give a name that is safe for a folder."""
+    """Return the name of a scene in a form that is safe for a folder."""
     return re.sub(r"[^\w.-]", "_", scene_name).lstrip(".") or "_"
 
 
 def pending(variant: Variant, trajectories: int, out: Path) -> list[Item]:
-    """Shards that are not there yet.
+    """Return the shards that are not there yet.
 
     Raises:
-        InputError: The folder holds something else than the beginning of this data.
+        InputError: The folder holds something other than the beginning of these data.
     """
     folder = variant.folder(out)
     items = list(variant.items(trajectories))
-    there = {path.name for path in folder.glob(f"*{SUFFIX}")}
-    beyond = sorted(there - {item.file_name for item in items})
+    present = {path.name for path in folder.glob(f"*{SUFFIX}")}
+    beyond = sorted(present - {item.file_name for item in items})
     if beyond:
         msg = (
             f"{folder} holds {beyond[0]}, which {trajectories} trajectories do not have; ask for "
@@ -166,42 +166,42 @@ def pending(variant: Variant, trajectories: int, out: Path) -> list[Item]:
     return [
         item
         for item in items
-        if item.file_name not in there or not _is_complete(item, item.path(out))
+        if item.file_name not in present or not _is_complete(item, item.path(out))
     ]
 
 
 def check_same_draws(variant: Variant, out: Path) -> None:
-    """Raise InputError where another variant in the folder has other starts."""
+    """Raise InputError if another variant in the folder has other starts."""
     folder = variant.folder(out).parent
     others = {path.parent: path for path in folder.glob(f"*/*{SUFFIX}")}
     for path in others.values():
-        found = _attributes(path)
+        attrs = _attributes(path)
         for key in SHARED:
-            if found.get(key) != variant.recipe[key]:
+            if attrs.get(key) != variant.recipe[key]:
                 msg = (
                     f"{folder} holds trajectories that cannot be paired with those asked for: "
-                    f"{_difference(key, found.get(key), variant.recipe[key])}; name another --out"
+                    f"{_difference(key, attrs.get(key), variant.recipe[key])}; name another --out"
                 )
                 raise InputError(msg)
 
 
 def _is_complete(item: Item, path: Path) -> bool:
-    """Whether a file is this shard; a shorter one, of a smaller set, is made anew."""
-    found = _attributes(path)
+    """Return whether a file is this shard; a shorter one, of a smaller set, is made anew."""
+    attrs = _attributes(path)
     for key, wanted in item.variant.recipe.items():
-        if found.get(key) != wanted:
+        if attrs.get(key) != wanted:
             msg = (
-                f"{path} was made otherwise: {_difference(key, found.get(key), wanted)}; name "
+                f"{path} was made otherwise: {_difference(key, attrs.get(key), wanted)}; name "
                 "another --out"
             )
             raise InputError(msg)
-    if found.get("count", 0) > item.count:
+    if attrs.get("count", 0) > item.count:
         msg = (
-            f"{path} holds {found['count']} trajectories, due are {item.count}: it is of a larger "
+            f"{path} holds {attrs['count']} trajectories, due are {item.count}: it is of a larger "
             "set, or of another version; ask for as many as before, or name another --out"
         )
         raise InputError(msg)
-    return bool(found["count"] == item.count)
+    return bool(attrs["count"] == item.count)
 
 
 def _attributes(path: Path) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Check a file or a folder of data again, as someone must who got it from somebody else."""
+"""Verification of a data file or a folder, for anyone who received it from somebody else."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from mbds_xsim.simulate.registry import package_version
 _TEXTS = {CARD: "card", CROISSANT: "metadata"}
 _FILES = "distribution"  # entry of the metadata that lists files
 _AGAIN = 3  # trajectories of a shard that are simulated again
-_SHARDS_AGAIN = 3  # shards of a variant of which some are
+_SHARDS_AGAIN = 3  # shards of a variant from which these are chosen
 _OWN = ("kind", "first", "count", "published", "rejected", CONTENT)
 """Attributes that a joined file does not share with its shards."""
 _ABOUT = (
@@ -48,23 +48,23 @@ _ABOUT = (
 
 @dataclass(frozen=True)
 class Verified:
-    """What became of everything that was looked at."""
+    """Outcome of a verification."""
 
     path: str
     files: tuple[FileReport, ...]
     about: tuple[dict[str, Any], ...]
-    """What is to be known of each variant."""
+    """Main attributes of each variant."""
     wall_s: float
     seed: int
-    """Chose which trajectories were simulated again."""
+    """Seed that chose the trajectories to simulate again."""
 
     def to_frame(self) -> Any:
-        """Give a `pandas.DataFrame` with a row for each file."""
+        """Return a `pandas.DataFrame` with one row per file."""
         return frame_of(self.files)
 
     @property
     def sound(self) -> bool:
-        """Whether everything holds what it says."""
+        """Whether no file has a fault."""
         return not any(report.problems for report in self.files)
 
 
@@ -75,26 +75,26 @@ def verify(
     limit: float = LIMIT,
     conduct: Conduct = USUAL,
 ) -> Verified:
-    """Check everything again that a file, with its shards, or a folder holds.
+    """Check again everything that a file with its shards, or a folder, holds.
 
     Args:
         path: A data file, or a folder of them.
-        seed: Chooses the trajectories that are simulated again; left out, nobody can foresee it.
-        limit: Longest that one file may take [s].
-        conduct: How.
+        seed: Seed that chooses the trajectories to simulate again; unpredictable if None.
+        limit: Time limit of one file [s].
+        conduct: Options of the work.
 
     Raises:
         InputError: There is nothing to check.
     """
     begin, meter = time.perf_counter(), conduct.meter
-    about = _files(path)
-    files, kinds = list(about), {file: str(attrs["kind"]) for file, attrs in about.items()}
+    facts = _files(path)
+    files, kinds = list(facts), {file: str(attrs["kind"]) for file, attrs in facts.items()}
     shards = [file for file, kind in kinds.items() if kind == "shard"]
     joined = [file for file, kind in kinds.items() if kind == "joined"]
     seed = secrets.randbits(32) if seed is None else seed
-    again = _resimulated(shards, seed)
+    resimulated = _resimulated(shards, seed)
     tasks = [
-        Task(recheck, (file.resolve(), kind, _AGAIN if file in again else 0, seed), limit)
+        Task(recheck, (file.resolve(), kind, _AGAIN if file in resimulated else 0, seed), limit)
         for file, kind in kinds.items()
     ]
     meter.begin(len(tasks))
@@ -113,27 +113,27 @@ def verify(
             note = "not joined yet: run mbds-xsim generate again to finish the set"
             report.notes.append(note)
     variants = tuple(
-        {"file": str(file), **{key: about[file].get(key) for key in _ABOUT}}
+        {"file": str(file), **{key: facts[file].get(key) for key in _ABOUT}}
         for file in joined or shards[:1]
     )
     return Verified(str(path), reports, variants, time.perf_counter() - begin, seed)
 
 
 def _files(path: Path) -> dict[Path, dict[str, Any]]:
-    """Give files and their attributes: all of a folder, or one and what it joins."""
+    """Return files and their attributes: all in a folder, or one and the shards that it joins."""
     if path.is_dir():
-        about = {file: _attributes(file) for file in sorted(path.rglob(f"*{SUFFIX}"))}
-        if not about:
+        facts = {file: _attributes(file) for file in sorted(path.rglob(f"*{SUFFIX}"))}
+        if not facts:
             msg = f"{path} holds no {SUFFIX} file; name a folder that mbds-xsim generate has made"
             raise InputError(msg)
-        joined = (file for file, attrs in about.items() if attrs["kind"] == "joined")
+        joined = (file for file, attrs in facts.items() if attrs["kind"] == "joined")
         folders = dict.fromkeys(file.parent for file in joined)
         texts = (folder / name for folder in folders for name in _TEXTS)
-        return about | {text: {"kind": _TEXTS[text.name]} for text in texts if text.is_file()}
+        return facts | {text: {"kind": _TEXTS[text.name]} for text in texts if text.is_file()}
     refuse_other(path)
     files = [path]
     if _attributes(path)["kind"] == "joined":
-        with suppress(InputError):  # which will be told in its report
+        with suppress(InputError):  # its report will name the fault
             files += load_dataset(path).files
     return {file: _attributes(file) for file in files}
 
@@ -148,7 +148,7 @@ def _attributes(path: Path) -> dict[str, Any]:
 
 
 def _resimulated(shards: list[Path], seed: int) -> set[Path]:
-    """Of each variant some shards, drawn at random."""
+    """Draw some shards of each variant at random."""
     rng, drawn = np.random.default_rng(seed), set[Path]()
     for folder in dict.fromkeys(shard.parent for shard in shards):
         own = [shard for shard in shards if shard.parent == folder]
@@ -158,10 +158,10 @@ def _resimulated(shards: list[Path], seed: int) -> set[Path]:
 
 
 def _loose(shards: list[Path], joined: list[Path]) -> set[str]:
-    """Shards that no joined file names, as an interrupted run leaves them."""
+    """Return the shards that no joined file names, such as those of an interrupted run."""
     named: set[Path] = set()
     for file in joined:
-        parts = [*file.with_suffix("").glob(f"*{SUFFIX}")]  # of one that lacks some, the others
+        parts = [*file.with_suffix("").glob(f"*{SUFFIX}")]  # used if some are missing
         with suppress(InputError):
             parts = [*load_dataset(file).files]
         named |= {part.resolve() for part in parts}
@@ -169,16 +169,16 @@ def _loose(shards: list[Path], joined: list[Path]) -> set[str]:
 
 
 def recheck(path: Path, kind: str, resimulated: int = 0, seed: int = 0) -> FileReport:
-    """Check one file, of the kind that it says it is.
+    """Check one file by the rules for its kind.
 
-    Of its trajectories some, chosen by the seed, are simulated again, if the engine is here.
+    Some of its trajectories, chosen by the seed, are simulated again if the engine is installed.
     """
     report = FileReport(str(path), kind if kind in _CHECKS else "unknown")
     is_text = kind in _TEXTS.values()
     try:
-        wrong = None if is_text else check_content(path)
-        if wrong is not None:
-            report.problems.append(f"checksum: {wrong}")
+        fault = None if is_text else check_content(path)
+        if fault is not None:
+            report.problems.append(f"checksum: {fault}")
         elif kind in _CHECKS:
             _CHECKS[kind](path, report)
         else:
@@ -190,7 +190,7 @@ def recheck(path: Path, kind: str, resimulated: int = 0, seed: int = 0) -> FileR
 
 
 def _recheck_joined(path: Path, report: FileReport) -> None:
-    """Check a file that joins the shards of a variant; the shards themselves are not looked at."""
+    """Check a file that joins the shards of a variant, but not the trajectories in the shards."""
     attributes = attributes_of(path)
     with open_hdf5(path) as file:
         index, split = file["index"][()], file["split"][()]
@@ -205,7 +205,7 @@ def _recheck_joined(path: Path, report: FileReport) -> None:
 
 
 def _shards(path: Path, file: Any, attributes: dict[str, Any]) -> Iterator[str]:
-    """Its shards must be there, and be the ones that were joined."""
+    """Yield faults unless the shards are there, and are the ones that were joined."""
     names = values_of(file["shard/file"])
     for name, content in zip(names, values_of(file["shard/content"]), strict=True):
         part = path.parent / name
@@ -223,7 +223,7 @@ def _shards(path: Path, file: Any, attributes: dict[str, Any]) -> Iterator[str]:
 
 
 def _differences(file: Any, content: bytes) -> Iterator[str]:
-    """Say which datasets are not those of a file that joins the same shards."""
+    """Yield the datasets that differ from those of a file that joins the same shards."""
     with h5py.File(io.BytesIO(content)) as wanted:
         for name, dataset in datasets_in(wanted).items():
             got = file.get(name)
@@ -242,7 +242,7 @@ def _form(dataset: Any) -> tuple[bool, tuple[int, ...]]:
 
 
 def _sources(dataset: Any) -> list[tuple[Any, ...]]:
-    """File, dataset, first and last place of each part that a virtual dataset is made of."""
+    """List file, dataset, first and last index of each part of a virtual dataset."""
     parts = dataset.virtual_sources() if dataset.size else []
     return [
         (part.file_name, part.dset_name.strip("/"), *part.vspace.get_select_bounds())
@@ -251,7 +251,7 @@ def _sources(dataset: Any) -> list[tuple[Any, ...]]:
 
 
 def _counts(path: Path, index: Any, attributes: dict[str, Any]) -> Iterator[str]:
-    """What is published and what is rejected must make up what was drawn, each once."""
+    """Yield faults unless published and rejected trajectories make up all drawn ones, each once."""
     drawn, published = attributes["count"], attributes["published"]
     if published != len(index) or published + attributes["rejected"] != drawn:
         yield "counts: published and rejected do not make up count"
@@ -267,24 +267,24 @@ def _counts(path: Path, index: Any, attributes: dict[str, Any]) -> Iterator[str]
 
 
 def _recheck_joint(path: Path, report: FileReport) -> None:
-    """Check which trajectories are said to be valid in all variants beside a file."""
+    """Check a joint file: which trajectories are valid in each variant of the folder and in all."""
     wanted = joint_datasets(path.parent)
     with open_hdf5(path) as file:
-        found = {name: values_of(file[name]) for name in wanted}
-    if found["variant"].tolist() != wanted["variant"].tolist():
-        about, beside = (", ".join(sets["variant"]) for sets in (found, wanted))
+        stored = {name: values_of(file[name]) for name in wanted}
+    if stored["variant"].tolist() != wanted["variant"].tolist():
+        about, beside = (", ".join(sets["variant"]) for sets in (stored, wanted))
         report.problems.append(f"is about {about}; beside it are {beside}")
     else:
         report.problems += [
             f"{name}: not what the data sets beside it give"
             for name, values in wanted.items()
-            if not np.array_equal(found[name], values)
+            if not np.array_equal(stored[name], values)
         ]
-    report.trajectories = int(found["valid_in_all"].sum())
+    report.trajectories = int(stored["valid_in_all"].sum())
 
 
 def _recheck_card(path: Path, report: FileReport) -> None:
-    """Find each line that the data give, in order; a publisher may have added others."""
+    """Check that a card has all lines that the data give, in order; others may have been added."""
     wanted = descriptions(path.parent)
     differing = [
         f"does not say what the data give, first line {number}: {line[:100]!r}"
@@ -294,7 +294,7 @@ def _recheck_card(path: Path, report: FileReport) -> None:
 
 
 def _recheck_metadata(path: Path, report: FileReport) -> None:
-    """Find each entry that the data give; a publisher may have added others beside them."""
+    """Check that metadata have all entries that the data give; others may have been added."""
     metadata, wanted = json.loads(path.read_bytes()), descriptions(path.parent)
     if not isinstance(metadata, dict):
         report.problems.append("is no Croissant metadata")
@@ -304,7 +304,7 @@ def _recheck_metadata(path: Path, report: FileReport) -> None:
 
 
 def _tell_differing(report: FileReport, differing: list[str], wanted: dict[str, bytes]) -> None:
-    """Tell what differs; another version may word it otherwise, but not the files' checksums."""
+    """Report differences; of data of another version, only those in the list of files."""
     here = f"mbds-xsim {package_version('mbds-xsim')}"
     if differing and here not in wanted[CARD].decode():
         differing = [each for each in differing if each.startswith(_FILES)]
@@ -314,7 +314,7 @@ def _tell_differing(report: FileReport, differing: list[str], wanted: dict[str, 
 
 
 def _differing_entries(metadata: dict[str, Any], wanted: dict[str, Any]) -> Iterator[str]:
-    """Hold entries against those of the data, those about files one by one."""
+    """Compare entries with those that the data give, those about files one by one."""
     for key, value in wanted.items():
         listed = metadata.get(key)
         if key not in metadata:
@@ -325,10 +325,10 @@ def _differing_entries(metadata: dict[str, Any], wanted: dict[str, Any]) -> Iter
         else:
             named = {str(one.get("@id")): one for one in reversed(listed) if isinstance(one, dict)}
             for node in value:
-                there = named.get(node["@id"], {})
-                if there != node:
-                    what = ", ".join(each for each in node if there.get(each) != node[each])
-                    yield f"{_FILES}: {node['@id']}: {what}: not what the data give"
+                entry = named.get(node["@id"], {})
+                if entry != node:
+                    keys = ", ".join(each for each in node if entry.get(each) != node[each])
+                    yield f"{_FILES}: {node['@id']}: {keys}: not what the data give"
             if len(listed) != len(value):
                 yield f"{_FILES}: lists {len(listed)} files, here are {len(value)}"
 

@@ -1,13 +1,13 @@
-"""Models of bodies: what an engine makes of the bodies of a scene, frame by frame.
+"""Models of bodies, which predict the motion of a scene's bodies frame by frame.
 
-Most correct smooth motion. A frame then begins with that on the joints under the known inputs, of
-`BodyMechanics`, which flies bodies exactly, or of a learned energy. A network adds what that lacks,
-from what it sees of the frame (`BodyView`): of each body a displacement and a change of its twist,
-of each contact sphere two impulses on its body, one that displaces it and one that changes its
-twist. What joints forbid of it is taken away by the least mass-weighted change, so that rods keep
-their lengths; nothing is asked of a GPU on the way.
+Most of them correct smooth motion. A frame then begins with motion on the joints under the known
+inputs, by `BodyMechanics`, which is exact for flying bodies, or by a learned energy. A network adds
+the rest, from its view of the frame (`BodyView`): for each body a displacement and a change of its
+twist, for each contact sphere two impulses on its body, one that displaces it and one that changes
+its twist. The least mass-weighted change removes the part that joints forbid, so that rods keep
+their lengths; no step waits for a GPU.
 
-The loss holds displacement and twist against the teacher's, body by body, not particle by particle:
+The loss compares displacement and twist with the teacher's body by body, not particle by particle:
 an impact of a disc is one wrench, not nineteen accelerations.
 """
 
@@ -30,19 +30,19 @@ from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import KnownInputs, Sample, Start
 
 ADDED = 2
-"""Of each vector that a network gives: a displacement, and a change of the twist."""
+"""Number of outputs for each vector: one for a displacement, one for a change of the twist."""
 
 _LEAST = 1e-6
-"""Of a squared distance: keeps the root's slope finite."""
+"""Offset of a squared distance, which keeps the slope of its root finite."""
 
 
 class BodyModel(LearnedModel):
-    """Motion of a scene's bodies on its joints."""
+    """Base class of models that move a scene's bodies on its joints."""
 
     dtype: ClassVar[torch.dtype] = torch.float64
     needs_bodies: ClassVar[bool] = True
     exact: ClassVar[frozenset[str]] = frozenset({"rigid", "viewer"})
-    """Parts that compute in double precision."""
+    """Names of the parts that compute in double precision."""
 
     to_native: Tensor
     owner: Tensor
@@ -61,7 +61,7 @@ class BodyModel(LearnedModel):
         )
 
     def in_precision(self) -> Self:
-        """Networks in single precision: they add little, and take less than half the time so."""
+        """Convert networks to single precision, in which they take less than half the time."""
         super().in_precision()
         for name, part in self.named_children():
             if name not in self.exact:
@@ -70,22 +70,22 @@ class BodyModel(LearnedModel):
 
     @abstractmethod
     def predict(self, state: Tensor, inputs: KnownInputs) -> tuple[Tensor, Tensor]:
-        """Give states that a frame leads to, and what is to be added to them.
+        """Return the states that a frame leads to, and the corrections to add to them.
 
-        States (batch, body, 13); a displacement [m, rad] and a change of the twists [m/s, rad/s],
-        shape (batch, 2, body, 6), as joints let them through.
+        States are (batch, body, 13). Corrections, as the joints allow them, are a displacement
+        [m, rad] and a change of the twists [m/s, rad/s], shape (batch, 2, body, 6).
         """
 
     def begin(self, start: Start) -> Tensor:
-        """Give the bodies' states in native frames, shape (batch, body, 13)."""
+        """Return the states of the bodies in native frames, shape (batch, body, 13)."""
         assert start.body is not None
         return self.native(start.body[:, -1])
 
     def native(self, body: Tensor) -> Tensor:
-        """Turn published states (…, body, 13) to native frames."""
+        """Convert published states (…, body, 13) to native frames."""
         body = body.to(self.to_native)
-        turned = turning.multiply(body[..., Q], self.to_native.expand_as(body[..., Q]))
-        return torch.cat([body[..., X], turned, body[..., TWIST] * self.rigid.moves], dim=-1)
+        orientation = turning.multiply(body[..., Q], self.to_native.expand_as(body[..., Q]))
+        return torch.cat([body[..., X], orientation, body[..., TWIST] * self.rigid.moves], dim=-1)
 
     def advance(self, state: Tensor, inputs: KnownInputs) -> Tensor:
         smooth, added = self.predict(state, inputs)
@@ -99,11 +99,11 @@ class BodyModel(LearnedModel):
         return state[:, self.owner, X] + arm
 
     def loss(self, sample: Sample, generator: torch.Generator) -> Tensor:
-        """Mean distance of the next frame from the teacher's, in units of second differences.
+        """Return the mean distance to the teacher's next frame, in units of second differences.
 
-        Root mean square over the mass, of displacements and twists together. Not its square: of
-        that rare violent frames would be all that counts; nor its logarithm: impacts would be
-        learned last.
+        The distance is the mass-weighted root mean square of displacements and twists together. In
+        its square, rare violent frames would outweigh all others; with its logarithm, impacts would
+        be learned last.
         """
         del generator
         assert sample.body is not None
@@ -117,22 +117,22 @@ class BodyModel(LearnedModel):
 
 
 class CorrectedModel(BodyModel):
-    """Smooth motion on a scene's joints, and a network for all else."""
+    """Model with smooth motion on a scene's joints, and a network for everything else."""
 
     @abstractmethod
     def smooth(self, state: Tensor, inputs: KnownInputs) -> tuple[list[Tensor], JointHold | None]:
         """Move over a frame without contact.
 
         Returns:
-            The states after none, one and so on of the steps, and the joints at the last.
+            The states at the start and after each step, and the joints at the last state.
         """
 
     @abstractmethod
     def corrections(self, view: BodyView) -> tuple[Tensor, Tensor]:
-        """Give what bodies and contacts add, in units of the deviation of second differences.
+        """Return corrections by bodies and contacts, in deviations of second differences.
 
-        Of bodies displacement and change of the twist, linear and angular parts, (batch, body, 2,
-        2, 3); of contacts their impulses over the body's mass, (batch, contact, 2, 3).
+        Bodies have a displacement and a change of the twist, linear and angular parts, shape
+        (batch, body, 2, 2, 3); contacts have impulses over mass, shape (batch, contact, 2, 3).
         """
 
     def predict(self, state: Tensor, inputs: KnownInputs) -> tuple[Tensor, Tensor]:
@@ -151,9 +151,9 @@ class CorrectedModel(BodyModel):
         return smooth, torch.stack(added, dim=1)
 
     def _wrenches(self, view: BodyView, pushes: Tensor) -> Tensor:
-        """Sum impulses at contacts to bodies, about their centres of mass."""
+        """Sum impulses at contacts to wrenches on the bodies about their centres of mass."""
         carrier = self.viewer.sphere_body
         pushes = pushes * self.rigid.mass[carrier]
-        each = torch.cat([pushes, torch.linalg.cross(view.arm, pushes)], dim=-1)
-        whole = each.new_zeros(len(each), self.graph.body_count, 6)
-        return whole.index_add(1, carrier, each)
+        wrench = torch.cat([pushes, torch.linalg.cross(view.arm, pushes)], dim=-1)
+        total = wrench.new_zeros(len(wrench), self.graph.body_count, 6)
+        return total.index_add(1, carrier, wrench)

@@ -1,9 +1,9 @@
-"""GNS and SGNN over bodies: message passing between bodies over joints, contacts read into them.
+"""GNS and SGNN over bodies: bodies pass messages over joints and receive those of contacts.
 
-Both see the same view and add to the same smooth motion (`body_model`). The first takes vectors by
-their components, as GNS does; the second combines them by weights that depend on inner products,
-as SGNN does, so that its predictions turn along with the whole about the vertical. They have the
-names of their kinds of network, not of the papers' models: those see particles alone.
+Both see the same view and correct the same smooth motion (`body_model`). The first reads vectors by
+their components, as GNS does; the second combines them with weights that depend on inner products,
+as SGNN does, so that its predictions turn with the scene about the vertical. They are named after
+their kinds of network, not after the papers' models, which see only particles.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from mbds_xsim.learn.sgnn_network import Edges, Passing, Scalars, Subequivariant
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import KnownInputs
 
-_VECTORS = 2 * ADDED  # that a body is given: linear and angular parts
+_VECTORS = 2 * ADDED  # output vectors of a body: linear and angular parts
 
 
 class BodySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -36,16 +36,16 @@ class BodySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     width: int = 64
     layers: int = 3
-    """Linear layers of each perceptron."""
+    """Number of linear layers of each perceptron."""
     steps: int = 2
-    """Of message passing over the joints."""
+    """Number of message-passing steps over the joints."""
     substeps: int = 4
-    """Steps of smooth motion in a frame, an even number."""
+    """Number of steps of smooth motion per frame; must be even."""
     recipe: Recipe = Recipe(rate=3e-3, batch=128, schedule=Cosine(), clip=1.0, skip=True)
 
 
 class JointedModel(CorrectedModel):
-    """Known smooth motion, and a network that passes messages over the joints."""
+    """Model with known smooth motion and a network that passes messages over the joints."""
 
     tracks: ClassVar[Mapping[str, BodySettings]] = {"native+": BodySettings()}
 
@@ -65,24 +65,24 @@ class JointedModel(CorrectedModel):
 
     @abstractmethod
     def read(self, view: BodyView) -> tuple[Tensor, Tensor]:
-        """Give `corrections` but for what is a fixed combination of a body's own vectors."""
+        """Return `corrections` without the fixed combination of a body's own vectors."""
 
 
 class BodyGNS(JointedModel):
-    """Perceptrons of components, and GNS's interaction networks over the joints."""
+    """Perceptrons of vector components, and GNS's interaction networks over the joints."""
 
     symmetries: ClassVar[frozenset[Symmetry]] = frozenset({"shift"})
 
     def __init__(self, graph: Graph, statistics: Statistics, settings: BodySettings) -> None:
         super().__init__(graph, statistics, settings)
-        see, width, layers = BodyViewer, settings.width, settings.layers
+        view, width, layers = BodyViewer, settings.width, settings.layers
 
         def perceptron(inputs: int, outputs: int) -> nn.Sequential:
             return mlp(inputs, outputs, hidden=width, layers=layers)
 
-        self.of_contact = perceptron(DIMENSION * see.CONTACT + see.CONTACT_SCALARS, width)
-        self.of_body = perceptron(DIMENSION * see.BODY + see.BODY_SCALARS + width, width)
-        self.of_joint = perceptron(DIMENSION * see.JOINT + see.JOINT_SCALARS, width)
+        self.of_contact = perceptron(DIMENSION * view.CONTACT + view.CONTACT_SCALARS, width)
+        self.of_body = perceptron(DIMENSION * view.BODY + view.BODY_SCALARS + width, width)
+        self.of_joint = perceptron(DIMENSION * view.JOINT + view.JOINT_SCALARS, width)
         self.interactions = nn.ModuleList(
             InteractionLayer(width, layers - 1) for _ in range(settings.steps)
         )
@@ -94,16 +94,16 @@ class BodyGNS(JointedModel):
         carrier = self.viewer.sphere_body
         contacts = self.of_contact(_flat(view.contacts))
         bodies = _flat(view.bodies)
-        heard = contacts.new_zeros(*bodies.shape[:2], contacts.shape[-1])
-        heard = heard.index_add(1, carrier, contacts)
-        nodes = self.of_body(torch.cat([bodies, heard], dim=-1))
+        received = contacts.new_zeros(*bodies.shape[:2], contacts.shape[-1])
+        received = received.index_add(1, carrier, contacts)
+        nodes = self.of_body(torch.cat([bodies, received], dim=-1))
         nodes = self._passed(nodes, view.joints)
         pushes = self.to_contact(torch.cat([contacts, nodes[:, carrier]], dim=-1))
         added = self.to_body(nodes).unflatten(-1, (ADDED, 2, DIMENSION))
         return added, pushes.unflatten(-1, (ADDED, DIMENSION))
 
     def _passed(self, nodes: Tensor, joints: Seen) -> Tensor:
-        """Let bodies hear of each other, and of the world behind them, which is silent."""
+        """Pass messages between the bodies and the world, whose node follows and starts at zero."""
         if not len(self.viewer.senders):
             return nodes
         nodes = nn.functional.pad(nodes, (0, 0, 0, 1)).transpose(0, 1)
@@ -114,9 +114,9 @@ class BodyGNS(JointedModel):
 
 
 class BodySGNN(JointedModel):
-    """Subequivariant maps: combinations of what is seen, and of gravity's direction.
+    """Subequivariant maps: combinations of the view's vectors and of the vertical direction.
 
-    Spins and cross products are among the vectors, so turns are kept, and mirror images are not.
+    Spins are among the vectors, so the maps keep turns, but not mirror images.
     """
 
     symmetries: ClassVar[frozenset[Symmetry]] = frozenset({"shift", "turn"})
@@ -124,50 +124,50 @@ class BodySGNN(JointedModel):
 
     def __init__(self, graph: Graph, statistics: Statistics, settings: BodySettings) -> None:
         super().__init__(graph, statistics, settings)
-        see, width = BodyViewer, settings.width
+        view, width = BodyViewer, settings.width
         size = {"hidden": width, "layers": settings.layers}
         keep(self, up=torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
         self.of_contact = SubequivariantMap(
-            see.CONTACT + 1, [see.CONTACT_SCALARS], outputs=ADDED, **size
+            view.CONTACT + 1, [view.CONTACT_SCALARS], outputs=ADDED, **size
         )
         self.of_body = SubequivariantMap(
-            see.BODY + 1 + ADDED, [see.BODY_SCALARS, width], outputs=_VECTORS, **size
+            view.BODY + 1 + ADDED, [view.BODY_SCALARS, width], outputs=_VECTORS, **size
         )
         self.passing = Passing(
             _VECTORS,
-            edge_channels=see.JOINT + 1,
-            edge_scalars=see.JOINT_SCALARS,
+            edge_channels=view.JOINT + 1,
+            edge_scalars=view.JOINT_SCALARS,
             **size,
             steps=settings.steps,
         )
         self.to_body = SubequivariantMap(
-            see.BODY + 1 + _VECTORS, [see.BODY_SCALARS, width], outputs=_VECTORS, **size
+            view.BODY + 1 + _VECTORS, [view.BODY_SCALARS, width], outputs=_VECTORS, **size
         )
         self.to_contact = SubequivariantMap(
-            see.CONTACT + 1 + _VECTORS, [see.CONTACT_SCALARS, width, width], outputs=ADDED, **size
+            view.CONTACT + 1 + _VECTORS, [view.CONTACT_SCALARS, width, width], outputs=ADDED, **size
         )
         self.edges = Edges(self.viewer.senders, self.viewer.receivers, graph.body_count + 1)
         silence(self.to_body.rest, self.to_contact.rest)
 
     def read(self, view: BodyView) -> tuple[Tensor, Tensor]:
-        carrier, seen, touching = self.viewer.sphere_body, view.bodies, view.contacts
-        bodies, contacts = self._with_up(seen.vectors), self._with_up(touching.vectors)
-        said, known = self.of_contact(contacts, Scalars(touching.scalars))
-        heard = seen.vectors.new_zeros(*seen.vectors.shape[:2], ADDED, DIMENSION)
-        heard = heard.index_add(1, carrier, said)
-        told = known.new_zeros(*seen.vectors.shape[:2], known.shape[-1])
-        told = told.index_add(1, carrier, known)
+        carrier, body_view, contact_view = self.viewer.sphere_body, view.bodies, view.contacts
+        bodies, contacts = self._with_up(body_view.vectors), self._with_up(contact_view.vectors)
+        messages, hidden = self.of_contact(contacts, Scalars(contact_view.scalars))
+        received = body_view.vectors.new_zeros(*body_view.vectors.shape[:2], ADDED, DIMENSION)
+        received = received.index_add(1, carrier, messages)
+        hidden_sum = hidden.new_zeros(*body_view.vectors.shape[:2], hidden.shape[-1])
+        hidden_sum = hidden_sum.index_add(1, carrier, hidden)
         vectors, scalars = self.of_body(
-            torch.cat([bodies, heard], dim=-2), Scalars(seen.scalars), Scalars(told)
+            torch.cat([bodies, received], dim=-2), Scalars(body_view.scalars), Scalars(hidden_sum)
         )
         vectors, scalars = self._passed(vectors, scalars, view.joints)
         added, _ = self.to_body(
-            torch.cat([bodies, vectors], dim=-2), Scalars(seen.scalars), Scalars(scalars)
+            torch.cat([bodies, vectors], dim=-2), Scalars(body_view.scalars), Scalars(scalars)
         )
         pushes, _ = self.to_contact(
             torch.cat([contacts, vectors[:, carrier]], dim=-2),
-            Scalars(touching.scalars),
-            Scalars(known),
+            Scalars(contact_view.scalars),
+            Scalars(hidden),
             Scalars(scalars[:, carrier]),
         )
         return added.unflatten(-2, (ADDED, 2)), pushes
@@ -185,5 +185,5 @@ class BodySGNN(JointedModel):
         return torch.cat([vectors, self.up.to(vectors).expand(*vectors.shape[:2], 1, 3)], dim=-2)
 
 
-def _flat(seen: Seen) -> Tensor:
-    return torch.cat([seen.vectors.flatten(2), seen.scalars], dim=-1)
+def _flat(view: Seen) -> Tensor:
+    return torch.cat([view.vectors.flatten(2), view.scalars], dim=-1)

@@ -1,10 +1,10 @@
-"""What networks of bodies are shown of a frame: vectors and scalars of bodies, joints, contacts.
+"""View of a frame that networks of bodies see: vectors and scalars of bodies, joints, contacts.
 
-Beside the state stands what smooth motion would make of it (`BodyMechanics.smooth`): the twists
-that it ends with, and the gaps that contact spheres would have then. Vectors are in W and turn with
-the whole; scalars stay. Velocities are in units of the deviation of displacements over a frame,
-changes of them in units of that of second differences; spins count by their body's radius of
-gyration about its joint.
+It describes the state and the result of smooth motion over the frame (`BodyMechanics.smooth`): the
+twists at its end, and the gaps that contact spheres would have then. Vectors are in W and turn with
+the scene; scalars do not change. Velocities are in units of the deviation of displacements per
+frame time, their changes in units of that of second differences; spins are multiplied by their
+body's radius of gyration about its joint.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ _FINE = 1e-3  # of the scene's length: gaps that decide on support
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """Vectors (batch, item, channel, 3) and scalars (batch, item, scalar) of items of a kind.
+    """Vectors (batch, item, channel, 3) and scalars (batch, item, scalar) of one kind of item.
 
-    In single precision, as networks compute; differences are taken before.
+    Both are in single precision, like the networks; differences are taken in double first.
     """
 
     vectors: Tensor
@@ -40,47 +40,47 @@ class Seen:
 
     @staticmethod
     def of(vectors: Sequence[Tensor], scalars: Tensor) -> Seen:
-        """Put vectors (batch, item, 3) beside each other."""
+        """Stack vectors (batch, item, 3) and convert all to single precision."""
         return Seen(torch.stack([*vectors], dim=-2).float(), scalars.float())
 
 
 @dataclass(frozen=True, eq=False)
 class BodyView:
-    """All that is seen of a frame."""
+    """Everything that a network sees of a frame."""
 
     bodies: Seen
     joints: Seen
-    """Every joint from each body that it holds: at the receiving end."""
+    """Each joint as seen from every body that it holds, which is the receiving end."""
     contacts: Seen
     arm: Tensor
-    """From the centre of mass to where a sphere would touch [m], shape (batch, contact, 3)."""
+    """Vector from the centre of mass to the sphere's lowest point [m], (batch, contact, 3)."""
 
 
 class BodyViewer(nn.Module):
-    """Makes the views of one scene."""
+    """Module that computes the views of one scene."""
 
     BODY, JOINT, CONTACT = 12, 5, 4
-    """Vectors of a body (velocity, spin and spin on its joint, what smooth motion adds to each and
-    how much of it rather in the second half of the frame, its frame), of a joint
-    (arms to it, relative velocity and spin, the hinge's axis), of a contact (velocities of the
-    lowest point at both ends, arm, spin)."""
+    """Numbers of vectors: of a body (velocity, spin, spin on its joint; their changes in smooth
+    motion; second-half minus first-half changes; its axes), of a joint (arm to it, vector between
+    the bodies, relative velocity and spin, the joint's axis), of a contact (velocities of the
+    lowest point at start and end, arm, spin)."""
     BODY_SCALARS, JOINT_SCALARS, CONTACT_SCALARS = 4, len(_KINDS), 8
 
     speed: Tensor
     """Unit of velocities [m/s]."""
     change: Tensor
-    """Unit of changes of them [m/s]."""
+    """Unit of velocity changes [m/s]."""
     radius: Tensor
     shape: Tensor
     receivers: Tensor
     senders: Tensor
-    """Body at the other end of each end of a joint, the world behind them, shape (end,)."""
+    """Body at the other end of the joint of each end; the world follows the bodies, (end,)."""
     arms: Tensor
     kind: Tensor
     sphere_body: Tensor
     sphere: Tensor
     depth: Tensor
-    """Of the spheres, along the vertical [m], shape (contact, 3)."""
+    """Radius of each sphere as a vertical vector [m], shape (contact, 3)."""
 
     def __init__(self, graph: Graph, statistics: Statistics) -> None:
         super().__init__()
@@ -110,7 +110,7 @@ class BodyViewer(nn.Module):
             self.register_buffer(name, torch.tensor(spread, dtype=torch.float64))
 
     def forward(self, states: Sequence[Tensor]) -> BodyView:
-        """Look at states at the steps of a smooth frame, each (batch, body, 13)."""
+        """Compute the view from states at the steps of a smooth frame, each (batch, body, 13)."""
         before, middle, after = states[0], states[len(states) // 2], states[-1]
         first, start, _ = self.touch(before)
         gap, end, arm = self.touch(after)
@@ -141,8 +141,8 @@ class BodyViewer(nn.Module):
     def _joints(self, state: Tensor) -> Seen:
         world = state.new_zeros(len(state), 1, 13)
         world[..., 3] = 1.0
-        whole = torch.cat([state, world], dim=1)
-        own, other = whole[:, self.receivers], whole[:, self.senders]
+        states = torch.cat([state, world], dim=1)
+        own, other = states[:, self.receivers], states[:, self.senders]
         radius = self.radius[self.receivers]
         vectors = [
             turning.rotate(own[..., Q], self.arms[:, 0]) / radius,
@@ -154,14 +154,14 @@ class BodyViewer(nn.Module):
         return Seen.of(vectors, self.kind.expand(len(state), -1, -1))
 
     def touch(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Gaps (batch, contact, 1) [m], velocities of the lowest points [m/s], arms to them [m]."""
+        """Return gaps (batch, contact, 1) [m], the lowest points' velocities [m/s] and arms [m]."""
         body = state[:, self.sphere_body]
         arm = turning.rotate(body[..., Q], self.sphere) - self.depth
         velocity = body[..., V] + torch.linalg.cross(body[..., W], arm)
         return body[..., 2:3] + arm[..., 2:], velocity, arm
 
-    def _gaps(self, start: Tensor, end: Tensor, falls: Tensor, fell: Tensor) -> Tensor:
-        """Scalars of contacts: gaps in two units, depth, share of the frame before, speeds."""
+    def _gaps(self, start: Tensor, end: Tensor, start_speed: Tensor, end_speed: Tensor) -> Tensor:
+        """Return scalars of contacts: gaps in two units, depth, share of frame to touch, speeds."""
         unit = self.change * self.frame_s
         share = (start / (start - end).clamp(min=1e-9)).clamp(0.0, 1.0)
         fine = _FINE * self.length
@@ -170,7 +170,7 @@ class BodyViewer(nn.Module):
                 torch.asinh(start / unit), torch.asinh(end / unit),
                 torch.asinh(start / fine), torch.asinh(end / fine),
                 (-end).clamp(min=0.0) / unit, share,
-                falls / self.speed, fell / self.speed,
+                start_speed / self.speed, end_speed / self.speed,
             ],
             dim=-1,
         )  # fmt: skip

@@ -1,7 +1,7 @@
-"""Learning curves: a file of JSON beside a model, what TensorBoard reads, and a picture.
+"""Learning curves: a JSON file next to a model, logs for TensorBoard, and a picture.
 
-In the picture an engine has the colour that it has everywhere; dashes tell apart what else its name
-stands for: all but it, or its starts of one interval.
+In the picture an engine has its usual colour; dashes distinguish the other trainings named after
+it: all engines but it, or its starts of one interval.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ _MARK = {"level": ".", "steps": "|", "diverged": "x", "": "4"}
 
 
 class LearningCurve(msgspec.Struct, frozen=True):
-    """How a run went so far."""
+    """Progress of a run so far."""
 
     run: str
     most_steps: int
-    """It may take."""
+    """Maximum number of steps."""
     ended: End
-    """Why; empty while it goes on."""
+    """Reason for the end; empty while the run goes on."""
     points: list[CurvePoint]
 
 
 def write_curve(curve: LearningCurve) -> bytes:
-    """Give JSON; see `docs/train.md`."""
+    """Encode a curve as JSON; see `docs/train.md`."""
     return msgspec.json.encode(curve) + b"\n"
 
 
@@ -49,7 +49,7 @@ def read_curve(path: Path) -> LearningCurve:
     """Read what `write_curve` wrote, or raise InputError."""
     try:
         curve = msgspec.json.decode(path.read_bytes())
-        for point in curve["points"]:  # JSON has no infinity, that of a prediction that failed
+        for point in curve["points"]:  # JSON has no infinity: null is a failed prediction
             point |= {key: math.inf for key in ("loss", "error") if point[key] is None}
         return msgspec.convert(curve, LearningCurve)
     except (OSError, msgspec.MsgspecError, KeyError, TypeError) as error:
@@ -58,20 +58,20 @@ def read_curve(path: Path) -> LearningCurve:
 
 
 def check_events(folder: Path) -> None:
-    """Raise InputError where TensorBoard is not installed, or the folder cannot be written to."""
+    """Raise InputError if TensorBoard is not installed or the folder is not writable."""
     _writer()
     check_writable(folder / "events", "--tensorboard")
 
 
 class EventLog(AbstractContextManager["EventLog"]):
-    """Tells TensorBoard, or nobody where there is no folder."""
+    """Log for TensorBoard; without a folder it discards everything."""
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
         self._to: Any = None
 
     def add(self, point: CurvePoint) -> None:
-        """Tell of a point; those of an interrupted process that lie behind it are forgotten."""
+        """Log a point; later points of an interrupted process are removed."""
         if self._folder is None:
             return
         if self._to is None:
@@ -86,7 +86,7 @@ class EventLog(AbstractContextManager["EventLog"]):
 
 
 def log_whole(curve: Path, folder: Path) -> None:
-    """Tell TensorBoard of a run that is over, unless it has been told."""
+    """Log a finished run for TensorBoard, unless that has been done."""
     if curve.exists() and not folder.exists():
         with EventLog(folder) as log:
             for point in read_curve(curve).points:
@@ -98,9 +98,9 @@ def _writer() -> Any:
 
 
 def to_png(curves: Sequence[LearningCurve]) -> bytes:
-    """Draw validation errors over steps: a panel a model and data, a line a seed.
+    """Draw validation errors over steps: a panel for each model and data, a line for each run.
 
-    A mark at the end says why it ended there.
+    A mark at the end of a line shows why the run ended.
     """
     panels: dict[str, list[LearningCurve]] = {}
     for curve in curves:
@@ -148,10 +148,10 @@ def _legend(figure: Any, styles: Mapping[str, Look]) -> None:
         Line2D([], [], color=colour, linestyle=dash, label=training)
         for training, (colour, dash) in styles.items()
     ]
-    words = {"level": "level", "steps": "all steps taken", "diverged": "diverged"}
+    labels = {"level": "level", "steps": "all steps taken", "diverged": "diverged"}
     entries += [
-        Line2D([], [], color=INK, linestyle="", marker=_MARK[way], label=text)
-        for way, text in words.items()
+        Line2D([], [], color=INK, linestyle="", marker=_MARK[end], label=text)
+        for end, text in labels.items()
     ]
     figure.legend(
         handles=entries, loc="outside lower center", ncols=min(6, len(entries)), frameon=False
@@ -159,7 +159,7 @@ def _legend(figure: Any, styles: Mapping[str, Look]) -> None:
 
 
 def looks(trainings: Sequence[str]) -> dict[str, Look]:
-    """Colour and dashes of each training: an engine alone has a full line, its own colour.
+    """Choose colour and dashes of each training; a single engine has its colour and a solid line.
 
     Trainings that name no engine are black.
     """
@@ -180,12 +180,12 @@ def looks(trainings: Sequence[str]) -> dict[str, Look]:
 
 
 def _first_engine(training: str) -> str:
-    """Find the engine that stands first in a training's name; the longest of several."""
-    known = "|".join(sorted(map(re.escape, registry.engine_names()), key=len, reverse=True))
-    found = re.search(f"(?:^|-)({known})(?:-|$)", training)
-    return found[1] if found else ""
+    """Find the first engine in a training's name, the longest if several match; "" if none."""
+    engines = "|".join(sorted(map(re.escape, registry.engine_names()), key=len, reverse=True))
+    match = re.search(f"(?:^|-)({engines})(?:-|$)", training)
+    return match[1] if match else ""
 
 
 def _training(curve: LearningCurve) -> str:
-    """As in `mujoco` of `6pendulum/native/gns/mujoco-s0`."""
+    """Return the training of a run: `mujoco` of `6pendulum/native/gns/mujoco-s0`."""
     return curve.run.rpartition("/")[2].rpartition("-s")[0]

@@ -1,14 +1,14 @@
-"""Energies of HGNN and LGNN: of speeds, and of positions; the true one and the learned one.
+"""Kinetic and potential energies of HGNN and LGNN, and the networks that learn them.
 
 Kinetic energy is a sum over nodes of f(|v_i|²) and over rods (a body's tip and centre of mass) of
-f(|v_i − v_j|²). The rods carry the rotation: a particle welded to its rod couples neighbours.
-First and second derivatives of f come with it in closed form, and with these the mass matrix
-∂²T/∂v². The learned V is of places and, by message passing, of distances.
+f(|v_i − v_j|²). The rods represent rotation and couple neighbouring nodes. The first and second
+derivatives of f have closed forms, and so has the mass matrix ∂²T/∂v². The learned V depends on
+positions and, by message passing, on distances.
 
-Sources: Bhattoo, Ranu, Krishnan, NeurIPS 2022, and Bishnoi et al., ICLR 2023; T of rods is beyond
-these papers. Lengths are in units of the scene's, times in √(length / gravity), kinetic terms in
-known masses. Functions of squared speeds are convex and grow (Amos, Xu, Kolter: Input convex neural
-networks, ICML 2017), so that the mass matrix is positive definite whatever the parameters.
+Sources: Bhattoo, Ranu, Krishnan, NeurIPS 2022, and Bishnoi et al., ICLR 2023; the energy of rods is
+not in these papers. Units are the scene's length, √(length / gravity) for times, and known masses
+for kinetic terms. Functions of squared speeds are convex and increasing (Amos, Xu, Kolter: Input
+convex neural networks, ICML 2017), so the mass matrix is positive definite for all parameters.
 """
 
 from __future__ import annotations
@@ -34,34 +34,34 @@ class Kinetic:
     """Kinetic energies of free nodes and of rods, as functions of squared speeds."""
 
     value: Tensor
-    """f [J], shape (batch, node + rod)."""
+    """Energies f [J], shape (batch, node + rod)."""
     first: Tensor
-    """f′ [kg], of the same shape."""
+    """First derivatives f′ [kg], same shape."""
     second: Tensor
-    """f″ [kg·s²/m²], of the same shape."""
+    """Second derivatives f″ [kg·s²/m²], same shape."""
 
 
 class NodeEnergy(Protocol):
-    """What a Lagrangian or Hamiltonian is made of."""
+    """Kinetic and potential energy of a Lagrangian or Hamiltonian."""
 
     mechanics: Mechanics
 
     def kinetic(self, v: Tensor) -> Kinetic:
-        """Kinetic energy at velocities of the free nodes (batch, node, 3)."""
+        """Return the kinetic energy at velocities of the free nodes (batch, node, 3)."""
 
     def potential(self, q: Tensor) -> Tensor:
-        """Potential energy [J], shape (batch,), at free nodes (batch, node, 3)."""
+        """Return the potential energy [J], shape (batch,), at free nodes (batch, node, 3)."""
 
 
 def momentum(mechanics: Mechanics, kinetic: Kinetic, v: Tensor) -> Tensor:
-    """∂T/∂v, shape (batch, node, 3)."""
-    each = 2.0 * kinetic.first[..., None] * mixed(mechanics.speed_map, v)
-    return mixed(mechanics.speed_map.T, each)
+    """Return ∂T/∂v, shape (batch, node, 3)."""
+    terms = 2.0 * kinetic.first[..., None] * mixed(mechanics.speed_map, v)
+    return mixed(mechanics.speed_map.T, terms)
 
 
 @dataclass(frozen=True, eq=False)
 class MassMatrix:
-    """∂²T/∂v² at velocities v of the free nodes: blocks 2 f′ 1 + 4 f″ v vᵀ of nodes and rods."""
+    """Mass matrix ∂²T/∂v² at given velocities: blocks 2 f′ 1 + 4 f″ v vᵀ of nodes and rods."""
 
     mechanics: Mechanics
     kinetic: Kinetic
@@ -70,18 +70,18 @@ class MassMatrix:
 
     @staticmethod
     def of(energy: NodeEnergy, v: Tensor) -> MassMatrix:
-        """Give that of an energy at v (batch, node, 3)."""
+        """Return the mass matrix of an energy at v (batch, node, 3)."""
         return MassMatrix(energy.mechanics, energy.kinetic(v), mixed(energy.mechanics.speed_map, v))
 
     def times(self, v: Tensor) -> Tensor:
-        """Its product with v, shape (batch, node, 3)."""
-        more, each, kinetic = mixed(self.mechanics.speed_map, v), self.each, self.kinetic
-        own = 2.0 * kinetic.first[..., None] * more
-        along = kinetic.second[..., None] * (each * more).sum(-1, keepdim=True)
+        """Return the product with v, shape (batch, node, 3)."""
+        vector, each, kinetic = mixed(self.mechanics.speed_map, v), self.each, self.kinetic
+        own = 2.0 * kinetic.first[..., None] * vector
+        along = kinetic.second[..., None] * (each * vector).sum(-1, keepdim=True)
         return mixed(self.mechanics.speed_map.T, own + 4.0 * along * each)
 
     def dense(self) -> Tensor:
-        """Itself in closed form, shape (batch, 3 · node, 3 · node)."""
+        """Return the matrix in closed form, shape (batch, 3 · node, 3 · node)."""
         each, kinetic, size = self.each, self.kinetic, 3 * self.mechanics.free
         outer = 4.0 * kinetic.second[..., None, None] * each[..., :, None] * each[..., None, :]
         own = 2.0 * kinetic.first[..., None, None] * torch.eye(3).to(each) + outer
@@ -92,7 +92,7 @@ class MassMatrix:
 
 
 def potential_force(energy: NodeEnergy, q: Tensor) -> Tensor:
-    """−∂V/∂q [N], shape (batch, node, 3); differentiable where gradients are on."""
+    """Return −∂V/∂q [N], shape (batch, node, 3); differentiable if gradients are enabled."""
     outer = torch.is_grad_enabled()
     with torch.enable_grad():
         place = q if q.requires_grad else q.detach().requires_grad_()
@@ -104,24 +104,24 @@ class EnergyShape(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Size of the networks."""
 
     width: int = 5
-    """Of hidden layers, embeddings and messages."""
+    """Width of hidden layers, embeddings and messages."""
     hidden_layers: int = 2
     passes: int = 1
-    """Rounds of message passing."""
+    """Number of rounds of message passing."""
     bend: float = 1.0
-    """Share of the kinetic energy's network beside the energy of the known masses; the less, the
-    nearer to it learning starts."""
+    """Weight of the network's kinetic energy relative to that of the known masses; the smaller,
+    the closer to the latter learning starts."""
 
 
 class SquarePlus(nn.Module):
-    """(x + √(x² + 4)) / 2: smooth, convex, growing."""
+    """Activation (x + √(x² + 4)) / 2: smooth, convex, increasing."""
 
     def forward(self, x: Tensor) -> Tensor:
         return _squareplus(x)
 
 
 class ConvexScalar(nn.Module):
-    """A convex growing function of one number for each kind, with two derivatives."""
+    """Convex increasing function of one number for each kind, with two derivatives."""
 
     def __init__(self, kinds: int, shape: EnergyShape) -> None:
         super().__init__()
@@ -136,7 +136,7 @@ class ConvexScalar(nn.Module):
         nn.init.zeros_(self.slope.weight)
 
     def forward(self, s: Tensor, kind: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Values, first and second derivatives at s (batch, k) of kinds (k,), of the shape of s."""
+        """Return values, first and second derivatives, each (batch, k), at s for kinds (k,)."""
         shifts = self.shift(kind).chunk(len(self.raw), dim=-1)
         weight = _squareplus(self.raw[0])[:, 0]
         jet = _bend(s[..., None] * weight + shifts[0], weight, None)
@@ -151,11 +151,11 @@ class ConvexScalar(nn.Module):
 
 
 class Potential(nn.Module):
-    """V over its unit, of positions in units of the scene's length."""
+    """Potential V over its unit, as a function of positions over the scene's length."""
 
     kind: Tensor
     axes: Tensor
-    """1 along axes in which the scene moves: of a plane motion nothing learned shall leave it."""
+    """1 along axes in which the scene moves, else 0: no learned force may leave a plane motion."""
 
     def __init__(self, mechanics: Mechanics, shape: EnergyShape) -> None:
         super().__init__()
@@ -167,27 +167,27 @@ class Potential(nn.Module):
         self.embed = nn.Embedding(kinds, width)
         self.of_place = _perceptron(width + 3, 1, shape)
         self.slope = nn.Linear(width, 3)
-        # A function of distances that nothing changes has a slope along the constraints alone,
-        # whose forces take it up: it moves nothing.
+        # Without springs distances are constant: the gradient of a function of them lies along the
+        # constraints, whose forces cancel it.
         self.of_distances = OfDistances(mechanics, shape) if mechanics.mechanism.springs else None
 
     def silence(self) -> None:
-        """Begin with next to no force, which would first have to be unlearned."""
+        """Start with almost no force, because a random one would have to be unlearned first."""
         of_distances = self.of_distances
         springs = [] if of_distances is None else [of_distances.of_edge, of_distances.of_node]
         silence(self.of_place, nn.Sequential(self.slope), *springs)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Give V, shape (batch,), at all nodes (batch, all nodes, 3)."""
+        """Return V, shape (batch,), at all nodes (batch, all nodes, 3)."""
         place = x[:, : len(self.kind)] * self.axes
         kind = self.embed(self.kind).expand(len(x), -1, -1)
-        at = self.of_place(torch.cat([kind, place], -1))[..., 0]
-        energy = (at + (self.slope(kind) * place).sum(-1)).sum(1)
+        node_energy = self.of_place(torch.cat([kind, place], -1))[..., 0]
+        energy = (node_energy + (self.slope(kind) * place).sum(-1)).sum(1)
         return energy if self.of_distances is None else energy + self.of_distances(x, kind)
 
 
 class OfDistances(nn.Module):
-    """The part of V that message passing on distances gives."""
+    """Part of V from message passing on distances."""
 
     edge_map: Tensor
     ends: Tensor
@@ -207,7 +207,7 @@ class OfDistances(nn.Module):
         self.of_node = _perceptron(width, 1, shape)
 
     def forward(self, x: Tensor, node: Tensor) -> Tensor:
-        """Give it, shape (batch,), at all nodes (batch, all nodes, 3) and their embeddings."""
+        """Return this part of V, (batch,), at all nodes (batch, all nodes, 3) with embeddings."""
         span = torch.linalg.vector_norm(self.edge_map @ x, dim=-1, keepdim=True)
         kind = self.embed(self.kind).expand(len(x), -1, -1)
         edge = self.of_distance(torch.cat([kind, span], -1))
@@ -223,7 +223,7 @@ class EnergyNetwork(nn.Module):
     """Learned kinetic and potential energy (a `NodeEnergy`)."""
 
     kind: Tensor
-    """Of free nodes, then of rods."""
+    """Kind of each free node, then of each rod."""
 
     def __init__(self, mechanics: Mechanics, shape: EnergyShape) -> None:
         super().__init__()
@@ -253,25 +253,25 @@ class EnergyNetwork(nn.Module):
 
 
 class Drag(nn.Module):
-    """A learned force −c v at nodes and between the ends of rods, c ≥ 0: it only takes energy."""
+    """Learned force −c v at nodes and between ends of rods; c ≥ 0, so it only removes energy."""
 
     def __init__(self, energy: EnergyNetwork, shape: EnergyShape) -> None:
         super().__init__()
-        self.energy = [energy]  # not a part: its parameters are not the drag's
+        self.energy = [energy]  # in a list, so that its parameters are not the drag's
         self.embed = nn.Embedding(energy.kinds, shape.width)
         self.of_speed = _perceptron(shape.width + 1, 1, shape)
 
     def forward(self, v: Tensor) -> Tensor:
-        """Forces on the free nodes [N], shape (batch, node, 3), at their velocities."""
+        """Return forces on the free nodes [N], shape (batch, node, 3), at their velocities."""
         (energy,) = self.energy
         mechanics = energy.mechanics
-        each = mixed(mechanics.speed_map, v)
-        # Of a whip's speed itself the share would grow until the integrator is unstable.
-        speed = torch.log1p(each.square().sum(-1)[..., None] / energy.square_speed)
+        velocity = mixed(mechanics.speed_map, v)
+        # As a function of the speed itself, a whip's drag would make the integrator unstable.
+        speed = torch.log1p(velocity.square().sum(-1)[..., None] / energy.square_speed)
         kinds = self.embed(energy.kind).expand(len(v), -1, -1)
         share = 0.1 * self.of_speed(torch.cat([kinds, speed], -1)) ** 2
         rate = math.sqrt(energy.square_speed) / energy.length
-        push = rate * mechanics.moved_mass[:, None] * share * each
+        push = rate * mechanics.moved_mass[:, None] * share * velocity
         return -mixed(mechanics.speed_map.T, push)
 
 
@@ -280,11 +280,11 @@ def _squareplus(x: Tensor) -> Tensor:
 
 
 def _bend(value: Tensor, first: Tensor, second: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
-    """Put squareplus behind a function, with its derivatives; a straight one has no second."""
+    """Apply squareplus to a function, with two derivatives; `second` is None if it is linear."""
     root = torch.sqrt(value * value + 4.0)
-    over = 1.0 / root
+    inverse = 1.0 / root
     bent = 0.5 * (value + root)
-    slope, curve = bent * over, 2.0 * over * (over * first) ** 2
+    slope, curve = bent * inverse, 2.0 * inverse * (inverse * first) ** 2
     return bent, slope * first, curve if second is None else curve + slope * second
 
 
@@ -294,8 +294,8 @@ def _perceptron(before: int, after: int, shape: EnergyShape) -> nn.Sequential:
 
 
 def _edges(mechanics: Mechanics) -> tuple[Tensor, Tensor, Tensor]:
-    """Vectors along rods, distance links and springs (edge, all nodes), nodes at their ends
-    (2, edge), and what tells their laws apart (edge,).
+    """Return vectors along rods, distance links and springs (edge, all nodes), nodes at their ends
+    (2, edge), and the kinds of their laws (edge,).
     """
     points, mechanism = mechanics.points, mechanics.mechanism
     pairs = [*mechanism.distances, *mechanism.springs]

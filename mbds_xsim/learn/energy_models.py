@@ -1,8 +1,8 @@
 """LGNN and HGNN: motion from a learned Lagrangian or Hamiltonian and the scene's constraints.
 
 A state is (batch, 2, node, 3): nodes and their velocities (LGNN) or momenta (HGNN). Both learn from
-the frames that all models learn from: the next frame that their integrator reaches is compared,
-never an engine's accelerations.
+the same frames as all models: the loss compares the next frame that their integrator reaches, never
+an engine's accelerations.
 
 LGNN, L = T(q̇) − V(q) (Bhattoo et al., NeurIPS 2022): M q̈ = −∂V/∂q + F + drag − Aᵀ λ with
 A q̈ = −Ȧ q̇, A from the scene's joints. T depends on velocities alone, so that Coriolis terms
@@ -11,8 +11,8 @@ vanish and M = ∂²T/∂q̇² has a closed form.
 HGNN, H = T(p) + V(q) (Bishnoi et al., ICLR 2023): the canonical equations are projected on the
 constraints φ = 0 and A u = 0 with Dirac's bracket, ż = J (∇H + Φᵀ Λ), Φ the Jacobian of both by
 (q, p). Its block structure leaves two solves with A M⁻¹ Aᵀ. T is a function of u = M⁻¹ p with the
-scene's known mass matrix, so of |p_i|² / m_i² where masses are uncoupled: in u the rods' coupling
-keeps to neighbours, in p it does not.
+scene's known mass matrix, so of |p_i|² / m_i² where masses are uncoupled: in u, rods couple only
+neighbours; in p they would not.
 """
 
 from __future__ import annotations
@@ -52,18 +52,18 @@ class EnergySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     shape: EnergyShape = EnergyShape()
     drag: bool = True
-    """Whether a drag is learned beside the energy."""
+    """Whether a drag is learned in addition to the energy."""
     substeps: int = 2
-    """Runge-Kutta steps in a frame."""
+    """Number of Runge-Kutta steps per frame."""
     floor: float | None = None
     """Error below which windows count alike, in the loss's unit. With it a window's error e counts
-    as log(1 + e / floor) − log(1 + e): by its ratio, and ever less beyond 1, where no step of the
-    integrator resolves the motion. Left out, the loss is the mean of e."""
+    as log(1 + e / floor) − log(1 + e): by its logarithm, and ever less beyond 1, where no step of
+    the integrator resolves the motion. None: the loss is the mean of e."""
     recipe: Recipe = Recipe(rate=1e-3, batch=100, skip=True)
 
 
 class NodeDynamics(nn.Module, ABC):
-    """Rates of nodes and of what a state has for their velocities, from an energy."""
+    """Equations of motion of nodes, from an energy; states hold velocities or momenta."""
 
     def __init__(self, energy: NodeEnergy, drag: nn.Module | None = None) -> None:
         super().__init__()
@@ -71,13 +71,13 @@ class NodeDynamics(nn.Module, ABC):
         self.mechanics = energy.mechanics
 
     def load(self, q: Tensor, v: Tensor, inputs: KnownInputs) -> Tensor:
-        """Forces on the free nodes but for the constraints' [N], shape (batch, node, 3)."""
+        """Return all but constraint forces on the free nodes [N], shape (batch, node, 3)."""
         load = potential_force(self.energy, q) + self.mechanics.applied(q, v, inputs)
         return load if self.drag is None else load + self.drag(v)
 
     @abstractmethod
     def conjugate(self, v: Tensor) -> Tensor:
-        """What a state has for velocities v of the nodes [m/s], shape (batch, node, 3)."""
+        """Convert velocities v of the nodes [m/s] to a state's quantity, shape (batch, node, 3)."""
 
     @abstractmethod
     def velocity(self, x: Tensor) -> Tensor:
@@ -85,11 +85,11 @@ class NodeDynamics(nn.Module, ABC):
 
     @abstractmethod
     def derivative(self, q: Tensor, x: Tensor, inputs: KnownInputs) -> tuple[Tensor, Tensor]:
-        """Rates of nodes q [m] and of their velocities or momenta x, each (batch, node, 3)."""
+        """Return rates of nodes q [m] and of velocities or momenta x, each (batch, node, 3)."""
 
 
 class Lagrangian(NodeDynamics):
-    """Of nodes and velocities."""
+    """Lagrangian equations of motion, in nodes and velocities."""
 
     def conjugate(self, v: Tensor) -> Tensor:
         return v
@@ -101,20 +101,20 @@ class Lagrangian(NodeDynamics):
         return x, self.acceleration(q, x, inputs)
 
     def acceleration(self, q: Tensor, v: Tensor, inputs: KnownInputs) -> Tensor:
-        """Accelerations of the free nodes [m/s²], shape (batch, node, 3)."""
+        """Return the accelerations of the free nodes [m/s²], shape (batch, node, 3)."""
         mechanics, load = self.mechanics, self.load(q, v, inputs)
         mass, jacobian = MassMatrix.of(self.energy, v), mechanics.jacobian(q)
         return constrained(mass, load, jacobian, mechanics.bias(v), mechanics.redundant)
 
 
 class Hamiltonian(NodeDynamics):
-    """Of nodes and momenta."""
+    """Hamiltonian equations of motion, in nodes and momenta."""
 
     def conjugate(self, v: Tensor) -> Tensor:
         return mixed(self.mechanics.mass, v)
 
     def velocity(self, x: Tensor) -> Tensor:
-        """Give u = M⁻¹ p; the learned ∂H/∂p tends to it as training goes on."""
+        """Return u = M⁻¹ p, to which the learned ∂H/∂p tends as training goes on."""
         return mixed(self.mechanics.mass_inverse, x)
 
     def derivative(self, q: Tensor, x: Tensor, inputs: KnownInputs) -> tuple[Tensor, Tensor]:
@@ -132,20 +132,20 @@ class Hamiltonian(NodeDynamics):
 
 
 class EnergyModel(FlowModel):
-    """Motion that follows from a learned energy and the scene's constraints."""
+    """Model whose motion follows from a learned energy and the scene's constraints."""
 
     kind: ClassVar[type[NodeDynamics]]
     dtype: ClassVar[torch.dtype] = torch.float64
     needs_bodies: ClassVar[bool] = True
     tracks: ClassVar[Mapping[str, EnergySettings]] = {
-        # The authors' own code trains unclipped and sets gradients that are no numbers to zero.
+        # The authors' own code does not clip gradients and sets those that are not finite to zero.
         "paper": EnergySettings(
             EnergyShape(width=200), recipe=Recipe(schedule=Plateau(), skip=True)
         ),
         "native": EnergySettings(),
-        # Errors of windows span four decades, from slow motions to whips, which have gradients
-        # 1e5 times the others' and of no meaning. Clipping the mean's length keeps its direction,
-        # on which Adam then goes on for long.
+        # Errors of windows span four decades, from slow motions to whips, whose gradients are 1e5
+        # times as large and meaningless. Clipping the length of the mean gradient keeps its
+        # direction, which Adam then follows for long.
         "lite": EnergySettings(
             EnergyShape(width=16),
             substeps=1,
@@ -181,7 +181,7 @@ class EnergyModel(FlowModel):
             points.of_body(int(k)).weights(place, points.count)
             for k, place in zip(particles.body, particles.offset, strict=True)
         ]
-        # In the published frames, whose orientations are given.
+        # Offsets in the published frames, because starts give orientations of those.
         carried = rotation.rotate(mechanism.native_rotation(upright)[body], offset)
         keep(self, carrier=body, carried=carried, particle_map=np.array(weights))
         spread = statistics.acceleration.spread(graph.moving)
@@ -189,7 +189,7 @@ class EnergyModel(FlowModel):
         self.double()
 
     def begin(self, start: Start) -> Tensor:
-        """Give nodes and velocities or momenta, on the constraints."""
+        """Return nodes and velocities or momenta, on the constraints."""
         assert start.body is not None
         q, v = self.mechanics.placed(start.body[:, -1, self.carrier].double(), self.carried)
         return torch.stack([q, self.dynamics.conjugate(v)], dim=1)
@@ -198,17 +198,17 @@ class EnergyModel(FlowModel):
         return self.particle_map @ self.mechanics.all_nodes(state[:, 0])
 
     def velocities(self, state: Tensor) -> Tensor:
-        """Velocities of the particles [m/s], shape (batch, particle, 3)."""
-        moving = self.dynamics.velocity(state[:, 1])
-        return self.particle_map[:, : self.mechanics.free] @ moving
+        """Return the velocities of the particles [m/s], shape (batch, particle, 3)."""
+        node_velocity = self.dynamics.velocity(state[:, 1])
+        return self.particle_map[:, : self.mechanics.free] @ node_velocity
 
     def derivative(self, state: Tensor, inputs: KnownInputs) -> Tensor:
         q, x = state.unbind(1)
         return torch.stack(self.dynamics.derivative(q, x, inputs), dim=1)
 
     def loss(self, sample: Sample, generator: torch.Generator) -> Tensor:
-        """Mean square error of positions and of velocities times the frame, in units of second
-        differences of positions; `EnergySettings.floor` says how windows are weighed.
+        """Return the mean squared error of positions and of velocities times the frame, in units of
+        second differences of positions; `EnergySettings.floor` says how windows are weighed.
         """
         del generator
         state = self.begin(sample.start)
@@ -216,9 +216,9 @@ class EnergyModel(FlowModel):
         frames = sample.position.shape[1]
         for frame in range(frames):
             state = self.advance(state, sample.inputs.at(frame))
-            away = self.positions(state) - sample.position[:, frame]
-            faster = self.graph.frame_s * (self.velocities(state) - sample.velocity[:, frame])
-            total = total + (away**2 + faster**2).mean((1, 2))
+            dx = self.positions(state) - sample.position[:, frame]
+            dv = self.graph.frame_s * (self.velocities(state) - sample.velocity[:, frame])
+            total = total + (dx**2 + dv**2).mean((1, 2))
         error = total / (frames * self.spread**2)
         if self.floor is None:
             return error.mean()
@@ -229,7 +229,7 @@ class LGNN(EnergyModel):
     """A learned Lagrangian on a scene's constraints."""
 
     kind: ClassVar[type[NodeDynamics]] = Lagrangian
-    # With one step of the integrator a frame up to 8 of 100 rollouts are lost, HGNN's are not.
+    # With one integrator step per frame up to 8 of 100 rollouts are lost; HGNN loses none.
     tracks: ClassVar[Mapping[str, EnergySettings]] = {
         **EnergyModel.tracks,
         "lite": msgspec.structs.replace(EnergyModel.tracks["lite"], substeps=2),

@@ -1,8 +1,8 @@
 """The graph network simulator (GNS) of Sanchez-Gonzalez et al., ICML 2020, on a fixed graph.
 
-Velocities of five frames in, an acceleration out; absolute positions are no feature. Of the radius
-graph there remains its topology, which in a mechanism does not change, and its radius: the scene's
-`spacing` scales edges and heights. Known inputs enter as vectors at the nodes.
+It maps the last five velocities to an acceleration; absolute positions are not an input. The edges
+of the mechanism, which never change, replace the radius graph, and the graph's `spacing` replaces
+the radius: it scales edges and heights. Known inputs enter as vectors at the nodes.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ class GNSSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     width: int = 128
     hidden_layers: int = 2
-    """Of every perceptron, before its linear output."""
+    """Number of hidden layers of every perceptron, before its linear output."""
     steps: int = 10
-    """Interaction networks, each with weights of its own."""
+    """Number of interaction networks, each with its own weights."""
     noise: float = 0.02
-    """Of the last velocity, over the standard deviation of displacements."""
+    """Noise of the last velocity, relative to the standard deviation of displacements."""
     loss: Literal["mse", "l1"] = "mse"
-    """Of normalised accelerations, summed over axes. Those of a chain that whips are heavy-tailed:
-    their square asks for little but the rare violent frames."""
+    """Loss of normalised accelerations, summed over axes. Accelerations of a whipping chain are
+    heavy-tailed: in their square, the rare violent frames outweigh all others."""
     recipe: Recipe = Recipe()
 
 
 class GNS(PointModel):
-    """Encoder, interaction networks with residuals on nodes and edges, decoder."""
+    """Graph network: encoder, interaction networks with residuals on nodes and edges, decoder."""
 
     change: ClassVar[Change] = "acceleration"
     mixes: ClassVar[bool] = True
@@ -87,24 +87,24 @@ class GNS(PointModel):
         self.decoder = mlp(width, DIMENSION, hidden=width, layers=depth + 1, activation=nn.ReLU)
 
     def _remember(self, graph: Graph, statistics: Statistics) -> None:
-        """Keep what normalises with the parameters, and the graph beside them."""
+        """Store the normalisation with the parameters, and the graph outside them."""
         for name in ("displacement", "acceleration"):
             moments = getattr(statistics, name)
-            # What is normalised is noisy, so its deviation is of both.
+            # Training inputs are noisy, so their deviation includes the noise.
             std = torch.sqrt(moments.std**2 + self.noise_std**2)
             self.register_buffer(f"{name}_mean", moments.mean.float())
             self.register_buffer(f"{name}_std", std.float())
         self.register_buffer("channel_size", statistics.channels.float())
-        own = graph.mass[: graph.particle_count]
-        # Found out once: to ask a tensor in every step would hold up a GPU, and CUDA graphs.
-        self._masses_differ = bool((own - own[0]).abs().max() > 1e-9 * own[0])
-        mass = graph.mass / own.mean()
+        masses = graph.mass[: graph.particle_count]
+        # Computed once: reading a tensor in every step would stall a GPU and CUDA graphs.
+        self._masses_differ = bool((masses - masses[0]).abs().max() > 1e-9 * masses[0])
+        mass = graph.mass / masses.mean()
         keep(self, kind=graph.static.long(), mass=mass.float(), moving=graph.moving.float())
         keep(self, senders=graph.senders, receivers=graph.receivers)
 
     @property
     def feature_count(self) -> int:
-        """Numbers at a node."""
+        """Number of input features of a node."""
         velocities = DIMENSION * (HISTORY - 1)
         channels = DIMENSION * len(CHANNELS)
         kinds = 0 if self.embedding is None else _EMBEDDING
@@ -123,36 +123,36 @@ class GNS(PointModel):
         return size.sum(-1).mean()
 
     def target(self, history: Tensor, noise: Tensor, after: Tensor) -> Tensor:
-        """Give the normalised acceleration that leads from a noisy history to the true velocity.
+        """Return the normalised acceleration that leads from a noisy history to the true velocity.
 
-        The next position is shifted by the last noise, so that the noise of the last velocity is
-        corrected, and that of the last position is not.
+        The next position is shifted by the last noise, so that the model corrects the noise of the
+        last velocity, but not that of the last position.
         """
         noisy = history + noise
-        moved = after + noise[:, -1]
-        acceleration = moved - 2.0 * noisy[:, -1] + noisy[:, -2]
+        noisy_after = after + noise[:, -1]
+        acceleration = noisy_after - 2.0 * noisy[:, -1] + noisy[:, -2]
         return (acceleration - self.acceleration_mean) / self.acceleration_std
 
     def forward(self, history: Tensor, inputs: KnownInputs) -> Tensor:
-        """Give the normalised acceleration, shape (batch, particle, 3)."""
-        # Nodes come first, so that gathering and adding up move whole rows of memory.
+        """Return the normalised acceleration, shape (batch, particle, 3)."""
+        # Nodes come first, so that gathers and sums move whole rows of memory.
         nodes = self.node_encoder(self._node_features(history, inputs))
         ends = self.graph.with_anchors(history[:, -1]).transpose(0, 1) / self.graph.spacing
-        apart = ends[self.senders] - ends[self.receivers]
-        edges = self.edge_encoder(torch.cat([apart, apart.norm(dim=-1, keepdim=True)], dim=-1))
+        spans = ends[self.senders] - ends[self.receivers]
+        edges = self.edge_encoder(torch.cat([spans, spans.norm(dim=-1, keepdim=True)], dim=-1))
         for interaction in self.interactions:
             nodes, edges = interaction(nodes, edges, self.senders, self.receivers)
         acceleration: Tensor = self.decoder(nodes[: self.graph.particle_count])
         return acceleration.transpose(0, 1)
 
     def _node_features(self, history: Tensor, inputs: KnownInputs) -> Tensor:
-        """Shape (node, batch, feature)."""
+        """Return the input features of the nodes, shape (node, batch, feature)."""
         nodes = self.graph.with_anchors(history).permute(2, 0, 1, 3)
         velocity = (nodes.diff(dim=2) - self.displacement_mean) / self.displacement_std
         # An anchor has no velocity, whatever the mean of the particles is.
         velocity = velocity * (self.kind == 0)[:, None, None, None]
-        acting = self.channels(history[:, -1], inputs) / self.channel_size[:, None]
-        features = [velocity.flatten(2), acting.flatten(2).transpose(0, 1)]
+        channels = self.channels(history[:, -1], inputs) / self.channel_size[:, None]
+        features = [velocity.flatten(2), channels.flatten(2).transpose(0, 1)]
         spread = (*features[0].shape[:2], -1)
         if self.embedding is not None:
             features.append(self.embedding(self.kind)[:, None].expand(spread))
@@ -177,7 +177,7 @@ class InteractionLayer(nn.Module):
     ) -> tuple[Tensor, Tensor]:
         """Update latents of shape (node, batch, width) and (edge, batch, width)."""
         # The first layer is linear in sender, receiver and edge: the nodes' parts are computed
-        # once a node, not once an edge.
+        # once per node, not once per edge.
         own, other, along = self.ends.weight.chunk(3, dim=1)
         first = nn.functional.linear(edges, along, self.ends.bias)
         first = first + nn.functional.linear(nodes, own).index_select(0, receivers)
@@ -188,17 +188,17 @@ class InteractionLayer(nn.Module):
 
 
 def random_walk(history: Tensor, std: float, generator: torch.Generator) -> Tensor:
-    """Noise of a history: a random walk of the velocities, summed to positions; the first has none.
+    """Draw noise of a history: a random walk of velocities, summed to positions; none at the first.
 
     `std` is that of the last velocity's noise; the generator draws on its own device.
     """
     shape = (history.shape[0], history.shape[1] - 1, *history.shape[2:])
-    drawn = torch.randn(shape, generator=generator, device=generator.device)
-    walk = drawn.to(history).mul(std / math.sqrt(shape[1])).cumsum(1).cumsum(1)
+    steps = torch.randn(shape, generator=generator, device=generator.device)
+    walk = steps.to(history).mul(std / math.sqrt(shape[1])).cumsum(1).cumsum(1)
     return torch.cat([torch.zeros_like(history[:, :1]), walk], dim=1)
 
 
 def _perceptron(inputs: int, width: int, hidden_layers: int) -> nn.Sequential:
-    """Hidden layers, a linear one, and normalisation over the width."""
+    """Build hidden layers, a linear layer, and normalisation over the width."""
     layers = hidden_layers + 1
     return mlp(inputs, width, hidden=width, layers=layers, activation=nn.ReLU, norm=True)

@@ -1,4 +1,4 @@
-"""The graph of a scene: what never changes while it moves, as tensors."""
+"""Graph of a scene: everything that stays constant while it moves, as tensors."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 
 DIMENSION = 3
-"""Of all positions here: what a data file leaves out of a plane or line scene is put back."""
+"""Dimension of all positions here, also in plane and line scenes, whose files omit axes."""
 
 
 class Bundle:
-    """A frozen dataclass whose tensors, and those of the bundles in it, are changed together."""
+    """Frozen dataclass whose tensors, and those of the bundles in it, are changed together."""
 
     def mapped(self, change: Callable[[Tensor], Tensor], within: type[Bundle]) -> Self:
-        """Do the same to all tensors, also to those of bundles of a type."""
+        """Apply `change` to all tensors, also to those in bundles of the type `within`."""
         changed: dict[str, Any] = {}
         for name, value in vars(self).items():
             if isinstance(value, Tensor):
@@ -41,10 +41,10 @@ class Bundle:
 
 
 class RowBundle(Bundle):
-    """A bundle of which every tensor has a row for each member of a batch."""
+    """Bundle in which every tensor has a row for each member of a batch."""
 
     def __getitem__(self, key: Any) -> Self:
-        """Take a part of all rows, as of an array."""
+        """Index the rows of all tensors as those of an array."""
         return self.mapped(lambda values: values[key], RowBundle)
 
 
@@ -52,8 +52,8 @@ class RowBundle(Bundle):
 class Graph(Bundle):
     """Nodes and edges of a scene.
 
-    A node is a particle (in a body without particles, one of its six stand-ins), or behind them a
-    static anchor. Edges go both ways. Real numbers are float64.
+    Nodes are the particles (for a body without particles, its six stand-ins), followed by the
+    static anchors. Edges go both ways. Real numbers are float64.
     """
 
     scene: Scene
@@ -71,26 +71,26 @@ class Graph(Bundle):
     inner: Tensor
     """Whether both ends of an edge are in one body, bool, shape (edge,)."""
     mass: Tensor
-    """Of each node, 0 for anchors [kg], shape (node,)."""
+    """Mass of each node, 0 for anchors [kg], shape (node,)."""
     reference: Tensor
-    """Of the nodes in W at the reference pose [m], shape (node, 3)."""
+    """Positions of the nodes in W at the reference pose [m], shape (node, 3)."""
     gravity: Tensor
-    """In W [m/s²], shape (3,)."""
+    """Gravitational acceleration in W [m/s²], shape (3,)."""
     moving: Tensor
     """Whether the scene moves along x, y and z, bool, shape (3,)."""
     ground: bool
-    """Whether there is a ground, z = 0."""
+    """Whether there is a ground at z = 0."""
     length: float
-    """The scene's size [m]."""
+    """Size of the scene [m]."""
     frame_s: float
-    """Interval of the frames [s]."""
+    """Time between frames [s]."""
 
     @staticmethod
     def of(scene: Scene) -> Graph:
         """Build the graph of a scene; it may have no edges and no anchors.
 
         Raises:
-            InputError: Its bodies collide with each other, which no edge of it shows.
+            InputError: Its bodies collide with each other, which fixed edges cannot represent.
         """
         if scene.collisions:
             msg = (
@@ -133,20 +133,20 @@ class Graph(Bundle):
 
     @property
     def anchor_positions(self) -> Tensor:
-        """Static nodes in W [m], shape (anchor, 3)."""
+        """Positions of the static nodes in W [m], shape (anchor, 3)."""
         return self.reference[self.particle_count :]
 
     @functools.cached_property
     def spacing(self) -> float:
-        """Root mean square length of the edges at the reference pose, else the scene's [m]."""
+        """Root mean square length of the edges at the reference pose [m]; `length` if no edges."""
         if not self.edge_count:
             return self.length
-        apart = self.reference[self.senders] - self.reference[self.receivers]
-        return float(apart.square().sum(-1).mean().sqrt())
+        spans = self.reference[self.senders] - self.reference[self.receivers]
+        return float(spans.square().sum(-1).mean().sqrt())
 
     @property
     def mechanism(self) -> Mechanism:
-        """The scene's arrays and spanning tree."""
+        """Arrays and spanning tree of the scene."""
         return Mechanism.of(self.scene)
 
     def with_anchors(self, particles: Tensor) -> Tensor:
@@ -155,10 +155,10 @@ class Graph(Bundle):
         return torch.cat([particles, anchors.expand(*particles.shape[:-2], *anchors.shape)], -2)
 
     def embed(self, published: Tensor, *, rest: Tensor | float | None = None) -> Tensor:
-        """Put back the components that a data file leaves out, to (…, particle, 3).
+        """Restore the components that a data file leaves out, to shape (…, particle, 3).
 
-        `rest` is what they are where the scene does not move, (particle, 3) or a number; left out,
-        the positions of the reference pose.
+        `rest` has their values, (particle, 3) or a number; None: the positions of the reference
+        pose.
         """
         if rest is None:
             rest = self.reference[: self.particle_count]
@@ -169,7 +169,7 @@ class Graph(Bundle):
 
 
 def _masses(points: Points, anchor_count: int) -> NDArray[np.float64]:
-    """Of the particles, of stand-ins an equal share of their body's, then 0 for the anchors."""
+    """Return masses of particles, of stand-ins (equal shares of their body's), and 0 of anchors."""
     own = [particle.mass for body in points.mechanism.scene.bodies for particle in body.particles]
     share = points.mechanism.mass / np.bincount(points.body)
     return np.concatenate([own, share[points.body[len(own) :]], np.zeros(anchor_count)])

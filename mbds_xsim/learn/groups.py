@@ -1,10 +1,10 @@
-"""The data to train on: engines that simulated the same starts, in groups of scene and variant.
+"""Training data: engines that simulated the same starts, grouped by scene and variant.
 
-A model trains on one engine, all but one, or all, always to one budget. Of several engines each
-trajectory is taken from one, in turn: as many distinct trajectories as of a single engine, from the
-same starts and in the same order, so that the same seed draws the same windows in every training.
-One engine's starts of a single interval are for measuring an engine's shift by one that everybody
-knows: they are a third as many, at as many steps.
+A model trains on one engine, all but one, or all, always with the same budget. With several engines
+each trajectory is taken from one of them in turn: as many distinct trajectories as of one engine,
+with the same starts in the same order, so the same seed draws the same windows in every training.
+Trainings on one engine's starts of a single interval give a known shift to compare the shift of
+engines with. They have a third as many trajectories, but as many steps.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ _SEVERAL = ("all", "leave-one-out")
 
 @dataclass(frozen=True, eq=False)
 class TrainingGroup:
-    """A scene in a variant of the engines' settings: each engine is a domain."""
+    """Data of a scene in one variant of the engines' settings; each engine is a domain."""
 
     scene_name: str
     variant: str
-    """`native` or `matched`."""
+    """Profile of the settings: `native`, `matched` or that of a settings file."""
     files: Mapping[str, Path]
-    """Of each engine, by name."""
+    """Data file of each engine, by engine name."""
     left_out: Mapping[str, str]
-    """Engines of whose trajectories none were published, with the reason."""
+    """Engines without any published trajectory, with the reason."""
 
     @property
     def name(self) -> str:
-        """As in `6pendulum/native`."""
+        """Name of scene and variant, as in `6pendulum/native`."""
         return f"{self.scene_name}/{self.variant}"
 
     @property
@@ -58,23 +58,23 @@ class TrainingGroup:
 
     @property
     def drawn(self) -> dict[str, int]:
-        """What the split depends on: the seed, and the number of trajectories drawn."""
+        """Seed and number of the trajectories drawn, on which the split depends."""
         about = next(iter(self.data.values())).attributes
         return {"seed": int(about["seed"]), "trajectories": int(about["count"])}
 
     def __getstate__(self) -> dict[str, object]:
-        """Leave open files behind when it goes to another process."""
+        """Leave out open files when the group is sent to another process."""
         return {key: value for key, value in vars(self).items() if key != "data"}
 
     def numbers(self, split: str) -> Index:
-        """Index of the trajectories of a part that every engine of the group has, ascending."""
+        """Return the numbers of a part's trajectories that all engines have, ascending."""
         return numbers_in([*self.data.values()], split)
 
 
 def groups(paths: Sequence[Path]) -> list[TrainingGroup]:
-    """Find data sets, and put together those of one scene and one variant.
+    """Find data sets and group them by scene and variant.
 
-    InputError says what is missing, or which files do not belong together.
+    Raises InputError if data are missing, or if files do not belong together.
     """
     files = dict.fromkeys(file.resolve() for path in paths for file in joined_files(path))
     by_group: dict[tuple[str, str], dict[str, Dataset]] = {}
@@ -89,10 +89,10 @@ def groups(paths: Sequence[Path]) -> list[TrainingGroup]:
             )
             raise InputError(msg)
         engines[about["engine"]] = data
-    made = [_group(*key, dict(sorted(each.items()))) for key, each in sorted(by_group.items())]
-    for group in made:
+    result = [_group(*key, dict(sorted(each.items()))) for key, each in sorted(by_group.items())]
+    for group in result:
         _check(group)
-    return made
+    return result
 
 
 def _group(scene: str, variant: str, engines: Mapping[str, Dataset]) -> TrainingGroup:
@@ -109,9 +109,9 @@ def _check(group: TrainingGroup) -> None:
     frames = int(next(iter(group.data.values())).attributes["steps"]) + 1
     for split in ("train", "validation"):
         if not len(group.numbers(split)) or frames <= HISTORY:
-            where = ", ".join(str(file.path) for file in group.data.values())
+            paths = ", ".join(str(file.path) for file in group.data.values())
             msg = (
-                f"{where}: {len(group.numbers(split))} trajectories of {frames} frames for "
+                f"{paths}: {len(group.numbers(split))} trajectories of {frames} frames for "
                 f"{split} that all engines have, needed are at least 1 of {HISTORY + 1}; "
                 "generate more"
             )
@@ -120,14 +120,14 @@ def _check(group: TrainingGroup) -> None:
 
 @dataclass(frozen=True)
 class Share:
-    """The part of a group that a training has."""
+    """Part of a group's data that a training uses."""
 
     engines: tuple[str, ...]
     interval: str = ""
-    """Of the starts: low, medium or high; all when left out."""
+    """Interval of the starts: low, medium or high; empty for all."""
 
     def numbers(self, group: TrainingGroup, split: str) -> Index:
-        """Index of the trajectories of a part, ascending."""
+        """Return the numbers of the trajectories of a part, ascending."""
         numbers = group.numbers(split)
         if not self.interval:
             return numbers
@@ -135,28 +135,28 @@ class Share:
 
 
 def shares_of(group: TrainingGroup, on: str) -> dict[str, Share]:
-    """Give what each training has, by its name: `mujoco`, `not-mujoco`, `all`, `mujoco-low`.
+    """Return the share of each training, by its name: `mujoco`, `not-mujoco`, `all`, `mujoco-low`.
 
-    `on` is `each`, `leave-one-out`, `all`, `by-interval`, or names of those of single engines, by
-    commas; InputError says what else it might be.
+    `on` has words separated by commas: `each`, `leave-one-out`, `all`, `by-interval`, and names of
+    trainings on single engines. Raises InputError with the allowed words for any other.
     """
     engines = tuple(group.files)
     single = {engine: Share((engine,)) for engine in engines}
     parts = {f"{e}-{interval}": Share((e,), interval) for e in engines for interval in INTERVALS}
-    ways = {
+    choices = {
         "each": single,
         "leave-one-out": {f"not-{e}": Share(tuple(o for o in engines if o != e)) for e in engines},
         "all": {"all": Share(engines)},
         "by-interval": parts,
         **{engine: {engine: share} for engine, share in single.items()},
     }
-    known = ", ".join(ways)
-    ways |= {name: {name: share} for name, share in parts.items()}
+    allowed = ", ".join(choices)
+    choices |= {name: {name: share} for name, share in parts.items()}
     shares: dict[str, Share] = {}
     for word in (word.strip() for word in on.split(",")):
-        if word not in ways:
+        if word not in choices:
             msg = (
-                f"--on: got {word!r}, allowed for {group.name} is {known}, or an engine's starts "
+                f"--on: got {word!r}, allowed for {group.name} is {allowed}, or an engine's starts "
                 f"of an interval, as {next(iter(parts))}"
             )
             raise InputError(msg)
@@ -166,21 +166,21 @@ def shares_of(group: TrainingGroup, on: str) -> dict[str, Share]:
                 "only; give more data, or --on each"
             )
             raise InputError(msg)
-        shares |= ways[word]
+        shares |= choices[word]
     return shares
 
 
 def turns(numbers: Index, count: int) -> Index:
-    """Which of so many engines each trajectory is taken from.
+    """Return which of `count` engines each trajectory is taken from.
 
-    The interval of speed is the number modulo 3, so whole triples are taken in turn: with three
-    engines each would otherwise be seen at one speed only.
+    The interval of speed is the number modulo 3, so engines take turns at whole triples: three
+    engines would otherwise be seen at one speed each.
     """
     return numbers // len(INTERVALS) % count
 
 
 def check_share(group: TrainingGroup, share: Share, split: str) -> None:
-    """Refuse a training, by InputError, without any trajectory of a part."""
+    """Raise InputError if a training has no trajectory of a part."""
     if not len(share.numbers(group, split)):
         msg = (
             f"{group.name}: no trajectory of {split} is of the interval {share.interval!r}; "
@@ -190,12 +190,12 @@ def check_share(group: TrainingGroup, share: Share, split: str) -> None:
 
 
 def mixed(
-    group: TrainingGroup, share: Share, split: str, *, most: int | None = None, **how: Any
+    group: TrainingGroup, share: Share, split: str, *, most: int | None = None, **options: Any
 ) -> Motions:
     """Read a part of a training's data, in ascending order of the trajectories' numbers.
 
-    Only trajectories that every engine of the group has are taken, at most so many; of the rest see
-    `Motions.of`.
+    Only trajectories that every engine of the group has are taken, at most `most`; `options` go
+    to `Motions.of`.
     """
     check_share(group, share, split)
     numbers = share.numbers(group, split)[:most]
@@ -205,9 +205,9 @@ def mixed(
         data = group.data[engine]
         rows = np.flatnonzero(np.isin(data.index, numbers[turn == k]))
         if len(rows):
-            part = Motions.of(data, split, rows=rows, **how)
+            part = Motions.of(data, split, rows=rows, **options)
             parts.append(part)
     if len(parts) == 1:
         return parts[0]  # no copy of what may fill the memory; files are in ascending order
-    whole = Motions.joined(parts)
-    return whole[torch.from_numpy(np.argsort(whole.index))]
+    motions = Motions.joined(parts)
+    return motions[torch.from_numpy(np.argsort(motions.index))]

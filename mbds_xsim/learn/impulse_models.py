@@ -1,11 +1,11 @@
 """HGNN and LGNN with contact: a learned energy moves bodies, and impulses at contacts are learned.
 
 After Zhong, Dey and Chakraborty, "Extending Lagrangian and Hamiltonian neural networks with
-differentiable contact models", NeurIPS 2021: smooth motion follows from an energy between impacts,
-which change velocities at once. Theirs solve a convex problem for impulses, friction and
-restitution being learned; here a network gives them, from what `BodyViewer` shows of the contacts,
-so that soft contact that lasts for longer can be learned, too. Without contact spheres all is
-learned energy, as in `energy_models`, from poses and twists of bodies rather than from particles.
+differentiable contact models", NeurIPS 2021: smooth motion between impacts follows from an energy,
+and impacts change velocities at once. Their model solves a convex problem for impulses, with
+learned friction and restitution. Here a network predicts them from the `BodyViewer`'s view of the
+contacts, so it can also learn soft contact that lasts longer. Without contact spheres the learned
+energy does everything, as in `energy_models`, but is learned from poses and twists of bodies.
 """
 
 from __future__ import annotations
@@ -35,25 +35,25 @@ from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import KnownInputs
 
 _TURN, _MOST_STEPS, _CENTRED = 2.0, 16, 1e-9
-"""The furthest that a wheel turns in one step, since forces on its nodes change direction by as
-much [rad]; the most steps of a frame; and how far off a body's centre a wheel's may be [m]."""
+"""Largest turn of a wheel in one step [rad], by which forces on its nodes change direction; largest
+number of steps per frame; largest offset of a wheel's centre from its body's [m]."""
 
 
 class ImpulseSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Hyper-parameters of energies with impulses."""
+    """Hyper-parameters of HGNN and LGNN with impulses."""
 
     shape: EnergyShape = EnergyShape(width=16, bend=0.001)
     width: int = 64
-    """Of the contacts' networks."""
+    """Width of the contacts' networks."""
     layers: int = 3
-    """Linear layers of each of them."""
+    """Number of linear layers of each of them."""
     substeps: int = 1
-    """Steps in a frame, at least: what rolls may need more (`_rolling_steps`)."""
+    """Minimum number of steps per frame; rolling bodies may need more (`_rolling_steps`)."""
     recipe: Recipe = Recipe(rate=3e-3, batch=128, schedule=Cosine(), clip=1.0, skip=True)
 
 
 class ImpulseModel(CorrectedModel):
-    """Motion that follows from a learned energy, but for learned impulses at contacts."""
+    """Model whose motion follows from a learned energy and learned impulses at contacts."""
 
     kind: ClassVar[type[NodeDynamics]]
     tracks: ClassVar[Mapping[str, ImpulseSettings]] = {"native+": ImpulseSettings()}
@@ -67,9 +67,9 @@ class ImpulseModel(CorrectedModel):
         energy.of_place.silence()
         self.dynamics = self.kind(energy, Drag(energy, settings.shape))
         self.nodes = BodyNodes(mechanics)
-        seen = DIMENSION * BodyViewer.CONTACT + BodyViewer.CONTACT_SCALARS
+        inputs = DIMENSION * BodyViewer.CONTACT + BodyViewer.CONTACT_SCALARS
         width, layers = settings.width, settings.layers
-        self.of_contact = mlp(seen, width, hidden=width, layers=layers)
+        self.of_contact = mlp(inputs, width, hidden=width, layers=layers)
         self.to_contact = mlp(3 * width, DIMENSION * ADDED, hidden=width, layers=layers)
         silence(self.to_contact)
 
@@ -91,54 +91,54 @@ class ImpulseModel(CorrectedModel):
 
     def corrections(self, view: BodyView) -> tuple[Tensor, Tensor]:
         carrier, bodies = self.viewer.sphere_body, view.bodies.vectors
-        given = torch.cat([view.contacts.vectors.flatten(2), view.contacts.scalars], dim=-1)
-        contacts = self.of_contact(given)
+        features = torch.cat([view.contacts.vectors.flatten(2), view.contacts.scalars], dim=-1)
+        contacts = self.of_contact(features)
         own = contacts.new_zeros(*bodies.shape[:2], contacts.shape[-1])
         own = own.index_add(1, carrier, contacts)[:, carrier]
-        whole = contacts.sum(1, keepdim=True).expand_as(contacts)
-        pushes = self.to_contact(torch.cat([contacts, own, whole], dim=-1))
+        total = contacts.sum(1, keepdim=True).expand_as(contacts)
+        pushes = self.to_contact(torch.cat([contacts, own, total], dim=-1))
         nothing = bodies.new_zeros(*bodies.shape[:2], ADDED, 2, DIMENSION)
         return nothing, pushes.unflatten(-1, (ADDED, DIMENSION))
 
 
 def _rolling_steps(graph: Graph, statistics: Statistics) -> int:
-    """Steps of a frame that what rolls on the ground needs, at twice its usual speed."""
+    """Return the steps per frame that rolling bodies need at twice their usual speed."""
     mechanism = graph.mechanism
     centred = np.abs(mechanism.sphere_offset).max(axis=1, initial=0.0) <= _CENTRED
     if not centred.any():
         return 1
     moments = statistics.displacement
-    varying = torch.where(moments.std == 1.0, 0.0, moments.std)
-    way = float(torch.sqrt((moments.mean**2 + varying**2).sum()))
-    turn = 2.0 * way / float(mechanism.sphere_radius[centred].min())
+    std = torch.where(moments.std == 1.0, 0.0, moments.std)
+    displacement = float(torch.sqrt((moments.mean**2 + std**2).sum()))
+    turn = 2.0 * displacement / float(mechanism.sphere_radius[centred].min())
     return min(_MOST_STEPS, max(1, math.ceil(turn / _TURN)))
 
 
 @dataclass(frozen=True, eq=False)
 class Corotating:
-    """Coordinates in which the nodes of a body turn about its centre of mass with the spin it has.
+    """Coordinates that turn with each body's spin about its centre of mass.
 
-    A Runge-Kutta step in them is one of Lawson's (SIAM Journal on Numerical Analysis 4, 1967): it
-    follows a steady spin exactly, however fast, and has to resolve no more than what changes it.
+    A Runge-Kutta step in them is Lawson's method (SIAM Journal on Numerical Analysis 4, 1967): it
+    follows a steady spin exactly, however fast, and must resolve only the changes of the spin.
     """
 
     pivot: Tensor
-    """Node about which each free one turns, shape (node,)."""
+    """Node about which each free node turns, shape (node,)."""
     spin: Tensor
-    """Of each free node [rad/s], shape (batch, 1, node, 3)."""
+    """Spin of each free node [rad/s], shape (batch, 1, node, 3)."""
     fixed: Tensor | None
-    """Places and velocities of the fixed nodes, which come last, shape (2, fixed node, 3); None
-    where none is a pivot."""
+    """Positions and velocities of the fixed nodes, which come last, shape (2, fixed node, 3); None
+    if no fixed node is a pivot."""
 
     def step(self, rate: Callable[[Tensor], Tensor], moving: Tensor, step: float) -> Tensor:
-        """Follow nodes and velocities (batch, 2, node, 3) with these rates for so long [s]."""
+        """Advance nodes and velocities (batch, 2, node, 3) by a step [s] with the given rates."""
 
-        def seen(at: Tensor, time: float) -> Tensor:
+        def corotating_rate(at: Tensor, time: float) -> Tensor:
             at = self._turned(at, time)
             arm = at - self._centre(at)
             return self._turned(rate(at) - torch.linalg.cross(self.spin.expand_as(arm), arm), -time)
 
-        return self._turned(runge_kutta(seen, moving, step), step)
+        return self._turned(runge_kutta(corotating_rate, moving, step), step)
 
     def _centre(self, at: Tensor) -> Tensor:
         if self.fixed is not None:
@@ -152,7 +152,7 @@ class Corotating:
 
 
 class BodyNodes(nn.Module):
-    """Bodies as the nodes of `mechanics_points`, and back."""
+    """Conversion of bodies to the nodes of `mechanics_points`, and back."""
 
     carrier: Tensor
     carried: Tensor
@@ -160,18 +160,18 @@ class BodyNodes(nn.Module):
     pivot: Tensor
     """Centre of mass that each free node belongs to, itself if it is one, shape (node,).
 
-    It is a fixed node where the world holds the body there.
+    It is a fixed node if the world holds the body there.
     """
     tip: Tensor
-    """Node of each tip, or a fixed one behind them, shape (tip,)."""
+    """Node of each tip, which may be a fixed node, shape (tip,)."""
     body: Tensor
-    """Whose tip it is, shape (tip,)."""
+    """Body of each tip, shape (tip,)."""
     direction: Tensor
-    """To it in the native frame, of length 1, shape (tip, 3)."""
+    """Unit vector to each tip in the native frame, shape (tip, 3)."""
     distance: Tensor
-    """Of it from the centre of mass [m], shape (tip, 1)."""
+    """Distance of each tip from the centre of mass [m], shape (tip, 1)."""
     share: Tensor
-    """Of a body's tips in its spin, shape (tip, 1): each sees two of three axes."""
+    """Weight of each tip in its body's spin, shape (tip, 1): a tip sees two of three axes."""
 
     def __init__(self, mechanics: Mechanics) -> None:
         super().__init__()
@@ -196,31 +196,31 @@ class BodyNodes(nn.Module):
         )
 
     def placed(self, state: Tensor) -> tuple[Tensor, Tensor]:
-        """Nodes and their velocities, on the constraints, each (batch, node, 3)."""
+        """Return the nodes and their velocities, on the constraints, each (batch, node, 3)."""
         return self.mechanics.placed(state[:, self.carrier], self.carried)
 
     def corotating(self, state: Tensor) -> Corotating:
-        """Coordinates that turn with bodies in these states."""
+        """Return coordinates that turn with bodies in these states."""
         fixed = self.mechanics.fixed
-        still = torch.stack([fixed, torch.zeros_like(fixed)]) if self.held else None
-        return Corotating(self.pivot, state[:, None, self.carrier, W].detach(), still)
+        fixed_state = torch.stack([fixed, torch.zeros_like(fixed)]) if self.held else None
+        return Corotating(self.pivot, state[:, None, self.carrier, W].detach(), fixed_state)
 
     def bodies(self, q: Tensor, v: Tensor, before: Tensor, step: float) -> Tensor:
-        """States of the bodies with these nodes and velocities, shape (batch, body, 13).
+        """Return the states of bodies with these nodes and velocities, shape (batch, body, 13).
 
-        So long [s] after states `before`, whose spin is followed first: what is left is a small
-        turn, the least one where a body has one tip alone.
+        They are a step [s] after states `before`, whose spin is followed first. The rest is a small
+        turn, the smallest possible one if a body has only one tip.
         """
         x, v = self.mechanics.all_nodes(q), nn.functional.pad(v, (0, 0, 0, self._fixed))
-        turned = turning.multiply(turning.from_vector(step * before[..., W]), before[..., Q])
-        expected = turning.rotate(turned[:, self.body], self.direction)
+        orientation = turning.multiply(turning.from_vector(step * before[..., W]), before[..., Q])
+        expected = turning.rotate(orientation[:, self.body], self.direction)
         arm = (x[:, self.tip] - x[:, self.com][:, self.body]) / self.distance
         rate = (v[:, self.tip] - v[:, self.com][:, self.body]) / self.distance
         scalar = self._summed((expected * arm).sum(-1, keepdim=True)) + 1.0
         turn = torch.cat([scalar, self._summed(torch.linalg.cross(expected, arm))], dim=-1)
-        turned = turning.multiply(turn / turn.norm(dim=-1, keepdim=True), turned)
+        orientation = turning.multiply(turn / turn.norm(dim=-1, keepdim=True), orientation)
         spin = self._summed(self.share * torch.linalg.cross(arm, rate))
-        return torch.cat([x[:, self.com], turned, v[:, self.com], spin], dim=-1)
+        return torch.cat([x[:, self.com], orientation, v[:, self.com], spin], dim=-1)
 
     @property
     def _fixed(self) -> int:
@@ -228,17 +228,17 @@ class BodyNodes(nn.Module):
 
     def _summed(self, values: Tensor) -> Tensor:
         """Sum over each body's tips."""
-        whole = values.new_zeros(len(values), len(self.com), values.shape[-1])
-        return whole.index_add(1, self.body, values)
+        total = values.new_zeros(len(values), len(self.com), values.shape[-1])
+        return total.index_add(1, self.body, values)
 
 
 class ImpulseHGNN(ImpulseModel):
-    """A learned Hamiltonian, and learned impulses."""
+    """Learned Hamiltonian with learned impulses at contacts."""
 
     kind: ClassVar[type[NodeDynamics]] = Hamiltonian
 
 
 class ImpulseLGNN(ImpulseModel):
-    """A learned Lagrangian, and learned impulses."""
+    """Learned Lagrangian with learned impulses at contacts."""
 
     kind: ClassVar[type[NodeDynamics]] = Lagrangian

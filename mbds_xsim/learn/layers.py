@@ -1,4 +1,4 @@
-"""What networks share: linear layers with an activation between them, and constants beside them."""
+"""Building blocks of networks: perceptrons, constant linear maps and constant buffers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def mlp(
     activation: Callable[[], nn.Module] = nn.SiLU,
     norm: bool = False,
 ) -> nn.Sequential:
-    """Give so many linear layers with activations between them, and normalisation if asked for."""
+    """Build a perceptron of `layers` linear layers, with a final normalisation if `norm`."""
     widths = [inputs, *[hidden] * (layers - 1), outputs]
     parts: list[nn.Module] = [nn.Linear(widths[0], widths[1])]
     for before, after in pairwise(widths[1:]):
@@ -30,21 +30,21 @@ def mlp(
 
 
 def mixed(weights: Tensor, vectors: Tensor) -> Tensor:
-    """Add up vectors by constant weights (after, before), (batch, before, 3) to (batch, after, 3).
+    """Sum vectors with constant weights (after, before): (batch, before, 3) to (batch, after, 3).
 
-    It is one product of matrices, where `weights @ vectors` is one for each of the batch.
+    This is one matrix product, while `weights @ vectors` is one for each batch member.
     """
     return torch.tensordot(weights, vectors, ([1], [1])).transpose(0, 1)
 
 
 def keep(module: nn.Module, **values: Any) -> None:
-    """Keep arrays that follow a module's device but are no part of what it learned."""
+    """Register arrays that follow a module's device but are not saved with its parameters."""
     for name, value in values.items():
         module.register_buffer(name, torch.as_tensor(value), persistent=False)
 
 
 def silence(*networks: nn.Sequential) -> None:
-    """Have networks begin by giving next to nothing: learning starts where all else leads."""
+    """Shrink the outputs of new networks, so that learning starts near a model without them."""
     for network in networks:
         last = network[-1]
         assert isinstance(last, nn.Linear)

@@ -1,7 +1,7 @@
-"""The tree of a mechanism in torch: motions that its joints allow, of each body on the one below.
+"""Tree of a mechanism in torch: motions of each body on its parent that the joint allows.
 
-A body moves with the body that carries it, and beside that as its own joint lets it: any way where
-it is free, about any axis on a ball joint, about one on a hinge, along one on a slider.
+A body moves with the body that carries it, and in addition as its own joint allows: in any way if
+it is free, about any axis on a ball joint, about one axis on a hinge, along one on a slider.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from mbds_xsim.scene.mechanism import Link, Mechanism
 
 _SHIFTS = {"free": 1.0}
 _TURNS = {"free": 1.0, "ball": 1.0}
-"""Kinds that move, or turn, any way; others at most along the axis of their kind."""
+"""Kinds of joints that shift, or turn, in any way; others do so at most along their axis."""
 
 
 class Links(nn.Module):
-    """Which bodies each body carries, and how each moves on its joint."""
+    """Tree of bodies that carry each other, and the motion of each on its joint."""
 
     carried: Tensor
-    """Row i is 1 at all bodies that carry body i and at itself, shape (body, body)."""
+    """Matrix whose row i is 1 at body i and at all bodies that carry it, shape (body, body)."""
     parent: Tensor
-    """The world is behind the bodies, shape (body,)."""
+    """Body that carries each body; the world follows the bodies, shape (body,)."""
     arm: Tensor
-    """From the centre of mass to the joint in the native frame [m]; 0 of free bodies."""
+    """Vector from the centre of mass to the joint in the native frame [m]; 0 for free bodies."""
     shift_axis: Tensor
     turn_axis: Tensor
     shifts: Tensor
@@ -54,21 +54,19 @@ class Links(nn.Module):
         )
 
     def forward(self, state: Tensor, shift: Tensor, turn: Tensor) -> Tensor:
-        """Give the twists (batch, body, 6) of bodies that move so on their joints.
+        """Return the twists (batch, body, 6) of bodies with these motions on their joints.
 
-        States (batch, body, 13); shifts and turns beside the carrying body's, (batch, body, 3).
+        States are (batch, body, 13); shifts and turns, relative to the parent's, (batch, body, 3).
         """
         shift = self.shifts * shift + _along(self._turned(self.shift_axis, state), shift)
         turn = self.turns * turn + _along(self._turned(self.turn_axis, state), turn)
-        at = state[..., X] + self._turned(self.arm, state)
-        whole = self.carried @ turn
-        lever = self.carried @ (shift - torch.linalg.cross(turn, at))
-        return torch.cat([lever + torch.linalg.cross(whole, state[..., X]), whole], dim=-1)
+        pivot = state[..., X] + self._turned(self.arm, state)
+        spin = self.carried @ turn
+        lever = self.carried @ (shift - torch.linalg.cross(turn, pivot))
+        return torch.cat([lever + torch.linalg.cross(spin, state[..., X]), spin], dim=-1)
 
     def beside(self, values: Tensor) -> Tensor:
-        """Subtract the carrying body's vectors from each body's, (batch, body, 3); the world's
-        are 0.
-        """
+        """Subtract the parent's vector from each body's, (batch, body, 3); the world's is 0."""
         return values - nn.functional.pad(values, (0, 0, 0, 1))[:, self.parent]
 
     def _turned(self, vectors: Tensor, state: Tensor) -> Tensor:
@@ -76,7 +74,7 @@ class Links(nn.Module):
 
 
 def _table(links: list[Link], name: str, kind: str = "") -> Tensor:
-    """Vectors of the links' joints, 0 of others than a kind and of free bodies."""
+    """Return a vector of each link's joint; 0 for joints of another kind and free bodies."""
     rows = [
         list(getattr(link.joint, name))
         if link.joint and kind in ("", link.joint.kind)

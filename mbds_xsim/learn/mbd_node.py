@@ -1,14 +1,14 @@
-"""MBD-NODE: a network gives the accelerations of a mechanism's independent motions.
+"""MBD-NODE: a network predicts the accelerations of a mechanism's independent coordinates.
 
 Wang, Wang, Unjhawala, Wu and Negrut, "MBD-NODE: Physics-informed data-driven modeling and
 simulation of constrained multibody systems", Nonlinear Dynamics, 2024 (arXiv 2407.08664): one fully
-connected network sees the whole state and the inputs, its accelerations are integrated by
-Runge-Kutta's classical method, and constraints are kept by letting it move independent coordinates
-alone. Here these are each body's motions on the joint of the tree that carries it (`Links`); what a
-closed loop forbids of them is taken away once a frame, by the least mass-weighted change.
+connected network sees the whole state and the inputs, the classical Runge-Kutta method integrates
+its accelerations, and constraints hold because it moves only independent coordinates. Here these
+are each body's motions on the joint of the tree that carries it (`Links`); the least mass-weighted
+change removes once per frame the part of them that a closed loop forbids.
 
-It is told no mass and no law, and knows nothing of contact but the state: a floor must be learned
-as a stiff force. It learns from one frame at a time, as all models here do.
+The network sees neither masses nor laws, and no contact: it must learn a floor as a stiff force
+from the state. It learns from one frame at a time, as all models here do.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from mbds_xsim.learn.rigid import TWIST, Q, V, W, X
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import KnownInputs
 
-_SEEN = 18  # numbers of a body: place, frame, velocity and spin
+_SEEN = 18  # inputs per body: position, frame, velocity and spin
 
 
 class NodeSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -38,14 +38,14 @@ class NodeSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     width: int = 256
     layers: int = 3
-    """Linear layers, tanh between them."""
+    """Number of linear layers, with tanh between them."""
     substeps: int = 1
-    """Runge-Kutta steps in a frame."""
+    """Number of Runge-Kutta steps per frame."""
     recipe: Recipe = Recipe(rate=1e-3, batch=128, schedule=Cosine(), clip=1.0, skip=True)
 
 
 class MbdNode(BodyModel):
-    """Accelerations of bodies on their joints from the whole state, by one network."""
+    """Network that predicts accelerations of bodies on their joints from the whole state."""
 
     tracks: ClassVar[Mapping[str, NodeSettings]] = {"paper": NodeSettings()}
 
@@ -67,15 +67,15 @@ class MbdNode(BodyModel):
             state = runge_kutta(
                 lambda at, _: self.rate(at, inputs), state, self.graph.frame_s / self.substeps
             )
-            turned = state[..., Q] / state[..., Q].norm(dim=-1, keepdim=True)
-            state = torch.cat([state[..., X], turned, state[..., TWIST]], dim=-1)
+            orientation = state[..., Q] / state[..., Q].norm(dim=-1, keepdim=True)
+            state = torch.cat([state[..., X], orientation, state[..., TWIST]], dim=-1)
         hold = self.rigid.hold(state.detach())
         if hold is not None:
             state = torch.cat([state[..., :7], hold.kept(state[..., TWIST])], dim=-1)
         return state, torch.zeros_like(state[:, None, :, TWIST]).expand(-1, ADDED, -1, -1)
 
     def rate(self, state: Tensor, inputs: KnownInputs) -> Tensor:
-        """Time derivative of states (batch, body, 13), under inputs over the frame."""
+        """Return the time derivative of states (batch, body, 13) under the frame's inputs."""
         shift, turn = (
             self.network(self._seen(state, inputs).float())
             .to(state)

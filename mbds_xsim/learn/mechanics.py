@@ -1,12 +1,12 @@
 """A mechanism as nodes with constraints, in torch: M q̈ + Aᵀ λ = f, A q̈ = −Ȧ q̇.
 
-Tensors are (batch, node, 3) over the free nodes of `mechanics_points`, float64, in W. This is
-what LGNN and HGNN are told of a scene: topology, lengths, masses and known forces.
+Tensors are (batch, node, 3) over the free nodes of `mechanics_points`, float64, in W. LGNN and
+HGNN know this much of a scene: topology, lengths, masses and known forces.
 
 Jacobians are sums of outer products, not dense matrices. The gradient of a constraint
-(U x) · (W x) by nodes is U ⊗ (W x) + W ⊗ (U x). Each of these *terms* is constant weights of the
-nodes times a direction that the state sets, so that A M⁻¹ Aᵀ is a constant matrix times, element by
-element, products of directions: work with rows², not with rows² · nodes.
+(U x) · (W x) by the nodes is U ⊗ (W x) + W ⊗ (U x). Each of these *terms* is constant weights of
+the nodes times a direction that depends on the state. So A M⁻¹ Aᵀ is the elementwise product of a
+constant matrix and inner products of directions, at a cost of rows², not rows² · nodes.
 """
 
 from __future__ import annotations
@@ -33,30 +33,30 @@ from mbds_xsim.scene.scene import Scene
 
 
 class NodeMatrix(Protocol):
-    """A symmetric matrix (3 · node, 3 · node) for each of a batch."""
+    """Batch of symmetric matrices, each (3 · node, 3 · node)."""
 
     def times(self, v: Tensor) -> Tensor:
-        """Its products with v, each (batch, node, 3), with its derivatives."""
+        """Return the products with v, shape (batch, node, 3); differentiable."""
 
     def dense(self) -> Tensor:
-        """Itself, shape (batch, 3 · node, 3 · node)."""
+        """Return the dense matrices, shape (batch, 3 · node, 3 · node)."""
 
 
 def constrained(
     mass: NodeMatrix, load: Tensor, jacobian: Jacobian, bias: Tensor, redundant: int = 0
 ) -> Tensor:
-    """Accelerations (batch, node, 3) under constraints, by the mass matrix's Schur complement.
+    """Compute accelerations (batch, node, 3) under constraints, by a Schur complement.
 
     Args:
         mass: M, positive definite.
         load: Applied forces f, shape (batch, node, 3).
         jacobian: A.
         bias: Ȧ q̇, shape (batch, row).
-        redundant: How many rows A has beyond its rank.
+        redundant: Number of rows of A beyond its rank.
     """
     with torch.no_grad():
         factor, failed = torch.linalg.cholesky_ex(mass.dense())
-        # A contiguous matrix under the transpose is the layout of LAPACK, and is not copied.
+        # The transpose of a contiguous matrix has the layout of LAPACK and is not copied.
         sides = torch.cat([jacobian.dense(), load.flatten(1)[:, None]], dim=1).mT
         half, side = torch.linalg.solve_triangular(factor, sides, upper=False).split(
             [bias.shape[1], 1], dim=-1
@@ -66,21 +66,22 @@ def constrained(
         value = torch.where((failed + failed_too > 0)[:, None], torch.nan, value).view_as(load)
     if not torch.is_grad_enabled():
         return value
-    left = load - mass.times(value) - jacobian.back(multiplier)
-    opening = -bias - jacobian.along(value)
-    return _Held.apply(left, opening, value, factor, half, schur)  # type: ignore[no-untyped-call]
+    residual = load - mass.times(value) - jacobian.back(multiplier)
+    gap = -bias - jacobian.along(value)
+    return _Held.apply(residual, gap, value, factor, half, schur)  # type: ignore[no-untyped-call]
 
 
 class _Held(torch.autograd.Function):
-    """Accelerations, from what they leave of M q̈ + Aᵀ λ = f and of A q̈ = −Ȧ q̇.
+    """Accelerations as a function of the residuals of M q̈ + Aᵀ λ = f and A q̈ = −Ȧ q̇.
 
-    That is nothing, but changes by df − dM q̈ − dAᵀ λ and by −d(Ȧ q̇) − dA q̈, and accelerations by
-    the same system's solution for these: nothing has to be written out. Differentiable once.
+    The residuals are zero, but change by df − dM q̈ − dAᵀ λ and −d(Ȧ q̇) − dA q̈; accelerations
+    change by the same system's solution for these. So no matrix derivative has to be written out.
+    Differentiable once.
     """
 
     @staticmethod
-    def forward(ctx: Any, left: Tensor, opening: Tensor, value: Tensor, *factors: Tensor) -> Tensor:
-        del left, opening
+    def forward(ctx: Any, residual: Tensor, gap: Tensor, value: Tensor, *factors: Tensor) -> Tensor:
+        del residual, gap
         ctx.save_for_backward(*factors)
         return value.clone()
 
@@ -89,25 +90,25 @@ class _Held(torch.autograd.Function):
     def backward(ctx: Any, slope: Tensor) -> tuple[Tensor | None, ...]:
         factor, half, schur = ctx.saved_tensors
         side = torch.linalg.solve_triangular(factor, slope.flatten(1)[..., None], upper=False)
-        by_left, pull = _saddle(factor, half, schur, side, slope.new_zeros(schur.shape[:2]))
-        return by_left.view_as(slope), pull, None, None, None, None
+        by_residual, by_gap = _saddle(factor, half, schur, side, slope.new_zeros(schur.shape[:2]))
+        return by_residual.view_as(slope), by_gap, None, None, None, None
 
 
 def _filled(matrix: Tensor, redundant: int) -> Tensor:
-    """Fill up the null space that redundant rows leave in A M⁻¹ Aᵀ, so that it has a factor.
+    """Fill the null space that redundant rows leave in A M⁻¹ Aᵀ, so that it can be factorised.
 
-    Multipliers of that space push nothing: Aᵀ has no part of them. Its dimension is known, so that
-    states at which constraints are violated a little have the same; what fills it is constant to
-    derivatives, since what it changes of multipliers pushes nothing either.
+    Multipliers in that space exert no force: Aᵀ maps them to zero. Its dimension is given, so that
+    it is the same at states that violate constraints a little. Derivatives treat the filling as
+    constant, since the multipliers that it changes exert no force either.
     """
     if not redundant:
         return matrix
     with torch.no_grad():
         size = matrix.diagonal(dim1=-2, dim2=-1).sqrt()[..., None]
         unit = matrix / size / size.mT
-        sound = unit.isfinite().all(-1).all(-1)[:, None, None]  # others have no spectrum, and fail
+        finite = unit.isfinite().all(-1).all(-1)[:, None, None]  # others have no spectrum and fail
         eye = torch.eye(unit.shape[-1]).to(unit)
-        _, axes = torch.linalg.eigh(torch.where(sound, unit, eye))
+        _, axes = torch.linalg.eigh(torch.where(finite, unit, eye))
         rest = size * axes[..., :redundant]
         fill = rest @ rest.mT
     return matrix + fill
@@ -116,17 +117,17 @@ def _filled(matrix: Tensor, redundant: int) -> Tensor:
 def _saddle(
     factor: Tensor, half: Tensor, schur: Tensor, side: Tensor, bias: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Solve M x + Aᵀ λ = f, A x = −bias, given L of M = L Lᵀ, L⁻¹ Aᵀ, A M⁻¹ Aᵀ's L, and L⁻¹ f."""
+    """Solve M x + Aᵀ λ = f, A x = −bias, given L (M = L Lᵀ), L⁻¹ Aᵀ, A M⁻¹ Aᵀ's factor, L⁻¹ f."""
     multiplier = torch.cholesky_solve(half.mT @ side + bias[..., None], schur)
     value = torch.linalg.solve_triangular(factor.mT, side - half @ multiplier, upper=True)
     return value[..., 0], multiplier[..., 0]
 
 
 class _Solved(torch.autograd.Function):
-    """Solution with a symmetric matrix that has a factor; its adjoint is one more solution.
+    """Solution with a factorised symmetric matrix; its adjoint is one more solution.
 
-    Autograd would go back through the factorisation, which takes several times as long.
-    Differentiable once.
+    Autograd would go through the factorisation, which takes several times as long. Differentiable
+    once.
     """
 
     @staticmethod
@@ -145,10 +146,9 @@ class _Solved(torch.autograd.Function):
 
 
 class Mechanics(nn.Module):
-    """Nodes, constraints, mass matrix and known forces of one scene.
+    """Nodes, constraints, mass matrix and known forces of one scene, without contact.
 
-    Of contact they know nothing. Of one with springs, dampers or rotors in joints there are none
-    (Unsupported).
+    Springs, dampers and rotors in joints raise Unsupported.
     """
 
     fixed: Tensor
@@ -164,13 +164,13 @@ class Mechanics(nn.Module):
     turning: Tensor
     gravity: Tensor
     moved_mass: Tensor
-    """Of free nodes, then of rods [kg], shape (node + rod,): kinetic energy is a sum over both."""
+    """Masses of free nodes, then of rods [kg], (node + rod,): both have kinetic energy."""
     speed_map: Tensor
-    """Velocities of free nodes to those of nodes and rods, shape (node + rod, node)."""
+    """Map from velocities of free nodes to those of nodes and rods, (node + rod, node)."""
     coupling: Tensor
-    """What each of them adds to the mass matrix's blocks but for zeros, (block, node + rod)."""
+    """Share of each node and rod in the nonzero blocks of the mass matrix, (block, node + rod)."""
     block: Tensor
-    """Where the nine numbers of these blocks are in the flat mass matrix, shape (9 · block,)."""
+    """Places of the nine numbers of these blocks in the flat mass matrix, shape (9 · block,)."""
 
     def __init__(self, scene: Scene) -> None:
         super().__init__()
@@ -196,7 +196,7 @@ class Mechanics(nn.Module):
         coupling, block = _blocks(speed_map)
         hinges = self.mechanism.hinges
         axes = [points.of_body(j.child).vector(j.axis, points.count) for j in hinges]
-        # Where torques act: hinge, tip, centre of mass, ±1 / (2 d²).
+        # Action of torques: hinge, tip, centre of mass, ±1 / (2 d²).
         turning = [
             (k, tip, body.com, sign / (2.0 * distance**2))
             for k, hinge in enumerate(hinges)
@@ -225,29 +225,29 @@ class Mechanics(nn.Module):
         )
 
     def all_nodes(self, q: Tensor) -> Tensor:
-        """Free nodes and fixed ones, shape (batch, all nodes, 3)."""
+        """Append the fixed nodes to the free ones, shape (batch, all nodes, 3)."""
         return torch.cat([q, self.fixed.expand(len(q), -1, -1)], dim=1)
 
     def residual(self, q: Tensor) -> Tensor:
-        """Constraint residuals, lengths squared or lengths [m² or m], shape (batch, row)."""
+        """Return the constraint residuals [m², m or 1], shape (batch, row)."""
         x = self.all_nodes(q)
         return (mixed(self.first, x) * mixed(self.second, x)).sum(-1) - self.goal
 
     def jacobian(self, q: Tensor) -> Jacobian:
-        """A, the residuals' derivative by the free nodes."""
+        """Return A, the derivative of the residuals by the free nodes."""
         return self.terms.at(q)
 
     def jacobian_rate(self, v: Tensor) -> Jacobian:
-        """Time derivative of A at velocities v."""
+        """Return the time derivative of A at velocities v."""
         return self.terms.rate(v)
 
     def bias(self, v: Tensor) -> Tensor:
-        """Ȧ q̇, shape (batch, row)."""
+        """Return Ȧ q̇, shape (batch, row)."""
         first, second = (mixed(each[:, : self.free], v) for each in (self.first, self.second))
         return 2.0 * (first * second).sum(-1)
 
     def applied(self, q: Tensor, v: Tensor, inputs: KnownInputs) -> Tensor:
-        """Known forces on the nodes, without gravity and springs [N], shape (batch, node, 3)."""
+        """Return known forces on nodes, without gravity and elastic ones [N], (batch, node, 3)."""
         load = torch.zeros_like(self.all_nodes(q)).index_add(1, self.com, inputs.force)
         if len(self.hinge_axis):
             load = self._add_torques(load, self.all_nodes(q), inputs.torque)
@@ -256,27 +256,27 @@ class Mechanics(nn.Module):
         return load[:, : self.free]
 
     def placed(self, state: Tensor, carried: Tensor) -> tuple[Tensor, Tensor]:
-        """Put nodes and their velocities onto the constraints, each (batch, node, 3).
+        """Return the bodies' nodes and velocities on the constraints, each (batch, node, 3).
 
         Args:
-            state: Of the body that carries each node, (batch, node, 13).
-            carried: Where each node is on it, (node, 3) [m].
+            state: State of the body that carries each node, (batch, node, 13).
+            carried: Position of each node on its body, (node, 3) [m].
         """
         arm = rotate(state[..., Q], carried)
-        moving = state[..., V] + torch.linalg.cross(state[..., W], arm)
-        return self.project(state[..., X] + arm, moving)
+        velocity = state[..., V] + torch.linalg.cross(state[..., W], arm)
+        return self.project(state[..., X] + arm, velocity)
 
     def project(self, q: Tensor, v: Tensor, passes: int = 2) -> tuple[Tensor, Tensor]:
-        """Put states onto the constraints by least mass-weighted changes (Newton's method)."""
+        """Project states onto the constraints by least mass-weighted changes (Newton's method)."""
         for _ in range(passes):
             q = q - self._least(self.jacobian(q), self.residual(q))
         jacobian = self.jacobian(q)
         return q, v - self._least(jacobian, jacobian.along(v))
 
     def factored(self, jacobian: Jacobian) -> Callable[[Tensor], Tensor]:
-        """Factorise A M⁻¹ Aᵀ, and give what solves with it for (batch, row).
+        """Factorise A M⁻¹ Aᵀ and return a function that solves with it for (batch, row).
 
-        Where it has no factor the solution is not a number, so that a row fails alone.
+        Without a factor the solution is NaN, so that one batch member fails alone.
         """
         matrix = _filled(jacobian.over_mass(), self.redundant)
         factor, info = torch.linalg.cholesky_ex(matrix.detach())
@@ -284,11 +284,11 @@ class Mechanics(nn.Module):
         return lambda goal: _Solved.apply(matrix, goal, factor)  # type: ignore[no-untyped-call]
 
     def _least(self, jacobian: Jacobian, goal: Tensor) -> Tensor:
-        """Mass-weighted least change with A · change = goal, shape (batch, node, 3)."""
+        """Return the least mass-weighted change with A · change = goal, (batch, node, 3)."""
         return mixed(self.mass_inverse, jacobian.back(self.factored(jacobian)(goal)))
 
     def _add_torques(self, load: Tensor, x: Tensor, torque: Tensor) -> Tensor:
-        """Pairs of forces on tips and centre of mass: half of t × r / d² each makes a couple t."""
+        """Add torques t as pairs of forces ±t × r / (2 d²) on each tip and the centre of mass."""
         hinge, tip, com = self.turning[:, :3].long().T
         share = self.turning[:, 3:]
         couple = (self.hinge_axis @ x * torque[..., None])[:, hinge]
@@ -303,7 +303,7 @@ class Mechanics(nn.Module):
 
 
 def _blocks(speed_map: Array) -> tuple[Array, Index]:
-    """See `Mechanics.coupling` and `Mechanics.block`."""
+    """Return `Mechanics.coupling` and `Mechanics.block`."""
     coupling = np.einsum("ki,kj->ijk", speed_map, speed_map)
     i, j = coupling.any(axis=-1).nonzero()
     down, across = np.indices((3, 3)).reshape(2, 9)
@@ -312,30 +312,30 @@ def _blocks(speed_map: Array) -> tuple[Array, Index]:
 
 
 def _table(rows: Sequence[ArrayLike], width: int) -> Array:
-    """Rows as an array, which there may be none of."""
+    """Convert rows, of which there may be none, to an array."""
     return np.array(rows, dtype=np.float64).reshape(-1, width)
 
 
 class Terms(nn.Module):
-    """What is constant of the terms: the first of each row, then the second of some."""
+    """Constant part of the terms: the first of each row, then the second of some rows."""
 
     weight: Tensor
-    """Of free nodes, shape (term, node)."""
+    """Weights of the free nodes, shape (term, node)."""
     moving: Tensor
-    """Directions are these weights of the free nodes, shape (term, node),"""
+    """Weights of the free nodes in the directions, shape (term, node)."""
     still: Tensor
-    """and this of the fixed ones [m], shape (term, 3)."""
+    """Part of the fixed nodes in the directions [m], shape (term, 3)."""
     coupling: Tensor
     """Weights times M⁻¹ times weights [1/kg], shape (term, term)."""
     again: Tensor
-    """Rows of the second terms."""
+    """Row of each second term."""
 
     def __init__(self, rows: PointRows, fixed: Array, mass_inverse: Array) -> None:
         super().__init__()
         free = len(mass_inverse)
         moves = rows.first[:, :free].any(axis=1, keepdims=True)
         first, second = np.where(moves, [rows.first, rows.second], [rows.second, rows.first])
-        # Both halves of a squared length are alike; those of a vector and the world's are not two.
+        # A squared length has two equal terms; a product with a fixed vector has only one.
         alike = (first == second).all(axis=1)
         again = (~alike & second[:, :free].any(axis=1)).nonzero()[0]
         weight = np.concatenate([np.where(alike, 2.0, 1.0)[:, None] * first, second[again]])
@@ -352,15 +352,15 @@ class Terms(nn.Module):
         )
 
     def at(self, q: Tensor) -> Jacobian:
-        """Give A at free nodes (batch, node, 3)."""
+        """Return A at free nodes (batch, node, 3)."""
         return Jacobian(self, mixed(self.moving, q) + self.still)
 
     def rate(self, v: Tensor) -> Jacobian:
-        """Give Ȧ at their velocities."""
+        """Return Ȧ at velocities of the free nodes."""
         return Jacobian(self, mixed(self.moving, v))
 
     def summed(self, values: Tensor, dim: int) -> Tensor:
-        """Sum terms to rows."""
+        """Sum the terms of each row."""
         if not len(self.again):
             return values
         first = values.narrow(dim, 0, self.row_count)
@@ -368,33 +368,33 @@ class Terms(nn.Module):
         return first.index_add(dim, self.again, second)
 
     def spread(self, values: Tensor) -> Tensor:
-        """Give each term its row's value, (batch, row) to (batch, term)."""
+        """Copy each row's value to its terms, (batch, row) to (batch, term)."""
         return torch.cat([values, values[:, self.again]], 1) if len(self.again) else values
 
 
 @dataclass(frozen=True, eq=False)
 class Jacobian:
-    """A matrix (row, 3 · node) for each of a batch."""
+    """Batch of Jacobians A, each (row, 3 · node)."""
 
     terms: Terms
     direction: Tensor
-    """Shape (batch, term, 3)."""
+    """Direction of each term, shape (batch, term, 3)."""
 
     def along(self, v: Tensor) -> Tensor:
-        """A v, shape (batch, row), of v (batch, node, 3)."""
+        """Return A v, shape (batch, row), of v (batch, node, 3)."""
         return self.terms.summed((mixed(self.terms.weight, v) * self.direction).sum(-1), 1)
 
     def back(self, multiplier: Tensor) -> Tensor:
-        """Aᵀ λ, shape (batch, node, 3), of λ (batch, row)."""
+        """Return Aᵀ λ, shape (batch, node, 3), of λ (batch, row)."""
         pull = self.terms.spread(multiplier)[..., None] * self.direction
         return mixed(self.terms.weight.T, pull)
 
     def over_mass(self) -> Tensor:
-        """A M⁻¹ Aᵀ, shape (batch, row, row)."""
-        both = self.terms.coupling * (self.direction @ self.direction.mT)
-        return self.terms.summed(self.terms.summed(both, 1), 2)
+        """Return A M⁻¹ Aᵀ, shape (batch, row, row)."""
+        products = self.terms.coupling * (self.direction @ self.direction.mT)
+        return self.terms.summed(self.terms.summed(products, 1), 2)
 
     def dense(self) -> Tensor:
-        """A itself, shape (batch, row, 3 · node)."""
+        """Return A as a dense matrix, shape (batch, row, 3 · node)."""
         outer = self.terms.weight[:, :, None] * self.direction[:, :, None]
         return self.terms.summed(outer.flatten(2), 1)

@@ -3,14 +3,14 @@
 A body is its centre of mass and one *tip* on each of its principal axes (Finzi, Wang, Wilson:
 Simplifying Hamiltonian and Lagrangian neural networks via explicit constraints, NeurIPS 2020). A
 material point is an affine combination of these, whatever the body's motion, and the kinetic
-energy is ½ m |v_com|² + ½ Σ (J_k / d_k²) |v_tip − v_com|², J_k the second moment along the axis
-and d_k the distance of the tip: the mass matrix is constant. A body of revolution that never spins
+energy is ½ m |v_com|² + ½ Σ (J_k / d_k²) |v_tip − v_com|² with J_k the second moment along the axis
+and d_k the distance of the tip. So the mass matrix is constant. A body of revolution without spin
 (`mbds_xsim.scene.spin`) needs only the tip on its axis. Tips lie on joints where they can, and
 points that a joint keeps together are one *node*; a node at a joint to the world is fixed.
 
 A body-fixed point or vector is a fixed combination of nodes, so each constraint is of degree two:
 (U x) · (W x) = c for lengths, right angles and sliders, and for points that coincide, whose gap has
-no part along the world's axes.
+no component along the world's axes.
 """
 
 from __future__ import annotations
@@ -38,20 +38,20 @@ class BodyPoints:
 
     com: int
     tips: Index
-    """Nodes, shape (tip,)."""
+    """Node of each tip, shape (tip,)."""
     directions: Array
-    """Orthonormal, from the centre of mass to the tips, in the native frame, shape (tip, 3)."""
+    """Orthonormal vectors from the centre of mass to the tips, in the native frame, (tip, 3)."""
     distances: Array
-    """[m], shape (tip,)."""
+    """Distances of the tips from the centre of mass [m], shape (tip,)."""
 
     def weights(self, point: Array, count: int) -> Array:
-        """Weights of the nodes in a point of the native frame, shape (node,)."""
+        """Return the nodes' weights in a point of the native frame, shape (node,)."""
         weights = self.vector(point, count)
         weights[self.com] += 1.0
         return weights
 
     def vector(self, vector: Array, count: int) -> Array:
-        """Weights of the nodes in a body-fixed vector, shape (node,); their sum is 0."""
+        """Return the nodes' weights in a body-fixed vector, shape (node,); their sum is 0."""
         weights = np.zeros(count)
         share = self.directions @ vector / self.distances
         np.add.at(weights, self.tips, share)
@@ -68,17 +68,17 @@ class NodePoints:
     free: int
     """Number of free nodes; they come first."""
     fixed: Array
-    """Where the other nodes are in W [m], shape (fixed + 4, 3)."""
+    """Positions of the other nodes in W [m], shape (fixed + 4, 3)."""
     mass: Array
-    """Of the bodies whose centre of mass a node is [kg], shape (node,)."""
+    """Mass of the bodies whose centre of mass is at each node [kg], shape (node,)."""
     rods: Index
-    """Tip and centre of mass, pairs of nodes, shape (rod, 2)."""
+    """Nodes of each rod, its tip and centre of mass, shape (rod, 2)."""
     rod_mass: Array
-    """J_k / d_k² [kg], shape (rod,)."""
+    """Mass J_k / d_k² of each rod [kg], shape (rod,)."""
     rod_length: Array
-    """d_k [m], shape (rod,)."""
+    """Length d_k of each rod [m], shape (rod,)."""
     carrier: tuple[Index, Array]
-    """A body that carries each free node (node,), and the node in its native frame (node, 3)."""
+    """Body that carries each free node (node,), and the node in its native frame (node, 3)."""
 
     @property
     def count(self) -> int:
@@ -86,11 +86,11 @@ class NodePoints:
         return self.free + len(self.fixed)
 
     def of_body(self, body: int) -> BodyPoints:
-        """Nodes of a body by index, −1 the world."""
+        """Return the nodes of a body by index; −1 is the world."""
         return self.world if body == WORLD_INDEX else self.bodies[body]
 
     def span(self, bodies: tuple[int, int], places: tuple[Array, Array]) -> Array:
-        """Weights of the vector from a point of one body to a point of another, (node,)."""
+        """Return the nodes' weights in the vector from one body's point to another's, (node,)."""
         start, end = (
             self.of_body(body).weights(place, self.count)
             for body, place in zip(bodies, places, strict=True)
@@ -100,7 +100,7 @@ class NodePoints:
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """A body's tips before nodes are numbered."""
+    """Tips of a body before the nodes are numbered."""
 
     directions: Array
     distances: Array
@@ -113,7 +113,7 @@ class _Frame:
 
 
 def points_of(mechanism: Mechanism) -> NodePoints:
-    """Choose the points of a mechanism; Unsupported with a body without thickness."""
+    """Choose the points of a mechanism; raise Unsupported for a body without thickness."""
     axes = _rods(mechanism)
     frames = [_frame(mechanism, k, axes[k]) for k in range(mechanism.body_count)]
     first = np.cumsum([0, *(len(frame.offsets) for frame in frames)])
@@ -126,7 +126,7 @@ def points_of(mechanism: Mechanism) -> NodePoints:
     count = free + len(fixed)
     mass = np.zeros(count + 4)
     np.add.at(mass, [body.com for body in bodies], mechanism.mass)
-    # The first point that became a node carries it.
+    # A node is carried by the body of the first point that became it.
     slot = np.array([int(np.argmax(node == k)) for k in range(free)], dtype=np.int64)
     body_of = np.repeat(np.arange(len(frames)), np.diff(first))
     return NodePoints(
@@ -143,17 +143,17 @@ def points_of(mechanism: Mechanism) -> NodePoints:
 
 
 def _rods(mechanism: Mechanism) -> Array:
-    """Axes of the bodies that never spin and whose particles all lie on the axis; else zero."""
+    """Return the axes of bodies that never spin and have all particles on the axis; else zero."""
     axes = idle_axes(mechanism.scene).copy()
     off = rotation.cross(axes[mechanism.particle_body], mechanism.particle_offset)
-    near = _SAME * mechanism.scene.length
-    axes[mechanism.particle_body[np.linalg.norm(off, axis=1) > near]] = 0.0
+    tolerance = _SAME * mechanism.scene.length
+    axes[mechanism.particle_body[np.linalg.norm(off, axis=1) > tolerance]] = 0.0
     axes[mechanism.particles_per_body == 0] = 0.0
     return axes
 
 
 def kinds_of(points: NodePoints) -> tuple[Index, int]:
-    """Number the nodes by mass and by whether they are fixed, (node,); and count these kinds."""
+    """Return each node's kind, by mass and by whether it is fixed, (node,), and their number."""
     mass = points.mass[: points.count - 3]
     moves = np.arange(len(mass)) < points.free
     kind = distinct(np.stack([mass, moves], axis=1))
@@ -161,7 +161,7 @@ def kinds_of(points: NodePoints) -> tuple[Index, int]:
 
 
 def distinct(rows: Array) -> Index:
-    """Number the different rows of a table, shape (row,); what rounding makes of one is alike."""
+    """Number the distinct rows of a table, shape (row,); rows are equal up to rounding."""
     unit = np.abs(rows).max(axis=0, initial=0.0)
     rounded = np.round(rows / np.where(unit > 0.0, unit, 1.0), _DIGITS)
     _, kind = np.unique(rounded, axis=0, return_inverse=True)
@@ -169,7 +169,7 @@ def distinct(rows: Array) -> Index:
 
 
 def _frame(mechanism: Mechanism, body: int, idle: Array) -> _Frame:
-    """Tips of a body: on joints that lie on principal axes, else at the radius of gyration."""
+    """Place a body's tips: on joints that lie on principal axes, else at the radius of gyration."""
     inertia, mass = mechanism.inertia[body], mechanism.mass[body]
     arms = _arms(mechanism, body)
     if idle.any():
@@ -198,7 +198,7 @@ def _frame(mechanism: Mechanism, body: int, idle: Array) -> _Frame:
 
 
 def _arms(mechanism: Mechanism, body: int) -> list[Array]:
-    """Joints of a body that can merge with a tip, in its native frame; that of the tree first."""
+    """Return the joints of a body that can merge with a tip, in its native frame, tree's first."""
     link = next(link for link in mechanism.links if link.body == body)
     joints = [link.joint] if link.joint else []
     joints += [j for j in mechanism.joints if body in (j.parent, j.child)]
@@ -225,13 +225,13 @@ def _nodes(mechanism: Mechanism, frames: list[_Frame], first: Index) -> tuple[In
     """Number the points of all bodies by node, free ones first, and place the fixed ones."""
     group = np.arange(first[-1])
     anchored: dict[int, Array] = {}
-    near = _SAME * mechanism.scene.length
+    tolerance = _SAME * mechanism.scene.length
 
     def slot(body: int, point: Array) -> int | None:
         if body == WORLD_INDEX:
             return None
-        away = np.linalg.norm(frames[body].offsets - point, axis=1)
-        return int(first[body] + away.argmin()) if away.min() <= near else None
+        distance = np.linalg.norm(frames[body].offsets - point, axis=1)
+        return int(first[body] + distance.argmin()) if distance.min() <= tolerance else None
 
     for joint in mechanism.joints:
         if joint.kind not in _MERGING:
@@ -257,21 +257,21 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class PointRows:
-    """Coefficients of the constraints."""
+    """Coefficients of the constraints (U x) · (W x) = c."""
 
     first: Array
-    """U, shape (row, node)."""
+    """Weights U, shape (row, node)."""
     second: Array
-    """W, shape (row, node)."""
+    """Weights W, shape (row, node)."""
     goal: Array
-    """c [m²], or [m] where W is an axis of the world; shape (row,)."""
+    """Values c [m²], 0 except for lengths; shape (row,)."""
     redundant: int
-    """How many of them follow from the others. Which these are depends on the pose: of a hinge in
-    a plane loop one right angle is enough, but at some angle not the one that was at another."""
+    """Number of rows that follow from the others. Which rows these are depends on the pose: a hinge
+    in a plane loop needs one right angle only, but not the same one at every angle."""
 
 
 def rows_of(mechanism: Mechanism, points: NodePoints) -> PointRows:
-    """Write down the rows of rigid bodies and joints that hold something that moves."""
+    """Return the rows of rigid bodies, joints and distance links that involve a free node."""
     products: list[tuple[Array, Array, float]] = []
     for joint in mechanism.joints:
         products += _coincidence(joint, points)
@@ -292,13 +292,13 @@ def rows_of(mechanism: Mechanism, points: NodePoints) -> PointRows:
 
 
 def _cleaned(weights: Array) -> Array:
-    """Without what rounding left: alone in a row it would be a constraint like any other."""
+    """Remove rounding errors: alone in a row, one would act as a constraint."""
     largest = np.abs(weights).max(axis=1, keepdims=True, initial=0.0)
     return np.where(np.abs(weights) > _ROUNDING * largest, weights, 0.0)
 
 
 def _rigid(body: BodyPoints, count: int) -> list[tuple[Array, Array, float]]:
-    """Lengths of a body's axes, and the right angles between them."""
+    """Return the rows for the lengths of a body's axes and the right angles between them."""
     axes = [body.vector(u, count) * d for u, d in zip(body.directions, body.distances, strict=True)]
     return [
         (axes[i], axes[j], float(body.distances[i] ** 2) if i == j else 0.0)
@@ -316,7 +316,7 @@ def _coincidence(joint: PlacedJoint, points: NodePoints) -> list[tuple[Array, Ar
 
 
 def _aligned(joint: PlacedJoint, points: NodePoints) -> list[tuple[Array, Array, float]]:
-    """Right angles between vectors of the two bodies, and a slider's line."""
+    """Return the rows for right angles between vectors of two bodies, and for a slider's line."""
     parent, child = points.of_body(joint.parent), points.of_body(joint.child)
     pairs: list[tuple[Array, Array]] = []
     if joint.kind == "hinge":
@@ -331,7 +331,7 @@ def _aligned(joint: PlacedJoint, points: NodePoints) -> list[tuple[Array, Array,
 
 
 def _rank(mechanism: Mechanism, points: NodePoints, first: Array, second: Array) -> int:
-    """Rank of the Jacobian; the largest at drawn starts, of which some may be singular."""
+    """Return the largest rank of the Jacobian at drawn starts, some of which may be singular."""
     start = draw_batch(mechanism.scene, range(_STARTS), noise=False, inputs=False)
     free = BodyStates.of(mechanism, start).points(*points.carrier)
     fixed = np.broadcast_to(points.fixed, (_STARTS, *points.fixed.shape))

@@ -1,4 +1,4 @@
-"""What a learned model is, and how it predicts trajectories of a scene that it can represent."""
+"""Base classes of learned models, and rollouts: predicted trajectories of a scene."""
 
 from __future__ import annotations
 
@@ -23,38 +23,38 @@ Change = Literal["acceleration", "displacement"]
 
 Symmetry = Literal["shift", "turn"]
 SYMMETRIES: tuple[Symmetry, ...] = ("shift", "turn")
-"""Motions of the whole under which predictions move along: to elsewhere, about the vertical."""
+"""Symmetries that a model can have: horizontal shifts of the scene, turns about the vertical."""
 
 _GROUP = "mbds_xsim.models"
-"""Entry points of models; docs/add-a-model.md."""
+"""Entry-point group of models; see docs/add-a-model.md."""
 TRIVIAL = ("hold", "constant_velocity", "constant_acceleration")
-"""What every model must beat."""
+"""Baselines without parameters, which every model must beat."""
 _BATCH = 512
 _NODES = 4096
-"""At a time on a CPU: the tensors of more leave its caches, and are so large that each is made of
-pages new from the system, which makes rows dearer."""
+"""Largest number of nodes at a time on a CPU. Larger tensors do not fit its caches, and each is
+allocated from new pages of the system, which makes rows more expensive."""
 _PUSHED = 0.5
-"""Of the windows, those that go on for a frame more; so half of a batch are true ones."""
+"""Fraction of the windows that go on for one more frame, so half of a batch is recorded data."""
 
 
 class LearnedModel(nn.Module, ABC):
-    """A model of one scene. What it carries from frame to frame is a tensor, one row a trajectory.
+    """Learned model of one scene. Its state is a tensor with one row per trajectory.
 
-    A subclass is made of graph, statistics and settings; its parameters are drawn from torch's
-    global generator then.
+    A subclass is constructed from graph, statistics and settings; its initial parameters are drawn
+    from torch's global generator.
     """
 
     tracks: ClassVar[Mapping[str, Any]] = {}
-    """Hyper-parameters by track: `paper`, `native`, `lite`, `native+`; none where there is nothing
-    to set. The last is the smallest, and what is taken where a profile's is not there."""
+    """Hyper-parameters by track: `paper`, `native`, `lite`, `native+`; empty if nothing can be set.
+    The last track is the smallest, and the fallback for a model that lacks a profile's track."""
     dtype: ClassVar[torch.dtype] = torch.float32
-    """Of what it is given, and of its parameters if `in_precision` does not say otherwise."""
+    """Precision of the model's inputs, and of its parameters unless `in_precision` differs."""
     needs_bodies: ClassVar[bool] = False
     """Whether starts must have the bodies' states."""
     symmetries: ClassVar[frozenset[Symmetry]] = frozenset()
-    """Motions of the whole that it does not learn, but keeps by the way it is made."""
+    """Symmetries that hold by construction and need not be learned."""
     mixes: ClassVar[bool] = False
-    """Whether its networks may compute in bfloat16: not where they carry positions."""
+    """Whether its networks may compute in bfloat16; False if they carry positions."""
 
     @abstractmethod
     def __init__(self, graph: Graph, statistics: Statistics, settings: Any) -> None:
@@ -62,38 +62,38 @@ class LearnedModel(nn.Module, ABC):
         self.graph = graph
 
     def in_precision(self) -> Self:
-        """Bring parameters and constants to the precision that the model computes in."""
+        """Convert parameters and constants to the precision in which the model computes."""
         return self.to(self.dtype)
 
     @abstractmethod
     def begin(self, start: Start) -> Tensor:
-        """Give the state at the last known frame, shape (batch, …)."""
+        """Return the state at the last known frame, shape (batch, …)."""
 
     @abstractmethod
     def advance(self, state: Tensor, inputs: KnownInputs) -> Tensor:
-        """Give the state a frame later; inputs are those over the frame to come."""
+        """Return the state one frame later, given the inputs over that frame."""
 
     @abstractmethod
     def positions(self, state: Tensor) -> Tensor:
-        """Give the particles' positions in W [m], shape (batch, particle, 3)."""
+        """Return the positions of the particles in W [m], shape (batch, particle, 3)."""
 
     @abstractmethod
     def loss(self, sample: Sample, generator: torch.Generator) -> Tensor:
-        """Give what training minimises, a mean over the batch; the CPU's generator is for noise."""
+        """Return the training loss, a mean over the batch; the CPU's generator is for noise."""
 
 
 class PointModel(LearnedModel):
-    """A model that sees the last positions and gives an acceleration or a displacement."""
+    """Model that predicts an acceleration or a displacement from the last positions."""
 
     change: ClassVar[Change]
-    """What `predict` gives: second or first differences of positions [m]."""
+    """Output of `predict`: second (acceleration) or first differences of positions [m]."""
 
     @abstractmethod
     def predict(self, history: Tensor, inputs: KnownInputs) -> Tensor:
-        """Give the change to the next frame [m], shape (batch, particle, 3).
+        """Return the change to the next frame [m], shape (batch, particle, 3).
 
-        From positions, oldest first [m], (batch, 6, particle, 3), and inputs over the frame to
-        come.
+        `history` has the last positions, oldest first [m], shape (batch, 6, particle, 3); `inputs`
+        are those over the frame to come.
         """
 
     @final
@@ -102,13 +102,13 @@ class PointModel(LearnedModel):
 
     @final
     def advance(self, state: Tensor, inputs: KnownInputs) -> Tensor:
-        displacement, wanted = self.predict(state, inputs), state[:, -1].shape
-        if displacement.shape != wanted:  # which sums would not refuse
-            msg = f"predict gave the shape {tuple(displacement.shape)}, needed is {tuple(wanted)}"
+        displacement, shape = self.predict(state, inputs), state[:, -1].shape
+        if displacement.shape != shape:  # broadcasting would hide it
+            msg = f"predict gave the shape {tuple(displacement.shape)}, needed is {tuple(shape)}"
             raise ValueError(msg)
         if self.change == "acceleration":  # semi-implicit Euler in units of frames
             displacement = state[:, -1] - state[:, -2] + displacement
-        # Where the scene does not move, positions are known and the networks are not asked.
+        # Along axes in which the scene does not move, the network's output is ignored.
         after = state[:, -1] + displacement * self.graph.moving.to(state)
         return torch.cat([state[:, 1:], after[:, None]], dim=1)
 
@@ -118,14 +118,14 @@ class PointModel(LearnedModel):
 
 
 class FlowModel(LearnedModel):
-    """A model that gives the time derivative of coordinates of its own."""
+    """Model that predicts the time derivative of its own coordinates."""
 
     substeps: int
-    """Steps of the classical Runge-Kutta method in a frame."""
+    """Number of classical Runge-Kutta steps per frame."""
 
     @abstractmethod
     def derivative(self, state: Tensor, inputs: KnownInputs) -> Tensor:
-        """Give the state's time derivative [1/s], of the state's shape."""
+        """Return the time derivative of the state [1/s], in the state's shape."""
 
     @final
     def advance(self, state: Tensor, inputs: KnownInputs) -> Tensor:
@@ -138,9 +138,9 @@ class FlowModel(LearnedModel):
 def runge_kutta(
     derivative: Callable[[Tensor, float], Tensor], state: Tensor, step: float
 ) -> Tensor:
-    """Take a step [s] of the classical method of fourth order.
+    """Take a step [s] of the classical fourth-order Runge-Kutta method.
 
-    The derivative is given a state and the time since the step began [s].
+    The derivative receives a state and the time since the step began [s].
     """
     first = derivative(state, 0.0)
     second = derivative(state + 0.5 * step * first, 0.5 * step)
@@ -150,25 +150,25 @@ def runge_kutta(
 
 
 def model_names() -> list[str]:
-    """Names of all models that packages register, the trivial ones last."""
+    """Return the names of all models that packages register, the trivial ones last."""
     names = sorted(registered(_GROUP))
     return sorted(names, key=lambda name: name in TRIVIAL)
 
 
 def trainable() -> list[str]:
-    """Names of the models that have something to learn; without those that cannot be loaded."""
-    found = []
+    """Return the names of the models that can be trained, without those that fail to load."""
+    names = []
     for name in model_names():
         with suppress(InputError):
-            found += [name] if load_model(name).tracks else []
-    return found
+            names += [name] if load_model(name).tracks else []
+    return names
 
 
 @contextmanager
 def of_another_package() -> Iterator[None]:
-    """Stay in this folder and in this process, whatever a package's code does.
+    """Run another package's code so that it cannot change the folder or exit the process.
 
-    What it prints is none of a command's output, which may be read by a machine.
+    Its prints go to stderr, because a program may parse the output of a command.
     """
     try:
         with chdir(os.curdir), redirect_stdout(sys.stderr):
@@ -178,11 +178,11 @@ def of_another_package() -> Iterator[None]:
 
 
 def load_model(name: str) -> type[LearnedModel]:
-    """Find a model by name.
+    """Find a model's class by name.
 
     Raises:
         UnknownName: No package registers it.
-        InputError: What a package registers by that name is no model, or fails on import.
+        InputError: The object registered by that name is not a model, or fails on import.
     """
     points = registered(_GROUP)
     check_name("model", name, model_names())
@@ -190,8 +190,8 @@ def load_model(name: str) -> type[LearnedModel]:
         with of_another_package():
             kind = points[name].load()
     except Exception as error:  # another package's code
-        told = " ".join(f"{type(error).__name__}: {error}".split())
-        msg = f"the model {name} cannot be used: {told}; repair or uninstall {points[name].value}"
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        msg = f"the model {name} cannot be used: {reason}; repair or uninstall {points[name].value}"
         raise InputError(msg) from error
     if lack := _lack(kind):
         raise InputError(f"the model {name} cannot be used: {points[name].value} {lack}")
@@ -200,21 +200,21 @@ def load_model(name: str) -> type[LearnedModel]:
 
 
 def _lack(kind: Any) -> str:
-    """Say what a class lacks to be a model; "" of one that is."""
+    """Return what a class lacks to be a model, or "" if it is one."""
     if not (isinstance(kind, type) and issubclass(kind, LearnedModel)):
         return "is no LearnedModel"
-    tracks: Any = kind.tracks  # another package's, which may be anything
+    tracks: Any = kind.tracks  # from another package: may be anything
     if not isinstance(tracks, Mapping):
         return f"has no tracks by name, but {tracks!r}"
-    bare = [track for track, settings in tracks.items() if not hasattr(settings, "recipe")]
-    return f"has no recipe in its track {bare[0]}" if bare else ""
+    missing = [track for track, settings in tracks.items() if not hasattr(settings, "recipe")]
+    return f"has no recipe in its track {missing[0]}" if missing else ""
 
 
 def track_of(name: str, track: str | None = None, usual: str = "") -> str:
-    """Give a model's track: the one asked for, else a usual one that it has, else its last.
+    """Return a model's track: the one asked for, else the usual one if it exists, else the last.
 
-    The last of a model's tracks is the smallest; "" of a model without any. UnknownName where
-    there is no such model, InputError where it has no such track.
+    The last of a model's tracks is the smallest; a model without tracks has "". Raises UnknownName
+    for an unknown model, InputError for a track that the model does not have.
     """
     tracks = load_model(name).tracks
     if track is not None and tracks and track not in tracks:
@@ -226,12 +226,12 @@ def track_of(name: str, track: str | None = None, usual: str = "") -> str:
 def build(
     name: str, graph: Graph, statistics: Statistics, *, track: str | None = None, seed: int = 0
 ) -> LearnedModel:
-    """Make an untrained model: the same seed makes the same parameters.
+    """Build an untrained model; the same seed gives the same parameters.
 
-    Of its track `native`, or the last, where none is named; errors are those of `track_of`.
+    The default track is `native`, or else the last one; errors are those of `track_of`.
 
     Raises:
-        Unsupported: It cannot represent the scene, or fails on it and is another package's.
+        Unsupported: It cannot represent the scene, or is another package's and fails on it.
     """
     kind, track = load_model(name), track_of(name, track, "native")
     with torch.random.fork_rng():
@@ -242,13 +242,13 @@ def build(
         except Exception as error:
             if isinstance(error, InputError) or kind.__module__.startswith("mbds_xsim."):
                 raise
-            told = " ".join(f"{type(error).__name__}: {error}".split())
-            msg = f"{kind.__module__}:{kind.__name__} fails on scene {graph.scene.name!r}: {told}"
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
+            msg = f"{kind.__module__}:{kind.__name__} fails on scene {graph.scene.name!r}: {reason}"
             raise Unsupported(msg) from error
 
 
 def refusal(name: str, graph: Graph, *, track: str | None = None) -> str:
-    """Say why a model cannot represent a scene; "" where it can."""
+    """Return why a model cannot represent a scene, or "" if it can."""
     try:
         build(name, graph, Statistics.of_nothing(), track=track)
     except Unsupported as error:
@@ -259,14 +259,14 @@ def refusal(name: str, graph: Graph, *, track: str | None = None) -> str:
 def rollout(
     model: LearnedModel, motions: Motions, *, steps: int | None = None, batch: int = _BATCH
 ) -> Tensor:
-    """Predict trajectories from their first `HISTORY` frames on, so many frames or all of them.
+    """Predict `steps` frames (default: all) of trajectories from their first `HISTORY` frames.
 
     Returns:
-        Positions behind frame `HISTORY` [m], shape (trajectory, frame, particle, 3); not a number
-        from where a prediction failed: to be counted, never dropped.
+        Positions in these frames [m], shape (trajectory, frame, particle, 3); NaN from the frame
+        on at which a prediction failed: failures are to be counted, never dropped.
 
     Raises:
-        InputError: There are not so many frames, or the model needs the bodies' states.
+        InputError: There are too few frames, or the model needs the bodies' states.
     """
     most = motions.frame_count - HISTORY
     steps = most if steps is None else steps
@@ -286,11 +286,11 @@ def rollout(
 
 
 def roll(model: LearnedModel, start: Start, inputs: KnownInputs) -> Tensor:
-    """Predict frame by frame from what is known, under the inputs of all frames to come.
+    """Predict frame by frame from known starts, under the inputs of all frames to come.
 
     Returns:
-        Positions [m], shape (batch, frame, particle, 3). A row that is not finite at a frame stays
-        so, and the others go on undisturbed.
+        Positions [m], shape (batch, frame, particle, 3). A row that is not finite at a frame is
+        NaN from there on; the other rows are not affected.
     """
     block = len(start)
     if start.history.device.type == "cpu":
@@ -302,14 +302,14 @@ def roll(model: LearnedModel, start: Start, inputs: KnownInputs) -> Tensor:
 
 
 def go_on(model: LearnedModel, state: Tensor, inputs: KnownInputs) -> Tensor:
-    """Do as `roll` does from states of the model's own, all rows at once."""
+    """Predict as `roll` does, but from the model's own states and with all rows at once."""
     first = state
     alive = torch.ones(len(state), dtype=torch.bool, device=state.device)
     frames = []
     for frame in range(inputs.torque.shape[1]):
         state = model.advance(state, inputs.at(frame))
         alive = alive & state.flatten(1).isfinite().all(1)
-        # Solvers refuse numbers that are none: failed rows are kept at their start, unseen.
+        # Solvers reject NaN: failed rows are reset to their start, and their output is hidden.
         state = torch.where(_like(alive, state), state, first)
         positions = model.positions(state)
         frames.append(torch.where(_like(alive, positions), positions, torch.nan))
@@ -321,16 +321,16 @@ def _like(flags: Tensor, values: Tensor) -> Tensor:
 
 
 def pushed(model: PointModel, sample: Sample) -> Sample:
-    """Let half of a batch go on from the model's own prediction, half of these again, and so on.
+    """Advance half of a batch by the model's own prediction, half of these again, and so on.
 
-    So it learns to correct what it does: what a model gets wrong, such as a rod's length, is in no
-    data, and may grow from frame to frame. The more frames to come, the farther; the last of them
-    is learned from. No gradient passes through the predictions. Source: Brandstetter, Worrall and
-    Welling, "Message passing neural PDE solvers", ICLR 2022, section 3.1, there one frame of all
-    windows; what more are worth is in docs/train.md.
+    This teaches the model to correct its own errors: a wrong length of a rod, for example, is in
+    no data and may grow from frame to frame. Windows with n frames to come are advanced by up to
+    n − 1 of them. No gradient passes through the predictions. Source: Brandstetter, Worrall and
+    Welling, "Message passing neural PDE solvers", ICLR 2022, section 3.1, which advances all
+    windows by one frame; docs/research-notes.md has the gain by more frames.
 
     Returns:
-        The windows, with one frame to come: what follows the predictions, or the last known frame.
+        Windows with one frame to come: the one after the predictions or the last known frame.
     """
     history, inputs = sample.start.history, sample.inputs
     age = torch.zeros(len(history), dtype=torch.int64, device=history.device)
@@ -352,7 +352,7 @@ def pushed(model: PointModel, sample: Sample) -> Sample:
 
 
 class Hold(PointModel):
-    """Everything stays where it is. The loss is the mean squared error [m²]."""
+    """Baseline in which nothing moves. The loss is the mean squared error [m²]."""
 
     symmetries: ClassVar[frozenset[Symmetry]] = frozenset(SYMMETRIES)
     change: ClassVar[Change] = "displacement"
@@ -371,13 +371,13 @@ class Hold(PointModel):
 
 
 class ConstantVelocity(Hold):
-    """Every particle goes on as it last did."""
+    """Baseline in which every particle keeps its last velocity."""
 
     change: ClassVar[Change] = "acceleration"
 
 
 class ConstantAcceleration(ConstantVelocity):
-    """Every particle goes on accelerating as it last did."""
+    """Baseline in which every particle keeps its last acceleration."""
 
     def predict(self, history: Tensor, inputs: KnownInputs) -> Tensor:
         del inputs

@@ -1,10 +1,10 @@
 """A trained model as one file: scene, hyper-parameters, statistics and parameters.
 
-Files of `torch.save` are read without trust. `torch.load(weights_only=True)` runs no code, but
-makes what a file asks for (`bytearray(10**11)` in 20 bytes), takes the stated sizes of arrays for
-true, and unpacks what is packed. So the archive is looked at first: entries as they are in the
-file, of the checksums that it states, and a pickle that names nothing but arrays and dictionaries.
-Arrays are then mapped, not made, and copied once their shapes are known to lie within the file.
+Files of `torch.save` are not trusted. `torch.load(weights_only=True)` runs no code, but allocates
+whatever a file asks for (`bytearray(10**11)` in 20 bytes), believes the stated sizes of arrays, and
+decompresses entries. So the archive is checked first: entries must be uncompressed and match their
+checksums, and the pickle may name only arrays and dictionaries. Arrays are then memory-mapped, and
+copied once their shapes are known to fit in the file.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from mbds_xsim.scene.scene import Scene
 
 _FORMAT = "mbds-xsim model 1"
 _LARGEST = 10_000
-"""Of all whole numbers in settings: layers, widths, passes, steps in a frame; but of the recipe's,
-which decide on a training and not on a model."""
+"""Largest allowed integer in settings: layers, widths, passes, steps per frame. The recipe's are
+exempt, because they affect a training and not a model."""
 
 
 def save_model(
@@ -46,7 +46,7 @@ def save_model(
     /,
     **facts: str,
 ) -> None:
-    """Write a model as it is registered and made, and how: data, seed, profile."""
+    """Write a model with its registered name, settings, statistics, and facts of its training."""
     content = io.BytesIO()
     whole = {
         "format": _FORMAT,
@@ -64,10 +64,10 @@ def save_model(
 def read_model(path: Path, scene: Scene | None = None) -> tuple[LearnedModel, dict[str, str]]:
     """Read a model, on the CPU, and the facts that were written with it.
 
-    It predicts the scene that it was trained on, or another one.
+    It predicts the given scene, or by default the one that it was trained on.
 
     Raises:
-        InputError: It is no file of a model, was made by other code, or does not fit the scene.
+        InputError: The file is not a model's, is by other code, or does not fit the scene.
         Unsupported: The model cannot represent the scene.
         UnknownName: The model is not registered here.
     """
@@ -80,7 +80,7 @@ def read_model(path: Path, scene: Scene | None = None) -> tuple[LearnedModel, di
         parameters = arrays(whole.parameters)
     except UnknownName as error:
         raise UnknownName(f"{path}: {error}") from error
-    except Exception as error:  # as many as there are ways of making a file
+    except Exception as error:  # a file can be wrong in any way
         raise _other_code(path, error) from error
     try:
         with _no_larger_than(parameters), of_another_package():
@@ -97,7 +97,7 @@ def read_model(path: Path, scene: Scene | None = None) -> tuple[LearnedModel, di
 
 
 def _settings(kind: type[LearnedModel], whole: _Whole) -> Any:
-    """Read the hyper-parameters of a kind of model; None where there is nothing to set."""
+    """Read the hyper-parameters of a kind of model; None if nothing can be set."""
     if not kind.tracks:
         return None
     settings = msgspec.json.decode(whole.settings, type=type(next(iter(kind.tracks.values()))))
@@ -116,10 +116,10 @@ def _check_sizes(settings: Any) -> None:
 
 @contextmanager
 def _no_larger_than(parameters: Mapping[str, torch.Tensor]) -> Iterator[None]:
-    """Let no model be built that has more parameters than the file has for it.
+    """Refuse to build a model with more parameters than the file has for it.
 
-    It is refused before memory is used: that of a parameter is not touched until its values are
-    drawn, which follows its registration.
+    It is refused before memory is used: a parameter's memory is first touched when its values are
+    drawn, after its registration.
     """
     left = sum(value.numel() for value in parameters.values())
 
@@ -148,13 +148,13 @@ def read_facts(path: Path) -> dict[str, str]:
 
 
 class _Whole(msgspec.Struct, frozen=True):
-    """What a file holds."""
+    """Content of a model's file."""
 
     name: str
     scene: str
-    """As a scene file's text."""
+    """Text of the scene file."""
     settings: str
-    """JSON."""
+    """Settings as JSON."""
     statistics: dict[str, Any]
     parameters: dict[str, Any]
     facts: dict[str, str]
@@ -167,41 +167,41 @@ def _read(path: Path) -> _Whole:
         raise InputError(msg)
     try:
         return msgspec.convert(whole, _Whole)
-    except Exception as error:  # an array in the place of a dictionary is an `AttributeError`
+    except Exception as error:  # an array in place of a dictionary raises `AttributeError`
         raise _other_code(path, error) from error
 
 
 Stored = TypeVar("Stored")
-_LONGEST = 1 << 24  # of the pickle, which holds names and shapes [bytes]
+_LONGEST = 1 << 24  # largest pickle, which holds names and shapes [bytes]
 _PROTOCOL = 2
 _NAMED = {
     "torch._utils _rebuild_tensor_v2",
     "collections OrderedDict",
     *(f"torch {kind}Storage" for kind in ("Float", "Double", "BFloat16", "Long", "Byte", "Bool")),
 }
-"""All that a file of this project names: functions, and the types of arrays."""
+"""All names that a file of this project contains: functions, and the types of arrays."""
 
 
-def read_stored(path: Path, what: str, remedy: str, kind: type[Stored]) -> Stored:
-    """Read a file of `torch.save`, of a type for `msgspec.convert`.
+def read_stored(path: Path, label: str, remedy: str, kind: type[Stored]) -> Stored:
+    """Read a file of `torch.save` as a type for `msgspec.convert`.
 
-    Arrays still lie in the file: copy them by `array`. InputError says what the file should be
-    ("trained model"), and how that is remedied.
+    Arrays are still mapped from the file: copy them by `array`. InputErrors say by `label` what
+    the file should be ("trained model"), and state the `remedy`.
     """
     try:
         _check_archive(path)
         whole = torch.load(path, weights_only=True, map_location="cpu", mmap=True)
         return msgspec.convert(whole, kind)
     except OSError as error:
-        msg = f"{path}: no {what} can be read ({error.strerror or error})"
+        msg = f"{path}: no {label} can be read ({error.strerror or error})"
         raise InputError(msg) from error
-    except Exception as error:  # whatever a file makes torch say, it tells a user nothing
-        msg = f"{path}: no {what}, or a damaged one; {remedy}"
+    except Exception as error:  # torch's own messages do not help a user
+        msg = f"{path}: no {label}, or a damaged one; {remedy}"
         raise InputError(msg) from error
 
 
 def array(value: object) -> Tensor:
-    """Copy an array out of a file; ValueError where its numbers are not all in the file."""
+    """Copy an array out of a file; raise ValueError unless all its numbers are in the file."""
     if type(value) is not Tensor or value.layout is not torch.strided or value.device.type != "cpu":
         msg = f"got {type(value).__name__}, allowed is an array"
         raise ValueError(msg)
@@ -212,7 +212,7 @@ def array(value: object) -> Tensor:
 
 
 def arrays(value: object) -> dict[str, Tensor]:
-    """Copy arrays by name out of a file; ValueError where they are none."""
+    """Copy arrays by name out of a file; raise ValueError if they are not arrays."""
     if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
         msg = f"got {type(value).__name__}, allowed are arrays by name"
         raise ValueError(msg)
@@ -220,7 +220,7 @@ def arrays(value: object) -> dict[str, Tensor]:
 
 
 def _check_archive(path: Path) -> None:
-    """Raise unless the file holds what it says, and says nothing that makes more of it."""
+    """Raise an error unless the archive is uncompressed and intact and has only known names."""
     check_regular(path)
     with zipfile.ZipFile(path) as archive:
         entries = archive.infolist()

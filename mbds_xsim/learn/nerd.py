@@ -1,16 +1,16 @@
-"""NeRD: a transformer over the last states gives the change to the next, in the robot's own frame.
+"""NeRD: a transformer that predicts the next change of state in the robot's own frame.
 
 Xu, Heiden, Akinola, Fox, Macklin and Narang, "Neural Robot Dynamics", CoRL 2025 (arXiv 2508.15755):
-the solver of a simulator is replaced by a causal transformer. It is shown, of some states, the
-bodies as seen from the robot's base, where its contact points are and how far from the ground, the
-way of gravity, and what drives the joints; it gives the change of the state. Seen from the base,
-motion elsewhere or turned about the vertical is the same; of a mechanism that is fixed to the world
-the base is the world.
+a causal transformer replaces the solver of a simulator. For each of the last states it sees the
+bodies relative to the robot's base, the contact points and their distances from the ground, the
+direction of gravity, and the joint drives; it predicts the change of the state. Relative to the
+base, motion elsewhere or turned about the vertical looks the same. If the mechanism is fixed to the
+world, the base is the world.
 
-As of all models of bodies here the change is one of each body on the joint that carries it, and
-what closed loops forbid is taken away. Otherwise than in the paper six states are shown, not ten,
-the forces of the frame to come alone are told, and only what follows the last state is learned, by
-the loss of the models of bodies.
+As in all models of bodies here, each body changes on the joint that carries it, and the part that
+closed loops forbid is removed. Unlike the paper, six states are shown, not ten; the network knows
+only the forces of the frame to come; and only the change after the last state is learned, with the
+loss of the models of bodies, so that states may attend to later ones: there is no causal mask.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Start
 
 _BODY, _CONTACT = 18, 5
-"""Numbers of a body (place, frame, velocity, spin) and of a contact (point, gap in two units)."""
+"""Inputs per body (position, frame, velocity, spin) and per contact (point, gap in two units)."""
 
 
 class NerdSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -42,14 +42,14 @@ class NerdSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     width: int = 384
     heads: int = 12
     layers: int = 6
-    """Blocks of attention."""
+    """Number of attention blocks."""
     read: int = 64
-    """Width of the perceptron behind them."""
+    """Width of the perceptron after the attention blocks."""
     recipe: Recipe = Recipe(rate=1e-3, batch=512, schedule=Cosine(), clip=1.0)
 
 
 class NeRD(BodyModel):
-    """Changes of bodies on their joints from their last states, by one transformer."""
+    """Transformer that predicts changes of bodies on their joints from their last states."""
 
     tracks: ClassVar[Mapping[str, NerdSettings]] = {
         "paper": NerdSettings(),
@@ -68,8 +68,8 @@ class NeRD(BodyModel):
         super().__init__(graph, statistics, settings)
         bodies, spheres = graph.body_count, len(self.viewer.sphere_body)
         forces = DIMENSION * bodies + len(graph.mechanism.hinges)
-        seen = _BODY * bodies + _CONTACT * spheres + DIMENSION + forces
-        self.embed = nn.Linear(seen, settings.width)
+        inputs = _BODY * bodies + _CONTACT * spheres + DIMENSION + forces
+        self.embed = nn.Linear(inputs, settings.width)
         self.place = nn.Embedding(HISTORY, settings.width)
         block = nn.TransformerEncoderLayer(
             settings.width,
@@ -85,15 +85,15 @@ class NeRD(BodyModel):
         self.blocks = nn.TransformerEncoder(
             block, settings.layers, norm=last, enable_nested_tensor=False
         )
-        given = 2 * ADDED * DIMENSION * bodies
-        self.read = mlp(settings.width, given, hidden=settings.read, layers=2, activation=nn.ReLU)
+        outputs = 2 * ADDED * DIMENSION * bodies
+        self.read = mlp(settings.width, outputs, hidden=settings.read, layers=2, activation=nn.ReLU)
         silence(self.read)
         free = (link.body for link in graph.mechanism.links if link.joint is None)
         self.base = next(free, None)
         keep(self, down=nn.functional.normalize(graph.gravity.double(), dim=0))
 
     def begin(self, start: Start) -> Tensor:
-        """Give the bodies' last states in native frames, shape (batch, 6, body, 13)."""
+        """Return the bodies' last states in native frames, shape (batch, 6, body, 13)."""
         assert start.body is not None
         return self.native(start.body)
 
@@ -107,27 +107,27 @@ class NeRD(BodyModel):
         origin, frame = self._base(state)
         place = self.place.weight
         tokens = self.embed(self._seen(state, inputs, origin, frame).to(place)) + place
-        given = self.read(self.blocks(tokens)[:, -1]).to(state)
-        given = given.unflatten(-1, (-1, ADDED, 2, DIMENSION)) @ frame[:, -1, None, None].mT
+        outputs = self.read(self.blocks(tokens)[:, -1]).to(state)
+        outputs = outputs.unflatten(-1, (-1, ADDED, 2, DIMENSION)) @ frame[:, -1, None, None].mT
         last, view = state[:, -1], self.viewer
         hold = self.rigid.hold(last)
         added = []
         for k, unit in enumerate((view.speed * self.graph.frame_s, view.change)):
-            shift, turn = given[:, :, k].unbind(-2)
+            shift, turn = outputs[:, :, k].unbind(-2)
             change = unit * view.links(last, shift, turn / view.radius) * self.rigid.moves
             added.append(change if hold is None else hold.kept(change))
         return last, torch.stack(added, dim=1)
 
     def _base(self, state: Tensor) -> tuple[Tensor, Tensor]:
-        """Place (batch, 6, 3) and frame (batch, 6, 3, 3) from which states are seen."""
+        """Return the origin (batch, 6, 3) and frame (batch, 6, 3, 3) from which states are seen."""
         if self.base is None:
-            still = state.new_zeros(*state.shape[:2], DIMENSION)
-            return still, torch.eye(DIMENSION).to(state).expand(*state.shape[:2], -1, -1)
+            origin = state.new_zeros(*state.shape[:2], DIMENSION)
+            return origin, torch.eye(DIMENSION).to(state).expand(*state.shape[:2], -1, -1)
         base = state[:, :, self.base]
         return base[..., X], turning.matrix(base[..., Q])
 
     def _seen(self, state: Tensor, inputs: KnownInputs, origin: Tensor, frame: Tensor) -> Tensor:
-        """What is shown of each state, shape (batch, 6, number)."""
+        """Return the inputs that describe each state, shape (batch, 6, number)."""
         view, length = self.viewer, self.graph.length
         change = view.change / self.graph.frame_s
 
@@ -140,11 +140,11 @@ class NeRD(BodyModel):
         force = inputs.force / (change * self.rigid.mass) @ frame[:, -1]
         torque = inputs.torque / (change * self.rigid.mass.mean() * view.radius.mean())
         now = torch.cat([force.flatten(1), torque], dim=-1)
-        turned = frame.mT[:, :, None] @ turning.matrix(state[..., Q])
+        rotation = frame.mT[:, :, None] @ turning.matrix(state[..., Q])
         return torch.cat(
             [
                 inside((state[..., X] - origin[:, :, None]) / length),
-                turned.flatten(2),
+                rotation.flatten(2),
                 inside(state[..., V] / view.speed),
                 inside(state[..., W] * view.radius / view.speed),
                 inside(points / length),

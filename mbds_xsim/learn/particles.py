@@ -1,8 +1,8 @@
-"""What particles alone tell of a motion: the figures by which models are judged.
+"""Figures by which models are judged, computed from particles alone.
 
-A model gives positions of particles and nothing else, so orientations, velocities and impulses are
-not there to be checked. What can be seen is compared with the truth seen in the same way: one
-motion as engines are judged (`ParticleMotion`), or many rollouts at once (`RolloutFigures`).
+A model returns only positions of particles, so its orientations, velocities and impulses cannot be
+checked. Its particles are compared with the particles of the truth: for one motion, as engines are
+judged (`ParticleMotion`), or for many rollouts at once (`RolloutFigures`).
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from mbds_xsim.scene.mechanism import JointKind
 from mbds_xsim.scene.state import Batch
 
 LOST = 0.1
-"""Root mean square error at which a prediction is no longer valid, of the scene's length."""
+"""Root mean square error above which a prediction is invalid, in lengths of the scene."""
 EXPLODED = 10.0
-"""The same at which it has exploded."""
+"""Root mean square error above which a prediction has exploded, in lengths of the scene."""
 
-_ON = 1e-9  # of the scene's length: a node lies on a joint, a sphere on a particle
-_REACH = 2  # frames to either side that a velocity is made of
+_ON = 1e-9  # of the scene's length: tolerance for a node on a joint, a sphere on a particle
+_REACH = 2  # frames to either side that determine a velocity
 _EARTH = 9.81
 _FLOOR = 1e-3  # of Σ m·g·length, as in the check of energy
 
@@ -40,40 +40,40 @@ class RigidPairs:
     """Pairs of nodes that are fixed in a common body: a rollout must keep their distances."""
 
     first: Tensor
-    """Shape (pair,)."""
+    """First node of each pair, shape (pair,)."""
     second: Tensor
     distance: Tensor
-    """That the scene prescribes [m], float64."""
+    """Distance that the scene prescribes [m], float64, shape (pair,)."""
 
     @staticmethod
     def of(graph: Graph) -> RigidPairs:
-        """Find them; a node on a joint is fixed in both of its bodies, an anchor in the world."""
+        """Find the pairs; a node on a joint is fixed in both bodies, an anchor in the world."""
         fixed = _fixed_in(graph)
         shared = (fixed[:, None] & fixed[None]).any(-1)
-        # The distance of two anchors is not the model's doing.
+        # The distance of two anchors does not depend on the model.
         moving = ~graph.static.numpy()
         shared &= moving[:, None] | moving[None]
         first, second = (torch.from_numpy(part) for part in np.nonzero(np.triu(shared, 1)))
-        apart = graph.reference[first] - graph.reference[second]
-        return RigidPairs(first, second, apart.norm(dim=-1))
+        spans = graph.reference[first] - graph.reference[second]
+        return RigidPairs(first, second, spans.norm(dim=-1))
 
     def __len__(self) -> int:
         return len(self.first)
 
     def gap(self, nodes: Tensor) -> Tensor:
-        """Largest deviation from the prescribed distances [m], shape (…), of nodes (…, node, 3)."""
+        """Return how far nodes (…, node, 3) deviate at most from these distances [m], (…)."""
         if not len(self):
             return torch.full(nodes.shape[:-2], torch.nan).to(nodes)
-        apart = (nodes[..., self.first, :] - nodes[..., self.second, :]).norm(dim=-1)
-        return (apart - self.distance).abs().amax(-1)
+        distance = (nodes[..., self.first, :] - nodes[..., self.second, :]).norm(dim=-1)
+        return (distance - self.distance).abs().amax(-1)
 
 
 def _fixed_in(graph: Graph) -> Mask:
-    """Whether each node is fixed in each body, the world (−1) last, shape (node, body + 1)."""
+    """Return whether each node is fixed in each body, the world last, shape (node, body + 1)."""
     fixed = np.zeros((graph.node_count, graph.body_count + 1), dtype=bool)
     fixed[np.arange(graph.node_count), graph.body.numpy()] = True
     for joint in graph.mechanism.joints:
-        # Nodes that the joint leaves where they are in both of its bodies.
+        # Nodes that the joint moves in neither of its bodies.
         arm = _AWAY[joint.kind](graph.reference.numpy() - joint.anchor, joint.axis)
         on = np.linalg.norm(arm, axis=-1) <= _ON * graph.length
         for body, other in ((joint.parent, joint.child), (joint.child, joint.parent)):
@@ -91,34 +91,34 @@ _AWAY: dict[JointKind, Callable[[Array, Array], Array]] = {
 
 @dataclass(frozen=True, eq=False)
 class ParticleMotion:
-    """The particles of one motion."""
+    """Particles of one motion."""
 
     graph: Graph
     start: Batch
-    """A batch of one, with the inputs that act."""
+    """Batch of one start, with the inputs that act."""
     position: Array
-    """[m], shape (frame, particle, 3)."""
+    """Positions of the particles [m], shape (frame, particle, 3)."""
 
     @property
     def mass(self) -> Array:
-        """Of the particles [kg]."""
+        """Masses of the particles [kg]."""
         return np.asarray(self.graph.mass[: self.graph.particle_count].numpy())
 
 
 def particle_error(motion: ParticleMotion, truth: ParticleMotion) -> Array:
-    """Root mean square over particles of their distance [m], (frame,)."""
-    apart = motion.position - truth.position
-    return np.asarray(np.sqrt(np.mean(np.sum(apart**2, axis=-1), axis=-1)))
+    """Return the root mean square distance of the particles [m], shape (frame,)."""
+    difference = motion.position - truth.position
+    return np.asarray(np.sqrt(np.mean(np.sum(difference**2, axis=-1), axis=-1)))
 
 
 def gap(motion: ParticleMotion) -> Array:
-    """Largest deviation of a distance that no motion changes [m], (frame,); NaN without any."""
+    """Return the largest deviation of a rigid distance [m], shape (frame,); NaN without any."""
     nodes = motion.graph.with_anchors(torch.from_numpy(motion.position))
     return np.asarray(RigidPairs.of(motion.graph).gap(nodes).numpy())
 
 
 def sunk(motion: ParticleMotion) -> Array:
-    """Deepest overlap with the ground of contact spheres that are at a particle [m], (frame,)."""
+    """Return the deepest overlap with the ground of contact spheres at particles [m], (frame,)."""
     mechanism, graph = motion.graph.mechanism, motion.graph
     own = mechanism.com[mechanism.sphere_body] + mechanism.sphere_offset
     apart = np.linalg.norm(own[:, None] - graph.reference[: graph.particle_count].numpy(), axis=-1)
@@ -130,20 +130,20 @@ def sunk(motion: ParticleMotion) -> Array:
 
 
 def way(motion: ParticleMotion) -> Array:
-    """Mean way of the particles from the start on [m], (frame,)."""
+    """Return the mean path length of the particles since the start [m], shape (frame,)."""
     steps = np.linalg.norm(np.diff(motion.position, axis=0), axis=-1).mean(axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def unexplained_energy(motion: ParticleMotion, truth: ParticleMotion) -> Array:
-    """Energy that came or went without a reason, over the truth's scale, with its sign; (frame,).
+    """Return the unexplained change of energy over the truth's scale, signed, shape (frame,).
 
-    Kinetic energy of points, potential energy and the inputs' work, against the reference's. With
-    contact, where a bounce at another time is no error, the rise above what there was at the
-    start. NaN at frames that were given, and all over where particles do not tell it: with springs,
-    driven hinges, and bodies without particles.
+    The kinetic energy of points, the potential energy and the inputs' work are compared with the
+    reference's. With contact, where a bounce at another time is no error, only a rise above the
+    energy at the start counts. NaN at known frames, and everywhere if particles do not determine
+    the energy: with springs, loaded joints, driven hinges, or bodies without particles.
 
-    A velocity is made of frames to either side, so a value stands where the last of them is.
+    A velocity needs frames on both sides, so its value is placed at the last of them.
     """
     mechanism, frames = motion.graph.mechanism, len(motion.position)
     hidden = bool(mechanism.springs or any(joint.is_loaded for joint in mechanism.joints))
@@ -153,23 +153,23 @@ def unexplained_energy(motion: ParticleMotion, truth: ParticleMotion) -> Array:
     kinetic, potential = _energy(truth)
     spread = np.ptp(potential[np.isfinite(potential)])
     scale = max(np.nanmax(kinetic) + spread, _energy_floor(motion.graph))
-    due = kinetic + potential - _work(truth)
+    target = kinetic + potential - _work(truth)
     kinetic, potential = _energy(motion)
     balance = kinetic + potential - _work(motion)
     if motion.graph.scene.contacts:
-        due = np.full(frames, np.nanmax(due[:HISTORY]))
-        balance = np.maximum(balance, due)
+        target = np.full(frames, np.nanmax(target[:HISTORY]))
+        balance = np.maximum(balance, target)
     figure = np.full(frames, np.nan)
-    figure[_REACH:] = ((balance - due) / scale)[:-_REACH]
+    figure[_REACH:] = ((balance - target) / scale)[:-_REACH]
     figure[:HISTORY] = np.nan
     return figure
 
 
 def _energy(motion: ParticleMotion) -> tuple[Array, Array]:
-    """Kinetic and potential [J], each (frame,)."""
+    """Return the kinetic and the potential energy [J], each (frame,)."""
     position = motion.position
     change = position[3:-1] - position[1:-3]
-    if motion.graph.scene.contacts:  # of second order, which at a bounce overshoots neither side
+    if motion.graph.scene.contacts:  # of second order, which does not overshoot at a bounce
         change = 0.5 * change
     else:  # of fourth order
         change = (8.0 * change - (position[4:] - position[:-4])) / 12.0
@@ -180,7 +180,7 @@ def _energy(motion: ParticleMotion) -> tuple[Array, Array]:
 
 
 def _work(motion: ParticleMotion) -> Array:
-    """Of the forces on centres of mass, held over frames, from frame 0 on [J], (frame,)."""
+    """Return the work of forces on centres of mass, held over frames, since frame 0 [J]."""
     mass, body = motion.mass, motion.graph.body[: motion.graph.particle_count].numpy()
     share = np.zeros((motion.graph.body_count, len(mass)))
     share[body, np.arange(len(mass))] = mass
@@ -191,15 +191,15 @@ def _work(motion: ParticleMotion) -> Array:
 
 
 def _energy_floor(graph: Graph) -> float:
-    pull = float(graph.gravity.norm()) or _EARTH
-    return _FLOOR * float(graph.mass.sum()) * pull * graph.length
+    gravity = float(graph.gravity.norm()) or _EARTH
+    return _FLOOR * float(graph.mass.sum()) * gravity * graph.length
 
 
 @dataclass(frozen=True, eq=False)
 class RolloutFigures:
-    """Of predictions of the same trajectories, all float64, frame 0 the first predicted.
+    """Figures of predictions of the same trajectories, float64; frame 0 is the first predicted.
 
-    Infinite where the prediction is not finite, not a number where the truth is not known.
+    They are infinite where the prediction is not finite, and NaN where the truth is unknown.
     """
 
     error: Array
@@ -209,21 +209,21 @@ class RolloutFigures:
     gap: Array
     """Largest deviation of a rigid distance [m], (trajectory, frame); NaN without rigid pairs."""
     one_step: Array
-    """Squared distance of predictions by one frame from true windows [m²], (trajectory,); NaN
-    where there is no such prediction."""
+    """Mean squared distance of one-frame predictions from true windows [m²], (trajectory,); NaN
+    without such a prediction."""
 
     def split(self, parts: int) -> list[RolloutFigures]:
-        """Take so many equal parts of the trajectories, in order."""
+        """Split the trajectories, in order, into `parts` equal parts."""
         each = zip(*(np.split(values, parts) for values in vars(self).values()), strict=True)
         return [RolloutFigures(*values) for values in each]
 
     def write(self, path: Path) -> None:
-        """Keep them, whole or not at all."""
+        """Write the figures to a file, whole or not at all."""
         write_whole(path, sealed(path, vars(self)))
 
 
 def read_figures(path: Path) -> RolloutFigures | None:
-    """Read what was kept; None where there is none that is as it was written."""
+    """Read stored figures; None if the file is missing or damaged."""
     arrays = read_sealed(path)
     return None if arrays is None else RolloutFigures(**arrays)
 
@@ -231,7 +231,7 @@ def read_figures(path: Path) -> RolloutFigures | None:
 def figures_on(
     model: LearnedModel, motions: Motions, *, horizon: int, stride: int, device: str = "cpu"
 ) -> RolloutFigures:
-    """Test a model on its device; trajectories whose first window is not known are left unknown.
+    """Test a model on its device; figures are NaN if a trajectory's first window is unknown.
 
     The truth is on the CPU, where predictions are measured too. Rollouts have `horizon` frames;
     teacher-forced predictions start every `stride` frames.
@@ -242,39 +242,39 @@ def figures_on(
     shown = known.to(device)
     predicted = rollout(model, shown, steps=horizon).cpu()
     step = one_step_error(model, shown, frames=horizon, stride=stride)
-    whole = {}
+    figures = {}
     for name, values in vars(measure(known, predicted, step)).items():
-        whole[name] = np.full((len(motions), *values.shape[1:]), np.nan)
-        whole[name][rows.numpy()] = values
-    return RolloutFigures(**whole)
+        figures[name] = np.full((len(motions), *values.shape[1:]), np.nan)
+        figures[name][rows.numpy()] = values
+    return RolloutFigures(**figures)
 
 
 def measure(motions: Motions, predicted: Tensor, one_step: Array | None = None) -> RolloutFigures:
-    """Hold predictions against what happened, where frames that are not known are not numbers.
+    """Compare predictions with the true motions, whose unknown frames are NaN.
 
-    Predicted are positions from frame `HISTORY` on [m], shape (trajectory, frame, particle, 3);
-    beside them may stand the error of predictions by one frame.
+    `predicted` has positions from frame `HISTORY` on [m], shape (trajectory, frame, particle, 3);
+    `one_step` is the error of one-frame predictions, if known.
     """
     frames, graph = predicted.shape[1], motions.graph
     truth = motions.position[:, HISTORY - 1 : HISTORY + frames].double()
-    rolled = torch.cat([truth[:, :1], predicted.double()], dim=1)
+    prediction = torch.cat([truth[:, :1], predicted.double()], dim=1)
     known = truth.isfinite().all(-1).all(-1)
     pairs = RigidPairs.of(graph)
-    due, scale = _total_energy(graph, truth)
-    energy = (_total_energy(graph, rolled)[0] - due).abs() / scale
+    target, scale = _total_energy(graph, truth)
+    energy = (_total_energy(graph, prediction)[0] - target).abs() / scale
     return RolloutFigures(
-        error=_marked(_squared_distance(rolled, truth), known),
-        energy=_marked(energy, due.isfinite()),
-        gap=_marked(pairs.gap(graph.with_anchors(rolled)), known & bool(len(pairs))),
+        error=_marked(_squared_distance(prediction, truth), known),
+        energy=_marked(energy, target.isfinite()),
+        gap=_marked(pairs.gap(graph.with_anchors(prediction)), known & bool(len(pairs))),
         one_step=np.full(len(motions), np.nan) if one_step is None else one_step,
     )
 
 
 def one_step_error(model: LearnedModel, motions: Motions, *, frames: int, stride: int) -> Array:
-    """Predict one frame from true windows, every `stride` frames: not chaotic, so comparable.
+    """Return the error of one-frame predictions from true windows, which chaos does not affect.
 
-    Mean over known windows and particles of the squared distance [m²], shape (trajectory,);
-    infinite where a prediction is not finite.
+    It is the mean squared distance over known windows, one every `stride` frames, and particles
+    [m²], shape (trajectory,); infinite if a prediction is not finite.
     """
     total, count = torch.zeros(len(motions)).double(), torch.zeros(len(motions))
     for last in range(HISTORY - 1, HISTORY - 1 + frames, stride):
@@ -285,8 +285,8 @@ def one_step_error(model: LearnedModel, motions: Motions, *, frames: int, stride
         sample = motions.sample(rows, last, 1)
         with torch.no_grad():
             state = model.advance(model.begin(sample.start), sample.inputs.at(0))
-            after = model.positions(state).double()
-        error = _squared_distance(after, sample.position[:, 0].double()).cpu()
+            predicted = model.positions(state).double()
+        error = _squared_distance(predicted, sample.position[:, 0].double()).cpu()
         rows = rows.cpu()
         total[rows] += torch.where(error.isfinite(), error, torch.inf)
         count[rows] += 1
@@ -298,13 +298,13 @@ def _squared_distance(first: Tensor, second: Tensor) -> Tensor:
 
 
 def _marked(values: Tensor, known: Tensor) -> Array:
-    """Behind the last true frame: infinite where lost, not a number where nothing is known."""
+    """Drop the last true frame; mark lost values as infinite and unknown ones as NaN."""
     lost = torch.where(values.isfinite(), values, torch.inf)
     return np.asarray(torch.where(known, lost, torch.nan)[:, 1:].numpy())
 
 
 def _total_energy(graph: Graph, position: Tensor) -> tuple[Tensor, Tensor]:
-    """Of the particles as points [J], shape (trajectory, frame), and its scale (trajectory, 1)."""
+    """Return the particles' energy [J], (trajectory, frame), and its scale (trajectory, 1)."""
     mass = graph.mass[: graph.particle_count]
     velocity = torch.gradient(position, spacing=graph.frame_s, dim=1)[0]
     kinetic = 0.5 * velocity.square().sum(-1) @ mass

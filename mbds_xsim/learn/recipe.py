@@ -1,6 +1,6 @@
-"""How a model is trained: optimiser, schedule of its rate, batch; for how long, and on what device.
+"""Settings of a training: optimiser, rate schedule, batch size, length, and device.
 
-A GPU can be faster with bfloat16 in the networks, and with networks replayed as CUDA graphs.
+On a GPU, bfloat16 in the networks and networks replayed as CUDA graphs can be faster.
 """
 
 from __future__ import annotations
@@ -19,52 +19,52 @@ from mbds_xsim.learn.model import LearnedModel, PointModel
 
 
 class Plateau(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag=True):
-    """Lower the rate where the validation loss stops falling."""
+    """Schedule that lowers the rate when the validation error stops falling."""
 
     patience: int = 3
-    """Validations without improvement that are waited for."""
+    """Number of validations without improvement that are tolerated."""
     factor: float = 0.8
 
 
 class Decay(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag=True):
-    """Lower the rate exponentially, from the recipe's to a tenth and on, never below a floor."""
+    """Exponential schedule: the rate falls from the recipe's towards a floor."""
 
     tenth: int = 5_000_000
-    """Steps in which the part above the floor falls to a tenth."""
+    """Number of steps in which the part above the floor falls to a tenth."""
     floor: float = 1e-6
 
     def at(self, rate: float, step: int, steps: int) -> float:
-        """Rate of a step, from the recipe's."""
+        """Return the rate of a step, given the recipe's rate."""
         del steps
         return self.floor + (rate - self.floor) * 0.1 ** (step / self.tenth)
 
 
 class Cosine(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag=True):
-    """Lower the rate along half a cosine, to zero behind the last step a run may take.
+    """Half-cosine schedule: the rate falls to zero after the last step that a run may take.
 
     Source: Loshchilov and Hutter, SGDR, ICLR 2017, without restarts.
     """
 
     def at(self, rate: float, step: int, steps: int) -> float:
-        """Rate of a step of so many, from the recipe's."""
+        """Return the rate of one of `steps` steps, given the recipe's rate."""
         return 0.5 * rate * (1.0 + math.cos(math.pi * step / steps))
 
 
 class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Adam, its rate and what becomes of it."""
+    """Settings of the optimiser Adam: its rate and schedule, batches, gradients."""
 
     rate: float = 1e-4
     betas: tuple[float, float] = (0.9, 0.999)
     batch: int = 64
-    """Windows a step."""
+    """Number of windows per step."""
     horizon: int = 1
-    """Frames to come in a window. GNS and SGNN learn from one of them, see `model.pushed`."""
+    """Number of frames to come in a window; GNS and SGNN learn from one, see `model.pushed`."""
     schedule: Plateau | Decay | Cosine | None = None
     clip: float | None = None
-    """Largest norm of a gradient; longer ones are shortened to it."""
+    """Largest norm of a gradient, to which longer ones are shortened; None: no limit."""
     skip: bool = False
-    """Whether a step whose gradient is no number is not taken, and the run goes on. One of which
-    that is most steps since a validation has diverged."""
+    """Whether a step with a gradient that is not finite is skipped and the run goes on. A run that
+    skips half of the steps between two validations has diverged."""
 
     def __post_init__(self) -> None:
         bounds.positive("rate", self.rate)
@@ -73,34 +73,34 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How long to train, and how to watch it."""
+    """Length of a training, and its validations."""
 
     steps: int
-    """Of the optimiser, at most."""
+    """Maximum number of optimiser steps."""
     every: int
-    """Steps from a validation to the next, and from a checkpoint to the next."""
+    """Number of steps between validations, each of which writes a checkpoint."""
     windows: int = 128
-    """Trajectories of the validation part that are predicted each time, always the same."""
+    """Number of validation trajectories that are predicted each time, always the same."""
     horizon: int = 10
-    """Frames of such a prediction."""
+    """Number of frames of each validation prediction."""
     until_level: bool = True
     """Whether to stop once the last fifth of the steps has improved validation too little."""
     improvement: float = 0.02
-    """What is too little, as a part of the error."""
+    """Relative improvement of the error below which a run is level."""
     least: int = 20
-    """Validations before the first such stop: a fifth of fewer is at the mercy of one of them."""
+    """Least number of validations before such a stop: a fifth of fewer depends on a single one."""
     mixed_precision: bool = False
-    """On a GPU: networks of float32 models compute in bfloat16 where that is safe."""
+    """Whether networks of float32 models compute in bfloat16 on a GPU, where that is safe."""
     compiled: bool = False
-    """On a GPU: networks of float32 models are compiled and replayed as CUDA graphs."""
+    """Whether networks of float32 models are compiled on a GPU and replayed as CUDA graphs."""
 
     def __post_init__(self) -> None:
         for key in ("steps", "every", "windows", "horizon", "least"):
             bounds.at_least_one(key, getattr(self, key))
 
     def of_exactly(self, steps: int) -> Profile:
-        """Give the profile of a run that takes all of so many steps, level or not."""
-        # Fewer validations than the least could not tell whether it was level.
+        """Return the profile of a run that takes exactly `steps` steps, level or not."""
+        # Fewer than `least` validations could not show whether the run was level.
         every = max(1, min(self.every, steps // self.least))
         return msgspec.structs.replace(self, steps=steps, every=every, until_level=False)
 
@@ -112,18 +112,18 @@ PROFILES = {
 }
 
 TRACKS = {"smoke": "lite", "lite": "lite", "paper": "paper"}
-"""Hyper-parameters that belong to a profile."""
+"""Track of hyper-parameters of each profile."""
 
 WITHOUT_END = Plateau(patience=3, factor=0.5)
-"""In place of a cosine where a run ends when it is level: it has no last step to end at."""
+"""Schedule of cosine recipes for runs that end when level: a cosine needs a last step."""
 
 SETTLED = 1 / 32
-"""Part of the recipe's rate to which plateaus must have lowered it before a run counts as level:
-at a higher rate validation wavers by more than it improves."""
+"""Fraction of the recipe's rate to which plateaus must lower it before a run counts as level: at a
+higher rate, validation errors fluctuate by more than they improve."""
 
 
 def check_device(device: str, *, here: bool = True) -> None:
-    """Raise InputError for a device that is not known or, if it is to be here, is not there."""
+    """Raise InputError for an unknown device or, if `here`, for one that this machine lacks."""
     if device not in ("cpu", "cuda"):
         msg = f"--device: got {device!r}, allowed is cpu or cuda"
         raise InputError(msg)
@@ -132,24 +132,24 @@ def check_device(device: str, *, here: bool = True) -> None:
         raise InputError(msg)
 
 
-def process_count(asked: int | None, device: str) -> int:
-    """As many at a time as asked; left out, one for a GPU, which they would share, or all cores."""
-    if asked is not None:
-        return asked
+def process_count(workers: int | None, device: str) -> int:
+    """Return the number of processes: as asked, else one for a GPU or one per core."""
+    if workers is not None:
+        return workers
     return 1 if device == "cuda" else core_count()
 
 
 def put(model: LearnedModel, device: str) -> None:
-    """Move a model, and the graph that it asks in every step."""
+    """Move a model and its graph to a device."""
     model.to(device)
     model.graph = model.graph.to(device)
 
 
 def precision(model: LearnedModel, *, mixed: bool) -> AbstractContextManager[object]:
-    """Give the block in which a model's loss is computed, mixed where it is asked for and can be.
+    """Return the context in which a loss is computed, in bfloat16 if `mixed` and the model allows.
 
     Parameters, optimiser and integration stay float32, and so do the sums and norms that torch
-    keeps there. bfloat16 has float32's range: no gradient needs scaling.
+    keeps in it. bfloat16 has the range of float32, so gradients need no scaling.
     """
     if not (mixed and model.mixes):
         return nullcontext()
@@ -157,20 +157,20 @@ def precision(model: LearnedModel, *, mixed: bool) -> AbstractContextManager[obj
 
 
 def compile_networks(model: LearnedModel, *, backend: str | None = None) -> None:
-    """Have a model's networks compiled at their first use; its parameters keep their names.
+    """Compile a model's networks at their first use; its parameters keep their names.
 
-    A run has few shapes (a batch, its parts that are pushed on, a validation), so that the kernels
-    of each are recorded once, as a CUDA graph, and replayed. Models of an energy are left as they
-    are: torch does not compile through the second derivatives that their training needs. Another
-    backend than torch's own is without CUDA graphs.
+    A run has few shapes (a batch, its parts in `model.pushed`, a validation), so the kernels of
+    each are recorded once as a CUDA graph and replayed. Only a `PointModel` is compiled: for models
+    of an energy, torch cannot compile through the second derivatives that their training needs.
+    Backends other than torch's own use no CUDA graphs.
     """
     if not isinstance(model, PointModel):
         return
-    how = {"mode": "reduce-overhead"} if backend is None else {"backend": backend}
+    options = {"mode": "reduce-overhead"} if backend is None else {"backend": backend}
     networks = [model] if _has_forward(model) else [*filter(_has_forward, model.children())]
     for network in networks:
         if any(True for _ in network.parameters()):
-            network.compile(**how, dynamic=False)
+            network.compile(**options, dynamic=False)
 
 
 def _has_forward(module: nn.Module) -> bool:

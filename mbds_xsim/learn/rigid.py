@@ -1,9 +1,9 @@
-"""Rigid bodies on their joints in torch: smooth motion over a frame, and what joints let through.
+"""Rigid bodies on joints in torch: smooth motion over a frame, and projection onto the joints.
 
-The step is RATTLE (Andersen, J. Comput. Phys. 52 (1983) 24): positions are put onto the joints by
-impulses at the step's start, velocities by impulses at its end. It is of second order, exact for
-a body that flies, and turns a body by its angular momentum, so that a wheel may spin by whole
-radians a step. Contact and random forces are no part of it.
+The step is RATTLE (Andersen, J. Comput. Phys. 52 (1983) 24): impulses at the step's start put
+positions onto the joints, impulses at its end put velocities there. It is of second order, exact
+for a flying body, and turns a body by its angular momentum, so that a wheel may turn by whole
+radians in a step. It includes neither contact nor random forces.
 
 A state is (batch, body, 13): centre of mass [m], rotation of the native frame (wxyz), velocity
 [m/s], angular velocity [rad/s], in W.
@@ -25,17 +25,17 @@ from mbds_xsim.scene.constraints import layout_of
 from mbds_xsim.scene.mechanism import Mechanism
 
 X, Q, TWIST, V, W = slice(0, 3), slice(3, 7), slice(7, 13), slice(7, 10), slice(10, 13)
-"""Parts of a state."""
-_PASSES = 2  # of Newton's method with the matrix of the step's start
-_REST = 1e-10  # of a row's own size: rows that follow from others have a factor, too
+"""Parts of a state: position, rotation, twist, velocity, angular velocity."""
+_PASSES = 2  # Newton iterations with the matrix of the step's start
+_REST = 1e-10  # relative to a row's own size: redundant rows have a factor, too
 
 
 class JointRows(nn.Module):
-    """Residuals and Jacobian of all joints and distance links, by the twists of the bodies.
+    """Residuals of all joints and distance links, and their Jacobian by the twists of the bodies.
 
-    They are as `mbds_xsim.scene.constraints` defines them. A row along a direction e between two
-    points p of its bodies has the rate e · (ṗ_child − ṗ_parent); that of two directions which stay
-    at right angles turns with the bodies alone.
+    `mbds_xsim.scene.constraints` defines them. A row along a direction e between two points p of
+    its bodies has the rate e · (ṗ_child − ṗ_parent); the rate of a row that keeps two directions at
+    a right angle depends on angular velocities alone.
     """
 
     vector_body: Tensor
@@ -44,12 +44,12 @@ class JointRows(nn.Module):
     second: Tensor
     length: Tensor
     ends: Tensor
-    """Bodies of the parents' ends of the rows, then of the children's, shape (2 · row,)."""
+    """Body at the parent's end of each row, then at the child's, shape (2 · row,)."""
     pairs: Tensor
-    """Ends at one and the same body, the world apart, the first's row not before the second's,
+    """Pairs of ends at the same body (not the world), the first's row not before the second's,
     shape (2, pair)."""
     place: Tensor
-    """Where the product of such a pair is in a flat matrix (row, row), shape (pair,)."""
+    """Place of the product of each pair in a flat matrix (row, row), shape (pair,)."""
     axes: Tensor
 
     def __init__(self, mechanism: Mechanism) -> None:
@@ -60,8 +60,8 @@ class JointRows(nn.Module):
         moves = ends < mechanism.body_count
         count = layout.row_count
         row = torch.arange(2 * count) % count
-        meet = (ends[:, None] == ends) & moves[:, None] & (row[:, None] >= row)
-        first, second = torch.nonzero(meet, as_tuple=True)
+        shared = (ends[:, None] == ends) & moves[:, None] & (row[:, None] >= row)
+        first, second = torch.nonzero(shared, as_tuple=True)
         keep(
             self,
             vector_body=layout.vector_body,
@@ -79,36 +79,36 @@ class JointRows(nn.Module):
         return self.layout.row_count
 
     def vectors(self, turn: Tensor) -> Tensor:
-        """Turn all that is fixed in bodies with them, shape (batch, vector, 3).
+        """Rotate all body-fixed vectors with their bodies, shape (batch, vector, 3).
 
-        By the rotation matrices of bodies and of the world behind them.
+        `turn` has the rotation matrices of the bodies, then of the world.
         """
         return (turn[:, self.vector_body] @ self.vector[..., None])[..., 0]
 
     def residual(self, x: Tensor, turn: Tensor) -> Tensor:
-        """How far rows are from 0 [m or rad], shape (batch, row).
+        """Return the residuals of the rows [m or rad], shape (batch, row).
 
-        Of centres of mass [m] and rotation matrices, the world the last of the bodies.
+        `x` has centres of mass [m], `turn` rotation matrices; the world follows the bodies.
         """
         return self._spans(x, turn)[2]
 
     def halves(self, x: Tensor, turn: Tensor) -> Tensor:
-        """Derivatives of the rows by the twists of the bodies at their ends (`ends`).
+        """Return the derivatives of the rows by the twists of the bodies at their ends (`ends`).
 
-        Shape (batch, 2 · row, 6): by the parents' first, then by the children's.
+        Shape (batch, 2 · row, 6): by the parents' twists first, then by the children's.
         """
-        carried, span, _ = self._spans(x, turn)
+        vectors, span, _ = self._spans(x, turn)
         layout, count = self.layout, len(self.first)
         points, along, links = layout.points, layout.along, layout.distances
-        begin, end = carried[:, :count], carried[:, count : 2 * count]
+        begin, end = vectors[:, :count], vectors[:, count : 2 * count]
         directions = [
             self.axes.expand(len(x), -1, -1),
-            carried[:, layout.along_normal],
+            vectors[:, layout.along_normal],
             nn.functional.normalize(span[:, links], dim=-1),
         ]
         parents = [_thrice(begin[:, points]), (begin + span)[:, along], begin[:, links]]
         children = [_thrice(end[:, points]), end[:, along], end[:, links]]
-        lever = torch.linalg.cross(carried[:, layout.lever], carried[:, layout.normal])
+        lever = torch.linalg.cross(vectors[:, layout.lever], vectors[:, layout.normal])
         move = torch.cat([*directions[:2], torch.zeros_like(lever), directions[2]], dim=1)
         halves = []
         for arms, sign in ((parents, -1.0), (children, 1.0)):
@@ -118,17 +118,17 @@ class JointRows(nn.Module):
         return torch.cat(halves, dim=1)
 
     def _spans(self, x: Tensor, turn: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """What is fixed in bodies, spans from parents to children, and residuals."""
-        layout, carried, count = self.layout, self.vectors(turn), len(self.first)
-        begin, end = carried[:, :count], carried[:, count : 2 * count]
+        """Return rotated body-fixed vectors, spans from parents to children, and residuals."""
+        layout, vectors, count = self.layout, self.vectors(turn), len(self.first)
+        begin, end = vectors[:, :count], vectors[:, count : 2 * count]
         span = x[:, self.second] + end - x[:, self.first] - begin
         residual = [
             span[:, layout.points].flatten(1),
-            (carried[:, layout.along_normal] * span[:, layout.along]).sum(-1),
-            (carried[:, layout.lever] * carried[:, layout.normal]).sum(-1),
+            (vectors[:, layout.along_normal] * span[:, layout.along]).sum(-1),
+            (vectors[:, layout.lever] * vectors[:, layout.normal]).sum(-1),
             span[:, layout.distances].norm(dim=-1) - self.length,
         ]
-        return carried, span, torch.cat(residual, dim=1)
+        return vectors, span, torch.cat(residual, dim=1)
 
 
 def _thrice(arms: Tensor) -> Tensor:
@@ -137,34 +137,34 @@ def _thrice(arms: Tensor) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class JointHold:
-    """Joints at one pose: what they leave of a change of twists or of a displacement.
+    """Joints at one pose, which project changes of twists and displacements onto allowed motion.
 
-    Rows touch two bodies each, so matrices are kept by ends of rows (`JointRows.halves`).
+    Each row involves two bodies, so matrices are stored by ends of rows (`JointRows.halves`).
     """
 
     rows: JointRows
     jacobian: Tensor
-    """J, by the twist at each end, shape (batch, 2 · row, 6)."""
+    """Jacobian J by the twist at each end, shape (batch, 2 · row, 6)."""
     over_mass: Tensor
-    """J M⁻¹, of the same shape."""
+    """Product J M⁻¹, same shape."""
     factor: Tensor
-    """Of J M⁻¹ Jᵀ."""
+    """Cholesky factor of J M⁻¹ Jᵀ."""
     lost: Tensor
-    """NaN where there is none, else 0, shape (batch, 1)."""
+    """NaN if the factorisation failed, else 0, shape (batch, 1)."""
 
     def least(self, goal: Tensor) -> Tensor:
-        """Mass-weighted least change c with J c = goal, shape (batch, body, 6)."""
-        # Twice a triangle: `cholesky_solve` would copy the factor.
+        """Return the least mass-weighted change c with J c = goal, shape (batch, body, 6)."""
+        # Two triangular solves, because `cholesky_solve` would copy the factor.
         side = (goal + self.lost)[..., None]
         side = torch.linalg.solve_triangular(self.factor, side, upper=False)
         multiplier = torch.linalg.solve_triangular(self.factor.mT, side, upper=True)
         pull = self.over_mass * multiplier.repeat(1, 2, 1)
         world = self.rows.body_count
-        whole = pull.new_zeros(len(pull), world + 1, 6).index_add(1, self.rows.ends, pull)
-        return whole[:, :world]
+        change = pull.new_zeros(len(pull), world + 1, 6).index_add(1, self.rows.ends, pull)
+        return change[:, :world]
 
     def kept(self, change: Tensor) -> Tensor:
-        """What the joints let through of changes (batch, body, 6)."""
+        """Return the part of changes (batch, body, 6) that the joints allow."""
         whole = nn.functional.pad(change, (0, 0, 0, 1))  # the world does not change
         along = (self.jacobian * whole.index_select(1, self.rows.ends)).sum(-1)
         return change - self.least(along[:, : len(self.rows)] + along[:, len(self.rows) :])
@@ -173,7 +173,7 @@ class JointHold:
 class BodyMechanics(nn.Module):
     """Masses, joints, gravity and driven hinges of one scene.
 
-    Springs, dampers, rotors, friction and couplings in joints there are none of (Unsupported).
+    Springs, and dampers, rotors, friction and couplings in joints, raise Unsupported.
     """
 
     mass: Tensor
@@ -181,7 +181,7 @@ class BodyMechanics(nn.Module):
     lightness: Tensor
     gravity: Tensor
     moves: Tensor
-    """Of a twist's six components, 1 where the scene moves, 0 elsewhere."""
+    """Mask of the six components of a twist: 1 where the scene moves, else 0."""
     still: Tensor
     hinge_parent: Tensor
     hinge_child: Tensor
@@ -198,8 +198,8 @@ class BodyMechanics(nn.Module):
             )
             raise Unsupported(msg)
         self.rows = JointRows(mechanism)
-        whole = graph.scene.dimension == 3
-        moves = torch.cat([graph.moving, torch.tensor([whole, True, whole])])
+        spatial = graph.scene.dimension == 3
+        moves = torch.cat([graph.moving, torch.tensor([spatial, True, spatial])])
         inertia = torch.from_numpy(mechanism.inertia)
         keep(
             self,
@@ -214,58 +214,58 @@ class BodyMechanics(nn.Module):
         )
 
     def moved(self, state: Tensor, change: Tensor) -> Tensor:
-        """Displace bodies: centres of mass by, and rotations about, the halves of a change."""
-        turned = turning.multiply(turning.from_vector(change[..., 3:]), state[..., Q])
-        turned = turned / turned.norm(dim=-1, keepdim=True)
-        return torch.cat([state[..., X] + change[..., :3], turned, state[..., TWIST]], dim=-1)
+        """Displace bodies: shift centres of mass by a change's first half, turn by its second."""
+        orientation = turning.multiply(turning.from_vector(change[..., 3:]), state[..., Q])
+        orientation = orientation / orientation.norm(dim=-1, keepdim=True)
+        return torch.cat([state[..., X] + change[..., :3], orientation, state[..., TWIST]], dim=-1)
 
     def apart(self, state: Tensor, other: Tensor) -> Tensor:
-        """Give the change that leads from one pose to another, shape (batch, body, 6)."""
+        """Return the change that leads from one pose to another, shape (batch, body, 6)."""
         turn = turning.multiply(other[..., Q], turning.conjugate(state[..., Q]))
         return torch.cat([other[..., X] - state[..., X], turning.to_vector(turn)], dim=-1)
 
     def of_impulse(self, state: Tensor, impulse: Tensor) -> Tensor:
-        """Change of the twists by linear and angular impulses [N·s, N·m·s], (batch, body, 6)."""
+        """Return the change of twists by impulses and moments [N·s, N·m·s], (batch, body, 6)."""
         spin = self._turned(self.lightness, state[..., Q]) @ impulse[..., 3:, None]
         return torch.cat([impulse[..., :3] / self.mass, spin[..., 0]], dim=-1) * self.moves
 
     def square(self, state: Tensor, change: Tensor) -> Tensor:
-        """Mean square over the mass of what a displacement or twist moves, shape (batch,)."""
+        """Return the mass-weighted mean square of a displacement or twist, shape (batch,)."""
         spin = (self._turned(self.inertia, state[..., Q]) @ change[..., 3:, None])[..., 0]
-        whole = self.mass * change[..., :3].square() + change[..., 3:] * spin
-        return whole.sum((-2, -1)) / self.mass.sum()
+        terms = self.mass * change[..., :3].square() + change[..., 3:] * spin
+        return terms.sum((-2, -1)) / self.mass.sum()
 
     def hold(self, state: Tensor) -> JointHold | None:
-        """Give the joints at a pose; None without any."""
+        """Return the joints at a pose, or None if there are none."""
         if not len(self.rows):
             return None
         rows, count = self.rows, len(self.rows)
         jacobian = rows.halves(*self._placed(state))
-        # What the world weighs does not matter: none of its ends is in a pair, or kept of `least`.
+        # Any mass of the world will do: its ends are in no pair, and `least` drops them.
         ends = rows.ends.clamp(max=rows.body_count - 1)
-        spin = self._turned(self.lightness, state[..., Q]).index_select(1, ends)
-        turned = (jacobian[..., None, 3:] @ spin)[..., 0, :]
-        over_mass = torch.cat([jacobian[..., :3] / self.mass[ends], turned], dim=-1)
+        lightness = self._turned(self.lightness, state[..., Q]).index_select(1, ends)
+        angular = (jacobian[..., None, 3:] @ lightness)[..., 0, :]
+        over_mass = torch.cat([jacobian[..., :3] / self.mass[ends], angular], dim=-1)
         first, second = rows.pairs
         product = jacobian.index_select(1, first) * over_mass.index_select(1, second)
         matrix = jacobian.new_zeros(len(state), count * count)
         matrix = matrix.index_add_(1, rows.place, product.sum(-1)).view(-1, count, count)
         matrix.diagonal(dim1=-2, dim2=-1).mul_(1.0 + _REST)
-        factor, failed = torch.linalg.cholesky_ex(matrix)  # of the lower half, all that there is
+        factor, failed = torch.linalg.cholesky_ex(matrix)  # reads the lower half alone
         lost = torch.where(failed > 0, torch.nan, 0.0)[:, None].to(matrix)
         return JointHold(rows, jacobian, over_mass, factor, lost)
 
     def residual(self, state: Tensor) -> Tensor:
-        """How far joints are open [m or rad], shape (batch, row)."""
+        """Return how far the joints are open [m or rad], shape (batch, row)."""
         return self.rows.residual(*self._placed(state))
 
     def smooth(
         self, state: Tensor, inputs: KnownInputs, frame_s: float, substeps: int
     ) -> tuple[list[Tensor], JointHold | None]:
-        """Move on the joints over a frame, without contact.
+        """Move bodies on their joints over a frame, without contact.
 
         Returns:
-            The states after none, one and so on of the steps, and the joints at the last.
+            The states at the start and after each step, and the joints at the last state.
         """
         hold = self.hold(state)
         if hold is not None:
@@ -279,16 +279,16 @@ class BodyMechanics(nn.Module):
     def _step(
         self, state: Tensor, hold: JointHold | None, inputs: KnownInputs, step: float
     ) -> tuple[Tensor, JointHold | None]:
-        """RATTLE: half a kick, a drift that ends on the joints, half a kick."""
+        """Take a RATTLE step: half a kick, a drift that ends on the joints, half a kick."""
         half = 0.5 * step
         inertia = self._turned(self.inertia, state[..., Q])
         pull = (self.gravity + inputs.force / self.mass) * self.moves[:3]
         v = state[..., V] + half * pull
         spin = _times(inertia, state[..., W]) + half * self._couples(state, inputs.torque)
         midway = turning.multiply(turning.from_vector(half * state[..., W]), state[..., Q])
-        light = self._turned(self.lightness, midway)
+        lightness = self._turned(self.lightness, midway)
         for k in range(_PASSES + 1 if hold else 1):
-            twist = torch.cat([v, _times(light, spin)], dim=-1) * self.moves
+            twist = torch.cat([v, _times(lightness, spin)], dim=-1) * self.moves
             after = self.moved(state, step * twist)
             if hold is None or k == _PASSES:
                 break
@@ -301,7 +301,7 @@ class BodyMechanics(nn.Module):
         return torch.cat([after[..., :7], hold.kept(twist) if hold else twist], dim=-1), hold
 
     def _couples(self, state: Tensor, torque: Tensor) -> Tensor:
-        """Torques of the driven hinges on the bodies [N·m], shape (batch, body, 3)."""
+        """Return the torques of the driven hinges on the bodies [N·m], shape (batch, body, 3)."""
         couple = state.new_zeros(len(state), state.shape[1] + 1, 3)
         if torque.shape[-1]:
             _, turn = self._placed(state)
@@ -312,12 +312,12 @@ class BodyMechanics(nn.Module):
         return couple[:, :-1]
 
     def _placed(self, state: Tensor) -> tuple[Tensor, Tensor]:
-        """Centres of mass and rotation matrices, the world's behind the bodies'."""
-        whole = torch.cat([state[..., :7], self.still.expand(len(state), 1, 7)], dim=1)
-        return whole[..., X], turning.matrix(whole[..., Q])
+        """Return centres of mass and rotation matrices, the world's after the bodies'."""
+        poses = torch.cat([state[..., :7], self.still.expand(len(state), 1, 7)], dim=1)
+        return poses[..., X], turning.matrix(poses[..., Q])
 
     def _turned(self, tensor: Tensor, q: Tensor) -> Tensor:
-        """A tensor of the native frames in W, shape (batch, body, 3, 3)."""
+        """Rotate a tensor from the native frames to W, shape (batch, body, 3, 3)."""
         turn = turning.matrix(q)
         return turn @ tensor @ turn.mT
 

@@ -1,7 +1,7 @@
-"""One training: what it is known by, where its files go, how it is carried out and what it costs.
+"""One training run: its identity, its files, its execution and its cost.
 
 `…/6pendulum/native/gns/mujoco-s0.pt` is the model, `….curve.json` its learning curve, and
-`….checkpoint` what it goes on from while it is not done.
+`….checkpoint` the file from which an unfinished run resumes.
 """
 
 from __future__ import annotations
@@ -35,73 +35,73 @@ from mbds_xsim.learn.window import HISTORY, Motions
 
 Parts = tuple[Motions, Motions]
 
-_FEW = 32  # trajectories to try it on
-_WARM = 3  # steps: the first ones make what later ones reuse
+_FEW = 32  # trajectories to measure the cost on
+_WARM = 3  # first steps, which allocate what later steps reuse
 _STEPS = 20
-_LONGEST = 5.0  # [s] of trying
+_LONGEST = 5.0  # duration of the measured steps [s]
 
 
 @dataclass(frozen=True)
 class TrainingRequest:
-    """What is to be trained, for how long, and where the files go."""
+    """Request for trainings: models and data, duration, and place of the files."""
 
     groups: Sequence[TrainingGroup]
     models: Sequence[str]
     on: str
-    """Words of `groups.shares_of`."""
+    """Choice of trainings, in the words of `groups.shares_of`."""
     seeds: int
     profile_name: str
     profile: Profile
     out: Path
     track: str | None = None
-    """Hyper-parameters; those of the profile when left out, or the last of a model without them."""
+    """Track of hyper-parameters; None: the profile's, or else the last track of a model."""
     device: str = "cpu"
     events: Path | None = None
-    """Folder of TensorBoard's files."""
+    """Folder for TensorBoard's files, if any."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrainingRun:
-    """A model, what it trains on, and a seed."""
+    """Model, training data and seed of one run."""
 
     group: TrainingGroup
     training: str
-    """Name: `mujoco`, `not-mujoco`, `all`, `mujoco-low`."""
+    """Name of the training: `mujoco`, `not-mujoco`, `all`, `mujoco-low`."""
     share: Share
     model: str
     seed: int
     request: TrainingRequest
-    """With absolute paths."""
+    """Request that the run is part of, with absolute paths."""
 
     @property
     def profile(self) -> Profile:
-        """How long it trains."""
+        """Length of the training, and its validations."""
         return self.request.profile
 
     @property
     def track(self) -> str:
-        """Name of its hyper-parameters."""
+        """Name of the run's hyper-parameters."""
         return track_of(self.model, self.request.track, TRACKS[self.request.profile_name])
 
     @property
     def name(self) -> str:
-        """As in `6pendulum/native/gns/mujoco-s0`."""
+        """Name of the run, as in `6pendulum/native/gns/mujoco-s0`."""
         scene = folder_name(self.group.scene_name)
         return f"{scene}/{self.group.variant}/{self.model}/{self.training}-s{self.seed}"
 
     @property
     def path(self) -> Path:
-        """The model's file."""
+        """File of the model."""
         return self.request.out / f"{self.name}.pt"
 
     @property
     def curve(self) -> Path:
-        """The learning curve's."""
+        """File of the learning curve."""
         return self.request.out / f"{self.name}.curve.json"
 
     @property
     def checkpoint(self) -> Path:
-        """What a run that was interrupted goes on from."""
+        """File from which an interrupted run resumes."""
         return self.request.out / f"{self.name}.checkpoint"
 
     @property
@@ -111,13 +111,13 @@ class TrainingRun:
 
     @property
     def recipe(self) -> Recipe:
-        """The optimiser's settings of the track."""
+        """Optimiser settings of the track."""
         recipe: Recipe = self.settings.recipe
         return recipe
 
     @property
     def identity(self) -> dict[str, str]:
-        """What decides on the result, on one machine: a file of another identity is another run."""
+        """Facts that decide the result on one machine; another identity means another run."""
         data = {e: self.group.data[e].attributes[CONTENT] for e in self.share.engines}
         starts = hashlib.sha256()  # they depend on what all engines of the group have
         for split in ("train", "validation"):
@@ -141,7 +141,7 @@ class TrainingRun:
 
 
 def check_data(run: TrainingRun) -> None:
-    """Refuse a run, by InputError, that its data are too few or too short for."""
+    """Raise InputError if a run's data are too few or too short."""
     for split in ("train", "validation"):
         check_share(run.group, run.share, split)
     data = next(iter(run.group.data.values()))
@@ -155,9 +155,9 @@ def check_data(run: TrainingRun) -> None:
 
 
 def finished(run: TrainingRun) -> dict[str, str] | None:
-    """Give the facts of a run that has been carried out, or None where it is still to be.
+    """Return the facts of a finished run, or None if it remains to be carried out.
 
-    InputError where there are files of another run in its place.
+    Raises InputError if the files of another run are in its place.
     """
     if run.path.exists():
         facts = read_facts(run.path)
@@ -171,11 +171,11 @@ def finished(run: TrainingRun) -> dict[str, str] | None:
 def prepared(
     run: TrainingRun, *, most: int | None = None
 ) -> tuple[LearnedModel, Statistics, Parts]:
-    """Make the untrained model of a run, and read its data, of each part at most so many."""
+    """Build the untrained model of a run and read its data, at most `most` rows of each part."""
     kind = load_model(run.model)
-    how = {"bodies": kind.needs_bodies, "device": run.request.device, "dtype": kind.dtype}
+    kwargs = {"bodies": kind.needs_bodies, "device": run.request.device, "dtype": kind.dtype}
     training, validation = (
-        mixed(run.group, run.share, split, most=most, **how) for split in ("train", "validation")
+        mixed(run.group, run.share, split, most=most, **kwargs) for split in ("train", "validation")
     )
     statistics = Statistics.of(training)
     graph = training.graph.to("cpu")
@@ -185,7 +185,7 @@ def prepared(
 
 
 def carry_out(run: TrainingRun) -> dict[str, str]:
-    """Train, or go on, and write the files, in a process of its own; give the file's facts."""
+    """Train or resume a run in a process of its own, write its files, and return its facts."""
     torch.set_num_threads(1)
     known = finished(run)
     if known is not None:
@@ -216,14 +216,14 @@ def carry_out(run: TrainingRun) -> dict[str, str]:
 
 
 def _write_curve(run: TrainingRun, training: Training) -> None:
-    whole = LearningCurve(run.name, run.profile.steps, training.ended, training.curve)
-    write_whole(run.curve, write_curve(whole))
+    curve = LearningCurve(run.name, run.profile.steps, training.ended, training.curve)
+    write_whole(run.curve, write_curve(curve))
 
 
 def facts_of(run: TrainingRun, training: Training, parts: Parts) -> dict[str, str]:
-    """What is to be known of a run besides its identity, as text."""
+    """Return the facts of a run in addition to its identity, as text."""
     steps = training.curve[-1].step
-    # Within the data, wherever these are, as in `6pendulum/mujoco-native.h5`.
+    # Relative to the folder of the data, as in `6pendulum/mujoco-native.h5`.
     files = {e: "/".join(run.group.files[e].parts[-2:]) for e in run.share.engines}
     enough = len(training.curve) >= run.profile.least and training.ended != "diverged"
     # Whether the last fifth of the steps improved validation too little to go on.
@@ -254,40 +254,40 @@ def facts_of(run: TrainingRun, training: Training, parts: Parts) -> dict[str, st
 
 @dataclass(frozen=True)
 class Cost:
-    """Of one run of a model on one scene, as it is trained here."""
+    """Cost of one run of a model on one group, as it is trained here."""
 
     group: str
     model: str
     steps_per_s: float
     validation_s: float
-    """Of one validation [s]."""
+    """Time of one validation [s]."""
     hours: float
-    """Of a run that takes all its steps [h]; it may end before where validation is level."""
+    """Time of a run that takes all its steps [h]; it may end earlier, when level."""
 
 
 def measure(run: TrainingRun) -> Cost:
-    """Try a few steps and a validation; called in a process of its own."""
+    """Measure a few steps and a validation; to be called in a process of its own."""
     torch.set_num_threads(1)
     model, _, (training, validation) = prepared(run, most=_FEW)
     profile = msgspec.structs.replace(run.profile, until_level=False)
 
-    def seconds(steps: int, judged: Motions, windows: int) -> float:
-        """Time of so many steps with a validation of so many windows."""
-        few = msgspec.structs.replace(profile, steps=steps, every=steps, windows=windows)
+    def seconds(steps: int, motions: Motions, windows: int) -> float:
+        """Measure the time of `steps` steps and a validation of `windows` windows."""
+        short_profile = msgspec.structs.replace(profile, steps=steps, every=steps, windows=windows)
         begin = time.perf_counter()
-        train(model, training, judged, run.recipe, few)
+        train(model, training, motions, run.recipe, short_profile)
         if torch.cuda.is_available():
             torch.cuda.synchronize()
         return time.perf_counter() - begin
 
-    one = seconds(_WARM, validation, 1) / _WARM
-    steps = max(1, min(_STEPS, round(_LONGEST / one)))
+    warm_s = seconds(_WARM, validation, 1) / _WARM
+    steps = max(1, min(_STEPS, round(_LONGEST / warm_s)))
     step_s = seconds(steps, validation[:1], 1) / steps
-    # As many as a validation of the run has, though of few trajectories.
+    # As many windows as a validation of the run has, but repeated from a few trajectories.
     windows = min(run.profile.windows, len(run.share.numbers(run.group, "validation")))
-    many = Motions.joined([validation] * math.ceil(windows / len(validation)))
-    seconds(1, many, windows)  # compiles what is of this size
-    validation_s = max(0.0, seconds(1, many, windows) - step_s)
+    copies = Motions.joined([validation] * math.ceil(windows / len(validation)))
+    seconds(1, copies, windows)  # compiles kernels of this size
+    validation_s = max(0.0, seconds(1, copies, windows) - step_s)
     validations = math.ceil(run.profile.steps / run.profile.every)
     return Cost(
         group=run.group.name,

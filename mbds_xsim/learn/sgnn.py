@@ -1,8 +1,8 @@
 """SGNN: a subequivariant graph network over objects and their particles.
 
 Han et al., "Learning physical dynamics with subequivariant graph neural networks", NeurIPS 2022.
-From two positions it predicts the displacement to the next frame. Every quantity with a direction
-has one unit for all its axes; with a unit for each, a rotation would not pass through.
+From two positions it predicts the displacement to the next frame. Every vector quantity has one
+unit for all its axes; with a unit per axis, the network would not be equivariant to rotations.
 """
 
 from __future__ import annotations
@@ -26,28 +26,28 @@ UP = (0.0, 0.0, 1.0)
 
 
 class SGNNSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What an SGNN is made of and how it learns."""
+    """Hyper-parameters of SGNN."""
 
     hidden: int = 200
     layers: int = 3
-    """Linear layers of each network."""
+    """Number of linear layers of each network."""
     steps: int = 4
-    """Of message passing in each stage."""
+    """Number of message-passing steps in each stage."""
     unit: Literal["deviation", "spacing"] = "deviation"
-    """Of positions: their deviation, or the length of an edge, which far motions do not dwarf."""
+    """Unit of positions: their deviation, or an edge's length, which no large motion increases."""
     target: Literal["displacement", "change"] = "displacement"
-    """What the network gives: the displacement, or its change since the last one."""
+    """Output of the network: the displacement, or its change since the last one."""
     loss: Literal["l1", "mse"] = "l1"
-    """Of the normalised target."""
+    """Loss of the normalised target."""
     noise: float = 0.0
-    """On both positions in training, as a part of the displacements' deviation."""
+    """Noise on positions in training, relative to the deviation of displacements."""
     rigid: bool = False
-    """Project every predicted frame onto rigid bodies."""
+    """Whether to project every predicted frame onto rigid bodies."""
     recipe: Recipe = Recipe(schedule=Plateau())
 
 
 class SGNN(PointModel):
-    """The next displacement of a scene's particles."""
+    """Subequivariant graph network for the next displacement of a scene's particles."""
 
     change: ClassVar[Change] = "displacement"
     symmetries: ClassVar[frozenset[Symmetry]] = frozenset({"shift", "turn"})
@@ -80,11 +80,11 @@ class SGNN(PointModel):
         self.channels = Channels(graph)
         self.register_buffer("channel_size", unit.channels.float())
         # Bodies are objects, and so is every anchor.
-        alone = -1 - torch.arange(graph.node_count)
-        body = torch.where(graph.static.cpu(), alone, graph.body.cpu())
+        anchors = -1 - torch.arange(graph.node_count)
+        body = torch.where(graph.static.cpu(), anchors, graph.body.cpu())
         edges = graph.senders.cpu(), graph.receivers.cpu(), graph.inner.cpu()
-        heavy = graph.mass / graph.mass.max()
-        about = torch.stack([graph.static.to(heavy), heavy], dim=-1).float()
+        mass = graph.mass / graph.mass.max()
+        about = torch.stack([graph.static.to(mass), mass], dim=-1).float()
         keep(self, about=about, up=UP)
         self.network = Network(
             Hierarchy(*edges, body),
@@ -98,8 +98,8 @@ class SGNN(PointModel):
 
     def predict(self, history: Tensor, inputs: KnownInputs) -> Tensor:
         last = history[:, -1] - history[:, -2]
-        given = self.output.restore(self.normalised(history, inputs))
-        displacement = given + last if self.settings.target == "change" else given
+        predicted = self.output.restore(self.normalised(history, inputs))
+        displacement = predicted + last if self.settings.target == "change" else predicted
         if not self.settings.rigid:
             return displacement
         now, owner = history[:, -1], self.graph.body[: self.graph.particle_count]
@@ -108,16 +108,16 @@ class SGNN(PointModel):
     def loss(self, sample: Sample, generator: torch.Generator) -> Tensor:
         sample = pushed(self, sample)
         history, after = self.noisy(sample, generator)
-        given = self.normalised(history, sample.inputs.at(0))
-        wanted = self.target(history, after)
-        miss = (given - wanted) * self.graph.moving.to(given)
-        return miss.abs().mean() if self.settings.loss == "l1" else miss.square().mean()
+        predicted = self.normalised(history, sample.inputs.at(0))
+        target = self.target(history, after)
+        error = (predicted - target) * self.graph.moving.to(predicted)
+        return error.abs().mean() if self.settings.loss == "l1" else error.square().mean()
 
     def noisy(self, sample: Sample, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        """Disturb the positions, and give the next one, moved along with the last of them.
+        """Return noisy positions, and the next one shifted by the noise of the last of them.
 
-        The displacement to it is the true one, so that the velocity's error is to be corrected, the
-        position's kept.
+        The displacement to it is the true one, so the model learns to correct the error of the
+        velocity and to keep that of the position.
         """
         history = sample.start.history
         noise = torch.randn(history.shape, generator=generator).to(history)
@@ -125,12 +125,12 @@ class SGNN(PointModel):
         return history + noise, sample.position[:, 0] + noise[:, -1]
 
     def target(self, history: Tensor, after: Tensor) -> Tensor:
-        """Give what `normalised` should be if a position (batch, particle, 3) follows."""
+        """Return the target of `normalised` for the next position `after`, (batch, particle, 3)."""
         step, last = after - history[:, -1], history[:, -1] - history[:, -2]
         return self.output.normalise(step - last if self.settings.target == "change" else step)
 
     def normalised(self, history: Tensor, inputs: KnownInputs) -> Tensor:
-        """Give the network's prediction for the particles, shape (batch, particle, 3)."""
+        """Return the network's prediction for the particles, shape (batch, particle, 3)."""
         nodes = self.graph.with_anchors(history[:, -2:])
         now, last = nodes[:, 1], nodes[:, 1] - nodes[:, 0]
         vectors = self.polar(now, self.channels(history[:, -1], inputs))
@@ -141,14 +141,14 @@ class SGNN(PointModel):
             vectors = torch.cat([vectors, (height * self.up).unsqueeze(-2)], dim=-2)
             scalars = torch.cat([scalars, height], dim=-1)
         velocity = self.displacement.normalise(last)
-        moved = self.network(now / self.length, velocity, vectors, scalars)
-        return moved[:, : self.graph.particle_count]
+        predicted = self.network(now / self.length, velocity, vectors, scalars)
+        return predicted[:, : self.graph.particle_count]
 
     def polar(self, now: Tensor, channels: Tensor) -> Tensor:
-        """Forces as they are, torques as torque × arm from the object's centre.
+        """Return forces as they are, and torques as torque × arm from the object's centre.
 
-        A torque is an axial vector: no combination of it with forces and positions turns with the
-        frame *and* mirrors with it. Its product with an arm does both, and points where it pushes.
+        A torque is an axial vector: no combination of it with forces and positions both rotates and
+        mirrors with the frame. Its cross product with an arm does, and points where it pushes.
         """
         force, torque = (channels / self.channel_size[:, None]).unbind(-2)
         hierarchy = self.network.hierarchy
@@ -157,7 +157,7 @@ class SGNN(PointModel):
 
 
 class Unit(nn.Module):
-    """A mean and one deviation for all axes, stored with the model."""
+    """Mean, and one deviation for all axes, stored with the model."""
 
     mean: Tensor
     std: Tensor
@@ -177,36 +177,36 @@ class Unit(nn.Module):
 
 
 def nearest_rigid(shape: Tensor, predicted: Tensor, object_of: Tensor) -> Tensor:
-    """Move each object's shape, without deforming it, next to where its particles were predicted.
+    """Move each object rigidly, as close as possible to the predicted positions of its particles.
 
     The motion has the least sum of squared distances and is proper: never a mirror image. An
-    object of one particle, or of particles on a line, keeps its shape trivially. Where a row
-    has a number that is not finite, its result is not a number.
+    object of one particle, or of particles on a line, keeps its shape trivially. A row with a
+    number that is not finite becomes NaN.
 
     W. Kabsch, "A solution for the best rotation to relate two sets of vectors", Acta Cryst. A32
     (1976) 922.
 
     Args:
-        shape: Particles with the right distances, any pose, shape (…, particle, 3).
-        predicted: Of the same shape.
-        object_of: The object of each particle, from 0 without gaps, shape (particle,).
+        shape: Particles at the right distances, in any pose, shape (…, particle, 3).
+        predicted: Predicted positions, same shape.
+        object_of: Object of each particle, numbered from 0 without gaps, shape (particle,).
     """
     kind = torch.arange(int(object_of.max()) + 1, device=object_of.device)
     if len(kind) == len(object_of):
-        return predicted  # a point has no shape to keep, and decompositions are dear
-    belongs = (object_of == kind[:, None]).to(predicted)
-    members = belongs / belongs.sum(dim=1, keepdim=True)
+        return predicted  # a point has no shape, and decompositions are expensive
+    membership = (object_of == kind[:, None]).to(predicted)
+    members = membership / membership.sum(dim=1, keepdim=True)
     arms = shape - (members @ shape)[..., object_of, :]
     centre = members @ predicted
-    reached = predicted - centre[..., object_of, :]
-    products = reached.unsqueeze(-1) * arms.unsqueeze(-2)
-    covariance = pool(belongs, products)
-    turned = (_rotation(covariance)[..., object_of, :, :] @ arms.unsqueeze(-1)).squeeze(-1)
-    return centre[..., object_of, :] + turned
+    predicted_arms = predicted - centre[..., object_of, :]
+    products = predicted_arms.unsqueeze(-1) * arms.unsqueeze(-2)
+    covariance = pool(membership, products)
+    rotated_arms = (_rotation(covariance)[..., object_of, :, :] @ arms.unsqueeze(-1)).squeeze(-1)
+    return centre[..., object_of, :] + rotated_arms
 
 
 def _rotation(covariance: Tensor) -> Tensor:
-    """Rotation nearest to a matrix (…, 3, 3); any where it is not finite, as an SVD would fail."""
+    """Return the rotation nearest to a matrix (…, 3, 3); any if not finite, where an SVD fails."""
     finite = covariance.isfinite().all(dim=-1).all(dim=-1)[..., None, None]
     left, _, right = torch.linalg.svd(torch.where(finite, covariance, 0.0))
     signs = torch.ones_like(left[..., 0])

@@ -2,8 +2,8 @@
 
 Han et al., "Learning physical dynamics with subequivariant graph neural networks", NeurIPS 2022.
 Vector channels enter a network only by their inner products and leave it only as combinations of
-themselves, so that rotating all of them rotates the result. Gravity is one channel more: rotating
-the scene without it is not rotating all of them, and the map may tell up from down.
+themselves, so that rotating all of them rotates the result. Gravity is one more channel: to rotate
+the scene without gravity is not to rotate all channels, so the map can distinguish up from down.
 """
 
 from __future__ import annotations
@@ -18,26 +18,26 @@ from torch.nn import functional
 from mbds_xsim.learn.layers import keep, mlp
 
 LEAST_NORM = 1e-6
-"""Under which a Gram matrix of normalised vectors counts as zero; keeps gradients finite."""
+"""Norm below which a Gram matrix of normalised vectors counts as zero; keeps gradients finite."""
 OBJECT_SCALE = 0.001
-"""Of the sum of its particles' scalars, as SGNN feeds it to an object."""
+"""Factor with which SGNN feeds the sum of its particles' scalars to an object."""
 READ = 2
-"""Vectors that the first stage reads from an edge, and the third stage from an object."""
+"""Number of vectors that the first stage reads from an edge, and the third from an object."""
 PARTICLE = 3
-"""Vectors of a particle: position and velocity in its object, velocity in W."""
+"""Number of vectors of a particle: position and velocity in its object, velocity in W."""
 
 
 class Edges(nn.Module):
-    """Directed edges between so many nodes; there may be none."""
+    """Directed edges between `node_count` nodes; there may be none."""
 
     senders: Tensor
-    """Node each edge comes from, shape (edge,)."""
+    """Node that each edge comes from, shape (edge,)."""
     receivers: Tensor
-    """Node each edge goes to, shape (edge,)."""
+    """Node that each edge goes to, shape (edge,)."""
     mean: Tensor
-    """Row i averages over the edges into node i, and is zero where there are none, (node, edge). A
-    product with it is faster than a scatter at these sizes, runs in the same order every time, and
-    is defined without edges."""
+    """Matrix (node, edge) whose row i averages over the edges into node i, or is zero without any.
+    A product with it is faster than a scatter at these sizes, runs in the same order every time,
+    and is defined without edges."""
 
     def __init__(self, senders: Tensor, receivers: Tensor, node_count: int) -> None:
         super().__init__()
@@ -47,18 +47,18 @@ class Edges(nn.Module):
 class Hierarchy(nn.Module):
     """Particles, the objects they belong to, and the edges of both.
 
-    Of edges from senders to receivers, `inner` ones within an object; `body` names each particle's
-    object by any integer.
+    Edges go from senders to receivers; `inner` marks those within an object; `body` names each
+    particle's object by any integer.
     """
 
     object_of: Tensor
-    """The object of each particle, counted from 0, shape (particle,)."""
+    """Object of each particle, counted from 0, shape (particle,)."""
     members: Tensor
-    """Averages over an object's particles, shape (object, particle)."""
+    """Matrix that averages over an object's particles, shape (object, particle)."""
     sizes: Tensor
-    """Particles of each object, shape (object, 1)."""
+    """Number of particles of each object, shape (object, 1)."""
     pooling: Tensor
-    """Averages over a pair's edges in `inter`, shape (pair, inter edge)."""
+    """Matrix that averages over a pair's edges in `inter`, shape (pair, inter edge)."""
 
     def __init__(self, senders: Tensor, receivers: Tensor, inner: Tensor, body: Tensor) -> None:
         super().__init__()
@@ -66,7 +66,7 @@ class Hierarchy(nn.Module):
         self.inner = Edges(senders[inner], receivers[inner], len(body))
         self.inter = Edges(senders[~inner], receivers[~inner], len(body))
         ends = torch.stack([objects[self.inter.senders], objects[self.inter.receivers]], dim=1)
-        # An edge between two objects for every ordered pair with an edge in `inter`.
+        # One edge between two objects for every ordered pair with an edge in `inter`.
         pairs, pair_of = torch.unique(ends, dim=0, return_inverse=True)
         self.pairs = Edges(pairs[:, 0], pairs[:, 1], len(names))
         members = averaging(objects, len(names))
@@ -82,16 +82,16 @@ def pool(weights: Tensor, vectors: Tensor) -> Tensor:
 
 
 def averaging(groups: Tensor, group_count: int) -> Tensor:
-    """Matrix that averages rows by group, shape (group, row); an empty group averages to zero."""
-    belongs = groups == torch.arange(group_count)[:, None]
-    sizes = belongs.sum(dim=1, keepdim=True).clamp(min=1)
-    return belongs.to(torch.get_default_dtype()) / sizes
+    """Return the matrix (group, row) that averages rows by group; empty groups give zero."""
+    membership = groups == torch.arange(group_count)[:, None]
+    sizes = membership.sum(dim=1, keepdim=True).clamp(min=1)
+    return membership.to(torch.get_default_dtype()) / sizes
 
 
 class Scalars(NamedTuple):
-    """A block of scalar inputs; with `rows`, they are gathered after the first product.
+    """Block of scalar inputs; with `rows`, they are gathered after the first product.
 
-    A node's row then costs once, however many edges read it.
+    A node's row is then multiplied once, however many edges read it.
     """
 
     values: Tensor
@@ -106,10 +106,10 @@ class Scalars(NamedTuple):
 
 
 class SubequivariantMap(nn.Module):
-    """Vectors and scalars to vectors and scalars, equivariant to rotations of all the vectors.
+    """Map of vectors and scalars that is equivariant to rotations of all the vectors.
 
-    So many vectors (`channels`) and blocks of scalars go in, so many vectors (`outputs`) and
-    `hidden` scalars come out.
+    Inputs are `channels` vectors and blocks of scalars; outputs are `outputs` vectors and `hidden`
+    scalars.
     """
 
     def __init__(
@@ -122,13 +122,13 @@ class SubequivariantMap(nn.Module):
         self.rest = mlp(hidden, channels * outputs + hidden, hidden=hidden, layers=layers - 1)
 
     def forward(self, vectors: Tensor, *scalars: Scalars) -> tuple[Tensor, Tensor]:
-        """Map vectors, shape (…, channel, 3), and scalars; give (…, output, 3), (…, hidden).
+        """Map vectors (…, channel, 3) and scalars to vectors (…, output, 3), scalars (…, hidden).
 
         Last channels and last blocks that are left out count as zero.
         """
-        given = vectors.shape[-2]
+        count = vectors.shape[-2]
         gram, *weights = torch.split(self.first.weight, self.widths, dim=1)
-        gram = gram.reshape(-1, self.channels, self.channels)[:, :given, :given].flatten(1)
+        gram = gram.reshape(-1, self.channels, self.channels)[:, :count, :count].flatten(1)
         start = functional.linear(invariants(vectors), gram, self.first.bias)
         for block, weight in zip(scalars, weights[: len(scalars)], strict=True):
             block.add(start, weight)
@@ -137,24 +137,24 @@ class SubequivariantMap(nn.Module):
         deep = functional.silu(start)
         for part in inner:
             deep = part(deep)
-        # In two products: what is passed on comes out in one piece, and what would mix a vector
-        # that is left out is not computed.
+        # Two products: the scalars to pass on are contiguous, and no weights are computed for
+        # vectors that are left out.
         end = self.outputs * self.channels
-        weight, bias = (self._mixing(each[:end], given) for each in (last.weight, last.bias))
+        weight, bias = (self._mixing(each[:end], count) for each in (last.weight, last.bias))
         mixing = functional.linear(deep, weight, bias)
-        mixing = mixing.reshape(*mixing.shape[:-1], self.outputs, given)
+        mixing = mixing.reshape(*mixing.shape[:-1], self.outputs, count)
         return mixing @ vectors, functional.linear(deep, last.weight[end:], last.bias[end:])
 
-    def _mixing(self, rows: Tensor, given: int) -> Tensor:
-        """Keep those of the last layer's rows (output, vector) that read the given vectors."""
+    def _mixing(self, rows: Tensor, count: int) -> Tensor:
+        """Keep the rows (output, vector) of the last layer that mix the first `count` vectors."""
         by_vector = rows.reshape(self.outputs, self.channels, *rows.shape[1:])
-        return by_vector[:, :given].flatten(0, 1)
+        return by_vector[:, :count].flatten(0, 1)
 
 
 class Passing(nn.Module):
     """Message passing whose steps share one set of weights, without a residual.
 
-    `channels` vectors and `hidden` scalars of a node, those of an edge beside them.
+    A node has `channels` vectors and `hidden` scalars; an edge may have some of its own.
     """
 
     def __init__(
@@ -182,45 +182,45 @@ class Passing(nn.Module):
         edge_scalars: Tensor | None = None,
     ) -> tuple[Tensor, Tensor]:
         """Pass messages; vectors (batch, node, channel, 3), scalars (batch, node, hidden)."""
-        if not len(edges.senders):  # nobody says anything: a node has only its own to go by
+        if not len(edges.senders):  # no messages: a node reads only its own state
             for _ in range(self.steps):
                 vectors, scalars = self.update(vectors, Scalars(scalars))
             return vectors, scalars
         of_edge = [] if edge_scalars is None else [Scalars(edge_scalars)]
         for _ in range(self.steps):
             at_ends = end_scalars(scalars, edges)
-            sent, said = self.message(ends(vectors, edges, edge_vectors), *at_ends, *of_edge)
-            received = torch.cat([vectors, pool(edges.mean, sent)], dim=-2)
-            vectors, scalars = self.update(received, Scalars(scalars), Scalars(edges.mean @ said))
+            messages, hidden = self.message(ends(vectors, edges, edge_vectors), *at_ends, *of_edge)
+            received = torch.cat([vectors, pool(edges.mean, messages)], dim=-2)
+            vectors, scalars = self.update(received, Scalars(scalars), Scalars(edges.mean @ hidden))
         return vectors, scalars
 
 
 def ends(vectors: Tensor, edges: Edges, edge_vectors: Tensor) -> Tensor:
-    """Vectors of an edge's receiver, its sender and itself, (batch, edge, channel, 3)."""
+    """Return the vectors of an edge's receiver, sender and itself, (batch, edge, channel, 3)."""
     at = vectors.index_select(1, edges.receivers), vectors.index_select(1, edges.senders)
     return torch.cat([*at, edge_vectors], dim=-2)
 
 
 def end_scalars(scalars: Tensor, edges: Edges) -> tuple[Scalars, Scalars]:
-    """Scalars of an edge's receiver and its sender."""
+    """Return the scalars of an edge's receiver and sender."""
     return Scalars(scalars, edges.receivers), Scalars(scalars, edges.senders)
 
 
 def apart(position: Tensor, edges: Edges) -> Tensor:
-    """From an edge's sender to its receiver, shape (batch, edge, 1, 3)."""
+    """Return the vector from each edge's sender to its receiver, shape (batch, edge, 1, 3)."""
     return (position[:, edges.receivers] - position[:, edges.senders]).unsqueeze(-2)
 
 
 def invariants(vectors: Tensor) -> Tensor:
-    """All inner products of the vectors (…, channel, 3), scaled to a unit norm, (…, channel²)."""
+    """Return all inner products of vectors (…, channel, 3), with unit norm, (…, channel²)."""
     products: Tensor = _Invariants.apply(vectors)  # type: ignore[no-untyped-call]
     return products
 
 
 class _Invariants(torch.autograd.Function):
-    """Its slope is symmetric, of which torch does not know: by hand it takes half the products.
+    """Normalised Gram matrix with a gradient written by hand, which takes half the products.
 
-    Differentiable once.
+    Torch does not use that the matrix is symmetric. Differentiable once.
     """
 
     @staticmethod
@@ -242,7 +242,7 @@ class _Invariants(torch.autograd.Function):
 
 
 class Network(nn.Module):
-    """Normalised motion of the next frame: between objects, over objects, within objects.
+    """Network for the next frame's normalised motion: between, over and within objects.
 
     It commutes with every rotation and reflection that leaves `down` as it is (a unit vector along
     gravity, zero without), with translation (positions enter as differences), and with renumbering
@@ -283,7 +283,7 @@ class Network(nn.Module):
     ) -> Tensor:
         """Predict the next velocity, shape (batch, particle, 3).
 
-        Position and velocity are of the same shape, externals (batch, particle, external, 3),
+        Position and velocity have the same shape, externals (batch, particle, external, 3),
         scalars (batch, particle, scalar).
         """
         of_object, members = self.hierarchy.object_of, self.hierarchy.members
@@ -292,36 +292,36 @@ class Network(nn.Module):
         local = torch.cat([state - centre[:, of_object], velocity.unsqueeze(-2)], dim=-2)
         own = self.embedding(scalars)
         shared = OBJECT_SCALE * self.hierarchy.sizes * (members @ own)
-        known = self.to_particle(torch.cat([shared[:, of_object], own], dim=-1))
+        hidden = self.to_particle(torch.cat([shared[:, of_object], own], dim=-1))
         gravity = self.gravity(self.object_gravity, shared)
-        carried, of_objects = self.over_objects(
+        object_vectors, object_scalars = self.over_objects(
             torch.cat([centre[..., 1:, :], gravity, pool(members, externals)], dim=-2),
             shared,
             self.hierarchy.pairs,
-            *self.contacts(position, local, known),
+            *self.contacts(position, local, hidden),
         )
-        known = self.to_inner(torch.cat([of_objects[:, of_object], own], dim=-1))
-        gravity = self.gravity(self.inner_gravity, known)
-        moved, _ = self.within(
-            torch.cat([carried[:, of_object, :READ], local, gravity, externals], dim=-2),
-            known,
+        hidden = self.to_inner(torch.cat([object_scalars[:, of_object], own], dim=-1))
+        gravity = self.gravity(self.inner_gravity, hidden)
+        predicted, _ = self.within(
+            torch.cat([object_vectors[:, of_object, :READ], local, gravity, externals], dim=-2),
+            hidden,
             self.hierarchy.inner,
             apart(position, self.hierarchy.inner),
         )
-        return moved[..., 0, :]
+        return predicted[..., 0, :]
 
-    def contacts(self, position: Tensor, local: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
+    def contacts(self, position: Tensor, local: Tensor, hidden: Tensor) -> tuple[Tensor, Tensor]:
         """Read the edges between objects, averaged over each pair of objects."""
         edges, pooling = self.hierarchy.inter, self.hierarchy.pooling
         if not len(pooling):  # one object, or objects that nothing joins: there is nothing to read
             shape = len(position), 0
-            return position.new_zeros(*shape, READ, 3), position.new_zeros(*shape, known.shape[-1])
+            return position.new_zeros(*shape, READ, 3), position.new_zeros(*shape, hidden.shape[-1])
         along = apart(position, edges)
-        vectors, scalars = self.between(local, known, edges, along)
-        read, said = self.readout(ends(vectors, edges, along), *end_scalars(scalars, edges))
-        return pool(pooling, read), pooling @ said
+        vectors, scalars = self.between(local, hidden, edges, along)
+        readings, latents = self.readout(ends(vectors, edges, along), *end_scalars(scalars, edges))
+        return pool(pooling, readings), pooling @ latents
 
     def gravity(self, strength: nn.Module, scalars: Tensor) -> Tensor:
-        """Gravity's direction times a learned strength, shape (batch, node, 1, 3)."""
+        """Return gravity's direction times a learned strength, shape (batch, node, 1, 3)."""
         size: Tensor = strength(scalars)
         return size.unsqueeze(-1) * self.down

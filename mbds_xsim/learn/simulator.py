@@ -1,9 +1,9 @@
-"""Trained models as simulators, beside engines.
+"""Trained models as simulators, next to engines.
 
-A model has no step to choose: it takes its frame. It is shown the reference's first frames, is not
-told random forces, as when it was trained, and predicts the rest; what it gives are positions of
-particles, and by these alone it is judged. The scene may be another than the one that it was
-trained on: its parameters are those of a network that fits any graph.
+A model has no step size to choose: its step is its frame. It sees the first frames of the reference
+and, as in training, no random forces, and predicts the rest. It returns only positions of particles
+and is judged by these alone. It may run on another scene than the one that it was trained on, if
+its parameters fit the graph of that scene.
 """
 
 from __future__ import annotations
@@ -46,41 +46,41 @@ from mbds_xsim.simulate.simulator import (
 )
 from mbds_xsim.simulate.timed import WARM_UP, stopwatch
 
-_TIMED = 25  # frames of a batch
+_TIMED = 25  # frames of a timed batch
 
 
 @dataclass(frozen=True)
 class LearnedSimulator(Simulator):
-    """A trained model."""
+    """Trained model as a simulator."""
 
     _: KW_ONLY
     trained: TrainedModel
     together: int = 1
-    """Trajectories of a batch: times are each one's share."""
+    """Number of trajectories in a batch; each is charged an equal share of its time."""
     quiet: Batch | None = None
-    """Starts of a study without the random forces; None: theirs have none."""
+    """Starts of a study without the random forces; None if the study has none."""
 
     @classmethod
-    def of(cls, trained: TrainedModel, training: str, **how: Any) -> LearnedSimulator:
-        """Make one of a trained model; what it was trained on is said in a study's words."""
+    def of(cls, trained: TrainedModel, training: str, **fields: Any) -> LearnedSimulator:
+        """Wrap a trained model; `training` says in a study's words what it was trained on."""
         return cls(
             trained.kind,
             training,
             trained=trained,
             profile=cast(Profile, trained.variant),
             source=str(trained.named),
-            shown=HISTORY,
-            **how,
+            context=HISTORY,
+            **fields,
         )
 
     @property
     def family(self) -> str:
-        """None of the engines'."""
+        """Family of learned simulators, which no engine belongs to."""
         return LEARNED
 
     @property
     def package(self) -> str:
-        """Name of what runs it."""
+        """Name of the package that runs it."""
         return "torch"
 
     @property
@@ -89,12 +89,12 @@ class LearnedSimulator(Simulator):
         return registry.package_version("torch")
 
     def clock(self, usual: Clock) -> Clock:
-        """Give its own frames over the usual time."""
+        """Return a clock with the model's own frame over the usual duration."""
         frame = self.trained.scene.clock.frame
         return Clock(frame, max(HISTORY, round(usual.duration / frame)))
 
     def refusal(self, scene: Scene) -> str:
-        """Try whether its parameters fit."""
+        """Return why the model's parameters do not fit a scene, or "" if they do."""
         try:
             read_model(self.trained.file, scene)
         except InputError as error:
@@ -102,12 +102,12 @@ class LearnedSimulator(Simulator):
         return ""
 
     def options(self, scene: Scene) -> Options:
-        """Say which file it is, and what it is shown."""
+        """Return the number of frames that the model is shown, and its file's checksum."""
         del scene
         return {"known_frames": HISTORY, "file": self.trained.content[:16]}
 
     def decisive(self, scene: Scene, count: int) -> list[Any]:
-        """List its file, the size of its batch, and versions."""
+        """List the model's file, the number of starts, the batch size, and versions."""
         del scene
         return [self.trained.content, count, self.together, MODELS, self.version]
 
@@ -150,7 +150,7 @@ class LearnedSimulator(Simulator):
 
 
 def signs_of(motion: ParticleMotion, truth: ParticleMotion) -> Signs:
-    """Give what a predicted motion's particles show."""
+    """Compute the signs of a predicted motion from its particles."""
     length, frame = motion.graph.length, motion.graph.frame_s
     finite = np.asarray(np.isfinite(motion.position).all(axis=(1, 2)))
     with np.errstate(all="ignore"):
@@ -170,7 +170,7 @@ def simulators_in(places: Sequence[Path]) -> tuple[LearnedSimulator, ...]:
     """Find trained models in files and folders, for scenes of any kind.
 
     Raises:
-        InputError: There is none, or a file is no trained model.
+        InputError: There is none, or a file is not a trained model.
     """
     return tuple(
         LearnedSimulator.of(

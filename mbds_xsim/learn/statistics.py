@@ -1,6 +1,6 @@
-"""What networks are given beside particles: inputs at the nodes, and what to normalise by.
+"""Inputs of networks at the nodes, and statistics for normalisation.
 
-Means and deviations are of training trajectories, never of others.
+Means and deviations are computed from training trajectories only.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ from mbds_xsim.scene.mechanism import WORLD_INDEX, PlacedJoint
 from mbds_xsim.scene.sampling_terms import HingeTorque
 
 AxisWeights = dict[str, Array]
-"""How a hinge's axis follows from the particles: see the buffers of `Channels`."""
+"""Weights by which a hinge's axis follows from the particles; see the buffers of `Channels`."""
 
 CHANNELS = ("force", "torque")
-"""Of each node: its share of the force on its body by mass [N]; the torque on its body [N·m]."""
+"""Vectors of a node: its share by mass of its body's force [N], and its body's torque [N·m]."""
 
 _RANK = 1e-6  # of the largest extent of a body's particles
 _ROWS = 64  # trajectories at a time
-_NEGLIGIBLE = 1e-9  # of the scene's length: a deviation that is rounding
+_NEGLIGIBLE = 1e-9  # of the scene's length: smaller deviations are rounding
 _KINDS = ("position", "displacement", "acceleration")
 
 
 class Channels(nn.Module):
-    """Turns inputs into vectors at the nodes.
+    """Module that turns inputs into vectors at the nodes.
 
-    A rollout knows particles only, so the axis of a driven hinge must follow from them. In a body
-    that they span it is a fixed combination of their positions; in a plane one, part of it is
-    along the cross product of two such combinations. Both turn with the body, exactly.
+    A rollout knows only particles, so the axis of a driven hinge must follow from them. If they
+    span space, it is a fixed combination of their positions; if they span a plane, its part normal
+    to the plane is along the cross product of two such combinations. Both turn with the body.
     """
 
     along: Tensor
@@ -61,34 +61,34 @@ class Channels(nn.Module):
         for name, nothing in idle.items():
             values = np.array([each[name] for each in weights]).reshape(-1, len(nothing))
             keep(self, **{name: torch.from_numpy(values).float()})
-        # 1 where a hinge's child has a node, −1 where its parent has, (node, hinge).
+        # 1 if a node is on a hinge's child, −1 if on its parent, (node, hinge).
         body, mass = graph.body.cpu(), graph.mass.cpu()
         child = torch.tensor([hinge.child for hinge in hinges], dtype=torch.int64)
         parent = torch.tensor([hinge.parent for hinge in hinges], dtype=torch.int64)
         acts = (body[:, None] == child).double() - (body[:, None] == parent).double()
         acts = acts * (body >= 0)[:, None]
-        # Of its body's mass in a node, 0 in anchors, (node,).
-        whole = torch.from_numpy(graph.mechanism.mass)
-        share = torch.where(body >= 0, mass / whole[body.clamp(min=0)], 0.0)
+        # Share of its body's mass in each node, 0 in anchors, (node,).
+        body_mass = torch.from_numpy(graph.mechanism.mass)
+        share = torch.where(body >= 0, mass / body_mass[body.clamp(min=0)], 0.0)
         keep(self, acts=acts.float(), share=share.float(), owner=graph.body.clamp(min=0))
 
     def forward(self, particles: Tensor, inputs: KnownInputs) -> Tensor:
-        """Give the vectors at the nodes, shape (…, node, channel, 3).
+        """Return the vectors at the nodes, shape (…, node, channel, 3).
 
-        Of positions in W [m], (…, particle, 3), and inputs of one frame.
+        `particles` are positions in W [m], (…, particle, 3); `inputs` are of one frame.
         """
         force = inputs.force[..., self.owner, :] * self.share[:, None]
         torque = self.acts @ (inputs.torque[..., None] * self.axes(particles))
         return torch.stack([force, torque], dim=-2)
 
     def axes(self, particles: Tensor) -> Tensor:
-        """Unit vectors of the driven hinges in W, 0 of others, shape (…, hinge, 3)."""
+        """Return the unit axes of the driven hinges in W, 0 for others, shape (…, hinge, 3)."""
         normal = torch.linalg.cross(self.first @ particles, self.second @ particles)
         return nn.functional.normalize(self.along @ particles + normal + self.fixed, dim=-1)
 
 
 def _idle(graph: Graph) -> AxisWeights:
-    """Weights of a hinge that is not driven."""
+    """Return the weights of a hinge that is not driven."""
     particles = {name: np.zeros(graph.particle_count) for name in ("along", "first", "second")}
     return {**particles, "fixed": np.zeros(3)}
 
@@ -108,9 +108,9 @@ def _weights(graph: Graph, hinge: PlacedJoint) -> AxisWeights:
 
 
 def _of_body(graph: Graph, body: int, axis: Array) -> AxisWeights | None:
-    """Weights of a body's particles, or None where they do not tell the axis."""
-    mine = np.flatnonzero(graph.body.cpu().numpy() == body)
-    points = graph.reference.cpu().numpy()[mine]
+    """Return the weights of a body's particles, or None if they do not determine the axis."""
+    nodes = np.flatnonzero(graph.body.cpu().numpy() == body)
+    points = graph.reference.cpu().numpy()[nodes]
     arms = points - points.mean(axis=0)
     extents, directions = np.linalg.svd(arms, full_matrices=False)[1:]
     rank = int(np.sum(extents > _RANK * graph.length))
@@ -119,32 +119,32 @@ def _of_body(graph: Graph, body: int, axis: Array) -> AxisWeights | None:
     outside = axis - inside
     if rank < 2 and np.linalg.norm(outside) > _RANK:
         return None
-    back = np.linalg.pinv(arms.T, rcond=_RANK)
+    inverse = np.linalg.pinv(arms.T, rcond=_RANK)
     weights = _idle(graph)
-    weights["along"][mine] = back @ inside
+    weights["along"][nodes] = inverse @ inside
     if rank == 2:
         normal = np.cross(spanned[0], spanned[1])
-        weights["first"][mine] = back @ spanned[0] * (outside @ normal)
-        weights["second"][mine] = back @ spanned[1]
+        weights["first"][nodes] = inverse @ spanned[0] * (outside @ normal)
+        weights["second"][nodes] = inverse @ spanned[1]
     return weights
 
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Of a vector: mean and standard deviation per axis, shape (3,), float64."""
+    """Mean and standard deviation of a vector per axis, shape (3,), float64."""
 
     mean: Tensor
     std: Tensor
-    """1 where it does not vary."""
+    """Standard deviation; 1 along axes without variation."""
 
     def spread(self, moving: Tensor) -> float:
-        """Root mean square of the deviations along moving axes, of those that vary at all."""
+        """Return the root mean square of the deviations along moving axes that vary."""
         varying = moving.to(self.std.device) & (self.std != 1.0)
-        chosen = self.std[varying if varying.any() else moving.to(self.std.device)]
-        return float(chosen.square().mean().sqrt())
+        deviations = self.std[varying if varying.any() else moving.to(self.std.device)]
+        return float(deviations.square().mean().sqrt())
 
     def isotropic(self, up: Tensor) -> Moments:
-        """One deviation for all axes, and the mean along gravity alone: what turns with it."""
+        """Return moments that commute with turns about `up`: one deviation, a mean along `up`."""
         axis = torch.nn.functional.normalize(up, dim=0)
         varying = self.std != 1.0
         mean = (self.mean @ axis) * axis
@@ -155,20 +155,20 @@ class Moments:
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """Of the particles, over all training trajectories and frames."""
+    """Statistics of the particles over all training trajectories and frames."""
 
     position: Moments
-    """[m]"""
+    """Positions [m]."""
     displacement: Moments
-    """From a frame to the next [m]."""
+    """Displacements from one frame to the next [m]."""
     acceleration: Moments
     """Second differences of positions [m]."""
     channels: Tensor
-    """Root mean square size of each of `CHANNELS` where it acts [N, N·m]; 1 where none does."""
+    """Root mean square size of each of `CHANNELS` where it acts [N, N·m]; 1 if it never acts."""
 
     @staticmethod
     def of(motions: Motions) -> Statistics:
-        """Compute them; InputError where the trajectories are not those for training."""
+        """Compute the statistics; raise InputError if `motions` are not the training part."""
         if motions.split != "train":
             msg = f"statistics: got the part {motions.split!r}, allowed is 'train'"
             raise InputError(msg)
@@ -177,19 +177,19 @@ class Statistics:
 
     @staticmethod
     def of_nothing() -> Statistics:
-        """Give those of what does not move."""
+        """Return the statistics of a scene without motion."""
         one = Moments(torch.zeros(DIMENSION).double(), torch.ones(DIMENSION).double())
         return Statistics(one, one, one, torch.ones(len(CHANNELS)).double())
 
     def isotropic(self, gravity: Tensor) -> Statistics:
-        """Give statistics that commute with turns about gravity."""
+        """Return statistics that commute with turns about gravity."""
         up = gravity.to(self.channels)
         return dataclasses.replace(
             self, **{name: getattr(self, name).isotropic(up) for name in _KINDS}
         )
 
     def to_state(self) -> dict[str, Tensor]:
-        """Give plain tensors to store with a model."""
+        """Return plain tensors to store with a model."""
         moments = {
             f"{name}.{k}": v for name in _KINDS for k, v in vars(getattr(self, name)).items()
         }
@@ -197,20 +197,20 @@ class Statistics:
 
     @staticmethod
     def from_state(state: dict[str, Tensor]) -> Statistics:
-        """Read what `to_state` gave."""
+        """Restore statistics from `to_state`."""
         first, second, third = (Moments(state[f"{k}.mean"], state[f"{k}.std"]) for k in _KINDS)
         return Statistics(first, second, third, state["channels"])
 
 
 def _moments(motions: Motions, order: int) -> Moments:
-    """Moments of differences of an order; two passes, so that large means cost no digits."""
+    """Compute moments of differences of an order; two passes, so large means cost no digits."""
 
-    def mean(of: Callable[[Tensor], Tensor]) -> Tensor:
+    def mean(transform: Callable[[Tensor], Tensor]) -> Tensor:
         total, count = torch.zeros(3, dtype=torch.float64), 0
         for k in range(0, len(motions), _ROWS):
             part = motions.position[k : k + _ROWS].double()
             values = part.diff(n=order, dim=1) if order else part
-            total += of(values).sum((0, 1, 2)).cpu()
+            total += transform(values).sum((0, 1, 2)).cpu()
             count += values[..., 0].numel()
         return total / count
 
@@ -222,11 +222,11 @@ def _moments(motions: Motions, order: int) -> Moments:
 def _sizes(motions: Motions) -> Tensor:
     channels = Channels(motions.graph).to(motions.position.device)
     square = torch.zeros(len(CHANNELS), dtype=torch.float64)
-    acting = torch.zeros(len(CHANNELS), dtype=torch.float64)
+    count = torch.zeros(len(CHANNELS), dtype=torch.float64)
     for k in range(0, len(motions), _ROWS):
         part = motions[k : k + _ROWS]
         inputs = KnownInputs(part.inputs.force.float(), part.inputs.torque.float())
         vectors = channels(part.position[:, :-1].float(), inputs).double()
         square += (vectors**2).sum((0, 1, 2, 4)).cpu()
-        acting += (vectors != 0).any(-1).sum((0, 1, 2)).cpu()
-    return torch.where(acting > 0, torch.sqrt(square / acting.clamp(min=1)), 1.0)
+        count += (vectors != 0).any(-1).sum((0, 1, 2)).cpu()
+    return torch.where(count > 0, torch.sqrt(square / count.clamp(min=1)), 1.0)

@@ -1,7 +1,7 @@
 """Train a model: a fixed number of steps, or until validation no longer improves.
 
-Nothing but the validation part decides on rates, on the best parameters and on the end. A run that
-was interrupted goes on from its checkpoint to the same bits.
+Only the validation part decides on rates, on the best parameters and on the end. An interrupted run
+resumes from its checkpoint and ends with the same bits.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ from mbds_xsim.learn.window import HISTORY, Motions, Sample
 
 _ANEW = "remove it to start anew"
 _KEPT = ("curve", "ended", "skipped", "wall_s", "cpu_s")  # of a training in its checkpoint
-_LINE = 80  # characters of what differs, which a message has room for
+_LINE = 80  # characters that a message has for differences
 End = Literal["", "steps", "level", "diverged"]
-"""Why a training is over; empty while it goes on."""
+"""Reason why a training ended; empty while it goes on."""
 
 
 class CurvePoint(msgspec.Struct, frozen=True):
@@ -48,37 +48,37 @@ class CurvePoint(msgspec.Struct, frozen=True):
 
     step: int
     loss: float
-    """Mean over the steps since the last point."""
+    """Mean loss over the steps since the last point."""
     error: float
-    """Mean squared position error of the validation predictions [m²]; infinite where one failed."""
+    """Mean squared position error of the validation predictions [m²]; infinite if one failed."""
     rate: float
 
 
 @dataclass(eq=False)
 class Training:
-    """A run, while it goes on and after; its model has the best parameters at the end."""
+    """Run in progress or finished; at the end its model has the best parameters."""
 
     model: LearnedModel
     curve: list[CurvePoint] = field(default_factory=list)
     ended: End = ""
-    """Why; "diverged" where losses stopped being numbers, from which step the curve tells."""
+    """Reason for the end; "diverged" if losses were not finite at the last point of the curve."""
     skipped: int = 0
-    """Steps that were not taken, because their gradient was no number."""
+    """Number of steps that were skipped because they failed or had no finite gradient."""
     wall_s: float = 0.0
-    """Spent on it, in all processes that were at it [s]."""
+    """Time spent on it, in all processes that worked on it [s]."""
     cpu_s: float = 0.0
-    """Processor time of these [s]."""
+    """Processor time of these processes [s]."""
 
     @property
     def best(self) -> CurvePoint:
-        """The point whose parameters the model has."""
+        """Point with the least error, whose parameters the model has at the end."""
         return min(self.curve, key=lambda point: point.error)
 
     @property
     def last_improvement(self) -> float:
-        """By how much the last fifth of the steps improved the best error, 0 to 1.
+        """Relative improvement of the best error in the last fifth of the steps, 0 to 1.
 
-        1 where no error was finite before: that is no level that was reached.
+        It is 1 if no error was finite before, because such a run has not become level.
         """
         before = [p.error for p in self.curve if p.step <= 0.8 * self.curve[-1].step]
         least = min(before, default=math.inf)
@@ -102,22 +102,22 @@ def train(
     """Train a model in place.
 
     Args:
-        model: Untrained, on the device of the motions.
-        training: Windows are drawn from these trajectories.
-        validation: And judged on these.
+        model: An untrained model, on the device of the motions.
+        training: Trajectories from which windows are drawn.
+        validation: Trajectories on which the model is judged.
         recipe: Optimiser and batch.
-        profile: How long.
-        checkpoint: File to save to at every validation, and to go on from if it is there.
-        tell: Is told of every new point of the curve, when the checkpoint has it.
-        identity: What else a run is known by, besides seed, recipe and profile: its data.
-        seed: Of the windows drawn and of the noise.
+        profile: Length of the training.
+        checkpoint: File to save to at every validation, and to resume from if it exists.
+        tell: Called after every new point of the curve, once the checkpoint has it.
+        identity: Further facts that identify a run, besides seed, recipe and profile: its data.
+        seed: Seed of the windows drawn and of the noise.
 
     Raises:
         InputError: The parts are not training and validation, or the checkpoint is of another run.
     """
-    for motions, needed in ((training, "train"), (validation, "validation")):
-        if motions.split != needed:
-            msg = f"train: got the part {motions.split!r}, allowed here is {needed!r}"
+    for motions, split in ((training, "train"), (validation, "validation")):
+        if motions.split != split:
+            msg = f"train: got the part {motions.split!r}, allowed here is {split!r}"
             raise InputError(msg)
     own = {"seed": str(seed), "recipe": repr(recipe), "profile": repr(profile)}
     loop = _Loop(model, recipe, profile, seed, {**own, **(identity or {})})
@@ -126,10 +126,10 @@ def train(
     # The first trajectories from their first frames on, as tests predict them.
     rows = torch.arange(min(profile.windows, len(validation)), device=validation.position.device)
     horizon = min(profile.horizon, validation.frame_count - HISTORY)
-    judged = validation.sample(rows, HISTORY - 1, horizon)
+    sample = validation.sample(rows, HISTORY - 1, horizon)
     while not loop.training.ended:
         loop.learn(training)
-        loop.judge(judged)
+        loop.judge(sample)
         if checkpoint is not None:
             loop.save(checkpoint)
         if tell is not None:
@@ -139,15 +139,15 @@ def train(
 
 
 def optimiser(model: LearnedModel, recipe: Recipe) -> torch.optim.Adam:
-    """Give a recipe's Adam; by its loops over parameters a small model would lose a tenth."""
+    """Return a recipe's Adam; fused, since loops would cost a small model a tenth of its time."""
     parameters = model.parameters()
     return torch.optim.Adam(parameters, lr=recipe.rate, betas=recipe.betas, fused=True)
 
 
 def validation_error(model: LearnedModel, sample: Sample) -> float:
-    """Mean over trajectories, frames and particles of the squared distance [m²].
+    """Return the mean squared distance over trajectories, frames and particles [m²].
 
-    Infinite where a prediction failed.
+    It is infinite if a prediction failed.
     """
     try:
         with torch.no_grad():
@@ -159,7 +159,7 @@ def validation_error(model: LearnedModel, sample: Sample) -> float:
 
 
 class _Loop:
-    """All that changes while a model trains."""
+    """State of a training, and its steps."""
 
     def __init__(
         self,
@@ -182,7 +182,7 @@ class _Loop:
         self.adam = optimiser(model, recipe)
 
     def learn(self, training: Motions) -> None:
-        """Take steps up to the next validation."""
+        """Take steps until the next validation."""
         self.total = torch.zeros((), device=training.position.device)
         self.from_step, self.failed = self.step, 0
         while self.step < min(self.from_step + self.profile.every, self.profile.steps):
@@ -197,7 +197,7 @@ class _Loop:
         self.training.skipped += self.failed
 
     def _descend(self, sample: Sample) -> Tensor | None:
-        """Take a step and give its loss; None where it is skipped."""
+        """Take a step and return its loss; None if it is skipped."""
         self.adam.zero_grad()
         with precision(self.training.model, mixed=self.profile.mixed_precision):
             loss = self.training.model.loss(sample, self.generator)
@@ -214,10 +214,10 @@ class _Loop:
         return loss.detach()
 
     def judge(self, sample: Sample) -> None:
-        """Validate, keep the best parameters, lower the rate, find out whether it is over."""
+        """Validate, keep the best parameters, lower the rate, and decide whether the run ends."""
         model, curve = self.training.model, self.training.curve
-        taken = self.step - self.from_step - self.failed
-        loss = float(self.total) / taken if taken > self.failed else math.nan
+        steps = self.step - self.from_step - self.failed
+        loss = float(self.total) / steps if steps > self.failed else math.nan
         error = validation_error(model, sample) if math.isfinite(loss) else math.inf
         if error < min((point.error for point in curve), default=math.inf):
             self.best_state = copy.deepcopy(model.state_dict())
@@ -247,7 +247,7 @@ class _Loop:
             group["lr"] = rate
 
     def save(self, path: Path) -> None:
-        """Write everything, or nothing."""
+        """Write a checkpoint, whole or not at all."""
         content = io.BytesIO()
         state = {
             "identity": self.identity,
@@ -263,7 +263,7 @@ class _Loop:
         write_whole(path, content.getvalue())
 
     def restore(self, path: Path) -> None:
-        """Go on from a checkpoint."""
+        """Resume from a checkpoint."""
         state, model = read_stored(path, "checkpoint", _ANEW, _Checkpoint), self.training.model
         check_identity(path, "a checkpoint", state.identity, self.identity)
         try:
@@ -273,10 +273,10 @@ class _Loop:
             raise InputError(msg) from error
         try:
             self.best_state = arrays(state.best)
-            moments = {key: arrays(of) for key, of in state.adam["state"].items()}
+            moments = {key: arrays(values) for key, values in state.adam["state"].items()}
             self.adam.load_state_dict({**state.adam, "state": moments})
             self.generator.set_state(array(state.generator))
-        except Exception as error:  # as many as there are ways of making a file
+        except Exception as error:  # a file can be wrong in any way
             raise InputError(f"{path}: no checkpoint, or a damaged one; {_ANEW}") from error
         self.step = state.step
         self._set_rate(state.rate)
@@ -284,7 +284,7 @@ class _Loop:
 
 
 class _Checkpoint(msgspec.Struct, frozen=True):
-    """What a file holds; arrays as they lie in it."""
+    """Content of a checkpoint's file; its arrays are still mapped from it."""
 
     identity: dict[str, str]
     step: int
@@ -301,40 +301,40 @@ class _Checkpoint(msgspec.Struct, frozen=True):
 
 
 def check_identity(
-    path: Path, what: str, stated: Mapping[str, str], own: Mapping[str, str]
+    path: Path, label: str, stated: Mapping[str, str], own: Mapping[str, str]
 ) -> None:
-    """Raise InputError where a file is of another run, saying what differs."""
-    differing = [
+    """Raise InputError if a file is of another run, with the facts that differ."""
+    facts = [
         key + _entries_apart(stated.get(key, ""), own[key])
         for key in own
         if stated.get(key) != own[key]
     ]
-    if differing:
+    if facts:
         msg = (
-            f"{path}: {what} of another {', '.join(differing)}; name another place, or remove it "
+            f"{path}: {label} of another {', '.join(facts)}; name another place, or remove it "
             "to start anew"
         )
         raise InputError(msg)
 
 
 def _entries_apart(stated: str, own: str) -> str:
-    """Say which few entries of two JSON objects differ; nothing of other texts."""
+    """Describe the entries in which two JSON objects differ; "" if many, or for other texts."""
     try:
         was, now = (msgspec.json.decode(text, type=dict[str, Any]) for text in (stated, own))
     except msgspec.DecodeError:
         return ""
     entries = [f"{key} {was.get(key)}, now {now[key]}" for key in now if was.get(key) != now[key]]
-    said = "; ".join(entries)
-    return f" ({said})" if 0 < len(said) <= _LINE else ""
+    differences = "; ".join(entries)
+    return f" ({differences})" if 0 < len(differences) <= _LINE else ""
 
 
 def read_identity(path: Path) -> dict[str, str]:
-    """Read what the run of a checkpoint is known by, or raise InputError."""
+    """Read the identity of a checkpoint's run, or raise InputError."""
     return read_stored(path, "checkpoint", _ANEW, _Checkpoint).identity
 
 
 def _on_plateau(rate: float, schedule: Plateau, curve: list[CurvePoint]) -> float:
-    """Rate after these validations, from the first one on."""
+    """Return the rate after these validations, counted from the first one."""
     best, waited = math.inf, 0
     for point in curve:
         best, waited = (point.error, 0) if point.error < best else (best, waited + 1)

@@ -1,7 +1,7 @@
-"""Trained models: what their files say, which of them are compared, and what they predict.
+"""Trained models: the facts in their files, the choice of models to compare, and predictions.
 
-A model needs the first frames of a motion. Beside engines they are the reference's, so that it
-starts where every engine starts, and knows what no engine is told: how the motion begins.
+A model needs the first frames of a motion. In comparisons with engines they are the reference's: it
+starts where every engine starts, but knows how the motion begins, which no engine does.
 """
 
 from __future__ import annotations
@@ -32,73 +32,73 @@ from mbds_xsim.simulate.choice import words_of
 
 _FACTS = ("train_engines", "variant", "training", "seed")
 _ALIKE = ("profile", "track", "settings", "drawn", "starts", "device")
-"""Facts that trainings must share to differ in their engines alone."""
+"""Facts that trainings must share if only their engines are to differ."""
 _SPENT = ("wall_s", "cpu_s", "train_trajectories")
-"""Facts that are numbers, and that studies tell of."""
+"""Numeric facts that studies report."""
 _WAYS = ("each", "leave-one-out", "all", "by-interval")
 
 
 @dataclass(frozen=True)
 class TrainedModel:
-    """A trained model, as its file says; or a trivial one, which has no file."""
+    """Trained model as its file describes it, or a trivial one, which has no file."""
 
     model: str
-    """By which it is told from others: the name of its folder."""
+    """Name that distinguishes it from other models: that of its folder."""
     training: str
-    """What it was trained on and the variant of that: "mujoco-native", "all-matched"."""
+    """Name and variant of the training: "mujoco-native", "all-matched"."""
     engines: tuple[str, ...]
-    """Whose data it was trained on; none for trivial models."""
+    """Engines whose data it was trained on; empty for trivial models."""
     variant: str
     seed: int
     path: Path | None
-    """Absolute; None: a trivial one."""
+    """Absolute path of its file; None for a trivial model."""
     content: str
-    """Checksum of the file."""
+    """Checksum of the file; the name of a trivial model."""
     profile: str = ""
     steps: int = 0
-    """Of the optimiser; 0 where not stated."""
+    """Number of optimiser steps; 0 if not stated."""
     ended: str = ""
     data: tuple[tuple[str, str], ...] = ()
-    """Engines and checksums of the files that it was trained on, as far as stated."""
+    """Engines and checksums of the files that it was trained on, if stated."""
     drawn: tuple[int, int] | None = None
-    """Seed and number of the trajectories that its training part is of, as far as stated."""
+    """Seed and number of the drawn trajectories that include its training part, if stated."""
     interval: str = ""
-    """Of the starts that it was trained on; all when left out."""
+    """Interval of the starts that it was trained on; empty for all."""
     bodies: bool = False
     """Whether it starts from the bodies' states, not from the particles' positions alone."""
     budget: tuple[tuple[str, str], ...] = ()
-    """What else it was made with, as far as stated: a profile, starts."""
+    """Facts that comparable trainings share, such as profile and starts, if stated."""
     facts: dict[str, str] = field(default_factory=dict, compare=False, repr=False)
-    """All that the file says."""
+    """All facts in the file."""
     trained_on: Scene | None = field(default=None, compare=False, repr=False)
     named: Path | None = field(default=None, compare=False, repr=False)
-    """Its file as it was named: in results no paths of a machine are to stand."""
+    """Path of its file as the user gave it: results must not contain paths of a machine."""
 
     @property
     def scene(self) -> Scene:
-        """That it was trained on, with its clock; trivial models are of any."""
+        """Scene that it was trained on, with its clock; trivial models have none."""
         assert self.trained_on is not None
         return self.trained_on
 
     @property
     def file(self) -> Path:
-        """Its path, of one that has a file."""
+        """Path of its file; trivial models have none."""
         assert self.path is not None
         return self.path
 
     @property
     def kind(self) -> str:
-        """Name of the model that it is, whatever its folder's."""
+        """Registered name of the model, whatever the name of its folder."""
         return self.facts.get("model") or self.model
 
     @property
     def run(self) -> str:
-        """What it was trained on, and its seed: "mujoco-s0"."""
+        """Name of the training, and the seed: "mujoco-s0"."""
         return f"{self.facts['training']}-s{self.seed}"
 
     @property
     def single(self) -> bool:
-        """Whether one engine's data made it."""
+        """Whether it was trained on one engine's data."""
         return len(self.engines) == 1
 
     @property
@@ -108,31 +108,31 @@ class TrainedModel:
 
     @property
     def way(self) -> str:
-        """The word of `mbds-xsim train --on` that makes it."""
+        """Word for `mbds-xsim train --on` that makes such a training."""
         if self.interval:
             return "by-interval"
-        if self.training.startswith("not-"):  # of two engines, too, where it is the other alone
+        if self.training.startswith("not-"):  # even of two engines, where only the other is left
             return "leave-one-out"
         return "each" if self.single else "all"
 
     def load(self, scene: Scene) -> LearnedModel:
-        """Read it, for data of a scene; InputError where it is of another."""
+        """Load the model for data of a scene; raise InputError if it is of another scene."""
         if self.path is None:
-            # Trivial models look at no statistics.
+            # Trivial models need no statistics.
             nothing: Any = None
             return load_model(self.model)(Graph.of(scene), nothing, None)
         self.check_scene(scene)
         return read_model(self.path)[0]
 
     def check_scene(self, scene: Scene) -> None:
-        """Refuse data of another scene."""
+        """Raise InputError for data of another scene."""
         if self.trained_on != scene:
             msg = f"{self.path}: a model of another scene than the data's; train it on such data"
             raise InputError(msg)
 
 
 def trained_model(path: Path) -> TrainedModel:
-    """Read what a file says; InputError where it is no model's, or does not say enough."""
+    """Read the facts of a model's file; raise InputError if it is none, or if facts are missing."""
     model, facts = read_model(path)
     missing = [key for key in _FACTS if not facts.get(key)]
     if missing:
@@ -176,9 +176,9 @@ def trained_model(path: Path) -> TrainedModel:
 
 
 def trained_in(places: Sequence[Path]) -> list[TrainedModel]:
-    """Find the models of files, of patterns of files, and of all files *.pt below folders.
+    """Find the models in files, in patterns of files, and in all files *.pt below folders.
 
-    InputError where there is none, or a file is no trained model.
+    Raises InputError if a place has none, or if a file is not a trained model.
     """
     models: list[TrainedModel] = []
     for place in places:
@@ -197,16 +197,16 @@ def trained_in(places: Sequence[Path]) -> list[TrainedModel]:
 
 @dataclass(frozen=True)
 class Selection:
-    """Which of the models and domains that there are take part; left out, all."""
+    """Choice of the models and domains that take part; by default all do."""
 
     variants: tuple[str, ...] = ()
     ways: tuple[str, ...] = ()
     seeds: int | None = None
-    """How many, from 0 on."""
+    """Number of seeds, from 0 on; None: all."""
 
     @staticmethod
     def parse(settings: str | None, on: str | None, seeds: int | None) -> Selection:
-        """Read it from a user's words; InputError says which ways there are."""
+        """Parse a user's words; raise InputError with the allowed ways for an unknown one."""
         ways = words_of(on or ())
         if unknown := [way for way in ways if way not in _WAYS]:
             msg = f"--on: got {unknown[0]!r}, allowed is {', '.join(_WAYS)}, comma-separated"
@@ -228,7 +228,7 @@ WHOLE = Selection()
 def find_models(folder: Path, scene: str, selection: Selection = WHOLE) -> list[TrainedModel]:
     """Find the files `<scene>/<variant>/<model>/<training>-s<seed>.pt` below a folder.
 
-    InputError where there is none, one does not say what it was trained on, or two say the same.
+    Raises InputError if there is none, if one does not state its training, or if two are the same.
     """
     paths = sorted((folder / scene).glob("*/*/*-s*.pt"))
     if not paths:
@@ -247,29 +247,29 @@ def find_models(folder: Path, scene: str, selection: Selection = WHOLE) -> list[
         known[key] = model.path
     chosen = [model for model in models if selection.has(model)]
     if not chosen:
-        there = ", ".join(dict.fromkeys(f"{m.way} {m.variant}" for m in models))
+        ways = ", ".join(dict.fromkeys(f"{m.way} {m.variant}" for m in models))
         seeds = ", ".join(map(str, sorted({m.seed for m in models})))
         msg = (
             f"{folder / scene}: none of the {len(models)} models there was asked for; there are "
-            f"{there}, of seed {seeds}"
+            f"{ways}, of seed {seeds}"
         )
         raise InputError(msg)
     return chosen
 
 
 def trivial_models() -> list[TrainedModel]:
-    """Give the models that learn nothing."""
+    """Return the models that learn nothing."""
     return [TrainedModel(name, "nothing", (), "", 0, None, name) for name in TRIVIAL]
 
 
 def check_budget(models: Sequence[TrainedModel]) -> None:
-    """Refuse models of one kind that do not differ in their engines and variant alone."""
+    """Raise InputError if models of one kind differ in more than their engines and variant."""
     firsts: dict[tuple[str, ...], tuple[str, TrainedModel]] = {}
     for model in models:
         for key, value in model.budget:
-            # One trains on what all engines of a variant have.
-            of = (model.variant, model.interval) if key == "starts" else ()
-            usual, first = firsts.setdefault((model.model, key, *of), (value, model))
+            # Starts depend on the trajectories that all engines of a variant have.
+            group = (model.variant, model.interval) if key == "starts" else ()
+            usual, first = firsts.setdefault((model.model, key, *group), (value, model))
             if value != usual:
                 msg = (
                     f"{model.path}: has another {key} than {first.path}; to compare them would "
@@ -279,35 +279,35 @@ def check_budget(models: Sequence[TrainedModel]) -> None:
 
 
 def _order(model: TrainedModel) -> tuple[str, str, int, int, str, int]:
-    """Single engines, leave-one-out, all, single intervals; variant by variant."""
+    """Return a sort key: single engines, leave-one-out, all, single intervals, for each variant."""
     part = ("", *INTERVALS).index(model.interval)
     return model.model, model.variant, part, len(model.engines), model.training, model.seed
 
 
 @dataclass(frozen=True, eq=False)
 class Known(RowBundle):
-    """What a model is given of motions: their first frames, and the inputs of those to come."""
+    """Known part of motions: their first frames, and the inputs of the frames to come."""
 
     start: Start
     inputs: KnownInputs
 
     def repeated(self, rows: int) -> Known:
-        """Make a batch of so many out of few, with repetition."""
+        """Return a batch of `rows` rows, which repeats these."""
         return self[torch.arange(rows) % len(self.start)]
 
     def truncated(self, frames: int) -> Known:
-        """Keep the inputs of the first frames to come."""
+        """Keep the inputs of only the first `frames` frames to come."""
         return Known(self.start, self.inputs[:, :frames])
 
 
 def known_start(model: LearnedModel, truth: Trajectory, inputs: Batch) -> Known:
-    """Give a model the first `HISTORY` frames of the reference.
+    """Return the first `HISTORY` frames of the reference as a model's start.
 
     Args:
-        model: On the CPU.
-        truth: Solution of some starts, of one frame more than there are inputs; long enough, or
-            InputError.
-        inputs: What acts and is known: without the random forces.
+        model: A model on the CPU.
+        truth: Solution of some starts, with one frame more than there are inputs; InputError if it
+            is too short.
+        inputs: Known inputs, without the random forces.
     """
     graph, last = model.graph, HISTORY - 1
     if inputs.steps < HISTORY:
@@ -332,7 +332,7 @@ def known_start(model: LearnedModel, truth: Trajectory, inputs: Batch) -> Known:
 
 
 def carry_on(model: LearnedModel, known: Known) -> torch.Tensor:
-    """Predict all frames to come [m], shape (trajectory, frame, particle, 3)."""
+    """Predict positions in all frames to come [m], shape (trajectory, frame, particle, 3)."""
     with torch.no_grad():
         return roll(model, known.start, known.inputs)
 
@@ -340,9 +340,9 @@ def carry_on(model: LearnedModel, known: Known) -> torch.Tensor:
 def particle_motion(
     graph: Graph, start: Batch, truth: Trajectory, predicted: torch.Tensor | None = None
 ) -> ParticleMotion:
-    """Give the particles of one motion: the reference's, or predictions behind its first frames.
+    """Return the particles of one motion: the reference's, or predictions after its first frames.
 
-    Predictions are as `carry_on` gave them [m], shape (1, frame, particle, 3).
+    Predictions are as `carry_on` returns them [m], shape (1, frame, particle, 3).
     """
     position, _ = Points.of(graph.scene).motion(truth)
     frames = graph.embed(torch.from_numpy(position))[0]

@@ -1,6 +1,6 @@
-"""Many trainings: which there are, what they cost, and their carrying out side by side.
+"""Many trainings: their planning, their cost, and their execution in parallel.
 
-Progress is told from the curves that runs write, wherever they run.
+Progress is read from the curves that runs write, wherever they run.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from mbds_xsim.learn.runs import (
 from mbds_xsim.learn.window import names_read
 
 Facts = dict[str, dict[str, str]]
-"""Of runs, by their name."""
+"""Facts about runs, keyed by run name."""
 
 LONG = 1000
-"""Steps of a run from which its cost is to be told first."""
-_MEASURING = 600.0  # of one model [s]
+"""Number of steps above which the cost of a run is reported before it starts."""
+_MEASURING = 600.0  # time limit for one model [s]
 _ENDS = {
     "level": "level after {steps} steps",
     "steps": "all {steps} steps",
@@ -45,18 +45,16 @@ _ENDS = {
 
 
 class TrainingSink(Protocol):
-    """Where progress is told."""
+    """Receiver of progress reports."""
 
     def begin(self, done: int, most_steps: Sequence[int]) -> None:
-        """Say how many runs are done, and the most steps of each that is not."""
+        """Report the number of finished runs, and the maximum steps of each other run."""
 
     def reached(self, name: str, step: int, error: float, *, before: bool) -> None:
-        """Tell how far a run is and its validation error; `before`: an earlier process got so
-        far.
-        """
+        """Report a run's step and validation error; `before`: an earlier process got there."""
 
     def ended(self, name: str, most_steps: int, how: str) -> None:
-        """Tell of a run that is over."""
+        """Report that a run is over, and how it ended."""
 
 
 @dataclass(frozen=True)
@@ -64,44 +62,44 @@ class TrainingPlan:
     """The runs of a request."""
 
     runs: tuple[TrainingRun, ...]
-    """Still to be carried out, wholly or in part."""
+    """Runs that remain to be carried out, wholly or in part."""
     done: Facts
-    """Of those that have been."""
+    """Facts about finished runs, keyed by run name."""
     left_out: dict[str, str]
-    """Why a model or an engine is not, by scene, variant and its name."""
+    """Reasons why models and engines are left out, keyed by scene, variant and name."""
     blocked: dict[str, str]
-    """Where trainings are only planned, which runs have another's file in their place."""
+    """Runs that find another run's file in their place, with the reason; only if nothing is run."""
 
 
 @dataclass
 class TrainingOutcome:
-    """What came of the runs of a plan."""
+    """Outcome of the runs of a plan."""
 
     trained: Facts = field(default_factory=dict)
-    """Of each run that was carried out now."""
+    """Facts about each run that was carried out now."""
     failed: dict[str, str] = field(default_factory=dict)
-    """Why a run's process ended without a result; asked for again, it goes on."""
+    """Reasons why runs ended without a result; a new request resumes them."""
 
 
 def profile_named(name: str) -> Profile:
-    """Give a profile; UnknownName says which there are."""
+    """Return a profile by name, or raise UnknownName with the known names."""
     check_name("profile", name, PROFILES)
     return PROFILES[name]
 
 
 def planned(request: TrainingRequest, *, only: bool = False) -> TrainingPlan:
-    """List the runs; `only`, where nothing will be written, so that nothing can be in its place.
+    """Plan the runs of a request; `only`, if nothing will be written and blocked runs are allowed.
 
     Raises:
-        InputError: A model, track or training is not there, data are too few or too short for it
-            or not what was written, or in the place of a run there is another.
+        InputError: A model, track or training does not exist, the data are too few, too short or
+            damaged, or the files of another run are in a run's place.
     """
     events = request.events and request.events.absolute()
     request = replace(request, out=request.out.absolute(), events=events)
     usual, tracks = TRACKS[request.profile_name], {}
     for model in request.models:
         if model in model_names():
-            load_model(model)  # which says what is wrong with one that cannot be used
+            load_model(model)  # raises the reason if it cannot be used
         check_name("model to train", model, trainable())
         tracks[model] = track_of(model, request.track, usual)
     reasons = {
@@ -117,8 +115,8 @@ def planned(request: TrainingRequest, *, only: bool = False) -> TrainingPlan:
         for training, share in shares_of(group, request.on).items()
     ]
     if not runs:
-        each = "; ".join(f"{model}: {reason}" for (_, model), reason in reasons.items())
-        raise InputError(f"nothing to train: {each}")
+        refusals = "; ".join(f"{model}: {reason}" for (_, model), reason in reasons.items())
+        raise InputError(f"nothing to train: {refusals}")
     for run in runs:
         check_data(run)
     done: Facts = {}
@@ -141,18 +139,18 @@ def planned(request: TrainingRequest, *, only: bool = False) -> TrainingPlan:
 
 
 def _check_contents(runs: Sequence[TrainingRun]) -> None:
-    """Refuse data that are not what was written: a model's file will bear their checksums."""
+    """Raise InputError for damaged data, because model files will state their checksums."""
     names: dict[Dataset, set[str]] = {}
     for run in runs:
-        read = names_read(bodies=load_model(run.model).needs_bodies)
+        datasets = names_read(bodies=load_model(run.model).needs_bodies)
         for engine in run.share.engines:
-            names.setdefault(run.group.data[engine], set()).update(read)
+            names.setdefault(run.group.data[engine], set()).update(datasets)
     for data, needed in names.items():
         data.check(needed)
 
 
 def costs(plan: TrainingPlan, *, workers: int | None, carrier: Carrier) -> list[Cost]:
-    """Measure one run of each model on each group, as many at a time as will train."""
+    """Measure the cost of one run of each model on each group, as many at a time as will train."""
     first = {(run.group.name, run.model): run for run in reversed(plan.runs)}
     runs = [first[key] for key in reversed(first)]
     answers = carrier([Task(measure, (run,), _MEASURING) for run in runs], workers=workers)
@@ -171,7 +169,7 @@ def carry(
     progress: TrainingSink,
     costs: Iterable[Cost] = (),
 ) -> TrainingOutcome:
-    """Carry out the runs that are still to be, the longest first; interrupted ones go on."""
+    """Carry out the remaining runs, the longest first; interrupted ones resume."""
     outcome = TrainingOutcome()
     hours = {(cost.group, cost.model): cost.hours for cost in costs}
     runs = sorted(plan.runs, key=lambda run: -hours.get((run.group.name, run.model), 0.0))
@@ -196,29 +194,29 @@ def carry(
 
 
 def _ended(facts: dict[str, str]) -> str:
-    """Say in a few words how a run ended."""
+    """Describe in a few words how a run ended."""
     error, rate = float(facts["best_error"]), float(facts["steps_per_s"])
-    way = _ENDS[facts["ended"]].format(steps=facts["steps"])
-    return f"{way}, best error {error:.3g} m² ({float(facts['wall_s']):.0f} s, {rate:.3g} steps/s)"
+    end = _ENDS[facts["ended"]].format(steps=facts["steps"])
+    return f"{end}, best error {error:.3g} m² ({float(facts['wall_s']):.0f} s, {rate:.3g} steps/s)"
 
 
 def diverged(runs: Mapping[str, Mapping[str, str]]) -> list[str]:
-    """Name the runs whose losses stopped being numbers."""
+    """Return the names of the runs whose losses stopped being finite."""
     return [name for name, facts in runs.items() if facts.get("ended") == "diverged"]
 
 
 @contextmanager
 def watched(runs: Sequence[TrainingRun], progress: TrainingSink) -> Iterator[None]:
-    """Tell what is added to the curves of some runs while the block runs."""
-    # A curve without a checkpoint is of a run that was removed, and is made anew.
-    known = {run.name: 0 if run.checkpoint.exists() else _changed(run) for run in runs}
+    """Report new points of the runs' curves while the block runs."""
+    # A curve without a checkpoint is of a removed run, and is written anew.
+    times = {run.name: 0 if run.checkpoint.exists() else _changed(run) for run in runs}
 
     def look(*, before: bool = False) -> None:
-        """Tell of the runs whose files are newer than when they were looked at last [ns]."""
+        """Report the runs whose curve files have changed since the last look."""
         for run in runs:
-            changed = _changed(run)
-            if changed > known[run.name]:
-                known[run.name] = changed
+            time = _changed(run)
+            if time > times[run.name]:
+                times[run.name] = time
                 points = read_curve(run.curve).points
                 if points:
                     progress.reached(run.name, points[-1].step, points[-1].error, before=before)
@@ -229,5 +227,5 @@ def watched(runs: Sequence[TrainingRun], progress: TrainingSink) -> Iterator[Non
 
 
 def _changed(run: TrainingRun) -> int:
-    """When its curve was written last [ns]."""
+    """Return the time at which a run's curve was last written [ns], or 0."""
     return run.curve.stat().st_mtime_ns if run.curve.exists() else 0

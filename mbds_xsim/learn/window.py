@@ -1,4 +1,4 @@
-"""A data set as few contiguous tensors, and windows of it gathered by index."""
+"""A data set as a few contiguous tensors, and windows gathered from it by index."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.learn.graph import Graph, RowBundle
 
 HISTORY = 6
-"""Positions that a model is shown; all rollouts start behind as many, whatever a model uses."""
+"""Number of frames that a model is shown; all rollouts start after them, even if it uses fewer."""
 
 _PARTICLES = ("position", "velocity")
-# What a model may be told: `input/force` has the noise in it and is never read.
+# Inputs that a model may know: `input/force` contains the noise and is never read.
 _KNOWN_FORCE, _TORQUE = "input/known_force", "input/torque"
 _BODIES = ("body/position", "body/orientation", "body/velocity", "body/angular_velocity")
 
 
 def names_read(*, bodies: bool) -> tuple[str, ...]:
-    """Name the datasets that `Motions.of` reads."""
+    """Return the names of the datasets that `Motions.of` reads."""
     return (*_PARTICLES, _KNOWN_FORCE, _TORQUE, *(_BODIES if bodies else ()))
 
 
 @dataclass(frozen=True, eq=False)
 class KnownInputs(RowBundle):
-    """What acts over a frame and is known: never the noise."""
+    """Known forces and torques over a frame, without the noise."""
 
     force: Tensor
-    """On the bodies' centres of mass in W [N], shape (…, body, 3)."""
+    """Forces on the bodies' centres of mass in W [N], shape (…, body, 3)."""
     torque: Tensor
-    """About the hinges, on the child and the opposite on the parent [N·m], shape (…, hinge)."""
+    """Torques about the hinges, on the child and opposite on the parent [N·m], (…, hinge)."""
 
     def at(self, frame: int) -> KnownInputs:
         """Take one frame of inputs of shape (batch, frame, …)."""
@@ -44,15 +44,15 @@ class KnownInputs(RowBundle):
 
 @dataclass(frozen=True, eq=False)
 class Start(RowBundle):
-    """What is known of a motion when its prediction starts."""
+    """Known part of a motion when its prediction starts."""
 
     history: Tensor
-    """The last positions of the particles in W, oldest first [m], shape (batch, 6, particle, 3)."""
+    """Last positions of the particles in W, oldest first [m], shape (batch, 6, particle, 3)."""
     velocity: Tensor
-    """Of the particles at the last of them [m/s], shape (batch, particle, 3)."""
+    """Velocities of the particles at the last known frame [m/s], shape (batch, particle, 3)."""
     body: Tensor | None = None
     """Published states of the bodies at the same frames: position, orientation wxyz, velocity and
-    angular velocity, shape (batch, 6, body, 13), float64; only where `Motions` were read with them.
+    angular velocity, shape (batch, 6, body, 13), float64; None if `Motions` were read without them.
     """
 
     def __len__(self) -> int:
@@ -61,15 +61,15 @@ class Start(RowBundle):
 
 @dataclass(frozen=True, eq=False)
 class Sample(RowBundle):
-    """Starts, and what followed."""
+    """Starts, and the frames that follow them."""
 
     start: Start
     inputs: KnownInputs
-    """Over each frame to come, shapes (batch, frame, body, 3) and (batch, frame, hinge)."""
+    """Inputs over each frame to come, shapes (batch, frame, body, 3) and (batch, frame, hinge)."""
     position: Tensor
-    """Of the particles in the frames to come [m], shape (batch, frame, particle, 3)."""
+    """Positions of the particles in the frames to come [m], shape (batch, frame, particle, 3)."""
     velocity: Tensor
-    """The same [m/s]."""
+    """Velocities of the particles in the frames to come [m/s], same shape."""
     body: Tensor | None = None
     """Published states of the bodies in these frames, shape (batch, frame, body, 13)."""
 
@@ -83,15 +83,15 @@ class Motions(RowBundle):
 
     graph: Graph
     split: str
-    """Which part it is: train, validation or test."""
+    """Name of the part: train, validation or test."""
     index: NDArray[np.int64]
     """Number of each trajectory, the same in all engines."""
     position: Tensor
-    """Of the particles in W [m], shape (trajectory, frame, particle, 3)."""
+    """Positions of the particles in W [m], shape (trajectory, frame, particle, 3)."""
     velocity: Tensor
-    """The same [m/s]."""
+    """Velocities of the particles in W [m/s], same shape."""
     inputs: KnownInputs
-    """Over each step, shapes (trajectory, step, body, 3) and (trajectory, step, hinge)."""
+    """Inputs over each step, shapes (trajectory, step, body, 3) and (trajectory, step, hinge)."""
     body: Tensor | None = None
     """Published states of the bodies, shape (trajectory, frame, body, 13), float64."""
 
@@ -112,11 +112,11 @@ class Motions(RowBundle):
             split: The part.
             rows: Only these trajectories, by row.
             bodies: Whether to read the bodies' states too.
-            device: Where to put them.
-            dtype: Of positions, velocities and inputs; the file has float32.
+            device: Device of the tensors.
+            dtype: Precision of positions, velocities and inputs; the file has float32.
 
         Raises:
-            InputError: There is no such part or it is empty, or the frames are too few.
+            InputError: The part is missing or empty, or its trajectories have too few frames.
         """
         chosen = data.rows_of(split) if rows is None else np.intersect1d(data.rows_of(split), rows)
         frames = int(data.attributes["steps"]) + 1
@@ -145,7 +145,7 @@ class Motions(RowBundle):
 
     @staticmethod
     def joined(parts: Sequence[Motions]) -> Motions:
-        """Put trajectories of several engines behind each other; scene and part must be one."""
+        """Concatenate trajectories of several engines; scene and part must be the same."""
         first = parts[0]
         if any(p.graph.scene != first.graph.scene or p.split != first.split for p in parts):
             msg = "motions of different scenes or parts cannot be joined; load them apart"
@@ -173,11 +173,11 @@ class Motions(RowBundle):
 
     @property
     def frame_count(self) -> int:
-        """Frames of a trajectory."""
+        """Number of frames of a trajectory."""
         return self.position.shape[1]
 
     def until(self, frames: int) -> Motions:
-        """Take no more than the first frames of all trajectories."""
+        """Keep at most the first `frames` frames of all trajectories."""
         return replace(
             self,
             position=self.position[:, :frames],
@@ -187,11 +187,11 @@ class Motions(RowBundle):
         )
 
     def window_count(self, horizon: int = 1) -> int:
-        """How many windows of `HISTORY` frames and so many to come there are."""
+        """Return the number of windows of `HISTORY` known frames and `horizon` frames to come."""
         return len(self) * max(0, self.frame_count - HISTORY - horizon + 1)
 
     def take(self, numbers: Tensor, horizon: int = 1) -> Sample:
-        """Gather windows by number, counted trajectory by trajectory, with so many frames to come.
+        """Gather windows by number, counted by trajectory, with `horizon` frames to come each.
 
         Numbers are from 0 to `window_count(horizon)` − 1, int64, shape (batch,).
         """
@@ -200,12 +200,12 @@ class Motions(RowBundle):
         return self.sample(row, numbers % each + HISTORY - 1, horizon)
 
     def draw(self, count: int, generator: torch.Generator, horizon: int = 1) -> Sample:
-        """Draw windows, uniformly and with repetition; the generator is one of the CPU."""
+        """Draw windows uniformly with replacement; the generator must be on the CPU."""
         numbers = torch.randint(self.window_count(horizon), (count,), generator=generator)
         return self.take(numbers.to(self.position.device), horizon)
 
     def sample(self, row: Tensor, last: Tensor | int, horizon: int) -> Sample:
-        """Gather windows by trajectory and by the last frame that is known, (batch,) or one."""
+        """Gather windows by trajectory and by last known frame, (batch,) or one for all."""
         row, last = row[:, None], (torch.zeros_like(row) + last)[:, None]
         past = last + torch.arange(1 - HISTORY, 1, device=row.device)
         steps = last + torch.arange(horizon, device=row.device)

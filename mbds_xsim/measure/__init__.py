@@ -1,1 +1,1 @@
-"""Runs that are measured: kept, judged, and searched for settings that are good enough."""
+"""Measured runs: stored, judged, and searched for settings that are good enough."""

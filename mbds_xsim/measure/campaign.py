@@ -1,4 +1,4 @@
-"""The simulations of a validation: which there are, carried out side by side, put together.
+"""The simulations of a validation: planned, carried out in parallel, and put together.
 
 One work item is one engine at one step over some trajectories, or one trajectory's reference.
 """
@@ -29,11 +29,11 @@ from mbds_xsim.simulate.registry import REFERENCE
 from mbds_xsim.simulate.timed import Work, forewarnings, simulate
 
 _CHUNKS = 6  # an engine's trajectories are spread over at most so many processes
-_LANES = 8  # trajectories that take the compiled reference as long as one
+_LANES = 8  # trajectories that the compiled reference solves in the time of one
 _TIMEOUT = 3600.0
 RTOL = 1e-11
-"""Of the reference."""
-_OPEN = 1e-6  # of the scene's length: a gap that no reference has
+"""Relative tolerance of the reference."""
+_OPEN = 1e-6  # of the scene's length: a joint gap too large for a reference
 _SAMPLE = 3  # trajectories that run at other steps too, in one process
 
 
@@ -45,13 +45,13 @@ def run_campaign(
     spent: Account,
     then: Callable[[Outcome, ReferenceOutcome], object] = lambda *_: None,
 ) -> tuple[list[Outcome], ReferenceOutcome]:
-    """Simulate everything; engines while the reference is compiled, where it has to be.
+    """Run all simulations; engines start while the reference is compiled, if it has to be.
 
-    What it takes is added to `spent`, the seconds of processes by what they did. What an engine
-    delivered goes to `then` once it is complete and the reference is there, while others still run.
+    Process time in seconds is added to `spent` by purpose. An engine's outcome goes to `then` once
+    it is complete and the reference is available, while others still run.
 
     Raises:
-        InputError: The reference could not be had; without it nothing can be judged.
+        InputError: The reference failed; without it nothing can be judged.
     """
     outcomes, meter = [Outcome(each, scene, batch) for each in contenders], conduct.meter
     references: list[Any] = []
@@ -71,11 +71,11 @@ def run_campaign(
     reference: ReferenceOutcome | None = None
     complete: list[Outcome] = []
 
-    def done(what: str) -> None:
+    def done(purpose: str) -> None:
         nonlocal reference
-        if what == REFERENCE:
+        if purpose == REFERENCE:
             reference = _joined(references)
-        complete.extend(each for each in outcomes if each.contender.engine == what)
+        complete.extend(each for each in outcomes if each.contender.engine == purpose)
         while reference is not None and complete:
             then(complete.pop(0), reference)
 
@@ -92,7 +92,7 @@ def run_references(scene: Scene, batch: Batch, conduct: Conduct) -> ReferenceOut
     """Solve the reference of every trajectory, or take it from the cache.
 
     Raises:
-        InputError: The reference could not be had; without it nothing can be judged.
+        InputError: The reference failed; without it nothing can be judged.
     """
     if not scene.contacts:
         compile_once(conduct.meter.notice, workers=conduct.workers)
@@ -125,13 +125,13 @@ def _work_of(outcome: Outcome) -> Work:
 
 
 def _chunks(count: int, *, least: int) -> list[list[int]]:
-    """Part rows evenly, into as many pieces as there would be of so many rows at the most."""
+    """Split rows evenly into ⌈count / least⌉ pieces, but at most `_CHUNKS`."""
     parts = min(_CHUNKS, -(-count // least))
     return [rows.tolist() for rows in np.array_split(np.arange(count), parts)]
 
 
 def _reference_chunks(scene: Scene, count: int) -> list[list[int]]:
-    """Let the compiled reference have as many as it does at once."""
+    """Split rows into as many as the compiled reference solves at once, or single ones."""
     return _chunks(count, least=1 if scene.contacts else _LANES)
 
 
@@ -139,37 +139,37 @@ def reference_of(scene: Scene, batch: Batch, cache: bool) -> ReferenceOutcome:
     """Solve the reference of some trajectories, with its sensitivity, in this process."""
     begin = time.perf_counter()
     keys = [key_of("solve", scene, batch, row, RTOL) for row in range(len(batch))]
-    kept = sum(load(key) is not None for key in keys) if cache else 0
+    cached = sum(load(key) is not None for key in keys) if cache else 0
     trajectory = reference.solve(scene, batch, rtol=RTOL, cache=cache)
     _check_closed(scene, batch, trajectory)
     growth = reference.sensitivity(scene, batch, cache=cache)
     growth[~trajectory.known] = np.nan
-    return ReferenceOutcome(trajectory, growth, RTOL, kept, time.perf_counter() - begin)
+    return ReferenceOutcome(trajectory, growth, RTOL, cached, time.perf_counter() - begin)
 
 
 def _check_closed(scene: Scene, batch: Batch, trajectory: Trajectory) -> None:
-    """Refuse a solution that does not keep the joints: engines would be held against nothing."""
-    for found in audited(Record(scene, batch, trajectory), (gap,)):
-        worst = found.worst
-        if found.figure[worst] > _OPEN * scene.length:
+    """Raise InputError if the reference opens a joint, since it cannot judge engines then."""
+    for finding in audited(Record(scene, batch, trajectory), (gap,)):
+        worst = finding.worst
+        if finding.figure[worst] > _OPEN * scene.length:
             msg = (
-                f"the reference opens {found.where[worst]} by {found.figure[worst]:.3g} m, so "
+                f"the reference opens {finding.where[worst]} by {finding.figure[worst]:.3g} m, so "
                 "nothing can be judged: masses, inertias or lengths of the bodies differ too much"
             )
             raise InputError(msg)
 
 
 def _joined(parts: list[Any]) -> ReferenceOutcome:
-    crashed = [part.reason for part in parts if isinstance(part, Crash)]
-    crashed += [
+    reasons = [part.reason for part in parts if isinstance(part, Crash)]
+    reasons += [
         f.reason
         for part in parts
         if not isinstance(part, Crash)
         for f in part.trajectory.failures
         if f is not None and not isinstance(f, reference.FirstImpact)
     ]
-    if crashed:
-        msg = f"the reference solution failed, so nothing can be judged: {crashed[0]}"
+    if reasons:
+        msg = f"the reference solution failed, so nothing can be judged: {reasons[0]}"
         raise InputError(msg)
     return ReferenceOutcome(
         trajectory=Trajectory.joined([part.trajectory for part in parts]),

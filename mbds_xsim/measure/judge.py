@@ -1,4 +1,4 @@
-"""From what an engine delivered to its row of the table: figures, verdict, reasons."""
+"""Judgement of an engine's outcome: figures, verdict and reasons of its row of the table."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ _ONE_SECOND = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """An engine's result and the arrays behind it."""
+    """An engine's result and the underlying arrays."""
 
     result: EngineResult
     trajectory: Trajectory | None
     error: Array | None
-    """RMS particle error [m], shape (trajectory, frame); None of the reference itself."""
+    """RMS particle error [m], shape (trajectory, frame); None for the reference itself."""
     series: dict[str, Array]
 
 
 def judge(outcome: Outcome, reference: ReferenceOutcome, *, native: bool = True) -> Judged:
-    """Check everything an engine delivered and give the verdict.
+    """Check an engine's outcome and return its result with the verdict.
 
-    Without `native` it is on the motion alone, whatever a native model has otherwise.
+    Without `native`, only the motion is judged, not the native model that was read back.
     """
     scene, batch, truth = outcome.scene, outcome.batch, reference.trajectory
     trajectory = outcome.trajectory(truth.time)
@@ -65,9 +65,9 @@ def judge(outcome: Outcome, reference: ReferenceOutcome, *, native: bool = True)
 
 
 def reference_result(scene: Scene, batch: Batch, reference: ReferenceOutcome) -> ReferenceResult:
-    """Hold the reference to those of the checks that judge the engines whose figures are told."""
+    """Check the reference's joint gap and energy balance, and return them with its cost."""
     record = Record(scene, batch, reference.trajectory)
-    findings = {found.check: found for found in audited(record, (gap, energy_balance))}
+    findings = {finding.check: finding for finding in audited(record, (gap, energy_balance))}
     return ReferenceResult(
         rtol=reference.rtol,
         constraint_gap_m=_worst_of(findings, "gap") or 0.0,
@@ -84,15 +84,15 @@ def reference_result(scene: Scene, batch: Batch, reference: ReferenceOutcome) ->
 def error_findings(
     scene: Scene, batch: Batch, error: Array, truth: Trajectory, growth: Array
 ) -> list[Finding]:
-    """Hold the error to its two budgets: at 1 s undivided, and growth-weighted over all times."""
+    """Compare the error with its budgets: unweighted at 1 s, and growth-weighted at all times."""
     time, known = truth.time, truth.known
-    lost = np.where(np.isfinite(error), error, np.inf)
+    figure = np.where(np.isfinite(error), error, np.inf)
     judged = known & (growth < agreement.CHAOS)
     findings = [
         Finding.of(
             "error growth-weighted",
             "m",
-            np.where(judged, lost / np.maximum(1.0, growth), np.nan)[:, :, None],
+            np.where(judged, figure / np.maximum(1.0, growth), np.nan)[:, :, None],
             budget=scene.budget.error * scene.length,
         )
     ]
@@ -100,20 +100,20 @@ def error_findings(
     calm = np.array([batch.interval(row) != "high" for row in range(len(batch))])
     calm &= at_one.any(axis=1)
     if calm.any():
-        one = Finding.of(
+        finding = Finding.of(
             "error at 1 s",
             "m",
-            np.where(at_one, lost, np.nan)[calm][:, :, None],
+            np.where(at_one, figure, np.nan)[calm][:, :, None],
             budget=scene.budget.error_1s * scene.length,
         )
-        findings.insert(0, one.among(calm))
+        findings.insert(0, finding.among(calm))
     return findings
 
 
 def turn_finding(scene: Scene, trajectory: Trajectory, truth: Trajectory, growth: Array) -> Finding:
-    """Hold the turn of each body to the reference's: a small part moves no particle far."""
-    off = rotation.multiply(rotation.conjugate(truth.orientation), trajectory.orientation)
-    angle = 2.0 * np.arctan2(np.linalg.norm(off[..., 1:], axis=-1), np.abs(off[..., 0]))
+    """Compare bodies' rotations with the reference's, since a small part moves no particle far."""
+    turn = rotation.multiply(rotation.conjugate(truth.orientation), trajectory.orientation)
+    angle = 2.0 * np.arctan2(np.linalg.norm(turn[..., 1:], axis=-1), np.abs(turn[..., 0]))
     weighted = np.where(np.isfinite(angle), angle, np.inf) / np.maximum(1.0, growth)[..., None]
     judged = truth.known & (growth < agreement.CHAOS)
     return Finding.of(
@@ -140,7 +140,7 @@ def _result(
     reasons = (*failures, *differences, *failed_lines(batch, findings))
     simulated = sum(len(s.trajectory) for s in simulations) * scene.clock.duration
     size = simulations[0].size if simulations else None
-    agreed = None if error is None else _agreed(scene, error, reference.trajectory)
+    agreement_s = None if error is None else _agreed(scene, error, reference.trajectory)
     return EngineResult(
         engine=contender.engine,
         version=adapter.version(),
@@ -157,7 +157,7 @@ def _result(
         error_weighted_m=_worst_of(by_name, "error growth-weighted"),
         constraint_gap_m=_worst_of(by_name, "gap"),
         energy_balance=_worst_of(by_name, "energy"),
-        agreement_time_s=agreed,
+        agreement_time_s=agreement_s,
         wall_per_simulated_s=sum(s.rollout_s for s in simulations) / simulated
         if simulated
         else None,
@@ -171,7 +171,7 @@ def _result(
 
 
 def _agreed(scene: Scene, error: Array, truth: Trajectory) -> float | None:
-    """Earliest time at which an error passes 1 % of the scene's length [s]; None: never."""
+    """Return the first time at which an error passes 1 % of the scene's length [s], or None."""
     known = np.where(truth.known, error, 0.0)
     return _finite(agreement.agreement_time(known, truth.time, scene.length).min())
 
@@ -190,7 +190,7 @@ def _readback_differences(outcome: Outcome) -> list[str]:
 
 
 def failed_lines(batch: Batch, findings: list[Finding]) -> list[str]:
-    """One line for each check that failed, the worst trajectory named."""
+    """Return one line for each check that failed, naming the worst trajectory."""
     lines = []
     for finding in findings:
         if not finding.passed.all():
@@ -200,7 +200,7 @@ def failed_lines(batch: Batch, findings: list[Finding]) -> list[str]:
 
 
 def finding_result(batch: Batch, finding: Finding) -> FindingResult:
-    """Give a finding as it is written."""
+    """Convert a finding to the form in which it is written."""
     row = finding.worst
     return FindingResult(
         check=finding.check,
@@ -219,8 +219,8 @@ def finding_result(batch: Batch, finding: Finding) -> FindingResult:
 def _worst_of(findings: dict[str, Finding], check: str) -> float | None:
     if check not in findings:
         return None
-    found = findings[check]
-    return _finite(float(np.max(found.figure[found.applies])))
+    finding = findings[check]
+    return _finite(float(np.max(finding.figure[finding.applies])))
 
 
 def _finite(value: float) -> float | None:

@@ -1,4 +1,4 @@
-"""What came of the simulations of a validation, before it is judged."""
+"""Outcomes of the simulations of a validation, before they are judged."""
 
 from __future__ import annotations
 
@@ -19,42 +19,42 @@ from mbds_xsim.simulate.timed import Simulation
 
 @dataclass
 class Outcome:
-    """What one contender delivered of a scene's starts."""
+    """Simulations of a scene's starts by one contender."""
 
     contender: Contender
     scene: Scene
     batch: Batch
     parts: list[Simulation | Crash] = field(default_factory=list)
     rows: list[list[int]] = field(default_factory=list)
-    """Rows of the batch of each part."""
+    """Rows of the batch in each part."""
     sample: list[int] = field(default_factory=list)
     """Rows of the batch that run at other steps too, for the consistency check."""
     other_steps: dict[float, Trajectory] = field(default_factory=dict)
-    """The sample at each other step [s]."""
+    """Trajectories of the sample at other steps, by step [s]."""
 
     @property
     def method(self) -> Method:
-        """What the engine claims of the method that it steps by."""
+        """Method by which the engine steps, with its claims."""
         return load_adapter(self.contender.engine).methods[self.contender.settings.method]
 
     def keep_step(self, step: float, answer: Simulation | Crash) -> None:
-        """Keep the sample's run at another step [s]; NaN, with the reason, where it crashed."""
+        """Store the sample's run at another step [s]; if it crashed, NaN with the reason."""
         frames = np.arange(self.batch.steps + 1.0)
         if isinstance(answer, Simulation):
             self.other_steps[step] = answer.trajectory.padded(frames)
             return
         count = len(self.sample)
         empty = Trajectory.empty(frames, count, len(self.scene.bodies))
-        crashed = (Failure(0, answer.reason),) * count
-        self.other_steps[step] = dataclasses.replace(empty, failures=crashed)
+        failures = (Failure(0, answer.reason),) * count
+        self.other_steps[step] = dataclasses.replace(empty, failures=failures)
 
     @property
     def simulations(self) -> list[Simulation]:
-        """The parts that came back."""
+        """Parts that did not crash."""
         return [part for part in self.parts if isinstance(part, Simulation)]
 
     def trajectory(self, time: Array) -> Trajectory | None:
-        """Put the parts together; rows of a crashed part are NaN. None where all crashed."""
+        """Put the parts together; rows of a crashed part are NaN. Return None if all crashed."""
         if not self.simulations:
             return None
         whole = Trajectory.empty(time, len(self.batch), len(self.scene.bodies))
@@ -79,17 +79,17 @@ class Outcome:
 
 @dataclass(frozen=True, eq=False)
 class ReferenceOutcome:
-    """The reference of all trajectories."""
+    """Reference solution of all trajectories."""
 
     trajectory: Trajectory
-    """NaN from a first impact on that has no unique solution."""
+    """Reference motion; NaN from the first impact without a unique solution on."""
     growth: Array
-    """Sensitivity G, shape (trajectory, frame); NaN where the trajectory is."""
+    """Sensitivity G, shape (trajectory, frame); NaN where the trajectory is NaN."""
     rtol: float
     cached: int
     busy_s: float
-    """Time that it took [s]."""
+    """Time taken to solve it [s]."""
 
     def __getitem__(self, rows: list[int]) -> ReferenceOutcome:
-        """Take some of the trajectories."""
+        """Select some of the trajectories."""
         return dataclasses.replace(self, trajectory=self.trajectory[rows], growth=self.growth[rows])

@@ -1,7 +1,7 @@
-"""Matched settings for scenes that have none stored: a short search, kept by the scene's physics.
+"""Matched settings for scenes without stored ones: a short search, cached by scene physics.
 
-The whole search of an engine is one task: its preset method, then its others, from few steps a
-frame to many, until a start of each interval keeps all budgets with something to spare.
+The whole search of an engine is one task: its preset method, then its others, from few steps per
+frame to many, until a start of each interval meets all budgets with a margin.
 The study `match` searches longer, compares methods and verifies on starts of another seed.
 """
 
@@ -32,36 +32,36 @@ from mbds_xsim.simulate.adapter import Adapter, Settings
 from mbds_xsim.simulate.choice import MATCHED, Choice, Matched, is_stored
 
 _VERSION = 1
-"""To be raised when the search changes what is found."""
+"""Version of the search, to be raised when it finds different settings."""
 _LIMIT = 60.0
-"""Of an engine's search [s]."""
+"""Time limit of an engine's search [s]."""
 _GRACE = 120.0
-"""What the last trial may take beyond that [s]."""
+"""Additional time limit of the last trial [s]."""
 _SPARE = 0.7
-"""Share of each budget that the starts of the search may use: others will use more."""
+"""Share of each budget that the starts of the search may use; other starts will use more."""
 _AIM = 0.5
 _WASTED = 0.2
-"""What uses a smaller share is worth a trial of fewer steps."""
+"""Share of the budgets below which a trial with fewer steps is worthwhile."""
 _LEAST = 1e-3
 _NEAR = 2.0
-"""Within this factor of what fails, nothing is gained by a further trial."""
+"""Factor above a failed number of steps within which a further trial gains nothing."""
 _LEAP = 6.0
-"""So many times as many steps are tried where a motion was lost."""
+"""Factor by which the number of steps rises after a motion was lost."""
 
 
 def searched(scene: Scene, choice: Choice, conduct: Conduct) -> Choice:
-    """Give a choice with matched settings for every engine that has none stored for the scene.
+    """Return a choice with matched settings for every engine without stored ones for the scene.
 
-    Engines for which none are found in time, or that cannot do the scene, keep their presets.
-    Settings that were found before are stored solutions, too.
+    Engines for which none are found in time, or that cannot simulate the scene, keep their presets.
+    Settings found earlier are taken from the cache, if `conduct` allows it.
     """
     if MATCHED not in choice.profiles or choice.step is not None or choice.method is not None:
         return choice
     keys = {name: _key(scene, registry.load_adapter(name)) for name in _without(scene, choice)}
-    found = {
+    settings = {
         name: entry for name in keys if conduct.cache and (entry := _load(keys[name])) is not None
     }
-    missing = [name for name in keys if name not in found]
+    missing = [name for name in keys if name not in settings]
     if missing:
         batch = Starts().draw(scene)
         conduct.meter.begin(len(missing))
@@ -71,7 +71,7 @@ def searched(scene: Scene, choice: Choice, conduct: Conduct) -> Choice:
             name = missing[place]
             conduct.meter.advance(f"settings of {name}")
             if isinstance(answer, Matched):
-                found[name] = answer
+                settings[name] = answer
                 if conduct.cache:
                     _store(keys[name], answer)
 
@@ -79,29 +79,29 @@ def searched(scene: Scene, choice: Choice, conduct: Conduct) -> Choice:
             Task(_search, (scene, batch, reference, name), _LIMIT + _GRACE) for name in missing
         ]
         run_tasks(tasks, workers=conduct.workers, finished=finished)
-    if not found:
+    if not settings:
         return choice
-    matched = {**choice.given.get(MATCHED, {}), **found}
-    return dataclasses.replace(choice, given={**choice.given, MATCHED: matched})
+    matched = {**choice.settings.get(MATCHED, {}), **settings}
+    return dataclasses.replace(choice, settings={**choice.settings, MATCHED: matched})
 
 
 def _without(scene: Scene, choice: Choice) -> list[str]:
-    """List the engines that have no settings for the scene."""
-    given = choice.given.get(MATCHED, {})
+    """List the engines that lack settings for the scene but have a method for it."""
+    matched = choice.settings.get(MATCHED, {})
     return [
         name
         for name in choice.engines
-        if name not in given
+        if name not in matched
         and not is_stored(scene, name)
         and _methods(scene, registry.load_adapter(name))
     ]
 
 
 def _methods(scene: Scene, adapter: Adapter) -> list[Settings]:
-    """List what is tried: the preset, then the engine's own other methods with its options."""
+    """List settings to try: the preset, then the engine's own other methods with its options."""
     preset = adapter.settings(scene, "matched")
     names = dict.fromkeys([preset.method, *adapter.methods])
-    found = []
+    candidates = []
     for name in names:
         settings = Settings(name, scene.clock.frame, preset.options)
         try:
@@ -109,42 +109,42 @@ def _methods(scene: Scene, adapter: Adapter) -> list[Settings]:
         except Unsupported:
             continue
         if adapter.methods[name].own:
-            found.append(settings)
-    return found
+            candidates.append(settings)
+    return candidates
 
 
 def _search(scene: Scene, batch: Batch, reference: ReferenceOutcome, engine: str) -> Matched | None:
-    """Find the fewest steps of the first method that keeps the budgets; None: none does."""
+    """Find the fewest steps of the first method that meets the budgets; None if none does."""
     deadline = time.monotonic() + _LIMIT
     adapter = registry.load_adapter(engine)
     for settings in _methods(scene, adapter):
 
-        def tried(count: int, settings: Settings = settings) -> Trial:
+        def attempt(count: int, settings: Settings = settings) -> Trial:
             finer = dataclasses.replace(settings, step=scene.clock.frame / count)
             return run_trial(scene, batch, engine, finer, reference, len(batch))
 
         order = 1 if scene.contacts else adapter.methods[settings.method].order_for(scene)
-        found = fewest(tried, order, deadline)
-        if found is not None:
-            return Matched(settings.method, found, dict(settings.options))
+        steps = fewest(attempt, order, deadline)
+        if steps is not None:
+            return Matched(settings.method, steps, dict(settings.options))
     return None
 
 
-def fewest(tried: Callable[[int], Trial], order: int, deadline: float) -> int | None:
-    """Find about the fewest steps a frame that pass with something to spare, in few trials.
+def fewest(attempt: Callable[[int], Trial], order: int, deadline: float) -> int | None:
+    """Find about the fewest steps per frame that pass with a margin, in few trials.
 
-    The next number of steps is predicted from how far off the last was, as errors of the order
-    fall. Where time is up, what has just passed is better than nothing.
+    The next number of steps is predicted from the last trial's figures and the order with which
+    errors fall. If time is up, a number that just passed is better than none.
 
     Args:
-        tried: Tries a number of steps a frame.
+        attempt: Function that tries a number of steps per frame.
         order: Order of the method.
-        deadline: Of `time.monotonic`, after which no trial starts [s].
+        deadline: Time of `time.monotonic` after which no trial starts [s].
     """
     count, failed, passed, spare, pace = 1, 0, math.inf, math.inf, 0.0
     while time.monotonic() + pace * count < deadline:
         begin = time.monotonic()
-        trial = tried(count)
+        trial = attempt(count)
         pace = (time.monotonic() - begin) / count
         passed = min(passed, count) if trial.passed else passed
         if trial.passed and trial.excess <= _SPARE:
@@ -157,12 +157,12 @@ def fewest(tried: Callable[[int], Trial], order: int, deadline: float) -> int | 
         if not between or spare <= _NEAR * failed:
             break
         count = min(between, key=lambda n: abs(math.log(n / _predicted(count, trial, order))))
-    found = min(spare, passed) if math.isinf(spare) else spare
-    return None if math.isinf(found) else int(found)
+    steps = min(spare, passed) if math.isinf(spare) else spare
+    return None if math.isinf(steps) else int(steps)
 
 
 def _predicted(count: int, trial: Trial, order: int) -> float:
-    """Predict how many steps use half of the budgets; at most so many times as many as tried."""
+    """Predict the steps per frame that use half of the budgets, at most `_LEAP`² times `count`."""
     if not math.isfinite(trial.excess):
         return _LEAP * count
     share = max(trial.excess, _LEAST) / _AIM
@@ -170,7 +170,7 @@ def _predicted(count: int, trial: Trial, order: int) -> float:
 
 
 def _key(scene: Scene, adapter: Adapter) -> str:
-    """Name an entry by all that decides it."""
+    """Return an entry's key, made of everything that decides it."""
     versions = [_VERSION, CHECKS, adapter.version(), adapter.revision]
     decisive = [versions, fingerprint(scene), scene.budget, adapter.name]
     encoded = msgspec.json.encode([*decisive, adapter.settings(scene, "matched").options])
@@ -178,27 +178,27 @@ def _key(scene: Scene, adapter: Adapter) -> str:
 
 
 def _load(key: str) -> Matched | None:
-    kept = disk.load(key)
-    return None if kept is None else msgspec.json.decode(kept["settings"].tobytes(), type=Matched)
+    entry = disk.load(key)
+    return None if entry is None else msgspec.json.decode(entry["settings"].tobytes(), type=Matched)
 
 
-def _store(key: str, found: Matched) -> None:
-    disk.store(key, {"settings": np.frombuffer(msgspec.json.encode(found), dtype=np.uint8)})
+def _store(key: str, settings: Matched) -> None:
+    disk.store(key, {"settings": np.frombuffer(msgspec.json.encode(settings), dtype=np.uint8)})
 
 
 COUNTS = (
     1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 40, 48, 64, 80, 100, 128, 160, 200, 250, 320,
     400, 500, 640, 800, 1000, 1200, 1600, 2000,
 )  # fmt: skip
-"""Steps a frame that are tried."""
+"""Numbers of steps per frame to try."""
 
 _STRIDE = 3
-"""Counts that are jumped over on the way up: about a doubling."""
+"""Places by which the search moves up: about a doubling."""
 
 
 @dataclass
 class Search:
-    """Looks for the first of a rising list that passes, where all later ones pass too."""
+    """Search for the smallest of rising counts that passes, if all larger ones pass too."""
 
     counts: Sequence[int] = COUNTS
     failed: int = -1
@@ -206,7 +206,7 @@ class Search:
     passed: int | None = None
     """Place of the smallest count that passed."""
     closed: bool = field(default=False)
-    """Whether larger counts are out of the question."""
+    """Whether larger counts are ruled out."""
 
     @property
     def next(self) -> int | None:
@@ -221,12 +221,12 @@ class Search:
         return self.counts[(self.passed + self.failed) // 2]
 
     @property
-    def found(self) -> int | None:
-        """The answer, once the search is over."""
+    def smallest(self) -> int | None:
+        """Smallest count that passed: the answer, once the search is over."""
         return None if self.passed is None else self.counts[self.passed]
 
     def tell(self, count: int, passed: bool) -> None:
-        """Say how a trial ended."""
+        """Record whether a count passed."""
         place = self.counts.index(count)
         if passed:
             self.passed = place
@@ -234,7 +234,7 @@ class Search:
             self.failed = place
 
     def refuse(self, count: int) -> None:
-        """Say, later, that what passed fails after all: the next larger count is the answer."""
+        """Record that a passed count fails after all: the next larger count is the answer."""
         place = self.counts.index(count)
         self.failed = place
         self.passed = place + 1 if place + 1 < len(self.counts) else None

@@ -1,7 +1,7 @@
-"""Runs at other steps, which show what an engine converges to.
+"""Runs at other steps, which show the limit to which an engine converges.
 
-Three steps come first, the shortest of them no shorter than need be. Where they do not show how
-the engine converges, the shortest one is halved, twice at most.
+Three steps come first, the shortest of them no shorter than necessary. If they do not show how
+the engine converges, the shortest one is halved, at most twice.
 """
 
 from __future__ import annotations
@@ -27,24 +27,24 @@ from mbds_xsim.simulate.timed import simulate
 
 
 def may_end(scene: Scene) -> bool:
-    """Whether the reference may end before the scene does: other steps wait until it is known."""
+    """Return whether the reference may end before the scene, so that other steps wait for it."""
     return bool(scene.contacts) and not has_known_impacts(Mechanism.of(scene))
 
 
-def pieces_of(outcome: Outcome, known: ReferenceOutcome | None = None) -> list[Piece]:
-    """Run the sample of an engine at the other steps, as far as a reference goes that is known.
+def pieces_of(outcome: Outcome, reference: ReferenceOutcome | None = None) -> list[Piece]:
+    """Return runs of an engine's sample at the other steps, as far as a known reference goes.
 
     The shortest step, which takes longest, comes first.
     """
     steps = other_steps(outcome.scene, outcome.contender)
-    return [_step_piece(outcome, step, known) for step in sorted(steps)]
+    return [_step_piece(outcome, step, reference) for step in sorted(steps)]
 
 
-def _step_piece(outcome: Outcome, step: float, known: ReferenceOutcome | None) -> Piece:
+def _step_piece(outcome: Outcome, step: float, reference: ReferenceOutcome | None) -> Piece:
     contender, sample = outcome.contender, outcome.batch[outcome.sample]
     settings = Settings(contender.settings.method, step, contender.settings.options)
-    if known is not None:
-        sample = compared(sample, known[outcome.sample])
+    if reference is not None:
+        sample = compared(sample, reference[outcome.sample])
     task = Task(simulate, (outcome.scene, sample, contender.engine, settings), contender.limit)
     keep = partial(outcome.keep_step, step)
     return Piece(step_name(contender, step), contender.engine, task, keep)
@@ -56,11 +56,11 @@ def step_name(contender: Contender, step: float) -> str:
 
 
 def other_steps(scene: Scene, contender: Contender) -> list[float]:
-    """Give the consistency check's steps: three, each half the one before, with that of settings.
+    """Return the two other steps of the consistency check; the three halve one after another.
 
-    Longer ones as far as they divide the frame, since they cost less; two a frame are only halved,
-    as implicit methods that do with two often do not get through it in one. None for an adaptive
-    method, which takes no step from its settings.
+    Longer steps are used if they divide the frame, since they cost less; two per frame are only
+    halved, since implicit methods that manage with two often fail with one. The list is empty for
+    an adaptive method, which takes no step from its settings.
     """
     settings = contender.settings
     if load_adapter(contender.engine).methods[settings.method].adaptive:
@@ -72,39 +72,39 @@ def other_steps(scene: Scene, contender: Contender) -> list[float]:
 
 
 _RUNS = 5
-"""Steps at most, of which the shortest is 1/16 of the longest."""
+"""Largest number of steps compared; the shortest is then 1/16 of the longest."""
 _PATIENCE = 300.0
-"""No further run is made that would take longer [s]."""
+"""Longest predicted time of a further run [s]."""
 
 
 def convergence(outcome: Outcome, reference: ReferenceOutcome) -> list[Finding]:
-    """Extrapolate the sample that ran at several steps to a vanishing step.
+    """Extrapolate the sample's runs at several steps to a vanishing step.
 
-    Only smooth motion has an order of convergence: with contact, what comes before it.
+    Only smooth motion has an order of convergence: with contact, the motion before it.
     """
-    given = _given(outcome, reference)
-    return [] if given is None else given.findings
+    consistency = _consistency_of(outcome, reference)
+    return [] if consistency is None else consistency.findings
 
 
 def further_step(outcome: Outcome, reference: ReferenceOutcome) -> float | None:
-    """Give the step at which the sample must run too before anything can be said [s].
+    """Return the next step at which the sample must run before convergence can be judged [s].
 
-    None where that is not so, where the engine fails anyway, or where it would take too long.
+    None if no run is needed, if the engine fails anyway, or if the run would take too long.
     """
     if len(outcome.other_steps) + 1 >= _RUNS or outcome.failures:
         return None
-    given = _given(outcome, reference)
-    if given is None or not given.unsettled:
+    consistency = _consistency_of(outcome, reference)
+    if consistency is None or not consistency.unsettled:
         return None
     step = outcome.contender.settings.step
     half = min(step, *outcome.other_steps) / 2.0
     simulated = sum(len(part.trajectory) for part in outcome.simulations)
-    each = sum(part.rollout_s for part in outcome.simulations) / simulated
-    return half if each * len(outcome.sample) * step / half < _PATIENCE else None
+    pace = sum(part.rollout_s for part in outcome.simulations) / simulated
+    return half if pace * len(outcome.sample) * step / half < _PATIENCE else None
 
 
 def compared(batch: Batch, reference: ReferenceOutcome) -> Batch:
-    """Leave out the steps after which no trajectory of a sample has a reference."""
+    """Truncate a batch to the steps for which any of its trajectories has a reference."""
     ends = [batch.steps if e is None else e.frame for e in reference.trajectory.failures]
     return batch.truncated(max(1, *ends))
 
@@ -115,17 +115,17 @@ def refine(
     """Run samples at further steps until they show how each engine converges."""
     while True:
         steps = [further_step(outcome, reference) for outcome in outcomes]
-        asked = [(o, step) for o, step in zip(outcomes, steps, strict=True) if step is not None]
-        if not asked:
+        runs = [(o, step) for o, step in zip(outcomes, steps, strict=True) if step is not None]
+        if not runs:
             return
-        conduct.meter.begin(len(asked))
-        carry_out([_step_piece(*each, reference) for each in asked], conduct, spent)
+        conduct.meter.begin(len(runs))
+        carry_out([_step_piece(*run, reference) for run in runs], conduct, spent)
 
 
-def _given(outcome: Outcome, reference: ReferenceOutcome) -> Consistency | None:
-    """Give what the check is about; None where nothing is to be compared."""
-    scene, method, flies = outcome.scene, outcome.method, smooth(outcome.scene, reference)
-    smooth_ones = [k for k, row in enumerate(outcome.sample) if flies[row]]
+def _consistency_of(outcome: Outcome, reference: ReferenceOutcome) -> Consistency | None:
+    """Return the input of the consistency check; None if there is nothing to compare."""
+    scene, method, is_smooth = outcome.scene, outcome.method, smooth(outcome.scene, reference)
+    smooth_ones = [k for k, row in enumerate(outcome.sample) if is_smooth[row]]
     rows = [outcome.sample[k] for k in smooth_ones]
     truth = reference.trajectory
     trajectory = outcome.trajectory(truth.time)
@@ -135,16 +135,16 @@ def _given(outcome: Outcome, reference: ReferenceOutcome) -> Consistency | None:
     runs[outcome.contender.settings.step] = trajectory[rows]
     ordered = [runs[step] for step in sorted(runs, reverse=True)]
     growth = reference.growth[rows]
-    most = rounding.stepped(method, round(float(truth.time[-1]) / min(runs)))
-    known = max(Consistency.resolution, most)
+    floor = rounding.step_error(method, round(float(truth.time[-1]) / min(runs)))
+    resolution = max(Consistency.resolution, floor)
     batch = outcome.batch[rows]
-    return Consistency(scene, batch, ordered, truth[rows], method, growth, known, min(runs))
+    return Consistency(scene, batch, ordered, truth[rows], method, growth, resolution, min(runs))
 
 
 def smooth(scene: Scene, reference: ReferenceOutcome) -> list[bool]:
-    """Tell of each trajectory whether it begins with smooth motion, long enough to be judged.
+    """Return whether each trajectory begins with smooth motion that is long enough to be judged.
 
-    The reference follows balls through impacts; of any other contact it ends at the first.
+    The reference follows balls through impacts; with any other contact it ends at the first one.
     """
     ends = reference.trajectory.failures
     if not scene.contacts:

@@ -1,7 +1,7 @@
-"""What `validate` found: the documented JSON (`docs/validate-json.md`) and what pages are made of.
+"""Results of `validate`: the documented JSON (`docs/validate-json.md`) and the data of pages.
 
-`Validation` holds figures only and is what the JSON file contains. `Evidence` holds the arrays
-behind them, for the page's plots.
+`Validation` holds figures only and is what the JSON file contains. `Evidence` holds the
+underlying arrays, for the page's plots.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from mbds_xsim.scene.state import Batch, Trajectory
 
 S = TypeVar("S", bound=msgspec.Struct)
 Verdict = str
-"""pass, warn or fail."""
+"""Verdict: pass, warn or fail."""
 
 SCHEMA = "mbds-xsim/validate/1"
 
@@ -30,22 +30,22 @@ class FindingResult(msgspec.Struct, frozen=True):
     check: str
     unit: str
     figure: float
-    """Worst over the trajectories; NaN is written as null."""
+    """Worst figure over the trajectories; NaN is written as null."""
     budget: float | None
-    """None: shown, not judged."""
+    """Budget of the figure; None if it is shown but not judged."""
     passed: bool
     trajectory: int
     """Index of the worst trajectory."""
     frame: int
     where: str
     figures: tuple[float | None, ...]
-    """One a trajectory; None where there is none, or it is not finite."""
+    """One figure per trajectory; None if missing or not finite."""
     note: str
-    """What else the check saw: how much it resolves, what was delivered; empty where nothing."""
+    """Further observations, such as the resolution or the value delivered; empty if none."""
 
 
 FIGURES = ("error_1s_m", "error_weighted_m", "constraint_gap_m", "energy_balance")
-"""Figures of an engine's accuracy, as fields of its result."""
+"""Figures of an engine's accuracy, as field names of its result."""
 
 
 class EngineResult(msgspec.Struct, frozen=True):
@@ -61,19 +61,19 @@ class EngineResult(msgspec.Struct, frozen=True):
     options: dict[str, float | int | bool | str]
     verdict: Verdict
     reasons: tuple[str, ...]
-    """One line for each thing that failed or warned, most telling first."""
+    """One line for each failure or warning, the most informative first."""
     error_1s_m: float | None
     """Worst RMS particle error at 1 s over the low and medium trajectories [m]."""
     error_max_m: float | None
-    """Worst RMS particle error over all frames and trajectories, undivided [m]."""
+    """Worst RMS particle error over all frames and trajectories, unweighted [m]."""
     error_weighted_m: float | None
-    """Worst of error / max(1, G) over times with growth G < 100 [m]."""
+    """Largest error / max(1, G) over times with growth G < 100 [m]."""
     constraint_gap_m: float | None
     energy_balance: float | None
     agreement_time_s: float | None
-    """Earliest time at which an error passes 1 % of the scene's length; None: never."""
+    """Earliest time at which an error passes 1 % of the scene's length; None if never."""
     wall_per_simulated_s: float | None
-    """Wall time per simulated second and trajectory, set-up apart."""
+    """Wall time per simulated second and trajectory, without set-up."""
     setup_s: float | None
     coordinates: int | None
     constraints: int | None
@@ -81,20 +81,20 @@ class EngineResult(msgspec.Struct, frozen=True):
     failures: tuple[str, ...]
     """One line for each trajectory that ended early, or for a crash of the whole engine."""
     rtol: float | None = None
-    """Relative tolerance of a method that chooses its steps; they may go over a whole `step_s`."""
+    """Relative tolerance of a method that chooses its steps, which may be as long as `step_s`."""
 
 
 class ReferenceResult(msgspec.Struct, frozen=True):
-    """How good the reference itself is."""
+    """Accuracy and time of the reference itself."""
 
     rtol: float
     constraint_gap_m: float
     energy_balance: float
     cached: int
-    """Trajectories that came from the cache."""
+    """Number of trajectories that came from the cache."""
     wall_s: float
     known_s: tuple[float | None, ...] = ()
-    """First impact that leaves no unique solution, one a trajectory [s]; None: no such one."""
+    """Time of the first impact without a unique solution, per trajectory [s]; None if none."""
 
 
 class EnsembleResult(msgspec.Struct, frozen=True):
@@ -103,17 +103,17 @@ class EnsembleResult(msgspec.Struct, frozen=True):
     one: str
     other: str
     time_s: float
-    """Instant that is compared [s]."""
+    """Time of the comparison [s]."""
     distance: float
-    """Energy distance over its largest possible value, 0 to 1."""
+    """Energy distance relative to its largest possible value, 0 to 1."""
     p_value: float
-    """Probability of so large a distance if both are draws of one distribution."""
+    """Probability of at least this distance if both are samples of one distribution."""
     count: int
-    """Trajectories that both have."""
+    """Number of trajectories that both have."""
 
 
 class Validation(msgspec.Struct, frozen=True):
-    """The whole of a validation, as written to JSON."""
+    """Complete result of a validation, as written to JSON."""
 
     schema: str
     scene: str
@@ -123,12 +123,12 @@ class Validation(msgspec.Struct, frozen=True):
     command: str
     seed: int
     trajectories: tuple[int, ...]
-    """Indices that were drawn; index i has the interval low, medium, high of i mod 3."""
+    """Indices of the trajectories; index i has interval i mod 3 of low, medium, high."""
     length_m: float
     budget: dict[str, float]
     engines: tuple[EngineResult, ...]
     left_out: dict[str, str]
-    """Engines that cannot do the scene, each with the reason."""
+    """Engines that cannot simulate the scene, each with the reason."""
     reference: ReferenceResult | None
     names: tuple[str, ...]
     """Rows and columns of `matrix_m`: engine results in order, then the reference."""
@@ -139,54 +139,54 @@ class Validation(msgspec.Struct, frozen=True):
     versions: dict[str, str]
     machine: str
     matrix_s: float = 1.0
-    """1, or the last frame before it [s]."""
+    """Time of the comparison in `matrix_m`: 1, or the last frame before it [s]."""
     ensembles: tuple[EnsembleResult, ...] = ()
     """Pairs that no longer agree at the end, with 20 trajectories or more."""
     fingerprint: str = ""
-    """Stands for the scene's physics and starts; empty in results of earlier versions."""
+    """Fingerprint of the scene's physics and starts; empty in results of earlier versions."""
     spent_s: dict[str, float] = {}
-    """Where the time went, in seconds of processes: engines, the reference, its compiler, the
-    search of settings, checks, and the start of processes with all that they import."""
+    """Process time by purpose [s]: engines, the reference, its compiler, the search of settings,
+    checks, and the start of processes with all their imports."""
 
     def to_frame(self) -> Any:
-        """Give a `pandas.DataFrame` with a row for each engine at each settings."""
+        """Return a `pandas.DataFrame` with one row per engine and settings."""
         return frame_of(self.engines)
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Arrays behind a validation. Engine results by their place in `Validation.engines`."""
+    """Arrays behind a validation, with engine results in the order of `Validation.engines`."""
 
     scene: Scene
     batch: Batch
     trajectories: tuple[Trajectory | None, ...]
-    """One an engine result; None where the engine crashed."""
+    """One trajectory per engine result; None if the engine crashed."""
     reference: Trajectory
     growth: Array
     """Sensitivity G, shape (trajectory, frame)."""
     errors: tuple[Array | None, ...]
     """RMS particle error of each engine result [m], shape (trajectory, frame)."""
     series: tuple[dict[str, Array], ...]
-    """Per engine result: check name to series (trajectory, frame), budgets in the findings."""
+    """Series (trajectory, frame) by check, per engine result; budgets are in the findings."""
 
 
-def from_plain(what: Any, kind: type[S]) -> S:
-    """Make a result of decoded JSON, in which numbers that are not finite are null.
+def from_plain(value: Any, kind: type[S]) -> S:
+    """Make a result from decoded JSON, in which non-finite numbers are null.
 
     Raises:
-        msgspec.ValidationError: It is something else.
+        msgspec.ValidationError: The data does not fit the type.
     """
-    return msgspec.convert(_with_nan(what, kind), kind)
+    return msgspec.convert(_with_nan(value, kind), kind)
 
 
-def _with_nan(what: Any, kind: Any) -> Any:
-    """Put NaN for null where a type has numbers only."""
-    if what is None:
+def _with_nan(value: Any, kind: Any) -> Any:
+    """Replace null by NaN where a type allows only numbers."""
+    if value is None:
         return math.nan if kind is float else None
-    if isinstance(what, list):
+    if isinstance(value, list):
         inner = (get_args(kind) or (None,))[0]
-        return [_with_nan(one, inner) for one in what]
-    if isinstance(what, dict) and isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+        return [_with_nan(item, inner) for item in value]
+    if isinstance(value, dict) and isinstance(kind, type) and issubclass(kind, msgspec.Struct):
         hints = get_type_hints(kind)
-        return {key: _with_nan(one, hints.get(key)) for key, one in what.items()}
-    return what
+        return {key: _with_nan(item, hints.get(key)) for key, item in value.items()}
+    return value

@@ -1,20 +1,20 @@
-"""Cases, and the runner that turns them into rows: kept ones from disk, the others isolated.
+"""Cases, and the runner that turns them into rows: stored ones from disk, others isolated.
 
-A study plans cases and reads rows. What lies between is done here: what was measured earlier is
-taken from the store; the rest runs side by side in fresh processes with a time limit; a crash
-becomes a row like any other; every row is kept at once, so that a study that was interrupted goes
-on where it stopped. In outline:
+A study plans cases and reads rows. The runner does the rest: rows measured earlier are taken from
+the store; the other cases run in parallel in fresh processes with a time limit; a crash becomes a
+row like any other; every row is stored at once, so that an interrupted study resumes where it
+stopped. In outline:
 
     class Row(Keyed, frozen=True, kw_only=True): engine: str; error_m: float | None = None
-    def error(scene, start, settings): ...  # runs in its process; gives {"error_m": 0.01}
+    def error(scene, start, settings): ...  # runs in its process; returns {"error_m": 0.01}
 
     runner = Runner(Store.of("my-study", scene.name, Row), crashed=lambda row, crash: row)
     row = Row(key=row_key(...), engine=name)
     rows = runner.rows([StudyCase(row, name, error, lambda: (scene, start, settings), 30.0)])
 
 `docs/add-a-study.md` has a complete study. Cases of one `group` follow each other in one process,
-which spares most of its start. What is left of them when that process crashes, hangs, or has used
-up half of its time is run once more, each case by itself: nothing that goes wrong touches another.
+which saves most of its start. Cases left over when that process crashes, hangs, or has used up half
+of its time run once more, each in its own process, so that no failure affects another case.
 """
 
 from __future__ import annotations
@@ -47,30 +47,30 @@ from mbds_xsim.simulate.simulator import Simulator
 
 Arguments = tuple[Any, ...]
 Figures = Mapping[str, Any]
-"""Fields of a row that were measured, by name."""
+"""Measured fields of a row, by name."""
 Answer = tuple[Figures, float]
-"""Figures of a case, and the time that it took [s]."""
+"""Figures of a case, and its time [s]."""
 
-_GUESS = 0.5  # time of a case before any is measured [s]
+_GUESS = 0.5  # expected time of a case before any is measured [s]
 _START = 0.3  # share of a process's start in a case's time [s]
 Account = defaultdict[str, float]
-"""Seconds of processes, by what they did."""
+"""Process time in seconds, by purpose."""
 PROCESSES = "processes"
-"""What is spent on starting processes, importing engines, and passing tasks and answers."""
+"""Purpose of time for starting processes, importing engines, passing tasks and answers."""
 
 
 class Keyed(msgspec.Struct, frozen=True, kw_only=True):
-    """A row that can be kept."""
+    """A row that can be stored."""
 
     key: str
-    """Hash of all that decides the figures."""
+    """Hash of everything that decides the figures."""
 
 
 R = TypeVar("R", bound=Keyed)
 
 
 class Store(Generic[R]):
-    """Rows of one kind by their keys; the latest of a key counts."""
+    """Rows of one kind by key, on disk; the latest row of a key counts."""
 
     def __init__(self, path: Path, kind: type[R]) -> None:
         self.path = path
@@ -83,13 +83,13 @@ class Store(Generic[R]):
         return cls(directory() / study / f"{safe}.jsonl", kind)
 
     def add(self, row: R) -> None:
-        """Keep a row.
+        """Store a row.
 
         Raises:
-            InputError: It cannot be written.
+            InputError: The row cannot be written.
         """
         self.rows[row.key] = row
-        # A line of its own even after one that was cut off.
+        # Start on a new line even after one that was cut off.
         row_text = msgspec.json.encode(row)
         line = b"\n" + _sum(row_text) + b" " + row_text + b"\n"
         try:
@@ -117,12 +117,12 @@ def _sum(text: bytes) -> bytes:
 
 
 def row_key(scene: Scene, start: Batch, simulator: Simulator, count: int) -> str:
-    """Name a row by its content.
+    """Return a key made from a row's content.
 
     It covers the physics, the start and its inputs, the budgets, the simulator at a number of
-    steps a frame, the versions of all that runs and judges it, and the machine.
+    steps per frame, the versions of all that runs and judges it, and the machine.
     """
-    what = [
+    content = [
         key_of("tradeoff", scene, start, 0, 0.0),
         scene.budget,
         *simulator.decisive(scene, count),
@@ -130,18 +130,18 @@ def row_key(scene: Scene, start: Batch, simulator: Simulator, count: int) -> str
         registry.package_version("numpy"),
         machine(),
     ]
-    return hashlib.sha256(msgspec.json.encode(what, enc_hook=float)).hexdigest()
+    return hashlib.sha256(msgspec.json.encode(content, enc_hook=float)).hexdigest()
 
 
 def versions_of(packages: Mapping[str, str]) -> dict[str, str]:
-    """List the versions behind a result: of this toolkit, and of the packages that ran."""
+    """Return the versions behind a result: of this toolkit, and of the packages that ran."""
     own = {name: registry.package_version(name) for name in ("mbds-xsim", "numpy", "scipy")}
     return own | {"python": platform.python_version()} | dict(packages)
 
 
 @functools.cache
 def machine() -> str:
-    """Processor, cores and system."""
+    """Return the processor, cores and system of this machine."""
     cores = counted(os.cpu_count(), "core")
     return f"{_processor()}, {cores}, {platform.system()} {platform.machine()}"
 
@@ -157,60 +157,60 @@ def _processor() -> str:
 
 @dataclass(frozen=True, eq=False)
 class StudyCase(Generic[R]):
-    """One piece of work, named by its content."""
+    """One piece of work, identified by its content."""
 
     row: R
-    """Its row without figures; the key stands for all that decides these."""
+    """Row without figures; its key stands for everything that decides them."""
     name: str
-    """For people who watch the progress."""
+    """Name shown in progress reports."""
     function: Callable[..., Figures]
-    """Function of a module that measures, and gives fields of the row."""
+    """Module-level function that measures, and returns fields of the row."""
     arguments: Callable[[], Arguments]
-    """Gives its arguments, picklable; asked only where the case has to be run."""
+    """Function that returns its arguments, picklable; called only if the case has to run."""
     limit: float
-    """Longest that it may take [s]."""
+    """Time limit [s]."""
     group: Hashable = None
-    """Cases of equal groups share a process; None: it has one of its own."""
+    """Group of cases that share a process; None for a process of its own."""
     pace: Hashable = None
-    """Cases of equal pace take about as long."""
+    """Key of cases that take about equally long."""
 
 
-def always(kept: Any, row: Any) -> bool:
-    """Trust any row that was kept."""
-    del kept, row
+def always(stored: Any, row: Any) -> bool:
+    """Trust any stored row."""
+    del stored, row
     return True
 
 
-def in_time(kept: Any, row: Any) -> bool:
-    """Trust a row that was kept unless it ran out of less time than is given now."""
-    return not kept.unmeasured or kept.limit_s >= row.limit_s
+def in_time(stored: Any, row: Any) -> bool:
+    """Trust a stored row unless it is unmeasured and had less time than is allowed now."""
+    return not stored.unmeasured or stored.limit_s >= row.limit_s
 
 
 @dataclass
 class Runner(Generic[R]):
-    """Gives the rows of cases; see the module."""
+    """Runner that turns cases into rows; see the module."""
 
     store: Store[R]
     crashed: Callable[[R, Crash], R]
-    """Makes the row of a case whose process gave no answer."""
+    """Function that makes the row of a case whose process gave no answer."""
     labels: Sequence[str] = ()
-    """Fields that do not decide figures: a kept row has them from the case that asks for it."""
+    """Fields that do not decide figures; a stored row takes them from the requesting case."""
     lasts: Callable[[R, R], bool] = always
-    """Whether a kept row (the first argument) need not be measured again for a case's row."""
+    """Function that returns whether a stored row (the first argument) serves for a case's row."""
     conduct: Conduct = USUAL
     forecasts: bool = True
-    """Whether it predicts the time left by the cases that are done."""
+    """Whether it predicts the remaining time from the finished cases."""
     packages: Path | None = None
-    """Folder whose packages the processes have in place of this one's."""
+    """Folder whose packages the processes use instead of this process's."""
     measured: int = 0
-    """Rows measured by this runner."""
-    kept: int = 0
-    """Rows taken from the store."""
+    """Number of rows measured by this runner."""
+    reused: int = 0
+    """Number of rows taken from the store."""
     _now: dict[str, R] = field(default_factory=dict)
     _seconds: dict[Hashable, list[float]] = field(default_factory=lambda: defaultdict(list))
 
     def rows(self, cases: Sequence[StudyCase[R]]) -> list[R]:
-        """Give the row of each case, measuring those that are missing."""
+        """Return the row of each case, measuring those that are missing."""
         missing = self.missing(cases)
         groups: dict[Hashable, list[StudyCase[R]]] = {}
         for case in missing:
@@ -220,14 +220,14 @@ class Runner(Generic[R]):
         return [self._labelled(self._now[case.row.key], case) for case in cases]
 
     def missing(self, cases: Sequence[StudyCase[R]]) -> list[StudyCase[R]]:
-        """List the cases that have to be measured, each key once; the others' rows are taken."""
+        """List the cases to be measured, each key once; take the others' rows from the store."""
         for case in cases:
-            kept = None if self.conduct.fresh else self.store.rows.get(case.row.key)
-            if case.row.key not in self._now and kept and self.lasts(kept, case.row):
-                self._now[case.row.key] = kept
-                self.kept += 1
-        found = {case.row.key: case for case in cases if case.row.key not in self._now}
-        return list(found.values())
+            stored = None if self.conduct.fresh else self.store.rows.get(case.row.key)
+            if case.row.key not in self._now and stored and self.lasts(stored, case.row):
+                self._now[case.row.key] = stored
+                self.reused += 1
+        missing = {case.row.key: case for case in cases if case.row.key not in self._now}
+        return list(missing.values())
 
     def _run(
         self, groups: list[list[StudyCase[R]]], cases: Sequence[StudyCase[R]], *, last: bool
@@ -255,17 +255,17 @@ class Runner(Generic[R]):
 
     def _forecast(self, cases: Sequence[StudyCase[R]]) -> None:
         if self.forecasts:
-            left = Counter(case.pace for case in cases if case.row.key not in self._now)
-            self.conduct.meter.forecast(sum(n * self._expected(pace) for pace, n in left.items()))
+            counts = Counter(case.pace for case in cases if case.row.key not in self._now)
+            self.conduct.meter.forecast(sum(n * self._expected(pace) for pace, n in counts.items()))
 
     def _expected(self, pace: Hashable) -> float:
-        """Time of a case of a pace: as those that had it, else as all [s]."""
-        alike = self._seconds.get(pace) or list(itertools.chain(*self._seconds.values()))
-        return statistics.fmean(alike) if alike else _GUESS
+        """Return the mean time of cases of a pace or, without any, of all cases [s]."""
+        seconds = self._seconds.get(pace) or list(itertools.chain(*self._seconds.values()))
+        return statistics.fmean(seconds) if seconds else _GUESS
 
     def _labelled(self, row: R, case: StudyCase[R]) -> R:
-        today = {name: getattr(case.row, name) for name in self.labels}
-        return msgspec.structs.replace(row, **today)
+        labels = {name: getattr(case.row, name) for name in self.labels}
+        return msgspec.structs.replace(row, **labels)
 
 
 def _task(group: Sequence[StudyCase[Any]]) -> Task:
@@ -277,9 +277,9 @@ def _task(group: Sequence[StudyCase[Any]]) -> Task:
 def in_turn(
     function: Callable[..., Figures], arguments: Sequence[Arguments], patience: float
 ) -> list[Answer]:
-    """Call a function with one after the other, as many as are begun within a time [s].
+    """Call a function with each set of arguments in turn, starting none after `patience` [s].
 
-    It is the processor's time; half of a process's limit is left to the last that is begun.
+    Patience is processor time; the other half of the process's limit is left to the last call.
     """
     first = time.process_time()
     answers: list[Answer] = []
@@ -293,14 +293,14 @@ def in_turn(
 
 @dataclass(frozen=True)
 class Piece:
-    """A task, its name for people, and what becomes of its answer."""
+    """A task, its readable name, and the function that stores its answer."""
 
     name: str
     of: str
-    """What its time is counted as: an engine, the reference."""
+    """Purpose as which its time is counted, such as an engine or the reference."""
     task: Task
     keep: Callable[[Any], None]
-    """Called when all pieces of the same are done."""
+    """Function called with the answer once all pieces of the same purpose are done."""
 
 
 def carry_out(
@@ -309,18 +309,18 @@ def carry_out(
     spent: Account,
     then: Callable[[str], object] = str,
 ) -> None:
-    """Carry pieces of work out side by side, and keep answers of each engine in their order.
+    """Carry out pieces of work in parallel, and store the answers of each engine in order.
 
     Args:
-        pieces: What to do; those whose answers know their own time have it as `busy_s`.
-        conduct: How.
-        spent: Seconds of processes by what they did, to which these are added.
-        then: Called with what all pieces are done of, once they are kept; others may still run.
+        pieces: Pieces of work; answers that know their own time have it as `busy_s`.
+        conduct: How the work is carried out.
+        spent: Process time by purpose [s], to which these pieces add theirs.
+        then: Function called with each purpose once its answers are stored; others may still run.
     """
     running = Running(conduct.meter, [piece.name for piece in pieces])
     begun: dict[int, float] = {}
     answers: dict[int, Any] = {}
-    away = 0.0  # while this process did not look whether others had ended [s]
+    away = 0.0  # time in which this process did not watch the others [s]
 
     def started(place: int) -> None:
         begun[place] = time.perf_counter() - away
@@ -328,18 +328,18 @@ def carry_out(
 
     def finished(place: int, answer: Any) -> None:
         nonlocal away
-        of, now = pieces[place].of, time.perf_counter()
-        whole = now - away - begun[place]
-        own = getattr(answer, "busy_s", whole)
-        spent[of] += own
-        spent[PROCESSES] += max(0.0, whole - own)
+        purpose, now = pieces[place].of, time.perf_counter()
+        elapsed = now - away - begun[place]
+        own = getattr(answer, "busy_s", elapsed)
+        spent[purpose] += own
+        spent[PROCESSES] += max(0.0, elapsed - own)
         running.finished(place, answer)
         answers[place] = answer
-        alike = [k for k, piece in enumerate(pieces) if piece.of == of]
+        alike = [k for k, piece in enumerate(pieces) if piece.of == purpose]
         if answers.keys() >= set(alike):
             for k in alike:
                 pieces[k].keep(answers[k])
-            then(of)
+            then(purpose)
         away += time.perf_counter() - now
 
     tasks = [piece.task for piece in pieces]
@@ -348,7 +348,7 @@ def carry_out(
 
 @dataclass
 class Running:
-    """Names the tasks that are under way, the one that was begun first before all others."""
+    """Progress report of the tasks under way, which names the one begun first."""
 
     meter: Meter
     names: list[str]
@@ -357,14 +357,14 @@ class Running:
     def started(self, place: int) -> None:
         """Note that a task begins."""
         self._now.append(place)
-        self.meter.doing(self._told())
+        self.meter.doing(self._status())
 
     def finished(self, place: int, _answer: Any) -> None:
         """Note that a task has ended."""
         self._now.remove(place)
-        self.meter.advance(self._told() or self.names[place])
+        self.meter.advance(self._status() or self.names[place])
 
-    def _told(self) -> str:
+    def _status(self) -> str:
         names = list(dict.fromkeys(self.names[place] for place in self._now))
         others = f" and {len(names) - 1} more" if names[1:] else ""
         return names[0] + others if names else ""

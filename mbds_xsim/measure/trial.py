@@ -1,7 +1,7 @@
-"""One trial of a search: some starts at one setting, judged as `validate` judges.
+"""One trial of a search: some starts at one setting, judged as by `validate`.
 
-On the ground it must keep the limits of contact too, which are narrower than the budgets. Where
-nothing is known of the motion, it must at least be near its own limit.
+On the ground it must also meet the limits of contact, which are narrower than the budgets. If
+nothing is known of the true motion, it must at least be close to its own limit.
 """
 
 from __future__ import annotations
@@ -34,23 +34,23 @@ _WARM_UP = 2  # frames
 
 @dataclass(frozen=True)
 class Trial:
-    """How a setting did."""
+    """Result of trying a setting."""
 
     reasons: tuple[str, ...]
-    """One line for each thing that failed; none: it passed."""
+    """One line for each failure; empty if it passed."""
     excess: float
-    """Largest figure over its budget; infinite where a trajectory or the process was lost."""
+    """Largest ratio of figure to budget; infinite if a trajectory or the process was lost."""
     cpu_s: float
     """Processor time per simulated second."""
     wall_s: float
     """Wall time per simulated second."""
     figures: Mapping[str, float | None] = field(default_factory=lambda: dict.fromkeys(FIGURES))
-    """Those of its accuracy, by name."""
+    """Accuracy figures by name."""
     trajectories: int = 0
 
     @property
     def passed(self) -> bool:
-        """Whether all budgets are kept."""
+        """Whether all budgets are met."""
         return not self.reasons
 
     @property
@@ -69,15 +69,15 @@ def run_trial(
 ) -> Trial:
     """Simulate a batch in this process and judge it.
 
-    Its first trajectories, so many, run at other steps too, for the check of consistency.
+    The first `sample` trajectories also run at other steps, for the check of consistency.
     """
     simulate(scene, batch[:1].truncated(_WARM_UP), engine, settings)
     rows, contender = [list(range(len(batch)))], Contender(engine, "matched", settings)
     outcome = Outcome(contender, scene, batch, rows=rows)
     simulation = simulate(scene, batch, engine, settings)
     outcome.parts.append(simulation)
-    row, limits = _judged(outcome, reference)
-    # Where it fails already, nothing that other steps tell can mend it.
+    row, limits = _judge_all(outcome, reference)
+    # If it already fails, other steps cannot change the verdict.
     if sample and _passed(row, limits):
         outcome.sample = list(range(min(sample, len(batch))))
         steps = other_steps(scene, contender)
@@ -88,7 +88,7 @@ def run_trial(
                 outcome.keep_step(step, run)
             further = further_step(outcome, reference)
             steps = [] if further is None else [further]
-        row, limits = _judged(outcome, reference)
+        row, limits = _judge_all(outcome, reference)
         if row.trajectory is not None and is_unknown(reference):
             limits.append(own_limit(outcome, row.trajectory))
     result, simulated = row.result, len(batch) * scene.clock.duration
@@ -103,7 +103,7 @@ def run_trial(
 
 
 def failed_trial(crash: Crash) -> Trial:
-    """Give the trial of a process that left no answer."""
+    """Return the trial of a process that left no answer."""
     return Trial((crash.reason,), math.inf, math.inf, math.inf)
 
 
@@ -112,7 +112,7 @@ def joined(parts: Sequence[Trial]) -> Trial:
     counts = [part.trajectories for part in parts]
 
     def mean(times: list[float]) -> float:
-        # Where a process was lost, there is no time.
+        # A process that was lost has no time.
         return float(np.average(times, weights=counts)) if all(counts) else math.inf
 
     figures = {}
@@ -129,8 +129,8 @@ def joined(parts: Sequence[Trial]) -> Trial:
     )
 
 
-def _judged(outcome: Outcome, reference: ReferenceOutcome) -> tuple[Judged, list[Finding]]:
-    """Judge as `validate` does, and by the limits of contact."""
+def _judge_all(outcome: Outcome, reference: ReferenceOutcome) -> tuple[Judged, list[Finding]]:
+    """Judge as `validate` does, and also by the limits of contact."""
     row = judge(outcome, reference)
     if row.trajectory is None:
         return row, []
@@ -148,37 +148,37 @@ def _excess(batch: Batch, result: EngineResult, limits: Sequence[Finding]) -> fl
     return max((r if math.isfinite(r) else math.inf for r in ratios), default=0.0)
 
 
-# How far a motion is from its method's own limit, where there is no motion to hold it against.
+# Distance of a motion from its method's own limit, if there is no true motion to compare it with.
 #
-# To be near it says nothing of the truth: engines converge to different motions where contact has
-# no unique solution. To be far from it is to be wrong whatever is true.
+# A small distance says nothing about the truth: engines converge to different motions if contact
+# has no unique solution. A large distance is an error whatever the truth.
 
-_INSTANT = 1.0  # of the budget [s]
+_INSTANT = 1.0  # time for which the budget holds [s]
 
 
 def is_unknown(reference: ReferenceOutcome) -> bool:
-    """Whether nothing is known of a motion after its start."""
+    """Return whether no trajectory has a known motion after its start."""
     return not np.isfinite(reference.trajectory.position[:, 1:]).all(axis=(2, 3)).any()
 
 
 def own_limit(outcome: Outcome, motion: Trajectory) -> Finding:
-    """Extrapolate a motion at 1 s, or its end before that, to a vanishing step.
+    """Estimate the distance of a motion from its limit of vanishing step, at 1 s or an earlier end.
 
-    Contact makes every method one of the first order: with steps h and k·h the error of the longer
-    one is k / (k − 1) times their distance, that of the shorter one 1 / (k − 1) times. The nearest
-    shorter step is taken, or where there is none the nearest longer one.
+    Contact makes every method one of first order: with steps h and k·h, the error of the longer
+    one is k / (k − 1) times their distance, that of the shorter one 1 / (k − 1) times. The next
+    shorter step is used or, if there is none, the next longer one.
 
     Returns:
-        RMS distance of the particles [m], against the scene's budget of the error at 1 s; 0 for
-        rows beside the sample, which alone ran at other steps.
+        RMS distance of the particles [m], with the scene's budget for the error at 1 s; 0 for rows
+        outside the sample, which did not run at other steps.
     """
     scene, sample, others = outcome.scene, outcome.sample, outcome.other_steps
     step = outcome.contender.settings.step
     shorter = max((h for h in others if h < step), default=None)
     other = min(others) if shorter is None else shorter
     ratio = max(step, other) / min(step, other)
-    apart = agreement.particle_error(Mechanism.of(scene), motion[sample], others[other])
-    share = apart * (1.0 if shorter is None else ratio) / (ratio - 1.0)
+    distance = agreement.particle_error(Mechanism.of(scene), motion[sample], others[other])
+    share = distance * (1.0 if shorter is None else ratio) / (ratio - 1.0)
     frame = min(round(_INSTANT / scene.clock.frame), share.shape[1] - 1)
     series = np.full((*motion.position.shape[:2], 1), np.nan)
     series[:, frame] = 0.0
@@ -187,20 +187,20 @@ def own_limit(outcome: Outcome, motion: Trajectory) -> Finding:
     return Finding.of("distance to its own limit", "m", series, budget=budget)
 
 
-# How near contact comes to the exact motion, where there is one: limits beside the budgets.
+# Contact accuracy against the exact motion, if there is one: limits in addition to the budgets.
 #
-# Budgets bound errors weighted by the growth of small differences. What contact promises is
-# narrower, and holds piece by piece: while a ball slides, until it first hits the ground, to the
+# Budgets bound errors weighted by the growth of small differences. The limits of contact are
+# narrower, and hold piece by piece: while a ball slides, until it first hits the ground, to the
 # top of its first rebound, up to its third bounce; and in flight, for bodies that are joined.
 
-_SLIDING = 2e-3  # over the scene's length, as other errors of places
+_SLIDING = 2e-3  # relative to the scene's length, like other position errors
 _FALLING = 5e-4
 _BOUNCING = 2e-2
 _BOUNCES = 3
 _REBOUND = 2e-2
 _FLYING = 1.25e-3
 _TURNING = 1e-3  # [rad]
-_MOMENTUM = 1e-3  # over the check's scale
+_MOMENTUM = 1e-3  # relative to the check's scale
 _MOMENTUM_HIGH_ORDER = 1e-6
 _HIGH_ORDER = 4
 _CALM = 2.0  # growth up to which errors in flight are the method's own
@@ -213,11 +213,11 @@ def contact_findings(
     method: Method,
     momentum: Array | None = None,
 ) -> list[Finding]:
-    """Hold a motion on the ground against the pieces of it that are known exactly.
+    """Compare a motion on the ground with the pieces of it that are known exactly.
 
     A ball's motion is known throughout, that of joined bodies up to the first impact. Errors are
-    distances of centres of mass; what starts in contact and is no ball has none. Momentum, the
-    series of its check (trajectory, frame) if it has any, is looked at in all flights.
+    distances of centres of mass; bodies that start in contact and are no balls have none. Momentum,
+    the series of its check (trajectory, frame) if there is one, is compared in all flights.
 
     Returns:
         A finding for each limit that applies; none where the scene has no ground, or no gravity
@@ -253,14 +253,14 @@ def _flight_pieces(
     flying &= flying[:, 1:].any(axis=1, keepdims=True)  # else it starts in contact
     turn = rotation.multiply(motion.orientation, rotation.conjugate(truth.orientation))
     angle = 2.0 * np.arcsin(np.minimum(1.0, np.linalg.norm(turn[..., 1:], axis=-1)))
-    seen = np.broadcast_to(flying[:, :, None], angle.shape)
-    most = _FLYING * mechanism.scene.length
-    yield from _finding("error in flight", "m", _distance(motion, truth), seen, most)
-    yield from _finding("turn in flight", "rad", angle, seen, _TURNING)
+    in_flight = np.broadcast_to(flying[:, :, None], angle.shape)
+    limit = _FLYING * mechanism.scene.length
+    yield from _finding("error in flight", "m", _distance(motion, truth), in_flight, limit)
+    yield from _finding("turn in flight", "rad", angle, in_flight, _TURNING)
 
 
 def _momenta(exact: ReferenceOutcome, method: Method, momentum: Array | None) -> Iterator[Finding]:
-    """Before the first impact a method of high order keeps it almost to rounding."""
+    """Yield findings on momentum; before impact, high-order methods keep it almost to rounding."""
     if momentum is None:
         return
     series = momentum[:, :, None]
@@ -269,15 +269,16 @@ def _momenta(exact: ReferenceOutcome, method: Method, momentum: Array | None) ->
     before = known & ~known.all(axis=1, keepdims=True)
     before &= before[:, 1:].any(axis=1, keepdims=True)
     budget = _MOMENTUM_HIGH_ORDER if high else _MOMENTUM
-    told = "momentum before the first impact"
-    yield from _finding(told, "1", series, (before & ~np.isnan(momentum))[:, :, None], budget)
+    check = "momentum before the first impact"
+    yield from _finding(check, "1", series, (before & ~np.isnan(momentum))[:, :, None], budget)
     yield from _finding("momentum in flight", "1", series, ~np.isnan(series), _MOMENTUM)
 
 
 def _finding(check: str, unit: str, value: Array, where: Mask, budget: float) -> Iterator[Finding]:
-    """Give what was measured, (trajectory, frame, part), where it counts; nothing if nowhere.
+    """Yield a finding on values (trajectory, frame, part) where they count; nothing if nowhere.
 
-    What is not finite there was lost. A trajectory in which nothing counts has the figure 0.
+    Values there that are not finite become infinite. A trajectory without values that count has
+    the figure 0.
     """
     if not where.any():
         return
@@ -287,12 +288,12 @@ def _finding(check: str, unit: str, value: Array, where: Mask, budget: float) ->
 
 
 def _distance(motion: Trajectory, exact: Trajectory) -> Array:
-    """Of centres of mass [m], shape (trajectory, frame, body)."""
+    """Return distances of centres of mass [m], shape (trajectory, frame, body)."""
     return np.asarray(np.linalg.norm(motion.position - exact.position, axis=-1))
 
 
 def _bounces(mechanism: Mechanism, exact: Trajectory) -> Index:
-    """Count each ball's bounces so far, (trajectory, frame, body): its speed jumps upwards."""
+    """Count each ball's bounces so far as upward velocity jumps, (trajectory, frame, body)."""
     climb = exact.velocity[..., 2]
     lift = -0.5 * mechanism.scene.gravity[2] * mechanism.scene.clock.frame
     return np.cumsum(np.diff(climb, axis=1, prepend=climb[:, :1]) > lift, axis=1)
@@ -301,10 +302,10 @@ def _bounces(mechanism: Mechanism, exact: Trajectory) -> Index:
 def _rebounds(
     mechanism: Mechanism, motion: Trajectory, exact: Trajectory, bounces: Index
 ) -> tuple[Array, Mask]:
-    """Compare heights of the first rebounds at the frame nearest the top, the rest added.
+    """Compare heights of the first rebounds, extrapolated from the frame nearest to the top.
 
     Returns:
-        Relative errors and where these frames are, each of shape (trajectory, frame, body).
+        Relative errors and a mask of these frames, each of shape (trajectory, frame, body).
     """
     radius = np.empty(mechanism.body_count)
     radius[mechanism.sphere_body] = mechanism.sphere_radius
@@ -313,8 +314,8 @@ def _rebounds(
     nearest = speed.argmin(axis=1)[:, None]
     tops = np.zeros(speed.shape, dtype=bool)
     np.put_along_axis(tops, nearest, np.isfinite(speed.min(axis=1))[:, None], axis=1)
-    reached, wanted = (
+    height, exact_height = (
         run.position[..., 2] - radius + run.velocity[..., 2] ** 2 / (2 * pull)
         for run in (motion, exact)
     )
-    return np.abs(reached / np.where(tops, wanted, 1.0) - 1.0), tops
+    return np.abs(height / np.where(tops, exact_height, 1.0) - 1.0), tops

@@ -1,7 +1,7 @@
-"""The reference behind the contract of engines: run, timed, checked and published as they are.
+"""Adapter of the reference, so that it is run, timed, checked and published like an engine.
 
-It chooses its steps by a tolerance. It is found by its name alone and is none of the engines: where
-none is named it takes part in trade-offs only.
+It chooses its steps by a tolerance. It has to be named and does not count as an engine: if none is
+named, it takes part in trade-offs only.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _MATCHED, _NATIVE = 1e-9, 1e-11
 
 
 class Reference(Adapter):
-    """DOP853 on a spanning tree with closure rows, Radau IIA where stiff, a ball by its events."""
+    """Reference: DOP853 on a spanning tree with closures, Radau IIA if stiff, balls by events."""
 
     name = "reference"
     package = "mbds-xsim"
@@ -84,7 +84,7 @@ class Reference(Adapter):
 
 
 class ReferenceRun(Run):
-    """One mechanism at one tolerance."""
+    """Run of one mechanism at one tolerance."""
 
     def __init__(self, mechanism: Mechanism, rtol: float) -> None:
         self._mechanism, self._rtol, self._tree = mechanism, rtol, tree_of(mechanism)
@@ -170,7 +170,7 @@ class ReferenceRun(Run):
 
 
 def _load_kernels(mechanism: Mechanism) -> None:
-    """Move the reference pose through a frame: what is loaded now takes no time of a rollout."""
+    """Move the reference pose through a frame, so that rollouts spend no time loading kernels."""
     from mbds_xsim.reference.compiled import march_compiled  # imports a compiler
 
     torque = with_pushes(mechanism.drives, np.zeros((1, 1, len(mechanism.hinges))))
@@ -180,7 +180,7 @@ def _load_kernels(mechanism: Mechanism) -> None:
 
 
 def _placed(state: Array, point: Array) -> Array:
-    """Place points of principal frames in W."""
+    """Transform points from principal frames to W."""
     return np.asarray(state[..., :3] + rotation.rotate(state[..., 3:7], point))
 
 

@@ -1,22 +1,23 @@
-"""A free body with one contact sphere around its centre of mass, and how it moves on the ground.
+"""Motion on the ground of a free body with one contact sphere around its centre of mass.
 
-The ground's reaction has its arm along the vertical, so normal and tangential motion do not mix:
-the normal force is that of a mass point, impacts have a normal and a tangential part of their own,
-and there is nothing that could turn the body about the vertical.
+The ground acts vertically below the centre of mass, so normal and tangential motion do not couple:
+the normal force is that of a mass point, the normal and tangential parts of an impact are
+independent, and no moment acts about the vertical.
 
-Vectors of the ground plane are complex numbers x + iy; z × v is then i·v.
+Vectors in the ground plane are complex numbers x + iy; z × v is then i·v.
 
-Under a constant drive and Coulomb friction the slip obeys s' = a − b s/|s|: the drive a is what the
-loads alone would do to it, the brake b what friction does. In the time σ with dt = |s| dσ this is
-linear, ds/dσ = a|s| − b s and d|s|/dσ = a·s − b|s|; with ∥ and ⊥ taken from the drive,
+Under a constant drive and Coulomb friction the slip obeys s' = a − b s/|s|. The drive a is the
+acceleration of the slip by the loads alone, the brake b its deceleration by friction. In the scaled
+time σ with dt = |s| dσ this is linear, ds/dσ = a|s| − b s and d|s|/dσ = a·s − b|s|; with ∥ and ⊥
+relative to the drive,
 
     |s| ± s∥ ∝ exp(−(b ∓ |a|) σ)    and    s⊥ ∝ exp(−b σ),
 
 so that t(σ) and ∫ s dt are sums of exponentials too.
 
-An *even* ball's spin is changed by friction alike in every direction that occurs: with three equal
-moments of inertia, or in the x–z plane, where only the moment about y counts. Everything but the
-orientation under a turning axis of rotation is in closed form.
+Friction changes the spin of an *even* ball equally in every direction that occurs: the ball has
+three equal moments of inertia, or moves in the x–z plane, where only the moment about y counts.
+Its motion has a closed form, except for the orientation while the axis of rotation turns.
 """
 
 from __future__ import annotations
@@ -34,17 +35,17 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.reference.turning import turned
 
 STILL = 1e-12
-"""Slip below which there is none [m/s]; rounding leaves 1e-15."""
+"""Speed below which a slip counts as zero [m/s]; rounding leaves 1e-15."""
 
 
 @dataclass(frozen=True, slots=True)
 class BallState:
-    """State of the body."""
+    """State of a ball."""
 
     place: complex
-    """Of the centre of mass over the ground [m]."""
+    """Horizontal position of the centre of mass [m]."""
     gap: float
-    """Between the sphere and the ground; exactly 0 in contact [m]."""
+    """Gap between the sphere and the ground; exactly 0 in contact [m]."""
     velocity: complex
     climb: float
     """Vertical velocity; exactly 0 in sustained contact [m/s]."""
@@ -53,7 +54,7 @@ class BallState:
     twist: float
     """Vertical part of the angular velocity [rad/s]."""
     turn: Array
-    """Principal frame to W, shape (4,)."""
+    """Rotation from the principal frame to W, shape (4,)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,12 +63,12 @@ class Load:
 
     push: complex
     lift: float
-    """Upward; the ground carries mass times its negative."""
+    """Upward part; the ground carries mass times its negative."""
 
 
 @dataclass(frozen=True, slots=True)
 class BallContact:
-    """What the contact with the ground is made of."""
+    """Parameters of the contact with the ground."""
 
     mass: float
     radius: float
@@ -79,7 +80,7 @@ class BallContact:
         return motion.velocity + 1j * self.radius * motion.spin
 
     def impulse(self, motion: BallState) -> float:
-        """Of the normal reaction in an impact, by Newton's law."""
+        """Impulse of the normal reaction in an impact, by Newton's law."""
         return self.mass * (1.0 + self.restitution) * -motion.climb
 
     def rebound(self, motion: BallState) -> float:
@@ -99,17 +100,17 @@ def flown(motion: BallState, load: Load, t: float) -> BallState:
 
 
 def time_to_ground(motion: BallState, load: Load) -> float:
-    """When the sphere comes down to the ground; infinite where it never does."""
+    """Time until the sphere comes down to the ground [s]; infinite if it never does."""
     square = motion.climb**2 - 2.0 * load.lift * motion.gap
     if square < 0.0 or (motion.climb >= 0.0 and load.lift >= 0.0):
         return math.inf
-    # Of the root's two forms the one without cancellation.
+    # Of the two forms of the root, take the one without cancellation.
     if motion.climb < 0.0:
         return max(0.0, 2.0 * motion.gap / (math.sqrt(square) - motion.climb))
     return (motion.climb + math.sqrt(square)) / -load.lift
 
 
-# Of the slip, across the drive, below which the path is straight to rounding.
+# Share of the slip across the drive below which the path is straight to rounding.
 _STRAIGHT = 1e-15
 
 
@@ -118,22 +119,22 @@ class Sliding:
     """A stretch of sliding."""
 
     duration: float
-    """[s]"""
+    """Duration [s]."""
     slip: complex
-    """At the end; 0 where friction has stopped it [m/s]."""
+    """Slip at the end; 0 if friction has stopped it [m/s]."""
     travelled: complex
     """∫ s dt [m]."""
 
 
 def slide(slip: complex, drive: complex, brake: float, limit: float) -> Sliding:
-    """Slide until the slip stops, and no longer than a limit.
+    """Slide until the slip stops, but no longer than a limit.
 
     A slip of zero starts along the drive, which must then be stronger than the brake.
 
     Args:
-        slip: At the start [m/s].
-        drive: a [m/s²].
-        brake: b, not negative [m/s²].
+        slip: Slip at the start [m/s].
+        drive: Drive a [m/s²].
+        brake: Brake b, not negative [m/s²].
         limit: Longest duration [s].
     """
     across = (slip * drive.conjugate()).imag
@@ -154,11 +155,11 @@ def _straight(slip: complex, drive: complex, brake: float, limit: float) -> Slid
 
 def _curved(slip: complex, drive: complex, brake: float, limit: float) -> Sliding:
     a, b, unit = abs(drive), brake, drive / abs(drive)
-    turned = slip * unit.conjugate()
+    relative = slip * unit.conjugate()
     # P and Q are (|s| ± s∥)/2, the smaller one without cancellation.
-    large = 0.5 * (abs(slip) + abs(turned.real))
-    small = turned.imag**2 / (4.0 * large)
-    p, q = (large, small) if turned.real >= 0.0 else (small, large)
+    large = 0.5 * (abs(slip) + abs(relative.real))
+    small = relative.imag**2 / (4.0 * large)
+    p, q = (large, small) if relative.real >= 0.0 else (small, large)
 
     def time(stretched: float) -> float:
         return p * _decayed(b - a, stretched) + q * _decayed(b + a, stretched)
@@ -167,14 +168,14 @@ def _curved(slip: complex, drive: complex, brake: float, limit: float) -> Slidin
     end = math.inf if stopped else _reach(time, limit, 1.0 / (a + b))
     travelled = complex(
         p * p * _decayed(2 * (b - a), end) - q * q * _decayed(2 * (b + a), end),
-        turned.imag * (p * _decayed(2 * b - a, end) + q * _decayed(2 * b + a, end)),
+        relative.imag * (p * _decayed(2 * b - a, end) + q * _decayed(2 * b + a, end)),
     )
-    left = complex(
+    remaining = complex(
         p * math.exp(-(b - a) * end) - q * math.exp(-(b + a) * end),
-        turned.imag * math.exp(-b * end),
+        relative.imag * math.exp(-b * end),
     )
     duration = time(end) if stopped else limit
-    return Sliding(duration, 0j if stopped else unit * left, unit * travelled)
+    return Sliding(duration, 0j if stopped else unit * remaining, unit * travelled)
 
 
 def _decayed(rate: float, stretched: float) -> float:
@@ -183,7 +184,7 @@ def _decayed(rate: float, stretched: float) -> float:
 
 
 def _reach(time: Callable[[float], float], limit: float, guess: float) -> float:
-    """Find σ where the increasing time(σ) is the limit."""
+    """Find the σ at which the increasing time(σ) reaches the limit."""
     from scipy.optimize import brentq  # takes long to import
 
     high = guess
@@ -197,15 +198,15 @@ _Law = Callable[[float], Sliding]
 
 @dataclass(frozen=True, slots=True)
 class EvenBall:
-    """Laws of motion of such a ball."""
+    """Laws of motion of an even ball."""
 
     contact: BallContact
     inertia: float
-    """[kg·m²]"""
+    """Moment of inertia [kg·m²]."""
 
     @property
     def yielding(self) -> float:
-        """Slip that a tangential impulse gives the lowest point [1/kg]."""
+        """Slip that a unit tangential impulse gives the lowest point [1/kg]."""
         return 1.0 / self.contact.mass + self.contact.radius**2 / self.inertia
 
     def fly(self, motion: BallState, load: Load, duration: float) -> BallState:
@@ -214,7 +215,7 @@ class EvenBall:
         return dataclasses.replace(flown(motion, load, duration), turn=turn)
 
     def hit(self, motion: BallState) -> BallState:
-        """Bounce: friction takes all the slip, or as much as μ times the normal impulse can."""
+        """Bounce: friction removes all slip, or as much as μ times the normal impulse can."""
         slip, most = self.contact.slip(motion), self.contact.friction * self.contact.impulse(motion)
         stick = abs(slip) <= most * self.yielding
         braked = slip if stick else most * self.yielding * slip / abs(slip)
@@ -236,7 +237,7 @@ class EvenBall:
     def _carried(
         self, motion: BallState, load: Load, slip: complex, part: Sliding, law: _Law
     ) -> BallState:
-        """Follow the centre of mass and the spin along a slip that is known."""
+        """Follow the centre of mass and the spin along a known slip."""
         t = part.duration
         lost = t * (slip + 0.5 * t * load.push) - part.travelled
         moved = flown(motion, Load(load.push, 0.0), t)
@@ -250,7 +251,7 @@ class EvenBall:
         return dataclasses.replace(moved, place=place, turn=turn)
 
     def _braked(self, motion: BallState, slip: complex) -> BallState:
-        """Take away some slip by a tangential impulse."""
+        """Remove some slip by a tangential impulse."""
         share = self.contact.mass * self.yielding
         return dataclasses.replace(
             motion,
@@ -269,7 +270,7 @@ def _no_slide(limit: float) -> Sliding:
 def _rolled(
     motion: BallState, spin: Callable[[float], complex], gained: complex, t: float
 ) -> Array:
-    """Turn by a spin whose integral is known, which is all where its axis keeps its direction."""
+    """Turn by a spin whose integral is known, which is enough if its axis keeps its direction."""
     if not gained or (motion.twist == 0.0 and (motion.spin * gained.conjugate()).imag == 0.0):
         return _turned_by(motion.turn, motion.spin * t + gained, motion.twist * t)
     return turned(motion.turn, lambda at: _vector(spin(at), motion.twist), t)

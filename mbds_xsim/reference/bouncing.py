@@ -1,9 +1,9 @@
 """March balls through flight, impacts, sliding and rolling, from event to event.
 
-Frames only cut the motion where the inputs change. With restitution e < 1 the bounces of a ball
-end at a finite time, after infinitely many of them; they are followed until all that are left,
-lasting 2 v / (|a| (1 − e)) from the rebound v under the downward acceleration a, take less than
-1e-8 s. From there on the ball keeps contact. That moves it by less than a · (1e-8 s)², 1e-15 m.
+Frames only cut the motion where the inputs change. With restitution e < 1 a ball bounces infinitely
+often in a finite time. Bounces are followed until the remaining ones take less than 1e-8 s in all,
+which is 2 v / (|a| (1 − e)) after a rebound v under the downward acceleration a. From then on the
+ball keeps contact. That moves it by less than a · (1e-8 s)², 1e-15 m.
 """
 
 from __future__ import annotations
@@ -23,31 +23,31 @@ from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.state import Failure
 
 Ball = EvenBall | TumblingBall
-"""Laws of motion of one body: it can `fly`, `hit` the ground and `keep_contact` with it."""
+"""Laws of motion of one ball: it can `fly`, `hit` the ground and `keep_contact` with it."""
 
-_SHORTEST = 1e-8  # of what is left of the bounces [s]
+_SHORTEST = 1e-8  # duration of the remaining bounces below which they are skipped [s]
 _MOST_EVENTS = 20_000  # in a frame
 _EVEN = 1e-12
 
 
 def march_balls(problem: Problem) -> Marched:
-    """Solve a scene of balls: exactly, but for what `tumbling_ball` integrates.
+    """Solve a scene of balls, exactly except for the motions that `tumbling_ball` integrates.
 
     Args:
-        problem: Of a mechanism of which `has_only_balls` is true; its tolerance is not needed.
+        problem: Problem of a mechanism with `has_only_balls`; its tolerance is not used.
     """
     mechanism = problem.mechanism
     marched = Marched.from_start(problem)
     states = marched.states
     states[:, :, -1] = problem.start[:, None, -1]
     for row in range(len(problem.start)):
-        found = [
+        outcomes = [
             _march_one(mechanism, body, states[row, :, body], problem.force[row, :, body])
             for body in range(mechanism.body_count)
         ]
-        ended = [failure for failure in found if failure is not None]
-        if ended:
-            first = marched.failures[row] = min(ended, key=lambda failure: failure.frame)
+        failures = [failure for failure in outcomes if failure is not None]
+        if failures:
+            first = marched.failures[row] = min(failures, key=lambda failure: failure.frame)
             states[row, first.frame :] = np.nan
     return marched
 
@@ -56,27 +56,27 @@ def through_frame(ball: Ball, motion: BallState, load: Load, duration: float) ->
     """Follow a ball under a constant load.
 
     Raises:
-        ArithmeticError: There is no end to the impacts, or the integration fails.
+        ArithmeticError: There are too many impacts, or the integration fails.
     """
-    left = duration
+    remaining = duration
     for _ in range(_MOST_EVENTS):
         if motion.gap == 0.0 and motion.climb == 0.0 and load.lift < 0.0:
-            used, motion = ball.keep_contact(motion, load, left)
+            used, motion = ball.keep_contact(motion, load, remaining)
         else:
             fall = time_to_ground(motion, load)
-            used = min(left, fall)
+            used = min(remaining, fall)
             motion = ball.fly(motion, load, used)
-            if fall <= left:
+            if fall <= remaining:
                 motion = _settled(ball.hit(dataclasses.replace(motion, gap=0.0)), load, ball)
-        left -= used
-        if left <= 0.0:
+        remaining -= used
+        if remaining <= 0.0:
             return motion
     msg = f"more than {_MOST_EVENTS} impacts in a frame"
     raise ArithmeticError(msg)
 
 
 def _settled(motion: BallState, load: Load, ball: Ball) -> BallState:
-    """Let a ball rest whose bounces are as good as over."""
+    """Stop the vertical motion of a ball whose bounces are practically over."""
     last = 2.0 * motion.climb <= -load.lift * (1.0 - ball.contact.restitution) * _SHORTEST
     return dataclasses.replace(motion, climb=0.0) if last else motion
 

@@ -1,11 +1,11 @@
-"""What holds joints: dry friction and stops, and how much of each a motion takes.
+"""Brakes of joints, which are dry friction and stops, and the share of each that acts.
 
-Both act on a coordinate alone, so that they are columns of one problem: of what stands still,
-shares μ that make ½ μᵀ H μ − aᵀ μ least, a the accelerations without them and H what they take of
-these, both times the sizes of the brakes. Shares of friction are within ±1, those of stops 0 or
-more, as a stop only pushes. In an impact the same holds of velocities and of stops' impulses
-(Moreau, J. J., Unilateral contact and dry friction in finite freedom dynamics, 1988): as all that
-touches approaches, no energy comes of it.
+Each brake acts on one coordinate, so all that hold something at rest are columns of one problem:
+find the shares μ that minimise ½ μᵀ H μ − aᵀ μ. Here a are the accelerations without the brakes
+and H their reduction by the brakes, both times the sizes of the brakes. Shares of friction are
+within ±1; those of stops are 0 or more, as a stop only pushes. In an impact the same holds for
+velocities and the impulses of stops (Moreau, J. J., Unilateral contact and dry friction in finite
+freedom dynamics, 1988): as every joint that touches a stop approaches it, no energy is gained.
 """
 
 from __future__ import annotations
@@ -18,34 +18,34 @@ from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.reference.tree import Tree, link_number
 from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint
 
-_LOST = 1e-12  # of H's largest eigenvalue: what moves nothing
+_NULL = 1e-12  # of H's largest eigenvalue: a direction below it moves nothing
 
 
 @dataclass(frozen=True, eq=False)
 class Brakes:
-    """Frictions of joints, then their stops, lower and upper; arrays of shape (brake,)."""
+    """Frictions of joints, then lower stops, then upper stops; arrays have the shape (brake,)."""
 
     joints: tuple[PlacedJoint, ...]
     law: Index
-    """Their laws in the tree."""
+    """Index in the tree of each joint's law."""
     fast: Index
-    """Where the rates of their joints stand in a state."""
+    """Index in a state of each joint's rate."""
     place: Index
-    """Where the coordinates stand."""
+    """Index in a state of each joint's coordinate."""
     turn: Array
-    """1 of friction; of stops the sense of the coordinate that runs into them."""
+    """Sign of the rate that runs into a stop; 1 for friction."""
     size: Array
-    """Friction [N·m or N]; of stops 1."""
+    """Friction [N·m or N]; 1 for stops."""
     least: Array
     most: Array
-    """Bounds of the shares."""
+    """Upper bounds of the shares; `least` has the lower ones."""
     bound: Array
-    """Coordinates of stops; of friction 0."""
+    """Coordinates of stops; 0 for friction."""
     restitution: Array
 
     @staticmethod
     def of(tree: Tree, spanned: Mechanism) -> Brakes:
-        """Lay them out."""
+        """Lay out the brakes of a mechanism with this tree."""
         rough, limited = spanned.frictional, spanned.limited
         count, joints = len(rough), (*rough, *limited, *limited)
         law = [spanned.counted.index(joint) for joint in joints]
@@ -68,38 +68,38 @@ class Brakes:
 
     @property
     def stops(self) -> Mask:
-        """Tell which are stops."""
+        """Mask of the brakes that are stops."""
         return np.isinf(self.most)
 
     def gaps(self, y: Array) -> Array:
-        """Give how far coordinates are from their stops, infinite of friction, shape (brake,)."""
+        """Return the distances of coordinates from stops, infinite for friction, shape (brake,)."""
         return np.where(self.stops, self.turn * (self.bound - y[self.place]), np.inf)
 
     def approach(self, y: Array) -> Array:
-        """Give the rates towards stops, and those of joints with friction, shape (brake,)."""
+        """Return the rates towards stops, and those of joints with friction, shape (brake,)."""
         return np.asarray(self.turn * y[self.fast])
 
 
-def least_shares(free: Array, taken: Array, least: Array, most: Array) -> Array:
-    """Solve the problem above.
+def least_shares(free: Array, reduction: Array, least: Array, most: Array) -> Array:
+    """Find the shares μ that minimise ½ μᵀ H μ − aᵀ μ within their bounds.
 
     Args:
-        free: Accelerations of what is held, without it, times the brakes' sizes, shape (held,).
-        taken: What each share takes of them, shape (held, held), symmetric.
-        least: Bounds of the shares.
-        most: Likewise.
+        free: Accelerations a without the brakes that hold, times their sizes, shape (holding,).
+        reduction: Symmetric matrix H: what each share takes from them, shape (holding, holding).
+        least: Lower bounds of the shares.
+        most: Upper bounds of the shares.
     """
     from scipy.optimize import lsq_linear  # takes long to import
 
-    scale = np.sqrt(np.maximum(np.diag(taken), 0.0))
+    scale = np.sqrt(np.maximum(np.diag(reduction), 0.0))
     scale[scale == 0.0] = 1.0
-    values, vectors = np.linalg.eigh(taken / np.outer(scale, scale))
-    kept = values > _LOST * values.max()
+    values, vectors = np.linalg.eigh(reduction / np.outer(scale, scale))
+    kept = values > _NULL * values.max()
     roots, basis = np.sqrt(values[kept]), vectors[:, kept]
-    found = lsq_linear(
+    solution = lsq_linear(
         roots[:, None] * basis.T,
         basis.T @ (free / scale) / roots,
         (least * scale, most * scale),
         method="bvls",
     )
-    return np.asarray(found.x / scale)
+    return np.asarray(solution.x / scale)

@@ -1,9 +1,9 @@
 """Results kept on disk by content, so that a reference solution is computed once.
 
-Entries stand in the user's cache directory, or where MBDS_XSIM_CACHE says. Their names are
-hashes of everything that decides the result, the version of the physics among it. They are never
-changed, only replaced whole. Each ends in a checksum of its name and content: one that was damaged,
-changed or put under another name is computed again.
+Entries are stored in the user's cache directory, or in the folder that MBDS_XSIM_CACHE names. Their
+names are hashes of everything that decides the result, including the version of the physics. They
+are never changed, only replaced whole. Each ends in a checksum of its name and content: an entry
+that was damaged, changed or renamed is computed again.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ _PHYSICS = (
     "dimension",
 )  # fmt: skip
 _GEARS = 2
-"""Version of scenes with gears alone: before, a gear beside a fixed joint could be left out."""
+"""Extra version of scenes with gears: before it, a gear next to a fixed joint could be left out."""
 _BRAKES, _LANDING = 3, 4
-"""Of those with dry friction or stops: before, a rest at a stop with friction could be given up,
-and with contact there was no solution."""
+"""Extra versions of scenes with dry friction or stops, without and with contact: before them, a
+rest at a stop with friction could be given up, and scenes with contact had no solution."""
 _SOURCES = ("compiling", "lanes", "traced", "lane_algebra", "noted", "elimination", "tree")
 _SEAL = hashlib.sha256().digest_size
 
 
 def complete(
-    what: str,
+    kind: str,
     scene: Scene,
     batch: Batch,
     rtol: float,
@@ -53,27 +53,27 @@ def complete(
     keep: bool,
     together: int,
 ) -> Iterator[tuple[int, Arrays]]:
-    """Give each row of a batch and its entry, computing and keeping those that are not there.
+    """Yield each row of a batch and its entry, computing and storing those that are missing.
 
-    One at a time, so that a batch of any size needs no more memory than what is made of it.
+    Entries come one at a time, so that a batch of any size needs little memory of its own.
 
     Args:
-        what: Kind of result.
-        scene: What is simulated.
+        kind: Kind of result.
+        scene: Scene that is simulated.
         batch: Starts and inputs.
         rtol: Tolerance of the result.
-        compute: Makes the entries of some rows of the batch.
+        compute: Function that computes the entries of some rows of the batch.
         keep: Whether the disk is read and written at all.
         together: Largest number of rows computed at once.
     """
-    keys = [key_of(what, scene, batch, row, rtol) for row in range(len(batch))] if keep else []
-    found = set()
+    keys = [key_of(kind, scene, batch, row, rtol) for row in range(len(batch))] if keep else []
+    stored = set()
     for row, key in enumerate(keys):
         entry = load(key)
         if entry is not None:
-            found.add(row)
+            stored.add(row)
             yield row, entry
-    missing = [row for row in range(len(batch)) if row not in found]
+    missing = [row for row in range(len(batch)) if row not in stored]
     for first in range(0, len(missing), together):
         rows = missing[first : first + together]
         for row, entry in zip(rows, compute(rows), strict=True):
@@ -83,22 +83,22 @@ def complete(
 
 
 def directory() -> Path:
-    """Where entries stand."""
+    """Return the folder of the entries."""
     chosen = os.environ.get("MBDS_XSIM_CACHE")
     return Path(chosen) if chosen else _home()
 
 
 def _home() -> Path:
-    """The program's part of the user's cache directory."""
+    """Return the program's folder in the user's cache directory."""
     base = os.environ.get("XDG_CACHE_HOME")
     return (Path(base) if base else Path.home() / ".cache") / "mbds-xsim"
 
 
 @functools.cache
 def kernel_folder() -> Path:
-    """Where machine code is kept: numba looks at a file's path and time, and not at what it calls.
+    """Return the folder of machine code, named by all sources: numba checks only the calling file.
 
-    The folder's own time is that of its last use.
+    The folder's modification time is that of its last use.
     """
     here = Path(__file__)
     sources = [here.with_name(f"{name}.py") for name in _SOURCES]
@@ -106,13 +106,13 @@ def kernel_folder() -> Path:
     text = b"".join(path.read_bytes() for path in sources)
     text += str(Path(__file__).parent).encode()
     folder = _home() / "kernels" / hashlib.sha256(text).hexdigest()[:16]
-    with suppress(OSError):  # it is not there yet, or is another's
+    with suppress(OSError):  # it is missing, or belongs to another user
         os.utime(folder)
     return folder
 
 
-def key_of(what: str, scene: Scene, batch: Batch, row: int, rtol: float) -> str:
-    """Name of the entry of one trajectory: a hash of the physics, the start and the inputs."""
+def key_of(kind: str, scene: Scene, batch: Batch, row: int, rtol: float) -> str:
+    """Return the name of a trajectory's entry: a hash of the physics, the start and the inputs."""
     digest = hashlib.sha256()
     physics = [getattr(scene, key) for key in _PHYSICS]
     physics += [scene.servos] if scene.servos else []
@@ -120,9 +120,9 @@ def key_of(what: str, scene: Scene, batch: Batch, row: int, rtol: float) -> str:
     braked = any(joint.friction or joint.limits for joint in scene.joints)
     physics += [_LANDING if scene.contacts else _BRAKES] if braked else []
     physics += [scene.collisions] if scene.collisions else []
-    # Scenes made in Python may hold numpy's numbers.
+    # Scenes made in Python may hold numpy numbers.
     digest.update(
-        msgspec.json.encode([what, PHYSICS, rtol, scene.clock.frame, physics], enc_hook=float)
+        msgspec.json.encode([kind, PHYSICS, rtol, scene.clock.frame, physics], enc_hook=float)
     )
     for key in ("position", "orientation", "velocity", "angular_velocity", "force", "torque"):
         array = np.ascontiguousarray(getattr(batch, key)[row])
@@ -132,12 +132,12 @@ def key_of(what: str, scene: Scene, batch: Batch, row: int, rtol: float) -> str:
 
 
 def load(key: str) -> Arrays | None:
-    """Read an entry; None where there is none that is as it was written."""
+    """Read an entry; None if it is missing or not as it was written."""
     return read_sealed(_path(key))
 
 
 def sealed(path: Path, arrays: Arrays) -> bytes:
-    """Give the bytes of a file of arrays at a path, as npz with a checksum at the end."""
+    """Return the bytes of a file of arrays at a path: npz with a checksum at the end."""
     stream = io.BytesIO()
     np.savez(stream, **arrays)  # type: ignore[arg-type]
     content = stream.getvalue()
@@ -145,7 +145,7 @@ def sealed(path: Path, arrays: Arrays) -> bytes:
 
 
 def read_sealed(path: Path) -> Arrays | None:
-    """Read what `sealed` gave; None where the path has no such file as it was written."""
+    """Read a file made by `sealed`; None if it is missing or not as it was written."""
     try:
         whole = path.read_bytes()
     except OSError:

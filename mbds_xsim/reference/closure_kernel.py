@@ -1,13 +1,13 @@
 """Loop closures of a tree: few multipliers, eight states at once.
 
-A row's unit load K, handed down its path by the recursion of `tree_kernel.gather`, gives at each
-speed a generalised load w and the acceleration z = D⁻¹ w that it brings there. What rows couple
-outside of a link, G, is the sum of w · z over the speeds there. The least constraint of all that
-hangs on a link with acceleration a is then ½ a·H a + h·a + λ·(K a + k) − ½ λ·G λ, and a row whose λ
-acts nowhere else is eliminated: H grows by K K/G, h by K k/G (Vereshchagin 1989; Brandl, Johanni &
-Otter 1987), and so do the other rows' K, k and G by what they are coupled. Where all rows are kept
-to the world, G is A = J M⁻¹ Jᵀ. Which row goes where says `elimination`. A coupling's load acts on
-two coordinates alone.
+A row's unit load K is handed down its path by the recursion of `tree_kernel.gather`. At each speed
+on the way it gives a generalised load w and causes an acceleration z = D⁻¹ w. The coupling G of
+rows beyond a link is the sum of w · z over the speeds there. The least constraint of everything
+that hangs on a link with acceleration a is then ½ a·H a + h·a + λ·(K a + k) − ½ λ·G λ, and a row
+whose λ acts nowhere else is eliminated: H grows by K K/G, h by K k/G (Vereshchagin 1989; Brandl,
+Johanni & Otter 1987), and K, k and G of the rows coupled with it change accordingly. If all rows
+are kept up to the world, G is A = J M⁻¹ Jᵀ. `elimination` decides which row is eliminated where.
+The load of a coupling acts on two coordinates only.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ from mbds_xsim.reference.tree_kernel import (
     zero,
 )
 
-_LOST = 1e-300
-_NOTHING = 1e-9  # acceleration [m/s² or rad/s²]
+_TINY = 1e-300
+_NOTHING = 1e-9  # acceleration that counts as none [m/s² or rad/s²]
 
 
 @compiled
@@ -85,7 +85,7 @@ def accelerate(t, work, y, rate, first):
 
 @compiled
 def project(t, work, y):
-    """Put states onto the closures by least mass-weighted changes; unit quaternions."""
+    """Project states onto the closures by least mass-weighted changes; normalise quaternions."""
     if len(t.row_kind):
         for step in range(2):
             resist(t, work, y, step)
@@ -96,7 +96,7 @@ def project(t, work, y):
 
 @compiled
 def resist(t, work, y, step):
-    """Eliminate the rows where nothing acts; goals are residuals at first, then their rates."""
+    """Eliminate the rows in the absence of loads; goals are residuals in step 0, then rates."""
     move(t, work, y)
     still(t, work)
     weigh(t, work)
@@ -136,7 +136,7 @@ def _inwards(t, work):
 
 @compiled
 def _eliminate(t, work, i):
-    """Take rows that meet at a link out of those that they are coupled with."""
+    """Eliminate the rows that meet at a link from those that they are coupled with."""
     for d in range(t.plan.drop[i, 0], t.plan.drop[i, 1]):
         _take_out(t.plan, work, d)
         if i < len(t.kind):
@@ -153,7 +153,7 @@ def _take_out(plan, work, d):
     pivot, least, goal = load(m, k), load(work.share, 0), load(work.goals, k)
     share = pivot / load(work.rows, ROW * k + 14)
     store(work.share, 0, positive(least - share, share, least))
-    inverse = 1.0 / larger(pivot, spread(_LOST))
+    inverse = 1.0 / larger(pivot, spread(_TINY))
     store(m, k, inverse)
     first, at = plan.near_start[d], plan.fill_start[d]
     for q in range(first, plan.near_start[d + 1]):
@@ -172,7 +172,7 @@ def _take_out(plan, work, d):
 
 @compiled
 def _stiffen(work, b, k):
-    """Let a link resist as one whose row holds."""
+    """Add the resistance of an eliminated row to a link's inertia and bias."""
     a, loads, goal = work.link, work.loads, load(work.goals, k)
     f, n, inverse = load3(loads, 12 * k), load3(loads, 12 * k + 3), load(work.couplings, k)
     x, y = times(inverse, f), times(inverse, n)
@@ -188,7 +188,7 @@ def _stiffen(work, b, k):
 
 @compiled
 def _pass_on(t, work, i):
-    """Take the rows' loads through a link, and couple them by what they do to its speeds."""
+    """Pass the rows' loads through a link, and couple the rows by their effects on its speeds."""
     plan, a, b, fast = t.plan, work.link, i * PLACES, t.speed_at[i]
     first, last, speeds = plan.on_start[i], plan.on_start[i + 1], t.speed_at[i + 1] - t.speed_at[i]
     bend, twist, pair = load3(a, b + BEND), load3(a, b + TWIST), plan.pair_start[i]
@@ -216,58 +216,58 @@ def _pass_on(t, work, i):
             total = load(work.couplings, plan.on_pair[pair])
             z = plan.on_speed[r]
             for s in range(speeds):
-                total = total + load(work.through, w + s) * load(work.brought, z + s)
+                total = total + load(work.through, w + s) * load(work.response, z + s)
             store(work.couplings, plan.on_pair[pair], total)
             pair += 1
         if t.row_kind[k] == COUPLED:
             own, z = load(work.rows, ROW * k + 14), plan.on_speed[q]
-            for s in range(speeds):  # none of a fixed joint
-                own = own + load(work.through, w + s) * load(work.brought, z + s)
+            for s in range(speeds):  # a fixed joint has none
+                own = own + load(work.through, w + s) * load(work.response, z + s)
             store(work.rows, ROW * k + 14, own)
 
 
 @compiled
 def _respond_at(work, b, kind, w, z, f, n):
-    """Take a load through one link, and keep what it is and does at the link's speeds."""
-    a, out, brought = work.link, work.through, work.brought
+    """Pass a load through a link, and store its parts and effects at the link's speeds."""
+    a, out, response = work.link, work.through, work.response
     if kind == FREE:
         turn = apply_even(load6(a, b + JI), n)
         store3(out, w + 3, n)
-        store3(brought, z + 3, turn)
+        store3(response, z + 3, turn)
         f = sub(f, apply(load9(a, b + HJ), turn))
         store3(out, w, f)
-        store3(brought, z, apply_even(load6(a, b + MI), f))
+        store3(response, z, apply_even(load6(a, b + MI), f))
         return zero(), zero()
     n = sub(n, cross(load3(a, b + ARM), f))
     reach = load3(a, b + REACH)
     if kind == BALL:
         turn = apply_even(load6(a, b + JI), n)
         store3(out, w, n)
-        store3(brought, z, turn)
+        store3(response, z, turn)
         f = sub(f, apply(load9(a, b + HJ), turn))
         return f, cross(reach, f)
     if kind != FIXED:
         load_along = -dot(load3(a, b + AXIS), n if kind == HINGE else f)
-        does = load(a, b + DI) * load_along
+        effect = load(a, b + DI) * load_along
         store(out, w, load_along)
-        store(brought, z, does)
-        f = add(f, times(does, load3(a, b + UF)))
-        n = add(n, times(does, load3(a, b + UN)))
+        store(response, z, effect)
+        f = add(f, times(effect, load3(a, b + UF)))
+        n = add(n, times(effect, load3(a, b + UN)))
     return f, add(n, cross(reach, f))
 
 
 @compiled
 def _drive(t, work, i, k, w, z, f, n):
-    """Let a coupling's load act on the coordinate of a link, if it is one of its own."""
+    """Let a coupling's load act on a link's coordinate if it is one of the coupling's two."""
     for end in range(2):
         if t.row_ends[end, k] == i:
             a, b, more = work.link, i * PLACES, -t.row_way[k, end]
-            does = more * load(a, b + DI)
+            effect = more * load(a, b + DI)
             store(work.through, w, load(work.through, w) + more)
-            store(work.brought, z, load(work.brought, z) + does)
-            pull = times(does, load3(a, b + UF))
+            store(work.response, z, load(work.response, z) + effect)
+            pull = times(effect, load3(a, b + UF))
             f = add(f, pull)
-            n = add(n, add(times(does, load3(a, b + UN)), cross(load3(a, b + REACH), pull)))
+            n = add(n, add(times(effect, load3(a, b + UN)), cross(load3(a, b + REACH), pull)))
     return f, n
 
 
@@ -281,7 +281,7 @@ def _outwards(t, work):
         for q in range(plan.on_start[i], plan.on_start[i + 1]):
             weight = load(work.multipliers, plan.on_row[q])
             for s in range(speeds):
-                more = weight * load(work.brought, plan.on_speed[q] + s)
+                more = weight * load(work.response, plan.on_speed[q] + s)
                 store(work.own, fast + s, load(work.own, fast + s) + more)
         p = t.parent[i] * PLACES
         spread_out(work.link, work.own, i * PLACES, p, fast, t.kind[i])
@@ -291,7 +291,7 @@ def _outwards(t, work):
 
 @compiled
 def _find_multipliers(t, work, i):
-    """Find those of the rows that were eliminated at a link, the last one first."""
+    """Find the multipliers of the rows eliminated at a link, the last row first."""
     plan, a, b = t.plan, work.link, i * PLACES
     for back in range(plan.drop[i, 1] - plan.drop[i, 0]):
         d = plan.drop[i, 1] - 1 - back
@@ -309,7 +309,7 @@ def _find_multipliers(t, work, i):
 
 @compiled
 def _change(t, work, y, speeds):
-    """Move places, or change speeds, by what `spread_out` found."""
+    """Change coordinates or speeds by the amounts that `spread_out` found."""
     a = work.link
     for i in range(len(t.kind)):
         b, kind, at, fast = i * PLACES, t.kind[i], t.at[i], t.speed_at[i]

@@ -1,8 +1,8 @@
 """March balls that collide with each other and touch nothing else, from impact to impact.
 
-Between impacts a ball's path is a parabola and its spin stays. An impact of two balls is central:
-normal and tangential motion do not mix, so that Newton's restitution and Coulomb's friction have
-one solution together. Three balls at once have none that is unique.
+Between impacts a ball's path is a parabola and its spin is constant. An impact of two balls is
+central: normal and tangential motion do not couple, so that Newton's restitution and Coulomb's
+friction together have one solution. An impact of three balls at once has no unique solution.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from mbds_xsim.reference.topology import topology_of
 from mbds_xsim.scene.mechanism import Mechanism
 
 _MOST_IMPACTS = 20_000  # in a frame
-_PRESSED = 1e-9  # overlap of balls that something presses together [m]
-_GRAZING = 1e-12  # approach over the fastest speed: less is the rounding of what has no rebound
-_REAL = 1e-7  # imaginary part of a root that is real, over its size
-_ROUNDING = 1e-14  # of the terms: more is left where Newton's steps lead away from a graze
+_PRESSED = 1e-9  # overlap above which balls are pressed together [m]
+_GRAZING = 1e-12  # approach over the fastest speed below which it is rounding, and no impact
+_REAL = 1e-7  # largest imaginary part of a real root, over its size
+_ROUNDING = 1e-14  # of the terms: a larger residual remains if Newton's steps leave a grazing root
 
 
 def march_colliding(problem: Problem) -> Marched:
-    """Solve a scene without ground whose impacts are known: exactly, whatever the tolerance."""
+    """Solve a scene of colliding balls without ground, exactly whatever the tolerance."""
     marched = Marched.from_start(problem)
     states = marched.states
     states[:, :, -1] = problem.start[:, None, -1]
@@ -33,13 +33,13 @@ def march_colliding(problem: Problem) -> Marched:
         for k in range(problem.frames):
             time = k * problem.frame
             try:
-                ended = balls.through_frame(problem.force[row, k], problem.frame)
+                meeting = balls.through_frame(problem.force[row, k], problem.frame)
             except ArithmeticError as error:
                 why = f"{error} after {time:.6g} s: what follows is no motion of impacts alone"
                 marched.failures[row] = FirstImpact(k + 1, why, time)
                 break
-            if ended is not None:
-                marched.failures[row] = FirstImpact.at(k + 1, time + ended)
+            if meeting is not None:
+                marched.failures[row] = FirstImpact.at(k + 1, time + meeting)
                 break
             states[row, k + 1, :-1] = balls.state
         if (failure := marched.failures[row]) is not None:
@@ -48,7 +48,7 @@ def march_colliding(problem: Problem) -> Marched:
 
 
 class _Balls:
-    """Balls under way; their `state` has the shape (ball, 13)."""
+    """Moving balls; `state` has the shape (ball, 13)."""
 
     def __init__(self, mechanism: Mechanism, state: Array) -> None:
         collisions = mechanism.scene.collisions
@@ -63,25 +63,25 @@ class _Balls:
         self._gravity = np.array(mechanism.scene.gravity)
 
     def through_frame(self, force: Array, duration: float) -> float | None:
-        """Go on to the end of a frame, or give when in it three balls first meet at once [s].
+        """Advance to the end of a frame, or return when three balls first meet in it [s].
 
         Raises:
-            ArithmeticError: There is no end to the impacts, or balls press on each other.
+            ArithmeticError: There are too many impacts, or balls press on each other.
         """
-        pull, left = self._gravity + force / self._mass[:, None], duration
+        pull, remaining = self._gravity + force / self._mass[:, None], duration
         for _ in range(_MOST_IMPACTS):
-            times = self._times(pull, left)
+            times = self._times(pull, remaining)
             first = float(times.min(initial=np.inf))
-            self._fly(pull, min(first, left))
-            if first > left:
+            self._fly(pull, min(first, remaining))
+            if first > remaining:
                 if (self._gaps() < -_PRESSED).any():
                     break
                 return None
-            left -= first
+            remaining -= first
             pair = int(times.argmin())
             near = np.flatnonzero(self._gaps() <= TOUCHING)
             if np.isin(self._pairs[near[near != pair]], self._pairs[pair]).any():
-                return duration - left
+                return duration - remaining
             self._hit(*self._pairs[pair].tolist())
         raise ArithmeticError("balls are pressed together")
 
@@ -99,14 +99,14 @@ class _Balls:
         state[:, 3:7] = turn / np.linalg.norm(turn, axis=1, keepdims=True)
 
     def _times(self, pull: Array, most: float) -> Array:
-        """When pairs touch next, each on its own; infinite where not within `most`, (pair,)."""
+        """Return when each pair touches next [s], infinite if not within `most`, shape (pair,)."""
         place, speed = self._apart(self.state[:, :3]), self._apart(self.state[:, 7:10])
-        bend, found = self._apart(pull), np.full(len(self._pairs), np.inf)
+        bend, times = self._apart(pull), np.full(len(self._pairs), np.inf)
         fastest = float(rotation.norm(self.state[:, 7:10]).max())
         way = most * (rotation.norm(speed) + 0.5 * most * rotation.norm(bend))
         for k in np.flatnonzero(self._gaps() <= way).tolist():
-            found[k] = _touch(place[k], speed[k], bend[k], self._reach[k], most, fastest)
-        return found
+            times[k] = _touch(place[k], speed[k], bend[k], self._reach[k], most, fastest)
+        return times
 
     def _hit(self, one: int, other: int) -> None:
         """Let two balls that touch rebound, by Newton's and Coulomb's laws."""
@@ -132,7 +132,7 @@ def _touch(
 ) -> float:
     """Time at which |place + speed t + bend t²/2| first falls to `reach`, infinite if never.
 
-    A root of a polynomial of the fourth degree, which is scaled to the time `most`.
+    It is a root of a polynomial of degree four, which is scaled to the time `most`.
     """
     u, b = most * speed, most**2 * bend
     terms = np.array(

@@ -1,7 +1,7 @@
-"""March a batch with compiled kernels: what `marching` does, much faster (`benchmarks.frontier`).
+"""March a batch as `marching` does, but with compiled, much faster kernels (`benchmarks.frontier`).
 
 Every trajectory that they cannot finish (at singular poses, or where steps become too small) is
-marched again by `marching`, which knows a way on or says why there is none.
+marched again by `marching`, which finds a way on or reports why there is none.
 """
 
 from __future__ import annotations
@@ -102,28 +102,29 @@ def march_compiled(problem: Problem) -> Marched:
 def body_accelerations(mechanism: Mechanism, states: Array, force: Array, torque: Array) -> Array:
     """Evaluate the equations of motion at states of the reference.
 
-    Dry friction is that of joints that move; those that stand still have none here.
+    Only joints that move have dry friction here; joints at rest have none.
 
     Returns:
-        Of the centres of mass [m/s²] and angular [rad/s²] in W, shape (batch, body, 6).
+        Accelerations of the centres of mass [m/s²], then angular accelerations [rad/s²], in W,
+        shape (batch, body, 6).
     """
     tree, spanned, _ = chosen(mechanism)
     y = to_tree(spanned, maximal_of(mechanism).unpack(states), states)
-    found = np.empty((len(states), 1, mechanism.body_count, 6))
+    accelerations = np.empty((len(states), 1, mechanism.body_count, 6))
     grip = np.zeros((len(states), len(tree.law)))
     for joint in spanned.frictional:
         rate = y[:, tree.speed_at[link_number(spanned, joint)]]
         grip[:, spanned.counted.index(joint)] = joint.friction * np.sign(rate)
     force, torque = (np.require(load[:, None], float, ["C", "W"]) for load in (force, torque))
-    task = Problems(y, force, torque, 0.0, found, np.zeros(0, dtype=np.int64), grip)
+    task = Problems(y, force, torque, 0.0, accelerations, np.zeros(0, dtype=np.int64), grip)
     Kernel(tree).run(EVALUATE, task)
-    return found[:, 0]
+    return accelerations[:, 0]
 
 
 def projected(mechanism: Mechanism, states: Array) -> Array:
-    """Put states of the reference onto the closures by least mass-weighted changes."""
+    """Project states of the reference onto the closures by least mass-weighted changes."""
     tree, spanned, _ = chosen(mechanism)
-    kernel, found = Kernel(tree), states.copy()
+    kernel, projections = Kernel(tree), states.copy()
     coordinates = to_tree(spanned, maximal_of(mechanism).unpack(states), states)
     for rows, y in _in_lanes(coordinates):
         for k, place in enumerate(tree.row_place[0]):
@@ -132,8 +133,8 @@ def projected(mechanism: Mechanism, states: Array) -> Array:
                 y[place] += 2 * np.pi * np.round((wanted - y[place]) / (2 * np.pi))
         kernel.y[:] = y
         kernel.run(PROJECT)
-        found[rows] = kernel.body_states()
-    return with_signs_of(found, states)
+        projections[rows] = kernel.body_states()
+    return with_signs_of(projections, states)
 
 
 class Kernel:
@@ -145,38 +146,38 @@ class Kernel:
         self.y, self.rates = self._lane.y[: tree.size], self._lane.stages[: tree.size]
         """States of eight lanes and their rates, shape (number, 8)."""
 
-    def run(self, what: int, task: Problems = _NO_TASK, scheme: Scheme = _NO_SCHEME) -> None:
-        """Do what is wanted (`march_kernel`)."""
-        march_kernel.run(what, self.tree, self.work, scheme, self._lane, task)
+    def run(self, operation: int, task: Problems = _NO_TASK, scheme: Scheme = _NO_SCHEME) -> None:
+        """Run one of the operations of `march_kernel`."""
+        march_kernel.run(operation, self.tree, self.work, scheme, self._lane, task)
 
     def body_states(self) -> Array:
-        """Give the states of lanes as the reference has them, shape (lane, body + world, 13)."""
+        """Return the lanes' states in the reference's layout, shape (lane, body + world, 13)."""
         self.run(MOVE)
         link = np.moveaxis(self.work.link.reshape(-1, PLACES, LANES)[:-1], -1, 0)
         turn = rotation.from_matrix(link[..., R : R + 9].reshape(*link.shape[:-1], 3, 3))
         parts = (link[..., X : X + 3], turn, link[..., V : V + 3], link[..., W : W + 3])
-        found = np.zeros((LANES, len(self.tree.kind) + 1, 13))
-        found[:, -1, 3] = 1.0
-        found[:, self.tree.body] = np.concatenate(parts, axis=-1)
-        return found
+        states = np.zeros((LANES, len(self.tree.kind) + 1, 13))
+        states[:, -1, 3] = 1.0
+        states[:, self.tree.body] = np.concatenate(parts, axis=-1)
+        return states
 
 
 def with_signs_of(states: Array, others: Array) -> Array:
-    """Let quaternions have the sign that those of other states have."""
+    """Choose the signs of quaternions to match those of other states."""
     along = np.sum(states[..., 3:7] * others[..., 3:7], axis=-1, keepdims=True)
     states[..., 3:7] *= np.where(along < 0.0, -1.0, 1.0)
     return states
 
 
 def _in_lanes(y: Array) -> Iterator[tuple[Index, Array]]:
-    """Give rows of states, the last one over and over, and these as lanes."""
+    """Yield the numbers of eight states, the last one repeated if need be, and these as lanes."""
     for first in range(0, len(y), LANES):
         rows = np.minimum(np.arange(first, first + LANES), len(y) - 1)
         yield rows, np.ascontiguousarray(y[rows].T)
 
 
 def _resisting(tree: Tree, y: Array) -> Iterator[tuple[Index, Workspace]]:
-    """Eliminate the rows of states; give which of them, and what was found, one after the other."""
+    """Eliminate the rows, eight states at a time; yield the states' numbers and the workspace."""
     kernel = Kernel(tree)
     for rows, kernel.y[:] in _in_lanes(y):
         kernel.run(RESIST)
@@ -185,10 +186,11 @@ def _resisting(tree: Tree, y: Array) -> Iterator[tuple[Index, Workspace]]:
 
 @functools.lru_cache(maxsize=64)
 def chosen(mechanism: Mechanism) -> tuple[Tree, Mechanism, float]:
-    """Load independent rows only, in the tree that closes loops soonest.
+    """Choose the tree with the cheapest loops, and independent rows in it to carry loads.
 
     Returns:
-        The tree, the mechanism that has it, and the share of the least row that is usual, or less.
+        The tree, the mechanism that has it, and the independent share of a row below which a pose
+        may be singular.
     """
     spanned, dynamics = with_short_loops(mechanism), maximal_of(mechanism)
     tree = tree_of(spanned)
@@ -198,11 +200,11 @@ def chosen(mechanism: Mechanism) -> tuple[Tree, Mechanism, float]:
     y, count = to_tree(spanned, dynamics.unpack(states), states), tree.loaded
     matrix, (row, column) = np.zeros((len(y), count, count)), tree.plan.pair_row.T
     sizes = np.empty((len(y), count))
-    for which, work in _resisting(tree, y):
-        sizes[which] = work.rows[14 : ROW * count : ROW].T
-        matrix[which[:, None], row, column] = work.couplings.T
-    found = [_pivoted(*pair) for pair in zip(matrix, sizes, strict=True)]
-    rows, _ = max(found, key=lambda each: (len(each[0]), each[1]))
+    for numbers, work in _resisting(tree, y):
+        sizes[numbers] = work.rows[14 : ROW * count : ROW].T
+        matrix[numbers[:, None], row, column] = work.couplings.T
+    choices = [_pivoted(*pair) for pair in zip(matrix, sizes, strict=True)]
+    rows, _ = max(choices, key=lambda each: (len(each[0]), each[1]))
     left_out = np.setdiff1d(np.arange(tree.loaded), rows)
     tree = with_rows(tree, np.concatenate([rows, left_out]), len(rows))
     usual = max(float(work.share[0].max()) for _, work in _resisting(tree, y))
@@ -210,7 +212,7 @@ def chosen(mechanism: Mechanism) -> tuple[Tree, Mechanism, float]:
 
 
 def _pivoted(matrix: Array, size: Array) -> tuple[Array, float]:
-    """Give the rows that are independent, and the least share that is so, squared."""
+    """Return the independent rows, and the least independent share of one, squared."""
     from scipy.linalg import lapack  # takes long to import
 
     scale = 1.0 / np.sqrt(size)
@@ -219,7 +221,7 @@ def _pivoted(matrix: Array, size: Array) -> tuple[Array, float]:
 
 
 def _keep_signs(tree: Tree, states: Array, start: Array) -> None:
-    """Let quaternions that follow from others go on from those of the start."""
+    """Match the signs of quaternions that follow from other bodies' to those of the start."""
     bodies = tree.body[(tree.kind != BALL) & (tree.kind != FREE)]
     if len(bodies):
         along = np.sum(states[:, 0, bodies, 3:7] * start[:, bodies, 3:7], axis=-1)
@@ -229,7 +231,7 @@ def _keep_signs(tree: Tree, states: Array, start: Array) -> None:
 
 
 def _workspace(tree: Tree) -> Workspace:
-    """Make the arrays that kernels of a tree need."""
+    """Create the arrays that the kernels of a tree need."""
     links, rows, loaded, plan = len(tree.kind) + 1, len(tree.row_kind), tree.loaded, tree.plan
     work = Workspace(
         link=lines(links * PLACES),
@@ -241,7 +243,7 @@ def _workspace(tree: Tree) -> Workspace:
         loads=lines(12 * loaded),
         goals=lines(loaded),
         through=lines(6 * int(np.diff(plan.on_start).max(initial=0))),
-        brought=lines(plan.speed_count),
+        response=lines(plan.speed_count),
         couplings=lines(len(plan.pair_row)),
         multipliers=lines(loaded),
         share=lines(2),
@@ -253,14 +255,14 @@ def _workspace(tree: Tree) -> Workspace:
 
 
 def _lane(tree: Tree) -> Lane:
-    # A block at least, which is written to even where nothing can move.
+    # At least one block, which is written to even if nothing can move.
     size, idle = max(1, -(-tree.size // BLOCK)) * BLOCK, lines(1)
     idle[:] = -1.0
     whole = [np.zeros(LANES, dtype=np.int64) for _ in range(2)]
     return Lane(
         row=whole[0],
         at=whole[1],
-        left=np.zeros(LANES),
+        remaining=np.zeros(LANES),
         step=np.zeros(LANES),
         tries=np.zeros(LANES, dtype=np.int64),
         due=np.zeros(LANES, dtype=np.bool_),
@@ -274,7 +276,7 @@ def _lane(tree: Tree) -> Lane:
 
 
 def lines(count: int) -> Array:
-    """Make zeros of shape (count, 8), or (1, 8): each row one line of the processor's cache."""
+    """Create zeros of shape (count, 8), or (1, 8), with each row one line of the cache."""
     raw = np.zeros((count + 2) * LANES)
     first = -raw.ctypes.data % 64 // raw.itemsize
     return raw[first : first + max(count, 1) * LANES].reshape(-1, LANES)

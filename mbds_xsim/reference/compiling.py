@@ -1,11 +1,11 @@
-"""How kernels are compiled: each as a whole with all that it calls, and once.
+"""Compilation of kernels: each as a whole with everything that it calls, and only once.
 
-numba optimises every function by itself, makes machine code of it, and does both again with all
-that call it. Kernels are many small functions in many layers, so most of the time went into code
-that nobody runs. Here a function that only kernels call stays as it was lowered until the one that
-Python calls has all of them in one module. Passes for what kernels never have (closures, `with`,
-array expressions, parallel loops) are left out, and operators of lanes and arrays are looked up
-first: numba tries some fifteen other meanings of them before, each time one occurs.
+numba optimises every function by itself, turns it into machine code, and does both again for each
+function that calls it. Kernels are many small functions in many layers, so most of that time would
+go into code that never runs. Here a function that only kernels call stays in lowered form until the
+function that Python calls has all of them in one module. Passes for features that kernels never use
+(closures, `with`, array expressions, parallel loops) are left out. Operators of lanes and arrays
+are looked up first: numba would try some fifteen other meanings before, at each use of one.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from numba.core.untyped_passes import (
 
 from mbds_xsim.reference.cache import kernel_folder
 
-# Nothing is left to be found here by what looks for vectors in loops and expressions.
+# The passes that vectorise loops and expressions would find nothing to do here.
 config.LOOP_VECTORIZE = config.SLP_VECTORIZE = 0
 
 _PASSES = (
@@ -61,11 +61,11 @@ _PASSES = (
 
 
 class _Entered(CompilerBase):
-    """Compiles what Python calls."""
+    """Compiler of functions that Python calls."""
 
     def __init__(self, typingctx: Any, targetctx: Any, *others: Any) -> None:
         super().__init__(typingctx, targetctx, *others)
-        # They look for news some 3000 times, and would import all that numba has each time.
+        # They look for new registries some 3000 times, and would import all of numba's each time.
         for context in (typingctx, targetctx):
             context.load_additional_registries = functools.partial(_take_in_news, context)
 
@@ -83,7 +83,7 @@ def _take_in_news(context: Any) -> None:
 
 
 class _Called(_Entered):
-    """Lowers what kernels call."""
+    """Compiler of functions that only kernels call: it stops after lowering."""
 
     def define_pipelines(self) -> list[PassManager]:
         state = self.state
@@ -92,16 +92,16 @@ class _Called(_Entered):
         return super().define_pipelines()
 
     def compile_extra(self, function: Callable[..., Any]) -> Any:
-        made = super().compile_extra(function)
-        made.library.finalize()
-        # numba knows functions by what Python would call; nobody calls this.
+        result = super().compile_extra(function)
+        result.library.finalize()
+        # numba identifies functions by an entry point for Python; this one is never called.
         key = object().__sizeof__
-        self.state.targetctx.insert_user_function(key, made.fndesc, [made.library])
-        return made._replace(entry_point=key)
+        self.state.targetctx.insert_user_function(key, result.fndesc, [result.library])
+        return result._replace(entry_point=key)
 
 
 class _Lowered(JITCodeLibrary):
-    """Functions that are linked into others only."""
+    """Library of functions that are only linked into others."""
 
     def _optimize_final_module(self) -> None:
         pass
@@ -111,7 +111,7 @@ class _Lowered(JITCodeLibrary):
 
 
 FIRST = {"target": "cpu"}
-"""What a template of an operator says to be tried before those for machines of any kind."""
+"""Metadata of an operator's template that make numba try it before templates for all targets."""
 
 
 @infer_global(operator.getitem)
@@ -128,19 +128,19 @@ _OPTIONS = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}, "_n
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    """Compile a kernel that kernels call; no references are counted, as it makes no arrays."""
+    """Compile a kernel that kernels call, without reference counts, as it makes no arrays."""
     options = {**_OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     return njit(pipeline_class=_Called, **options)(function)
 
 
 def entered(function: Callable[..., Any]) -> Any:
-    """Compile a kernel that Python calls; what takes its arguments apart takes long to compile."""
+    """Compile a kernel that Python calls; the code that unpacks arguments is slow to compile."""
     before = config.CACHE_DIR
     config.CACHE_DIR = before or str(kernel_folder())
     make = functools.partial(njit, pipeline_class=_Entered, no_cfunc_wrapper=True, **_OPTIONS)
     try:
         return make(cache=True)(function)
-    except RuntimeError:  # no folder can be written to
+    except RuntimeError:  # there is no writable folder
         return make()(function)
     finally:
         config.CACHE_DIR = before

@@ -1,8 +1,8 @@
 """Coefficients of DOP853, the Runge–Kutta method of Dormand and Prince of order 8.
 
 Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, 1993, section II.10, with error
-estimates of order 5 and 3. They stand here since scipy's are in a package that takes a third of a
-second and 40 MB to import.
+estimates of order 5 and 3. They are repeated here since scipy's are in a package that takes a third
+of a second and 40 MB to import.
 """
 
 from __future__ import annotations
@@ -41,16 +41,16 @@ E5 = np.array([
     1.6643771824549864, -0.35032884874997366, 0.3341791187130175, 0.08192320648511571,
     -0.022355307863886294,
 ])
-"""Weights of the stages in the estimate of its error of order 5."""
+"""Weights of the stages in the error estimate of order 5."""
 # fmt: on
 
 A = np.zeros((STAGES, STAGES))
-"""Weights of the stages before in each stage."""
+"""Weights of the earlier stages in each stage."""
 for _stage, _row in enumerate(_WEIGHTS, start=1):
     A[_stage, :_stage] = _row
 
 _THIRD = {0: 0.2440944881889764, 8: 0.7338466882816118, 11: 0.022058823529411766}
 E3 = B.copy()
-"""The same of order 3."""
+"""Weights of the stages in the error estimate of order 3."""
 for _stage, _weight in _THIRD.items():
     E3[_stage] -= _weight

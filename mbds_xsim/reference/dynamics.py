@@ -25,9 +25,9 @@ from mbds_xsim.scene.constraints import Moving, evaluate, motion_of
 from mbds_xsim.scene.joint_space import BodyStates, joint_loads
 from mbds_xsim.scene.mechanism import Mechanism
 
-# Rows that are left out may be off by what a stage is off the constraints; else they count.
+# Largest error of left-out rows, over the goals: a stage is slightly off the constraints.
 _FOLLOWS = 1e-4
-# Of the usual share of independent rows: below it a pose may be singular.
+# Part of the usual independent share of rows below which a pose may be singular.
 _FEWER = 0.1
 
 _X, _Q, _V, _W = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13)
@@ -48,20 +48,20 @@ _TURN = _turn_map()
 
 
 class TreeEquations(Protocol):
-    """What acts on coordinates, which only a tree has: rotors, dry friction and couplings."""
+    """Equations with rotors, dry friction and couplings, which act on coordinates of a tree."""
 
     def accelerations(self, states: Array, force: Array, torque: Array) -> Array:
-        """Give those of the centres of mass and angular ones in W, shape (batch, body, 6)."""
+        """Return accelerations of centres of mass and angular ones in W, shape (batch, body, 6)."""
         ...
 
     def projected(self, states: Array) -> Array:
-        """Put states onto the closures by least mass-weighted changes."""
+        """Project states onto the closures by least mass-weighted changes."""
         ...
 
 
 @functools.lru_cache(maxsize=64)
 def maximal_of(mechanism: Mechanism) -> Dynamics:
-    """Prepare a mechanism (once each) without what acts on the coordinates of its tree."""
+    """Prepare equations of a mechanism (once each) without effects on its tree's coordinates."""
     return Dynamics(mechanism)
 
 
@@ -69,8 +69,8 @@ class Dynamics:
     """Equations of motion of one mechanism, vectorised over a batch.
 
     Args:
-        mechanism: Whose.
-        tree: Has its accelerations where something acts on coordinates, and closes its couplings.
+        mechanism: Mechanism that moves.
+        tree: Equations to use instead if something acts on coordinates; they close couplings, too.
     """
 
     def __init__(self, mechanism: Mechanism, tree: TreeEquations | None = None) -> None:
@@ -92,7 +92,7 @@ class Dynamics:
             self.near = min(POOR, _FEWER * usual)
 
     def pack(self, bodies: BodyStates) -> Array:
-        """States of body states with one leading axis."""
+        """Convert body states with one leading axis to states."""
         count = self.topology.body_count
         state = np.zeros((len(bodies.position), count + 1, 13))
         state[:, -1, 3] = 1.0
@@ -102,7 +102,7 @@ class Dynamics:
         return state
 
     def unpack(self, state: Array) -> BodyStates:
-        """Body states of states with any leading axes."""
+        """Convert states with any leading axes to body states."""
         state = state[..., :-1, :]
         native = state[..., _Q]
         if (self.topology.principal != rotation.IDENTITY).any():
@@ -113,7 +113,7 @@ class Dynamics:
     def derivative(self, state: Array, force: Array, torque: Array) -> Array:
         """Time derivative of states under forces (batch, body, 3) and torques (batch, hinge).
 
-        Behind the torques stand the pushes of drives.
+        The torques are followed by the pushes of drives.
         """
         rate, share = self.rate(state, force, torque)
         for k in np.flatnonzero(share < self.near):
@@ -121,7 +121,7 @@ class Dynamics:
         return rate
 
     def rate(self, state: Array, force: Array, torque: Array) -> tuple[Array, Array]:
-        """Do so without regard to singular poses.
+        """Time derivative of states without regard to singular poses.
 
         Returns:
             The derivative, and the independent share of the rows, squared, shape (batch,).
@@ -143,9 +143,9 @@ class Dynamics:
         return rate, share
 
     def project(self, state: Array) -> Array:
-        """Put states onto the constraints by least mass-weighted changes; unit quaternions.
+        """Project states onto the constraints by least mass-weighted changes; unit quaternions.
 
-        Near a singular pose they are put onto the branch that their velocities are on.
+        Near a singular pose they are projected onto the branch that their velocities follow.
         """
         if not self._constrains:
             return _normalised(state)
@@ -157,7 +157,7 @@ class Dynamics:
         return _normalised(projected)
 
     def closest(self, state: Array) -> tuple[Array, Array]:
-        """Do so without regard to singular poses.
+        """Project states onto the constraints without regard to singular poses.
 
         Returns:
             The states, and the independent share of the rows, squared, shape (batch,).
@@ -181,9 +181,9 @@ class Dynamics:
     def gaps(self, state: Array) -> tuple[Array, Array]:
         """Gaps of contact spheres [m] and their rates [m/s], each (batch, grounded + pair).
 
-        First those to the plane z = 0, then those between spheres. The latter are (d² − R²) / 2R,
-        with d the distance of the centres and R that at which they touch: at a touch it is the gap,
-        and where they pass each other evenly a parabola in time.
+        Gaps to the plane z = 0 come first, then those between spheres. The latter are
+        (d² − R²) / 2R, with d the distance of the centres and R its value at a touch. Near a touch
+        this is the gap, and it is a parabola in time if spheres pass at constant velocity.
         """
         top = self.topology
         carrier = state[:, top.sphere_body]
@@ -271,7 +271,7 @@ class Dynamics:
         return applied - change, share if self._closes else np.ones(len(applied))
 
     def _broken(self, jacobian: Array, goal: Array, change: Array) -> Indices:
-        """States at which rows that are left out do not follow from the others, as they should."""
+        """States at which left-out rows do not follow from the others, as they should."""
         left_out = self._multipliers.left_out
         if not len(left_out):
             return left_out
@@ -281,7 +281,7 @@ class Dynamics:
     def _least(self, jacobian: Array, goal: Array) -> tuple[Array, Array]:
         """Scaled change of least norm with J · change = goal, shape (batch, body + world, 6).
 
-        Also the independent share of the rows, shape (batch,).
+        The second result is the independent share of the rows, shape (batch,).
         """
         load, share = self._multipliers.solve(jacobian, goal)
         return self._loaded(jacobian, load), share
@@ -314,7 +314,7 @@ class Dynamics:
 
 
 def pose_of(mechanism: Mechanism) -> BodyStates:
-    """Give the start at rest, or the reference pose where none can be found."""
+    """Return the start pose at rest, or the reference pose if no start can be found."""
     still = np.zeros((1, mechanism.body_count, 3))
     turn = np.broadcast_to(rotation.IDENTITY, (1, mechanism.body_count, 4))
     try:

@@ -1,10 +1,10 @@
-"""Where closure rows are eliminated on the way to the roots, so that cost grows with links alone.
+"""Plan to eliminate closure rows on the way to the roots, so that cost grows with links only.
 
-A row's load comes down the tree from its two ends. At the link where these meet nothing further
-out can change it any more: it is eliminated there, and the link resists as if its loops were
-closed. Rows that act on one link together are coupled, and so are those that an eliminated row was
-coupled with. Few loops are open at once where a spanning tree goes along a mechanism and back, so
-of several trees that is taken in which the least is to be done.
+A row's load comes down the tree from its two ends. At the link where these meet, nothing further
+out can change it any more: the row is eliminated there, and the link resists as if its loops were
+closed. Rows that act on the same link are coupled, and so are the rows that an eliminated row was
+coupled with. Few loops are open at once if a spanning tree goes along a mechanism and back. So of
+several trees the one with the least work is taken.
 """
 
 from __future__ import annotations
@@ -22,56 +22,59 @@ from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
 FIRST, SECOND, BOTH = range(3)
 
 _CLOSES = {"ball": 3, "hinge": 5, "slider": 5, "fixed": 6}  # rows of a joint
-_DISTANCE = 1  # the same of a distance link
-_PASSING = 8  # times a coupling: work that a row makes at a link by itself
+_DISTANCE = 1  # row of a distance link
+_PASSING = 8  # work of passing one row through a link, in couplings
 
 
 class Elimination(NamedTuple):
-    """What is done link by link; behind the links stands the world."""
+    """Work at each link and then at the world.
+
+    Lists of each link or row follow each other in one array; `…_start` has the first index of each.
+    """
 
     on_start: Index
-    """Where the rows whose loads come through each link begin in the next three, (link + 1,)."""
+    """First index in the next three of the rows whose loads pass each link, shape (link + 1,)."""
     on_row: Index
     on_end: Index
-    """Whose load comes through: `FIRST`, `SECOND`, or `BOTH`."""
+    """End of the row whose load passes the link: `FIRST`, `SECOND`, or `BOTH`."""
     on_speed: Index
-    """Where it is kept what the row does to the link's speeds."""
+    """Index in `Workspace.response` of the row's effects on the link's speeds."""
     on_pair: Index
-    """Couplings of each of these rows with those before it on its link and itself, in turn."""
+    """Couplings of each of these rows with those before it on its link, and then with itself."""
     pair_start: Index
-    """Where those of each link begin, shape (link + 1,)."""
+    """First index in `on_pair` of the couplings of each link, shape (link + 1,)."""
     drop: Index
-    """Where the rows that are eliminated at each link and at the world begin in the next two, and
-    where they end, shape (link + 1, 2)."""
+    """First and last index (exclusive) in the next two of the rows eliminated at each link and at
+    the world, shape (link + 1, 2)."""
     drop_row: Index
     near_start: Index
-    """Where the rows that each is coupled with begin in the next three, shape (row + 1,)."""
+    """First index in the next three of the rows coupled with each of these, shape (row + 1,)."""
     near_row: Index
     near_end: Index
-    """Whose load comes through that link; `FIRST` where the row ends there."""
+    """End of the coupled row whose load passes that link; `FIRST` if the row ends there."""
     near_pair: Index
     fill_start: Index
-    """Where the couplings of these with those before them and themselves begin, (row + 1,)."""
+    """First index of the couplings of these with those before them and themselves, (row + 1,)."""
     fill_pair: Index
     pair_row: Index
-    """Rows of each coupling, shape (coupling, 2); those of rows with themselves come first."""
+    """Rows of each coupling, shape (coupling, 2); couplings of rows with themselves come first."""
     speed_count: int
 
 
 def plan_of(
-    parent: Index, speeds: Index, ends: Index, coupled: Mask, *, kept: bool = False
+    parent: Index, speeds: Index, ends: Index, coupled: Mask, *, keep_all: bool = False
 ) -> Elimination:
     """Plan the elimination of rows.
 
     Args:
-        parent: Link that each link hangs from; children have the larger numbers.
+        parent: Parent of each link; children have the larger numbers.
         speeds: Number of each link's speeds.
         ends: Links of the rows' two ends, shape (2, row).
-        coupled: Rows that act on the coordinates of these links, shape (row,).
-        kept: Whether no row is eliminated: the couplings are those at the world then.
+        coupled: Mask of the rows that act on coordinates of these links, shape (row,).
+        keep_all: Whether no row is eliminated; the couplings are then those at the world.
     """
     world, couplings = len(parent), _Couplings(ends.shape[1])
-    on, leaving = _ways(parent, ends, coupled, kept)
+    on, leaving = _ways(parent, ends, coupled, keep_all)
     pairs: list[list[int]] = [[] for _ in range(world)]
     drop = np.zeros((world + 1, 2), dtype=np.int64)
     dropped: list[int] = []
@@ -112,7 +115,7 @@ def plan_of(
 
 
 class _Couplings:
-    """Which rows are coupled, and the number of each coupling."""
+    """Coupled rows, and the number of each coupling."""
 
     def __init__(self, count: int) -> None:
         self.near: list[set[int]] = [set() for _ in range(count)]
@@ -122,13 +125,13 @@ class _Couplings:
         return self.number.setdefault((max(one, other), min(one, other)), len(self.number))
 
     def join(self, rows: list[int]) -> list[int]:
-        """Couple rows with each other; give the numbers of these couplings, row by row."""
+        """Couple rows with each other; return the numbers of these couplings, row by row."""
         for row in rows:
             self.near[row].update(other for other in rows if other != row)
         return [self.pair(one, other) for q, one in enumerate(rows) for other in rows[: q + 1]]
 
     def release(self, row: int) -> list[int]:
-        """Give the rows that one is coupled with, and take it from them."""
+        """Return the rows that a row is coupled with, and uncouple it from them."""
         others = sorted(self.near[row])
         for other in others:
             self.near[other].discard(row)
@@ -136,9 +139,9 @@ class _Couplings:
 
 
 def _ways(
-    parent: Index, ends: Index, coupled: Mask, kept: bool = False
+    parent: Index, ends: Index, coupled: Mask, keep_all: bool = False
 ) -> tuple[list[list[tuple[int, int]]], list[list[int]]]:
-    """Give the rows that come through each link, with their ends, and those eliminated there."""
+    """Return the rows whose loads pass each link, with their ends, and those eliminated there."""
     world = len(parent)
     on: list[list[tuple[int, int]]] = [[] for _ in range(world + 1)]
     leaving: list[list[int]] = [[] for _ in range(world + 1)]
@@ -146,10 +149,10 @@ def _ways(
         first, second = (_path(parent, end) for end in pair)
         inner = [path[1:] if coupled[row] else path for path in (first, second)]
         meet = next((link for link in inner[0] if link in inner[1]), world)
-        if not kept:
+        if not keep_all:
             leaving[meet].append(row)
         for link in {*first, *second}:
-            if kept or link > meet or meet == world:
+            if keep_all or link > meet or meet == world:
                 sides = [side for side, path in enumerate((first, second)) if link in path]
                 on[link].append((row, sides[0] if len(sides) == 1 else BOTH))
     return on, leaving
@@ -157,11 +160,11 @@ def _ways(
 
 def _path(parent: Index, link: int) -> list[int]:
     """Links from one to its root."""
-    found = []
+    path = []
     while link < len(parent):
-        found.append(link)
+        path.append(link)
         link = int(parent[link])
-    return found
+    return path
 
 
 def _starts(lists: Sequence[Sequence[object]]) -> Index:
@@ -177,10 +180,10 @@ def _column(rows: Sequence[tuple[int, ...]], k: int) -> Index:
 
 
 def with_short_loops(mechanism: Mechanism) -> Mechanism:
-    """Give a mechanism the spanning tree in which closing its loops costs least.
+    """Return a mechanism with the spanning tree in which closing its loops costs least.
 
-    Besides its own these are the two that go as far as they can before they turn back, by the
-    first joint of each body or the last. Joints with rotors, dry friction or couplings stay.
+    The candidates are its own tree and two depth-first trees, which try the joints of each body
+    forwards or backwards. Joints that only a tree can have (`PlacedJoint.in_tree`) stay in it.
     """
     if not mechanism.loops:
         return mechanism
@@ -190,26 +193,26 @@ def with_short_loops(mechanism: Mechanism) -> Mechanism:
 
 
 def _far(mechanism: Mechanism, turn: int) -> Mechanism:
-    """Follow joints from body to body, and turn back where all neighbours are known."""
+    """Build a tree depth first: follow joints, and turn back where all neighbours are known."""
     at: dict[int, list[PlacedJoint]] = defaultdict(list)
     for joint in mechanism.joints:
         at[joint.parent].append(joint)
         at[joint.child].append(joint.turned_round())
     links: list[Link] = []
-    seen: set[int] = set()
+    visited: set[int] = set()
     for root in (WORLD_INDEX, *range(mechanism.body_count)):
-        if root in seen:
+        if root in visited:
             continue
-        seen.add(root)
+        visited.add(root)
         if root != WORLD_INDEX:
             links.append(Link(root, WORLD_INDEX, None))
         ways = [iter(at[root][::turn])]
         while ways:
-            onwards = next((each for each in ways[-1] if each.child not in seen), None)
+            onwards = next((each for each in ways[-1] if each.child not in visited), None)
             if onwards is None:
                 ways.pop()
                 continue
-            seen.add(onwards.child)
+            visited.add(onwards.child)
             links.append(Link(onwards.child, onwards.parent, onwards))
             ways.append(iter(at[onwards.child][::turn]))
     used = {link.joint.index for link in links if link.joint is not None}
@@ -218,7 +221,7 @@ def _far(mechanism: Mechanism, turn: int) -> Mechanism:
 
 
 def _work(mechanism: Mechanism) -> int:
-    """Estimate what closing the loops costs, in couplings."""
+    """Estimate the cost of closing the loops, in couplings."""
     number = {link.body: k for k, link in enumerate(mechanism.links)}
     world = len(number)
     parent = np.array([number.get(link.parent, world) for link in mechanism.links])

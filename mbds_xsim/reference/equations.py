@@ -1,7 +1,7 @@
-"""The equations of motion of any mechanism, and accelerations by them.
+"""Equations of motion of any mechanism, and the accelerations that they give.
 
-They are in maximal coordinates (`dynamics`); what acts on coordinates of joints, rotors, dry
-friction and couplings, is in those of the mechanism's tree (`compiled`).
+They use maximal coordinates (`dynamics`), unless rotors, dry friction, stops or couplings act on
+coordinates of joints: then they use those of the mechanism's tree (`compiled`).
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
 
 _AT_ONCE = 256  # states; more only cost memory
-_HOLLOW = 1e-12  # of mass · length²: constraints that reach so far off lose four digits of it
+_HOLLOW = 1e-12  # of mass · length²: constraints at that distance lose four digits of the inertia
 
 
 @functools.lru_cache(maxsize=64)
 def dynamics_of(mechanism: Mechanism) -> Dynamics:
-    """Prepare a mechanism (once each)."""
+    """Prepare the equations of motion of a mechanism (once each)."""
     if mechanism.rotors or mechanism.couplings or mechanism.braked:
         return Dynamics(mechanism, _Compiled(mechanism))
     return maximal_of(mechanism)
@@ -51,15 +51,16 @@ def accelerations(
     """Evaluate the equations of motion at any states, without contact.
 
     Args:
-        mechanism: Whose motion.
+        mechanism: Mechanism that moves.
         bodies: States that keep the joints together, with any leading axes.
-        force: In W on the centres of mass [N], shape (…, body, 3).
-        torque: About the hinges of `Mechanism.hinges` [N·m], and behind them the pushes of the
+        force: Forces in W on the centres of mass [N], shape (…, body, 3).
+        torque: Torques about the hinges of `Mechanism.hinges` [N·m], followed by the pushes of the
             drives, shape (…, hinge + drive).
         many: Whether it pays to load compiled kernels, where these have the same equations.
 
     Returns:
-        Of the centres of mass in W [m/s²] and angular in W [rad/s²], shapes (…, body, 3).
+        Accelerations of the centres of mass [m/s²] and angular accelerations [rad/s²] in W, shapes
+        (…, body, 3).
     """
     dynamics, shape = dynamics_of(mechanism), bodies.position.shape
     flat = (np.asarray(values, dtype=float) for values in vars(bodies).values())
@@ -68,8 +69,8 @@ def accelerations(
     inputs = len(mechanism.hinges) + len(mechanism.drives)
     torque = np.broadcast_to(torque, (*shape[:-2], inputs)).reshape(len(state), inputs)
     if _hollow(mechanism) or (many and _turns_bodies_alone(mechanism)):
-        found = _Compiled(mechanism).accelerations(state, force, torque)
-        return found[..., :3].reshape(shape), found[..., 3:].reshape(shape)
+        twist_rates = _Compiled(mechanism).accelerations(state, force, torque)
+        return twist_rates[..., :3].reshape(shape), twist_rates[..., 3:].reshape(shape)
     parts = [slice(k, k + _AT_ONCE) for k in range(0, len(state), _AT_ONCE)]
     rates = [dynamics.derivative(state[part], force[part], torque[part]) for part in parts]
     rate = dynamics.unpack(np.concatenate([*rates, state[:0]]))
@@ -78,12 +79,12 @@ def accelerations(
 
 @functools.lru_cache(maxsize=64)
 def _hollow(mechanism: Mechanism) -> bool:
-    """Whether bodies resist a turn so little that maximal coordinates lose the rest in rounding."""
+    """Whether a body has so little inertia that maximal coordinates lose it in rounding."""
     least = np.linalg.eigvalsh(mechanism.inertia)[:, 0]
     return bool((least < _HOLLOW * mechanism.mass * mechanism.scene.length**2).any())
 
 
 def _turns_bodies_alone(mechanism: Mechanism) -> bool:
-    """Whether accelerations follow from how bodies turn, wherever gaps leave their places."""
+    """Whether accelerations depend on the bodies' rotation only, and not on gaps in joints."""
     closes = mechanism.loops or mechanism.distances or mechanism.springs
     return not closes and all(joint.kind == "ball" for joint in mechanism.joints)

@@ -1,10 +1,10 @@
 """March mechanisms with dry friction or stops in joints, from one event to the next.
 
-Friction of constant size has one motion only, as it never decreases with the rate. Joints that move
-have all of it against them. Those that stand still have what keeps them there, as far as it goes,
-and so have those that rest against a stop (`brakes`). Events are that a joint stops or gives way,
-and that it reaches a stop. Between them a motion is smooth, and steps are those of `marching`. A
-motion ends where a contact sphere first reaches the ground (`first_impact`).
+With friction of constant size the motion is unique, as friction never decreases with the rate. A
+joint that moves has all of its friction against it. A joint at rest has as much as keeps it there,
+up to that limit; a stop pushes as much as keeps a joint from passing it (`brakes`). Events are that
+a joint comes to rest, gives way or reaches a stop. Between them a motion is smooth, and steps are
+those of `marching`. A motion ends when a contact sphere first reaches the ground (`first_impact`).
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ from mbds_xsim.reference.marching import (
 from mbds_xsim.reference.tree import to_tree
 from mbds_xsim.scene.state import Failure
 
-_NARROW = 2.0**-50  # share of a step within which an event in it is found
-_APART = 1e-9  # the same of two that are looked at one by one
-_ALL = 1.0 - 1e-9  # share of its friction from which on a joint that stands still gives way
-_STILL = 1e-12  # of all joints' accelerations without friction: what keeps on standing still
-_TOUCHING = 1e-12  # [rad or m]: before a stop
-_SLOW = 1e-6  # of a joint's fastest approach to its stop: what does not bounce
-_NOISE = 1e-6  # of the fastest rate of any joint: at rest against a stop, rounding moves a joint
+_NARROW = 2.0**-50  # accuracy of an event's place, as a share of the step
+_APART = 1e-9  # share of a step within which two events count as one
+_ALL = 1.0 - 1e-9  # share of its friction above which a joint at rest gives way
+_STILL = 1e-12  # of the joints' accelerations without friction: less leaves a joint at rest
+_TOUCHING = 1e-12  # gap that counts as touching a stop [rad or m]
+_SLOW = 1e-6  # of a joint's fastest approach to its stop: a slower one does not bounce
+_NOISE = 1e-6  # of the fastest rate of any joint: rounding may move a joint at rest on a stop
 _MOST_EVENTS = 1000  # in a frame
 
 
 def march_gripping(problem: Problem) -> Marched:
-    """Integrate states frame by frame, one after the other."""
+    """Integrate trajectories one after the other, frame by frame."""
     marched = Marched.from_start(problem)
     _, spanned, _ = chosen(problem.mechanism)
-    places = to_tree(spanned, problem.dynamics.unpack(problem.start), problem.start)
-    for row, place in enumerate(places):
-        motion = _Motion(problem.dynamics, place, problem.rtol)
+    starts = to_tree(spanned, problem.dynamics.unpack(problem.start), problem.start)
+    for row, start in enumerate(starts):
+        motion = _Motion(problem.dynamics, start, problem.rtol)
         for k in range(problem.frames):
             try:
                 impact = motion.through_frame(problem.force[row, k], problem.torque[row, k])
@@ -72,22 +72,22 @@ class _Motion:
         self._frame, self._rtol = mechanism.scene.clock.frame, rtol
         self._brakes = brakes = Brakes.of(self._tree, spanned)
         self._onto = np.equal.outer(np.arange(len(self._tree.law)), brakes.law).astype(float)
-        """Which law each brake acts by, shape (law, brake)."""
+        """1 where a brake acts on the joint of a law, else 0, shape (law, brake)."""
         self._y, self._step = y, FIRST_STEP * self._frame
         self._sense = np.where(brakes.stops, 1.0, np.sign(y[brakes.fast]))
-        """Of joints with friction: −1 or 1 where they move, 0 where they stand still. Of stops: 0
-        where a joint rests against them, 1 elsewhere."""
+        """For friction: −1 or 1 if the joint moves, 0 if it is at rest. For stops: 0 if a joint
+        rests against them, else 1."""
         self._fastest = np.zeros(len(brakes.law))
-        """Approach to each stop so far [rad/s or m/s]."""
+        """Fastest approach to each stop so far [rad/s or m/s]."""
         self._y = self._closed(y)
 
     def state(self) -> Array:
-        """Give the states of the bodies, shape (body + world, 13)."""
+        """Return the states of the bodies, shape (body + world, 13)."""
         self._kernel.y[:] = self._y[:, None]
         return self._kernel.body_states()[0]
 
     def through_frame(self, force: Array, torque: Array) -> float | None:
-        """Go on to the end of a frame, or give when in it a sphere first touches the ground [s].
+        """Advance to the end of a frame, or return when a sphere first touches the ground [s].
 
         Raises:
             ArithmeticError: Neither can be reached.
@@ -95,13 +95,13 @@ class _Motion:
         loads = self._kernel.work.load.reshape(-1, 6, LANES)
         loads[:-1, :3] = force[self._tree.body][..., None]
         self._kernel.work.torque[: len(torque)] = torque[:, None]
-        left, events = self._frame, 0
+        remaining, events = self._frame, 0
         self._turn_at(self._y)
         if self._lands and resting(*self._heights(self._y)):
             return 0.0
         rate = self._derivative(self._y[None])
         for _ in range(MOST_STEPS):
-            h = left / np.ceil(left / self._step)
+            h = remaining / np.ceil(remaining / self._step)
             new, ratio = self._tried(rate, h)
             self._step = float(next_step(np.array([h]), np.array([ratio]))[0])
             if not ratio <= 1.0:
@@ -115,12 +115,12 @@ class _Motion:
                 h, events = h * share, events + 1
                 new = self._tried(rate, h)[0]
             if (touch := self._touch_within(rate, h, new)) is not None:
-                return float(self._frame - left + touch * h)
+                return float(self._frame - remaining + touch * h)
             if share is not None:
                 self._step = FIRST_STEP * self._frame
                 self._turn_at(new)
-            self._y, left = new, left - h
-            if left <= 1e-14 * self._frame:
+            self._y, remaining = new, remaining - h
+            if remaining <= 1e-14 * self._frame:
                 self._y = self._closed(self._y)
                 return None
             rate = self._derivative(self._y[None])
@@ -128,12 +128,12 @@ class _Motion:
         raise ArithmeticError(why)
 
     def _heights(self, y: Array) -> tuple[Array, Array]:
-        """Give heights of contact spheres above the ground and their rates, shape (1, sphere)."""
+        """Return heights of contact spheres above the ground, and their rates, (1, sphere)."""
         self._kernel.y[:] = y[:, None]
         return self._dynamics.gaps(self._kernel.body_states()[:1])
 
     def _touch_within(self, rate: Array, h: float, new: Array) -> float | None:
-        """Find the shortest part of a step in which a sphere reaches the ground."""
+        """Find the share of a step after which a sphere reaches the ground; None if it does not."""
         if not self._lands:
             return None
         places = dips(self._heights(self._y), self._heights(new), np.array([h]))[0]
@@ -142,51 +142,51 @@ class _Motion:
         )
 
     def _tried(self, rate: Array, h: float) -> tuple[Array, float]:
-        """Make a step; also give its error over what is allowed."""
+        """Try a step; also return its error over the allowed one."""
         step = np.array([h])
         new, stages = try_step(self._derivative, self._y[None], rate, step)
         allowed = self._rtol * (1.0 + np.maximum(np.abs(self._y), np.abs(new)))
         return new[0], float(error_ratio(stages, step, allowed)[0])
 
     def _event_within(self, rate: Array, h: float, new: Array) -> float | None:
-        """Find the shortest part of a step in which something stops, gives way or meets a stop."""
+        """Find the share of a step after which its first event occurs; None if there is none."""
         low, high = 0.0, 1.0
         if not self._has_turned(new):
             places = self._dips(h, new)
             crossed = (p for p in places.tolist() if self._has_turned(self._tried(rate, p * h)[0]))
-            if (found := next(crossed, None)) is None:
+            if (place := next(crossed, None)) is None:
                 return None
-            high = found
+            high = place
         return self._narrowed(rate, h, low, high)
 
     def _narrowed(self, rate: Array, h: float, low: float, high: float) -> float:
-        """Find the least share of a step at which it has happened, as it has at the upper one."""
+        """Find the least share of a step at which an event has occurred, as it has at `high`."""
         from scipy.optimize import brentq  # takes long to import
 
-        after = self._left(self._tried(rate, high * h)[0])
-        for brake in np.flatnonzero((self._left(self._y) > 0.0) & (after < 0.0)).tolist():
-            if self._left_at(high, rate, h, brake) < 0.0:
-                root = brentq(self._left_at, low, high, (rate, h, brake), xtol=_NARROW)
+        after = self._margins(self._tried(rate, high * h)[0])
+        for brake in np.flatnonzero((self._margins(self._y) > 0.0) & (after < 0.0)).tolist():
+            if self._margin_at(high, rate, h, brake) < 0.0:
+                root = brentq(self._margin_at, low, high, (rate, h, brake), xtol=_NARROW)
                 high = min(high, root + 2.0 * _NARROW)
         if not self._has_turned(self._tried(rate, high * (1.0 - _APART) * h)[0]):
-            return high  # nothing happens before
+            return high  # no event occurs before
         while high - low > _NARROW:
             middle = (low + high) / 2
             turned = self._has_turned(self._tried(rate, middle * h)[0])
             low, high = (low, middle) if turned else (middle, high)
         return high
 
-    def _left_at(self, share: float, rate: Array, h: float, brake: int) -> float:
-        return float(self._left(self._tried(rate, share * h)[0])[brake])
+    def _margin_at(self, share: float, rate: Array, h: float, brake: int) -> float:
+        return float(self._margins(self._tried(rate, share * h)[0])[brake])
 
-    def _left(self, y: Array) -> Array:
-        """Give what is left until joints come to rest, or to open stops, shape (brake,)."""
+    def _margins(self, y: Array) -> Array:
+        """Rates of moving joints and gaps to open stops, shape (brake,); below 0 after an event."""
         brakes = self._brakes
         gaps = np.where(self._open, brakes.gaps(y), np.inf)
         return np.where(brakes.stops, gaps, self._sense * y[brakes.fast])
 
     def _dips(self, h: float, new: Array) -> Array:
-        """Find where in a step joints may be past stops that they are before at both ends."""
+        """Find shares of a step at which joints may be past stops, though not at its ends."""
         ends = [
             (self._brakes.gaps(y)[None, self._open], -self._brakes.approach(y)[None, self._open])
             for y in (self._y, new)
@@ -200,7 +200,7 @@ class _Motion:
         return self._brakes.stops & (self._sense != 0.0)
 
     def _has_turned(self, y: Array) -> bool:
-        """Whether a joint has come back to rest or gives way, or is past a stop."""
+        """Whether a joint has come to rest, gives way or is past a stop."""
         brakes = self._brakes
         if (self._sense * y[brakes.fast] < 0.0)[~brakes.stops].any():
             return True
@@ -211,7 +211,7 @@ class _Motion:
         return bool(self._settled(y, self._sense)[self._sense == 0].any())
 
     def _turn_at(self, y: Array) -> None:
-        """Go on from an event, or with other loads: joints stop, bounce, rest or give way."""
+        """Update joints at an event, or for new loads: they stop, bounce, rest or give way."""
         brakes, sense = self._brakes, self._sense
         back = ~brakes.stops & (sense * y[brakes.fast] < 0.0)
         y[brakes.fast[back]] = 0.0
@@ -219,9 +219,9 @@ class _Motion:
         y[brakes.place[touched]] = brakes.bound[touched]
         if (touched & (brakes.approach(y) > 0.0)).any():
             self._bounce(y, touched)
-        resting = touched & (brakes.approach(y) == 0.0)
+        rests = touched & (brakes.approach(y) == 0.0)
         moving = np.sign(y[brakes.fast])
-        self._sense = self._settled(y, np.where(brakes.stops, 1.0 - resting, moving))
+        self._sense = self._settled(y, np.where(brakes.stops, 1.0 - rests, moving))
 
     def _bounce(self, y: Array, touched: Mask) -> None:
         """Let joints rebound from stops by Newton's law, all at once."""
@@ -232,72 +232,72 @@ class _Motion:
         rebound = brakes.restitution * (speed > _SLOW * self._fastest)
         columns = self._columns(y, 0.0 * self._sense, touched)
         change = columns[0] - columns[1:]
-        taken = (brakes.turn * change[:, brakes.fast])[:, touched].T  # stops are of size 1
+        reduction = (brakes.turn * change[:, brakes.fast])[:, touched].T  # stops have size 1
         wanted = (speed + rebound * np.maximum(speed, 0.0))[touched]
         none = 0.0 * wanted
-        y -= least_shares(wanted, taken, none, none + np.inf) @ change
+        y -= least_shares(wanted, reduction, none, none + np.inf) @ change
         small = np.abs(brakes.approach(y)) < _SLOW * self._fastest.max()
         flat = touched & (rebound == 0.0) & small
         y[brakes.fast[flat]] = 0.0
 
     def _settled(self, y: Array, sense: Array) -> Array:
-        """Decide which of the joints that stand still go on to do so, and where others go."""
-        held, brakes = np.flatnonzero(sense == 0), self._brakes
-        if not len(held):
+        """Decide which joints at rest stay there, and in which direction the others move."""
+        holding, brakes = np.flatnonzero(sense == 0), self._brakes
+        if not len(holding):
             return sense
-        found = self._columns(y, sense, sense == 0)
-        power = brakes.turn * brakes.size * found[:, brakes.fast]
-        free, taken = power[0, held], (power[0, held] - power[1:, held]).T
-        least, most, stops = brakes.least[held], brakes.most[held], brakes.stops[held]
-        share, size = least_shares(free, taken, least, most), brakes.size[held]
-        # As accelerations, of which a joint with both has one.
-        left, gripped = (free - taken @ share) / size, np.abs(taken[:, ~stops]).sum(axis=1)
-        largest = np.abs(found[0, self._tree.speed_at[0] :]).max()
+        columns = self._columns(y, sense, sense == 0)
+        power = brakes.turn * brakes.size * columns[:, brakes.fast]
+        free, reduction = power[0, holding], (power[0, holding] - power[1:, holding]).T
+        least, most, stops = brakes.least[holding], brakes.most[holding], brakes.stops[holding]
+        share, size = least_shares(free, reduction, least, most), brakes.size[holding]
+        # As accelerations: a joint with both friction and a stop has only one.
+        net, gripped = (free - reduction @ share) / size, np.abs(reduction[:, ~stops]).sum(axis=1)
+        largest = np.abs(columns[0, self._tree.speed_at[0] :]).max()
         small = _STILL * max(largest, ((np.abs(free) + gripped) / size).max())
-        opens = stops & (left < -small)
-        # Its friction does not give way where a joint still rests against a stop.
-        joint = brakes.fast[held]
+        opens = stops & (net < -small)
+        # Friction does not give way while its joint still rests against a stop.
+        joint = brakes.fast[holding]
         rests = np.isin(joint, joint[stops & ~opens])
-        yields = (np.abs(share) > _ALL) & (np.abs(left) > small) & ~rests
+        yields = (np.abs(share) > _ALL) & (np.abs(net) > small) & ~rests
         settled = sense.copy()
-        settled[held] = np.where(stops, opens, np.where(yields, np.sign(share), 0.0))
+        settled[holding] = np.where(stops, opens, np.where(yields, np.sign(share), 0.0))
         return settled
 
     def _derivative(self, y: Array) -> Array:
-        """Time derivative of a state, shape (1, number); joints that stand still stay so."""
-        held = self._sense == 0
-        found = self._columns(y[0], self._sense, held)
-        if not held.any() or not np.isfinite(found).all():
-            return found[:1]  # a stage that overflows ends a step, which then is tried shorter
-        at, taken = self._brakes.fast[held], (found[0] - found[1:]).T
-        share = np.linalg.lstsq(taken[at], found[0, at])[0]
-        rate = found[0] - taken @ share
+        """Time derivative of a state, shape (1, number); joints at rest stay there."""
+        holding = self._sense == 0
+        columns = self._columns(y[0], self._sense, holding)
+        if not holding.any() or not np.isfinite(columns).all():
+            return columns[:1]  # a stage overflowed: the step fails, and a shorter one follows
+        at, reduction = self._brakes.fast[holding], (columns[0] - columns[1:]).T
+        share = np.linalg.lstsq(reduction[at], columns[0, at])[0]
+        rate = columns[0] - reduction @ share
         rate[at] = 0.0
         return rate[None]
 
-    def _columns(self, y: Array, sense: Array, held: Mask) -> Array:
-        """Derivatives of a state with the friction of joints that move, then also with each brake.
+    def _columns(self, y: Array, sense: Array, holding: Mask) -> Array:
+        """Derivatives of a state with friction of moving joints, then also with each holding brake.
 
-        Shape (1 + held, number).
+        Shape (1 + holding, number).
         """
         brakes = self._brakes
         size = brakes.turn * brakes.size
         base = np.where(brakes.stops, 0.0, size * sense)
-        return self._evaluated(y, np.concatenate([base[None], base + np.diag(size)[held]]))
+        return self._evaluated(y, np.concatenate([base[None], base + np.diag(size)[holding]]))
 
     def _evaluated(self, y: Array, grips: Array) -> Array:
-        """Derivatives of a state under several brakes' forces, shape (column, number)."""
+        """Derivatives of a state under each row of brake forces, shape (column, number)."""
         self._kernel.y[:] = y[:, None]
-        found = np.empty((len(grips), len(y)))
+        rates = np.empty((len(grips), len(y)))
         for first in range(0, len(grips), LANES):
             part = grips[first : first + LANES]
             self._kernel.work.grip[: len(self._onto), : len(part)] = self._onto @ part.T
             self._kernel.run(ACCELERATE)
-            found[first : first + len(part)] = self._kernel.rates.T[: len(part)]
-        return found
+            rates[first : first + len(part)] = self._kernel.rates.T[: len(part)]
+        return rates
 
     def _closed(self, y: Array) -> Array:
-        """Put a state onto the closures; what stood still does so again."""
+        """Project a state onto the closures; joints at rest stay at rest."""
         brakes, rest = self._brakes, self._sense == 0
         still = brakes.fast[(y[brakes.fast] == 0.0) & rest]
         self._kernel.y[:] = y[:, None]

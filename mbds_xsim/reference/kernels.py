@@ -1,4 +1,4 @@
-"""Machine code: compiled once for a machine, before several processes need it."""
+"""Machine code that is compiled once for a machine, before several processes need it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mbds_xsim.reference.solution import solve
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Body, Clock, DistanceLink, Inertia, Scene
 
-_UNUSED = 30 * 86400.0  # after which machine code of another version is removed [s]
+_UNUSED = 30 * 86400.0  # time unused after which other versions' machine code is removed [s]
 
 
 @dataclass(frozen=True)
@@ -24,15 +24,15 @@ class Kernels:
     """Functions that are compiled together."""
 
     name: str
-    """Of what they belong to."""
+    """Name of the part of the program that they belong to."""
     use: Callable[[], None]
-    """Calls each of them, which compiles it."""
+    """Function that calls each of them, which compiles it."""
     seconds: int
-    """About so long that takes one core."""
+    """Approximate time that this takes one core."""
 
     @property
     def marker(self) -> Path:
-        """A file that is there once they are compiled."""
+        """File that exists once they are compiled."""
         return cache.kernel_folder() / f"{self.name} ready"
 
 
@@ -48,7 +48,7 @@ def _solve_once() -> None:
 
 
 REFERENCE = Kernels("reference", _solve_once, 10)
-"""What the reference of a scene without contact needs."""
+"""Kernels that the reference needs for a scene without contact."""
 
 
 def compile_once(
@@ -57,37 +57,37 @@ def compile_once(
     workers: int | None,
     kernels: Sequence[Kernels] = (REFERENCE,),
 ) -> None:
-    """Compile kernels that are not yet, each in a process of its own.
+    """Compile the kernels that are not compiled yet, each in a process of its own.
 
     Args:
-        notice: Told, before it begins, that this takes a while.
-        workers: Processes at a time; 0 where it is to be done in this one.
-        kernels: Which.
+        notice: Called with a line to show: that this takes a while, or that it failed.
+        workers: Number of processes at a time; 0 compiles in this one.
+        kernels: Kernels to compile.
     """
-    found = [each for each in (compilation(notice, some) for some in kernels) if each is not None]
-    answers = run_tasks([task for task, _ in found], workers=workers)
-    for (_, then), answer in zip(found, answers, strict=True):
+    jobs = [each for each in (compilation(notice, some) for some in kernels) if each is not None]
+    answers = run_tasks([task for task, _ in jobs], workers=workers)
+    for (_, then), answer in zip(jobs, answers, strict=True):
         then(answer)
 
 
 def compilation(
     notice: Callable[[str], None], kernels: Kernels = REFERENCE
 ) -> tuple[Task, Callable[[object], None]] | None:
-    """Give what compiles, and what hears of its answer; None where the machine code is there."""
+    """Return a task that compiles and a function for its answer; None if already compiled."""
     if kernels.marker.exists():
         return None
-    whose = f"the machine code of the {kernels.name}"
-    notice(f"{whose} is compiled for this machine, once: some {kernels.seconds} s of one core")
+    subject = f"the machine code of the {kernels.name}"
+    notice(f"{subject} is compiled for this machine, once: some {kernels.seconds} s of one core")
 
     def then(answer: object) -> None:
-        if isinstance(answer, Crash):  # the work itself will meet it, and say where
-            notice(f"{whose} could not be compiled: {answer.reason}")
+        if isinstance(answer, Crash):  # the work itself will fail, and report where
+            notice(f"{subject} could not be compiled: {answer.reason}")
 
     return Task(_compile, (kernels,)), then
 
 
 def _compile(kernels: Kernels) -> None:
-    gc.disable()  # looking for garbage takes a tenth of the time
+    gc.disable()  # garbage collection takes a tenth of the time
     try:
         kernels.use()
     finally:
@@ -99,8 +99,8 @@ def _compile(kernels: Kernels) -> None:
 
 
 def _remove_unused(folder: Path) -> None:
-    """Remove machine code of other versions that nobody has used for long."""
+    """Remove machine code of other versions that has not been used for long."""
     for other in folder.parent.iterdir():
-        with suppress(FileNotFoundError):  # another process removes it, too
+        with suppress(FileNotFoundError):  # another process may remove it, too
             if other != folder and time.time() - other.stat().st_mtime > _UNUSED:
                 shutil.rmtree(other, ignore_errors=True)

@@ -1,7 +1,7 @@
-"""Vectors of space and their matrices for compiled kernels, of numbers of eight trajectories each.
+"""Vectors and matrices in space for compiled kernels; each element is eight trajectories' numbers.
 
-Vectors are tuples of three, symmetric matrices of six (xx, yy, zz, xy, xz, yz), others of nine by
-rows, quaternions of four (wxyz).
+Vectors are tuples of three, symmetric matrices of six (xx, yy, zz, xy, xz, yz), other matrices of
+nine, row by row, quaternions of four (wxyz).
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def add_to3(a, k, v):
 
 @traced
 def add_to(a, k, more):
-    """Add to numbers in an array."""
+    """Add a number to one in an array."""
     store(a, k, load(a, k) + more)
 
 
@@ -86,19 +86,19 @@ def sub(a, b):
 
 @traced
 def times(f, v):
-    """Multiply a vector."""
+    """Multiply a vector by a number."""
     return f * v[0], f * v[1], f * v[2]
 
 
 @traced
 def dot(a, b):
-    """Multiply vectors."""
+    """Return the scalar product of vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @traced
 def cross(a, b):
-    """Multiply vectors."""
+    """Return the cross product of vectors."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
@@ -188,7 +188,7 @@ def _columns(x, y, z):
 
 @traced
 def hamilton(p, q):
-    """Give the Hamilton product p ⊗ q: the rotation q followed by p."""
+    """Return the Hamilton product p ⊗ q: the rotation q followed by p."""
     return (
         p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
         p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
@@ -207,7 +207,7 @@ def rotated(q, v):
 
 @traced
 def rotation_of(q):
-    """Give the matrix of a quaternion of any length."""
+    """Return the rotation matrix of a quaternion of any length."""
     w, x, y, z = q
     f = 2.0 / (w * w + x * x + y * y + z * z)
     fx, fy, fz = f * x, f * y, f * z

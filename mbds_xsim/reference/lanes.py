@@ -1,7 +1,7 @@
 """Numbers of eight trajectories at once, as one vector of the processor, for compiled kernels.
 
-A `Lanes` value is LLVM's <8 × double>: every operation on it is one on all eight, whatever the
-compiler can prove about arrays. They are kept in arrays of shape (number, 8).
+A `Lanes` value is LLVM's <8 × double>: every operation acts on all eight numbers, whatever the
+compiler can prove about arrays. Such values are kept in arrays of shape (number, 8).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _VECTOR = ir.VectorType(ir.DoubleType(), LANES)
 
 
 class Lanes(types.Type):
-    """Numba's type of such a value."""
+    """Numba type of eight numbers, one for each lane."""
 
     def __init__(self) -> None:
         super().__init__(name=f"Lanes{LANES}")
@@ -119,7 +119,7 @@ def eight(typing: Any, array: Any, at: Any) -> Any:  # noqa: ARG001
 
 @intrinsic
 def put_eight(typing: Any, array: Any, at: Any, value: Any) -> Any:  # noqa: ARG001
-    """Write them."""
+    """Write eight numbers that follow each other in an array of one axis."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         builder.store(args[2], address(context, builder, sig.args[0], args[0], args[1], 1), align=8)
@@ -136,7 +136,7 @@ def spread(typing: Any, value: Any) -> Any:  # noqa: ARG001
 
 @intrinsic
 def positive(typing: Any, test: Any, value: Any, other: Any) -> Any:  # noqa: ARG001
-    """Give `value` in the lanes in which `test` is above 0, and `other` in the rest."""
+    """Return `value` in the lanes in which `test` is above 0, and `other` in the rest."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
         zero = ir.Constant(_VECTOR, [0.0] * LANES)
@@ -146,7 +146,7 @@ def positive(typing: Any, test: Any, value: Any, other: Any) -> Any:  # noqa: AR
 
 
 def _function(name: str, count: int) -> Callable[..., Any]:
-    """Make an intrinsic of a function that LLVM has for vectors."""
+    """Make an intrinsic from one of LLVM's functions for vectors."""
 
     def call(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
         kind = ir.FunctionType(_VECTOR, [_VECTOR] * count)
@@ -167,14 +167,14 @@ larger = _function("maxnum", 2)
 
 @intrinsic
 def arctan2(typing: Any, a: Any, b: Any) -> Any:  # noqa: ARG001
-    """Give angles in (−π, π], lane by lane: LLVM has none for vectors."""
+    """Return angles in (−π, π], lane by lane: LLVM has no such function for vectors."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
         one = context.get_function(math.atan2, signature(types.float64, *[types.float64] * 2))
-        found = ir.Constant(_VECTOR, ir.Undefined)
+        angles = ir.Constant(_VECTOR, ir.Undefined)
         for k in map(_INDEX, range(LANES)):
             value = one(builder, [builder.extract_element(each, k) for each in args])
-            found = builder.insert_element(found, value, k)
-        return found
+            angles = builder.insert_element(angles, value, k)
+        return angles
 
     return lanes(lanes, lanes), generate

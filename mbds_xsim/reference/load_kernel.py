@@ -1,4 +1,4 @@
-"""What acts on bodies, and what they resist with: where the recursions of `tree_kernel` start."""
+"""Loads and inertias of bodies, with which the recursions of `tree_kernel` start."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from mbds_xsim.reference.tree_kernel import PLACES, F, H, J, M, N, R, V, W, Work
 
 @compiled
 def still(t: Tree, work: Workspace):
-    """Let nothing act."""
+    """Set all loads on bodies to zero."""
     for i in range(len(t.kind) + 1):
         store3(work.link, i * PLACES + F, zero())
         store3(work.link, i * PLACES + N, zero())
@@ -35,7 +35,7 @@ def still(t: Tree, work: Workspace):
 
 @compiled
 def hold(t: Tree, work: Workspace, k, force, torque):
-    """Let forces on bodies (body, 3), torques about hinges and pushes of drives act in a lane."""
+    """Set a lane's held forces (body, 3), torques about hinges and pushes of drives."""
     for i in range(len(t.kind)):
         for j in range(3):
             work.load[6 * i + j, k] = force[t.body[i], j]
@@ -45,7 +45,7 @@ def hold(t: Tree, work: Workspace, k, force, torque):
 
 @compiled
 def act(t: Tree, work: Workspace, y):
-    """Let springs, laws of joints and torques act on the bodies."""
+    """Apply springs, laws of joints and torques to the bodies."""
     a = work.link
     still(t, work)
     for k in range(len(t.spring)):
@@ -65,7 +65,7 @@ def act(t: Tree, work: Workspace, y):
             first = apply(load9(a, p + R), number3(t.law_points[0], k))
             second = apply(load9(a, c + R), number3(t.law_points[1], k))
             line, rate = _between(a, p, c, first, second)
-            # The line is along the axis, which what turns with the parent leaves as it is.
+            # The line is along the axis: turning with the parent does not change its length.
             tension = stiffness * (dot(axis, line) - rest) + damping * dot(axis, rate)
             tension = _driven(t, work, k, tension) + load(work.grip, k)
             _pull(a, p, c, first, second, times(tension, axis))
@@ -82,7 +82,7 @@ def act(t: Tree, work: Workspace, y):
 
 @compiled
 def _driven(t, work, k, load_of_law):
-    """Let targets push against a law, as far as its limit goes, if it is a drive's."""
+    """Subtract a drive's push from the load of its law, within its limit; keep other loads."""
     if t.pushed[k] < 0:
         return load_of_law
     most = spread(t.bound[k])
@@ -91,7 +91,7 @@ def _driven(t, work, k, load_of_law):
 
 @traced
 def _between(a, p, c, first, second):
-    """Give the line from a point of one body to one of another, and its rate."""
+    """Return the line from a point of one body to a point of another, and its rate."""
     line = sub(add(sub(load3(a, c + X), load3(a, p + X)), second), first)
     rate = sub(
         add(load3(a, c + V), cross(load3(a, c + W), second)),
@@ -102,7 +102,7 @@ def _between(a, p, c, first, second):
 
 @traced
 def _pull(a, p, c, first, second, pull):
-    """Pull a point of one body to that of another, and this one back."""
+    """Pull a point of the first body by a force, and a point of the second by its opposite."""
     back = times(-1.0, pull)
     add_to3(a, p + F, pull)
     add_to3(a, c + F, back)
@@ -112,7 +112,7 @@ def _pull(a, p, c, first, second, pull):
 
 @traced
 def _turn(a, p, c, moment):
-    """Turn the second body, and the first one back."""
+    """Apply a moment to the second body, and its opposite to the first."""
     add_to3(a, c + N, moment)
     add_to3(a, p + N, times(-1.0, moment))
 

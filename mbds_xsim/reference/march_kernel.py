@@ -3,8 +3,8 @@
 A lane whose trajectory has come to its end gets the next one. Steps, error estimate and restarts
 at frames are those of `marching` and `dop853`.
 
-`run` is the one kernel that Python calls, for whatever it wants of a tree: each that it calls is
-compiled with all that it calls in its turn, and most of that is the same.
+`run` is the only kernel that Python calls, for all operations on a tree. An entry point is compiled
+with everything that it calls, and most of that would be the same for several of them.
 """
 
 from __future__ import annotations
@@ -26,28 +26,28 @@ from mbds_xsim.reference.tree import BALL, FREE, HINGE, Tree
 from mbds_xsim.reference.tree_kernel import PLACES, A, V, W, Workspace, X, move
 
 MARCH, EVALUATE, ACCELERATE, PROJECT, RESIST, MOVE = range(6)
-"""What Python wants: trajectories of a task; accelerations at its starts; or of the states in
-`Lane.y` their rates (in `Lane.stages`), to put them onto the closures, to eliminate the rows where
-nothing acts, or to place all bodies (in `Workspace`)."""
+"""Operations of `run`: integrate the trajectories of a task; evaluate accelerations at its starts;
+for the states in `Lane.y`, write their rates to `Lane.stages`, project them onto the closures,
+eliminate the rows in the absence of loads, or place all bodies (in `Workspace`)."""
 
 REACHED, STUCK, SINGULAR = 0, 1, 2
-"""What became of a trajectory."""
+"""Status of a trajectory: complete, stopped by too many or too short steps, or singular."""
 
 BLOCK = 4
-"""Numbers of a state are summed up so many at a time; arrays of them have a multiple of it."""
+"""Numbers of a state that are summed up at a time; arrays of them are padded to a multiple."""
 
 _STAGES = 12
 _SAFETY, _SHRINK, _GROW = 0.9, 0.2, 6.0
 
 
 class Scheme(NamedTuple):
-    """Coefficients of the method and what it has to keep to."""
+    """Coefficients of the method, and its limits."""
 
     begin: Index
-    """Where each row's weights begin: those of stages 0 to 11, of the step, and of the estimates
-    of its error of order 5 and 3, shape (16,)."""
+    """First index of each row's weights. Rows are stages 0 to 11, the step, and the estimates of
+    its error of order 5 and 3, shape (16,)."""
     stage: Index
-    """Stages that the weights are of, the others having none."""
+    """Stage of each weight; weights of zero are left out."""
     weight: Array
     rtol: float
     first: float
@@ -59,55 +59,55 @@ class Scheme(NamedTuple):
 
 
 class Lane(NamedTuple):
-    """What is under way in each lane."""
+    """Integration under way in each lane."""
 
     row: Index
-    """Trajectory, or −1."""
+    """Trajectory, or −1 if the lane is idle."""
     at: Index
-    left: Array
+    remaining: Array
     step: Array
     tries: Index
     due: Mask
     """Whether a frame begins."""
     h: Array
     ratio: Array
-    """Error over what is allowed, then the two sums that make it, shape (3, 8)."""
+    """Sums of the squared error estimates of order 5 and 3 in rows 1 and 2, shape (3, 8)."""
     worst: Array
-    """Over the stages of a step: as `Workspace.share`."""
+    """Worst values of `Workspace.share` over the stages of a step."""
     y: Array
     new: Array
     stages: Array
 
 
 class Problems(NamedTuple):
-    """Trajectories to find."""
+    """Trajectories to compute, or states to evaluate."""
 
     start: Array
-    """Shape (trajectory, number)."""
+    """Coordinates and speeds at the start, shape (trajectory, number)."""
     force: Array
     torque: Array
     frame: float
     states: Array
-    """Filled in: shape (trajectory, frame + 1, body + world, 13), or accelerations of states, shape
-    (state, 1, body, 6)."""
+    """Results, as states, shape (trajectory, frame + 1, body + world, 13), or as accelerations,
+    shape (state, 1, body, 6)."""
     status: Index
     grip: Array
-    """Of states whose accelerations are wanted: dry friction, shape (state, law)."""
+    """Dry friction of states whose accelerations are evaluated, shape (state, law)."""
 
 
 @entered
-def run(what, t: Tree, work: Workspace, method: Scheme, lane: Lane, task: Problems):
-    """Do what is wanted."""
+def run(operation, t: Tree, work: Workspace, method: Scheme, lane: Lane, task: Problems):
+    """Carry out one operation, such as `MARCH`."""
     t, work, method, lane, task = noted(t), noted(work), noted(method), noted(lane), noted(task)
-    if what == MARCH:
+    if operation == MARCH:
         _march(t, work, method, lane, task)
-    elif what == EVALUATE:
+    elif operation == EVALUATE:
         _evaluate(t, work, lane, task)
-    elif what == ACCELERATE:
+    elif operation == ACCELERATE:
         accelerate(t, work, lane.y, lane.stages, np.int64(0))
-    elif what == PROJECT:
+    elif operation == PROJECT:
         project(t, work, lane.y)
-    elif what == RESIST:
+    elif operation == RESIST:
         resist(t, work, lane.y, np.int64(0))
     else:
         move(t, work, lane.y)
@@ -115,7 +115,7 @@ def run(what, t: Tree, work: Workspace, method: Scheme, lane: Lane, task: Proble
 
 @compiled
 def _evaluate(t, work, lane, task):
-    """Find accelerations of the bodies at states that have nothing to do with each other."""
+    """Find accelerations of the bodies at independent states."""
     last = len(task.start) - 1
     for first in range(0, len(task.start), LANES):
         for k in range(LANES):
@@ -134,7 +134,7 @@ def _evaluate(t, work, lane, task):
 
 @compiled
 def _march(t, work, method, lane, task):
-    """Find all trajectories of a task; there is one at least, of one frame at least."""
+    """Compute all trajectories of a task: at least one, with at least one frame."""
     following = np.int64(0)
     for k in range(LANES):
         lane.row[k] = -1
@@ -148,7 +148,7 @@ def _march(t, work, method, lane, task):
             if lane.row[k] < 0:
                 lane.h[0, k] = 0.0
             else:
-                lane.h[0, k] = lane.left[k] / math.ceil(lane.left[k] / lane.step[k])
+                lane.h[0, k] = lane.remaining[k] / math.ceil(lane.remaining[k] / lane.step[k])
         if not under_way:
             return
         _try_step(t, work, method, lane)
@@ -159,15 +159,15 @@ def _march(t, work, method, lane, task):
 
 @compiled
 def _any(flags):
-    found = False
+    any_flag = False
     for k in range(LANES):
-        found = found or flags[k]
-    return found
+        any_flag = any_flag or flags[k]
+    return any_flag
 
 
 @compiled
 def _begin(method, lane, task, following):
-    """Give lanes that are at their end the trajectories that follow."""
+    """Start the next trajectories in lanes that have finished theirs."""
     companions, count = method.companions, len(task.start)
     for first in range(0, LANES, companions):
         if lane.row[first] < 0 or lane.at[first] == task.force.shape[1]:
@@ -181,13 +181,13 @@ def _begin(method, lane, task, following):
                     lane.row[k], lane.due[k] = following, True
                     following += 1
                 lane.at[k], lane.tries[k] = 0, 0
-                lane.left[k], lane.step[k] = task.frame, method.first
+                lane.remaining[k], lane.step[k] = task.frame, method.first
     return following
 
 
 @compiled
 def _start_frames(t, work, lane, task):
-    """Put states that are due onto the closures, give them their loads, and record them.
+    """Project states that are due onto the closures, set their loads, and record them.
 
     The rates of all states are evaluated.
     """
@@ -258,7 +258,7 @@ def _try_step(t, work, method, lane):
 
 @compiled
 def _combined(method, row, stages, count, j):
-    """Sum up the stages with the weights of a row: a block of numbers, which share the weights."""
+    """Sum up the stages with the weights of a row, for a block of numbers at once."""
     a, b, c, d = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
     for k in range(method.begin[row], method.begin[row + 1]):
         weight, at = method.weight[k], method.stage[k] * count + j
@@ -271,7 +271,7 @@ def _combined(method, row, stages, count, j):
 
 @compiled
 def _measure(method, lane):
-    """Sum up the two error estimates."""
+    """Sum up the squares of the two error estimates."""
     fifth, third = spread(0.0), spread(0.0)
     for j in range(0, len(lane.y), BLOCK):
         a = _combined(method, _STAGES + 1, lane.stages, len(lane.y), j)
@@ -287,7 +287,7 @@ def _measure(method, lane):
 
 @compiled
 def _accept(t, method, lane, task):
-    """Take the steps whose error is small enough, and choose the next ones."""
+    """Accept the steps whose error is small enough, and choose the next ones."""
     companions = method.companions
     for first in range(0, LANES, companions):
         if lane.row[first] < 0:
@@ -314,11 +314,11 @@ def _accept(t, method, lane, task):
                     status = SINGULAR
                 for j in range(t.size):
                     lane.y[j, k] = lane.new[j, k]
-                if lane.h[0, k] >= lane.left[k]:
+                if lane.h[0, k] >= lane.remaining[k]:
                     lane.at[k] += 1
-                    lane.left[k], lane.tries[k], lane.due[k] = task.frame, 0, True
+                    lane.remaining[k], lane.tries[k], lane.due[k] = task.frame, 0, True
                 else:
-                    lane.left[k] -= lane.h[0, k]
+                    lane.remaining[k] -= lane.h[0, k]
             elif lane.step[k] < method.smallest:
                 status = STUCK
         if status != REACHED:

@@ -3,8 +3,8 @@
 Method and error estimate: Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I,
 1993, section II.10 (`dop853`).
 
-Every state has a clock of its own; they only share the calls that evaluate them. At a frame's
-end a state is put back onto the constraints, which keeps the drift of the acceleration-level
+Every state has a clock of its own; states only share the calls that evaluate them. At the end of a
+frame a state is projected onto the constraints, which keeps the drift of the acceleration-level
 constraints at the tolerance.
 """
 
@@ -37,7 +37,7 @@ def try_step(derivative: Derivative, y: Array, rate: Array, step: Array) -> tupl
         derivative: Time derivative of states.
         y: States, shape (batch, …).
         rate: Their derivatives, the same shape.
-        step: [s], shape (batch,).
+        step: Length of the step [s], shape (batch,).
 
     Returns:
         The new states, and the derivatives at all stages and at the end, shape (stage, batch, …).
@@ -54,7 +54,7 @@ def try_step(derivative: Derivative, y: Array, rate: Array, step: Array) -> tupl
 
 
 def error_ratio(stages: Array, step: Array, allowed: Array) -> Array:
-    """Estimated error of a step over what is allowed, shape (batch,): above 1 is too much."""
+    """Estimated error of a step over the allowed one, shape (batch,); above 1 is too much."""
     batch, flat = stages.shape[1], stages[:-1].reshape(len(stages) - 1, -1)
     fifth, third = (
         np.sum(((weights @ flat).reshape(allowed.shape) / allowed).reshape(batch, -1) ** 2, axis=1)
@@ -66,7 +66,7 @@ def error_ratio(stages: Array, step: Array, allowed: Array) -> Array:
 
 
 def next_step(step: Array, ratio: Array) -> Array:
-    """Step that the error of the last one suggests; a ratio that is not finite shrinks it."""
+    """Next step, from the error ratio of the last one; a ratio that is not finite shrinks it."""
     with np.errstate(divide="ignore"):
         factor = np.clip(_SAFETY * ratio**-0.125, _SHRINK, _GROW)
     return step * np.where(np.isfinite(ratio), factor, _SHRINK)
@@ -75,37 +75,37 @@ def next_step(step: Array, ratio: Array) -> Array:
 FIRST_STEP = 0.1  # of a frame
 SMALLEST_STEP = 1e-9  # of a frame
 MOST_STEPS = 20_000
-"""Steps tried in one frame before a solution is given up."""
-_WOUND = (
+"""Number of steps tried in one frame before a solution is given up."""
+_HALF_TURN = (
     "the sprung, driven or coupled hinge {!r} passes a half turn; with contact, stiff dampers or "
     "singular poses the reference does not count whole turns"
 )
 _USUAL_STEPS, _SINGULAR_STEPS = 50, 50
-# Steps of a frame, and how many beyond them may begin where constraints are nearly dependent. There
-# a step costs tens of others, and a motion that passes a singular pose is through it in a few.
+# Steps of a frame, and number of further steps that may begin where constraints are nearly
+# dependent. Such a step costs as much as tens of others, and a few of them pass a singular pose.
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """An initial value problem of one mechanism, and how exactly it is to be solved."""
+    """An initial value problem of one mechanism, and the accuracy of its solution."""
 
     dynamics: Dynamics
     start: Array
     """States, shape (batch, body + world, 13)."""
     force: Array
-    """Held over each frame [N], shape (batch, frame, body, 3)."""
+    """Forces held over each frame [N], shape (batch, frame, body, 3)."""
     torque: Array
-    """Likewise [N·m], with the pushes of drives behind them, shape (batch, frame, hinge + drive).
-    """
+    """Torques held over each frame [N·m], followed by the pushes of drives, shape
+    (batch, frame, hinge + drive)."""
     rtol: float
-    """Allowed error of a step, relative to the size of each component or to the scene's."""
+    """Allowed error of a step, relative to 1 plus the size of each component of the state."""
     companions: int = 1
     """Consecutive states that share their steps, so that their numerical errors cancel in their
     difference."""
 
     @property
     def mechanism(self) -> Mechanism:
-        """Whose motion is sought."""
+        """Mechanism whose motion is sought."""
         return self.dynamics.mechanism
 
     @property
@@ -119,7 +119,7 @@ class Problem:
         return self.force.shape[1]
 
     def part(self, rows: slice | Indices) -> Problem:
-        """Take some states."""
+        """Return the problem of some of the states."""
         loads = self.force[rows], self.torque[rows]
         return Problem(self.dynamics, self.start[rows], *loads, self.rtol, self.companions)
 
@@ -129,19 +129,19 @@ class Marched:
     """Result of a march."""
 
     states: Array
-    """Shape (batch, frame + 1, body + world, 13); NaN behind a failure."""
+    """States, shape (batch, frame + 1, body + world, 13); NaN from a failure on."""
     failures: list[Failure | None]
 
     @staticmethod
     def from_start(problem: Problem) -> Marched:
-        """Make a march of which nothing but the start is known yet."""
+        """Create a march of which only the start is known so far."""
         batch, *shape = problem.start.shape
         states = np.full((batch, problem.frames + 1, *shape), np.nan)
         states[:, 0] = problem.start
         return Marched(states, [None] * batch)
 
     def within_half_turns(self, dynamics: Dynamics) -> Marched:
-        """End trajectories where a sprung, driven or coupled hinge passes a half turn and jumps.
+        """End trajectories where the angle of a sprung, driven or coupled hinge jumps by a turn.
 
         Maximal coordinates lose whole turns, which the compiled kernels count.
         """
@@ -152,7 +152,7 @@ class Marched:
                 passed = np.abs(np.diff(angle, axis=1)) > np.pi
                 for row in np.flatnonzero(passed.any(axis=1)).tolist():
                     frame = int(passed[row].argmax()) + 1
-                    self.failures[row] = Failure(frame, _WOUND.format(joint.name))
+                    self.failures[row] = Failure(frame, _HALF_TURN.format(joint.name))
                     self.states[row, frame:] = np.nan
         return self
 
@@ -171,7 +171,7 @@ def branchless(problem: Problem) -> Mask:
 
 
 def stopped(dynamics: Dynamics, state: Array, frame: int, time: float, why: str) -> Failure:
-    """Say at which time [s] in which frame a solution ended, and what the reason may be."""
+    """Create the failure of a solution that ended at a time [s] in a frame, with a hint."""
     hint = (
         "the mechanism is in a singular pose there, and its motion does not choose a way on"
         if dynamics.is_singular(state)
@@ -190,7 +190,7 @@ class _March:
         self.row = np.arange(batch)
         self.y = problem.start
         self.at = np.zeros(batch, dtype=np.intp)
-        self.left = np.full(batch, self.frame)
+        self.remaining = np.full(batch, self.frame)
         self.step = np.full(batch, FIRST_STEP * self.frame)
         self.tries = np.zeros(batch, dtype=np.intp)
         self.singular = np.zeros(batch, dtype=np.intp)
@@ -217,8 +217,8 @@ class _March:
 
     def _advance(self) -> None:
         """Try a step with every state; those whose error is too large stay where they are."""
-        # Equal steps to the end of the frame, so that none is left over too short.
-        h = self.left / np.ceil(self.left / self.step)
+        # Equal steps to the end of the frame, so that the last one is not too short.
+        h = self.remaining / np.ceil(self.remaining / self.step)
         forces = self._forces(slice(None))
         new, stages = try_step(lambda y: self._derivative(y, forces), self.y, self.rate, h)
         allowed = self.rtol * (1.0 + np.maximum(np.abs(self.y), np.abs(new)))
@@ -227,7 +227,7 @@ class _March:
         good = ratio <= 1.0
         impact = self._impacts(new, forces, h, good)
         self.y[good], self.rate[good] = new[good], stages[-1][good]
-        self.left[good] = np.where(h >= self.left, 0.0, self.left - h)[good]
+        self.remaining[good] = np.where(h >= self.remaining, 0.0, self.remaining - h)[good]
         self.step = next_step(h, ratio)
         self._end_at_impact(impact)
         self.tries += 1
@@ -243,7 +243,7 @@ class _March:
         self._end_together(self.singular > _SINGULAR_STEPS, self._stuck(why))
 
     def _impacts(self, new: Array, forces: tuple[Array, Array], h: Array, good: Mask) -> Array:
-        """When a contact sphere reaches the ground in a good step; NaN where none does."""
+        """Return when contact spheres touch something in good steps [s]; NaN where they do not."""
         times = np.full(len(new), np.nan)
         if not len(self.dynamics.topology.sphere_body):
             return times
@@ -251,12 +251,12 @@ class _March:
         for row in np.flatnonzero(good & np.isfinite(places).any(axis=1)).tolist():
             share = first_touch(self._lowest(row, forces, h), places[row])
             if share is not None:
-                passed = self.frame - self.left[row] + share * h[row]
+                passed = self.frame - self.remaining[row] + share * h[row]
                 times[row] = self.at[row] * self.frame + passed
         return times
 
     def _lowest(self, row: int, forces: tuple[Array, Array], h: Array) -> Callable[[float], float]:
-        """Height of the lowest sphere after a share of a row's step."""
+        """Return the smallest gap of a row as a function of the share of its step."""
         pick = slice(row, row + 1)
         load = tuple(part[pick] for part in forces)
 
@@ -273,12 +273,12 @@ class _March:
 
     def _finish_frames(self) -> None:
         """Project and record the states at the end of a frame and give them their new inputs."""
-        done = np.flatnonzero(self.left <= 0.0)
+        done = np.flatnonzero(self.remaining <= 0.0)
         if not len(done):
             return
         self.y[done] = self.dynamics.project(self.y[done])
         self.at[done] += 1
-        self.left[done], self.tries[done], self.singular[done] = self.frame, 0, 0
+        self.remaining[done], self.tries[done], self.singular[done] = self.frame, 0, 0
         self.marched.states[self.row[done], self.at[done]] = self.y[done]
         under_way = self.at < self.frames
         done = done[under_way[done]]
@@ -307,11 +307,11 @@ class _March:
 
     def _stuck(self, why: str) -> Callable[[int], Failure]:
         def failure(k: int) -> Failure:
-            time = (self.at[k] + 1) * self.frame - self.left[k]
+            time = (self.at[k] + 1) * self.frame - self.remaining[k]
             return stopped(self.dynamics, self.y[k], int(self.at[k]) + 1, float(time), why)
 
         return failure
 
     def _keep(self, kept: Mask) -> None:
-        for key in ("row", "y", "at", "left", "step", "tries", "singular", "rate"):
+        for key in ("row", "y", "at", "remaining", "step", "tries", "singular", "rate"):
             setattr(self, key, getattr(self, key)[kept])

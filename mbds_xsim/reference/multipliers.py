@@ -1,4 +1,4 @@
-"""Solve A λ = b with A = J M⁻¹ Jᵀ, using that a row meets only the rows that share a body.
+"""Solve A λ = b with A = J M⁻¹ Jᵀ, using that rows are coupled only if they share a body.
 
 With rows ordered by reverse Cuthill–McKee, A is a narrow band and Cholesky's method costs
 O(rows · bandwidth²). Where rows depend on one another (over-constrained mechanisms) a pivoted
@@ -13,10 +13,10 @@ import numpy as np
 from mbds_xsim.base.arrays import Array, Indices, Mask
 from mbds_xsim.reference.topology import Topology
 
-# A row whose part independent of the others is below this share of it (squared) is taken as
-# dependent. Rounding leaves 1e-13 there; in regular mechanisms the least is about a ratio of
-# masses. Much nearer to a singular pose it is not the mechanism that decides where the motion goes,
-# but the 1e-13 by which its constraints are violated: at 1e-11 a third of the motions ended there.
+# A row counts as dependent if the part of it that is independent of the others is below this share
+# (squared). Rounding leaves 1e-13; in regular mechanisms the least share is about a ratio of
+# masses. Much nearer to a singular pose the direction of the motion depends, not on the mechanism,
+# but on the 1e-13 by which constraints are violated: at 1e-11 a third of the motions ended there.
 _DEPENDENT = 1e-9
 POOR = 2e-4
 """Share below which independent rows are chosen anew, and a pose may be singular."""
@@ -31,7 +31,7 @@ class Multipliers:
     """
 
     slot_half: Indices
-    """Shape (body + world, slot)."""
+    """Half-row of each slot, shape (body + world, slot)."""
     slot_row: Indices
     """Row of each slot, 0 for empty ones, shape (body + world, slot)."""
     row_slot: Indices
@@ -88,16 +88,16 @@ class Multipliers:
                         used[column, below] += 1
 
     def choose(self, jacobian: Array) -> float:
-        """Load from now on only independent rows, those of the state that has most of them.
+        """Load only independent rows from now on, chosen at the state that has most of them.
 
         Args:
-            jacobian: Of some states, shape (batch, body + world, slot, 6).
+            jacobian: Scaled Jacobian of some states, shape (batch, body + world, slot, 6).
 
         Returns:
-            How independent they are there, as in `solve`.
+            Independent share of these rows at that state, as in `solve`.
         """
-        found = [self._factorised(products) for products in _products(jacobian)]
-        factor, chosen, _ = max(found, key=lambda each: (len(each[1]), each[0][-1, -1]))
+        factors = [self._factorised(products) for products in _products(jacobian)]
+        factor, chosen, _ = max(factors, key=lambda each: (len(each[1]), each[0][-1, -1]))
         loaded = np.zeros(self.row_count, dtype=bool)
         loaded[chosen] = True
         self._load(loaded)
@@ -111,10 +111,10 @@ class Multipliers:
         self.left_out = self._row_at[~loaded]
 
     def solve(self, jacobian: Array, goal: Array) -> tuple[Array, Array]:
-        """Multipliers of right-hand sides.
+        """Find the multipliers of right-hand sides.
 
         Args:
-            jacobian: Scaled, slot by slot, shape (batch, body + world, slot, 6).
+            jacobian: Scaled Jacobian, slot by slot, shape (batch, body + world, slot, 6).
             goal: Right-hand sides, shape (batch, row).
 
         Returns:
@@ -138,7 +138,7 @@ class Multipliers:
         share = (pivot**2 / diagonal).min(axis=1)
         multipliers = np.empty_like(answer)
         multipliers[:, self._row_at] = answer
-        # Rows that are independent at most poses need not be so at all.
+        # Rows that are independent at most poses may be dependent at some.
         poor = POOR if len(self.left_out) else _DEPENDENT
         for k in np.flatnonzero(~(share > poor)).tolist():
             multipliers[k], share[k] = self.solve_anew(jacobian[k], goal[k])
@@ -149,7 +149,7 @@ class Multipliers:
         from scipy.linalg import lapack
 
         if not (np.isfinite(jacobian).all() and np.isfinite(goal).all()):
-            return np.full(self.row_count, np.nan), 0.0  # no state; LAPACK would find no rank
+            return np.full(self.row_count, np.nan), 0.0  # not finite: LAPACK would find no rank
         factor, chosen, scale = self._factorised(_products(jacobian[None])[0])
         part, _ = lapack.dpotrs(factor, (scale * goal[self._row_at])[chosen], lower=1)
         answer = np.zeros(self.row_count)
@@ -158,7 +158,7 @@ class Multipliers:
         return answer, 0.0 if lost else float(factor[-1, -1] ** 2)
 
     def _factorised(self, products: Array) -> tuple[Array, Indices, Array]:
-        """Pivoted Cholesky factor of one state, the rows that it takes, and the scale of all."""
+        """Pivoted Cholesky factor of one state, the rows in it, and the scale of all rows."""
         from scipy.linalg import lapack
 
         rows = self.row_count

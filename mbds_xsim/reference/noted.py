@@ -1,7 +1,7 @@
-"""Named tuples of arrays that compiled kernels hand on by their place in memory.
+"""Named tuples of arrays that compiled kernels pass by reference.
 
-By value, as numba does it, a call hands on hundreds of addresses and lengths, which takes long to
-compile and to run. Nothing in such a tuple is changed; what is in its arrays may be.
+By value, as numba passes them, a call hands over hundreds of addresses and lengths, which takes
+long to compile and to run. Fields of such a tuple never change; elements of its arrays may.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from numba.extending import intrinsic, models, register_model
 
 
 class Noted(types.Type):
-    """Numba's type of a named tuple by its place."""
+    """Numba type of a reference to a named tuple."""
 
     def __init__(self, inner: Any) -> None:
         self.inner = inner
         super().__init__(name=f"Noted({inner})")
 
     def field(self, name: str) -> Any:
-        """Type of what it has under a name."""
+        """Return the type of a field; for a named tuple this is a reference, too."""
         kind = self.inner[self.inner.fields.index(name)]
         return Noted(kind) if isinstance(kind, types.BaseNamedTuple) else kind
 
@@ -36,13 +36,13 @@ class _NotedModel(models.PrimitiveModel):
 
 
 @intrinsic
-def noted(typing: Any, given: Any) -> Any:  # noqa: ARG001
-    """Note a named tuple in memory, as long as the kernel runs that asks for it."""
+def noted(typing: Any, kind: Any) -> Any:  # noqa: ARG001
+    """Put a named tuple into memory while the calling kernel runs, and return a reference to it."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
         return cgutils.alloca_once_value(builder, args[0])
 
-    return signature(Noted(given), given), generate
+    return signature(Noted(kind), kind), generate
 
 
 @infer_getattr
@@ -60,7 +60,7 @@ def _field(context: Any, builder: Any, kind: Any, place: Any, name: str) -> Any:
 
 
 def _loaded(builder: Any, place: Any) -> Any:
-    """Load number by number what never changes, so that what is not needed is left out."""
+    """Load a value that never changes number by number, so that unused numbers are left out."""
     kind = place.type.pointee
     if not isinstance(kind, ir.Aggregate):
         value = builder.load(place)

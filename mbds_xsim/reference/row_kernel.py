@@ -1,6 +1,6 @@
 """Closure rows at states of a tree: Jacobians, biases and residuals.
 
-Rows are those of `mbds_xsim.scene.constraints`, and behind them couplings.
+Rows are those of `mbds_xsim.scene.constraints`, followed by couplings.
 """
 
 from __future__ import annotations
@@ -51,21 +51,21 @@ def put_rows(t, work, y):
             length = root(dot(line, line))
             n = times(1.0 / length, line)
             along = dot(n, speed)
-            grown = dot(n, bend) + (dot(speed, speed) - along * along) / length
-            store(rows, ROW * k + 12, grown)
+            bias = dot(n, bend) + (dot(speed, speed) - along * along) / length
+            store(rows, ROW * k + 12, bias)
             store(rows, ROW * k + 13, length - t.row_length[k])
         else:
             n = apply(turn, way)
             n_rate = cross(spin, n)
             n_bend = cross(spin, n_rate)
             if kind == ALONG:
-                grown = dot(n, bend) + 2.0 * dot(n_rate, speed) + dot(n_bend, line)
-                store(rows, ROW * k + 12, grown)
+                bias = dot(n, bend) + 2.0 * dot(n_rate, speed) + dot(n_bend, line)
+                store(rows, ROW * k + 12, bias)
                 store(rows, ROW * k + 13, dot(n, line))
                 first = add(first, line)
             else:
-                grown = dot(cross(other, roll), n) + 2.0 * dot(roll, n_rate) + dot(second, n_bend)
-                store(rows, ROW * k + 12, grown)
+                bias = dot(cross(other, roll), n) + 2.0 * dot(roll, n_rate) + dot(second, n_bend)
+                store(rows, ROW * k + 12, bias)
                 store(rows, ROW * k + 13, dot(second, n))
         if kind == NORMAL:
             lever = cross(second, n)
@@ -76,7 +76,7 @@ def put_rows(t, work, y):
 
 @compiled
 def _put(t, rows, k, n, first, second):
-    """Keep a row of opposite linear parts, and its size."""
+    """Store a row with opposite linear parts, and its size."""
     b = ROW * k
     store3(rows, b, times(-1.0, n))
     store3(rows, b + 3, first)
@@ -90,7 +90,7 @@ def _put(t, rows, k, n, first, second):
 
 @compiled
 def along(t, work, y, k, linear, angular):
-    """Multiply a row and vectors of the bodies, or what speeds and their accelerations are."""
+    """Multiply a row by vectors of its bodies; a coupling by its speeds or their accelerations."""
     a, rows, b = work.link, work.rows, ROW * k
     p, c = t.row_ends[0, k] * PLACES, t.row_ends[1, k] * PLACES
     if t.row_kind[k] == COUPLED:
@@ -106,7 +106,7 @@ def along(t, work, y, k, linear, angular):
 
 @compiled
 def contradiction(t, work, y):
-    """Measure by how much rows without loads do not follow from the others, over the goals."""
+    """Measure how far unloaded rows fail to follow from the others, over the largest goal."""
     off, most = spread(0.0), load(work.share, 1)
     for k in range(t.loaded, len(t.row_kind)):
         bias = load(work.rows, ROW * k + 12)

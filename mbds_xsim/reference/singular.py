@@ -1,9 +1,9 @@
-"""Singular poses: where constraints lose rank, and a mechanism could go on in more than one way.
+"""Singular poses, where constraints lose rank and a mechanism could go on in more than one way.
 
-Cranks that lie in line with their rod are the usual case. Accelerations are smooth along the branch
-that a motion is on, through such a pose too, although the equations that give them cannot be solved
-there. So near it they are interpolated between poses on both sides, along the velocity and each
-put back onto the constraints: there everything is well conditioned.
+A crank in line with its rod is the usual case. Accelerations are smooth along the branch that a
+motion follows, even through such a pose, although their equations cannot be solved there. So near
+it they are interpolated from poses on both sides, where the equations are well conditioned. These
+poses lie along the velocity, and each is projected onto the constraints.
 """
 
 from __future__ import annotations
@@ -22,56 +22,56 @@ BIFURCATION = (
 )
 
 _X, _Q, _V, _W = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13)
-# Between neighbours: turn of the body that turns most [rad], or its way over the scene's length.
-# Nearer, rounding errors grow with the inverse square; farther, so do those of interpolation.
+# Distance of neighbours: largest turn [rad] or largest displacement over the scene's length. If it
+# is smaller, rounding errors grow with its inverse square; if larger, interpolation errors grow.
 _APART = 0.03
 _PLACES = np.array([-6, -5, -4, -3, -2, -1, 1, 2, 3, 4, 5, 6])
 # Lagrange's weights of those places for the value at 0, exact for polynomials of degree 11.
 _WEIGHTS = np.array([-1, 12, -66, 220, -495, 792, 792, -495, 220, -66, 12, -1]) / 924.0
 # Shares grow with the square of the distance from a singular pose, by more than this to the next
-# neighbour; where they do not, they are small because masses differ.
+# neighbour; otherwise the pose is regular, and they are small because masses differ.
 _CLEARER = 4.0
 _PASSES = 4
 _STILL = 1e-9
 _SAME = 1e-6
 _BESIDE, _WAY, _SEED = 2, 0.1, 20240911
-_MET = 1e-9  # residual that Newton's method leaves, over the scene's length
+_TOLERANCE = 1e-9  # largest residual after Newton's method, over the scene's length
 
 
 class Equations(Protocol):
-    """Equations of motion that may be asked without regard to singular poses."""
+    """Equations of motion that can be evaluated without regard to singular poses."""
 
     length: float
-    """Of the scene [m]."""
+    """Length of the scene [m]."""
     near: float
     """Independent share of the rows below which a pose may be singular."""
 
     def rate(self, state: Array, force: Array, torque: Array) -> tuple[Array, Array]:
-        """Give time derivatives and independent shares."""
+        """Return time derivatives and independent shares."""
         ...
 
     def closest(self, state: Array) -> tuple[Array, Array]:
-        """Put states onto the constraints; also gives independent shares."""
+        """Project states onto the constraints; also return independent shares."""
         ...
 
     def residual(self, state: Array) -> Array:
-        """Give constraint residuals."""
+        """Return constraint residuals."""
         ...
 
 
 def interpolated(
     dynamics: Equations, state: Array, force: Array, torque: Array, rate: Array, share: float
 ) -> Array:
-    """Time derivative of a state near a singular pose, on the branch that its velocity is on.
+    """Time derivative of a state near a singular pose, on the branch that its velocity follows.
 
     Args:
         dynamics: Equations of motion.
-        state: Shape (body + world, 13).
-        force: On it, shape (body, 3).
-        torque: On it, shape (hinge,).
-        rate: Its derivative where rows that are nearly dependent are left out; given back where
-            the pose turns out to be regular, or nothing moves.
-        share: The independent share of its rows.
+        state: State, shape (body + world, 13).
+        force: Forces, shape (body, 3).
+        torque: Torques about hinges, followed by the pushes of drives, shape (hinge + drive,).
+        rate: Derivative without the rows that are nearly dependent; returned if the pose turns out
+            to be regular, or if nothing moves.
+        share: Independent share of the rows at the state.
     """
     near = _neighbours(dynamics, state, rate[:, 7:], share)
     if near is None:
@@ -83,14 +83,14 @@ def interpolated(
 def projected_onto_branch(
     dynamics: Equations, state: Array, projected: Array, share: float
 ) -> Array:
-    """Put one state onto the branch that its velocity is on.
+    """Project one state onto the branch that its velocity follows.
 
     Args:
         dynamics: Equations of motion.
-        state: Shape (body + world, 13).
-        projected: The same put onto the constraints that are well conditioned; given back where the
-            pose turns out to be regular, or nothing moves.
-        share: The independent share of the constraints.
+        state: State, shape (body + world, 13).
+        projected: The state projected onto the well-conditioned constraints; returned if the pose
+            turns out to be regular, or if nothing moves.
+        share: Independent share of the rows at the state.
     """
     near = _neighbours(dynamics, state, np.zeros_like(state[:, 7:]), share)
     return projected if near is None else np.tensordot(_WEIGHTS, near, axes=1)
@@ -99,9 +99,9 @@ def projected_onto_branch(
 def _neighbours(
     dynamics: Equations, state: Array, acceleration: Array, share: float
 ) -> Array | None:
-    """States on the constraints at `_PLACES` before and behind one, if that is at a singular pose.
+    """States on the constraints at `_PLACES` before and after a state; None if it is regular.
 
-    They have its velocities, as far as the constraints let them.
+    They have its velocities, as far as the constraints allow.
     """
     direction = _direction(dynamics, state[:, 7:], acceleration)
     if direction is None:
@@ -113,22 +113,22 @@ def _neighbours(
 
 
 def has_branch(dynamics: Equations, state: Array, force: Array, torque: Array) -> bool:
-    """Whether a state is at no singular pose, or on one of the branches that meet there."""
+    """Whether a state is at a regular pose, or at a singular one and on one of its branches."""
     rates, shares = dynamics.rate(state[None], force[None], torque[None])
     if not shares[0] < dynamics.near:
         return True
     rate = interpolated(dynamics, state, force, torque, rates[0], float(shares[0]))
     moving = np.abs(state[:, _V]).max() + np.abs(state[:, _W]).max()
     at_rest = moving <= _STILL * np.sqrt(np.abs(rate[:, 7:]).max())
-    # Where nothing moves, the forces alone choose, unless they push against every branch.
-    given, found = (rates[0, :, 7:], rate[:, 7:]) if at_rest else (state[:, _V], rate[:, _X])
-    return bool(np.abs(found - given).max() <= _SAME * max(np.abs(given).max(), moving))
+    # At rest the forces alone choose a branch, unless they push against every one.
+    motion, branch = (rates[0, :, 7:], rate[:, 7:]) if at_rest else (state[:, _V], rate[:, _X])
+    return bool(np.abs(branch - motion).max() <= _SAME * max(np.abs(motion).max(), moving))
 
 
 def typical_states(dynamics: Equations, pose: Array) -> Array:
-    """Give a pose, shape (1, body + world, 13), and some beside it, of which few are singular.
+    """Return a pose, shape (1, body + world, 13), and some near it, few of which are singular.
 
-    Most constraints are independent at nearly all poses.
+    At nearly all poses the largest possible number of constraints is independent.
     """
     beside = np.repeat(pose, _BESIDE, axis=0)
     random = np.random.default_rng(_SEED)
@@ -138,12 +138,12 @@ def typical_states(dynamics: Equations, pose: Array) -> Array:
     moved = np.concatenate([_moved(pose[0], way[None]) for way in ways])
     for _ in range(2 * _PASSES):
         moved, _ = dynamics.closest(moved)
-    met = np.abs(dynamics.residual(moved)).max(axis=1) < _MET * dynamics.length
+    met = np.abs(dynamics.residual(moved)).max(axis=1) < _TOLERANCE * dynamics.length
     return np.concatenate([pose, moved[met]])
 
 
 def _direction(dynamics: Equations, twist: Array, acceleration: Array) -> Array | None:
-    """Twists of the motion, or of the one to come, `_size` 1, shape (body + world, 6)."""
+    """Twists of the motion, or at rest its accelerations, of `_size` 1, (body + world, 6)."""
     speed, change = _size(dynamics, twist), _size(dynamics, acceleration)
     if not 0.0 < speed + change < np.inf:
         return None
@@ -151,7 +151,7 @@ def _direction(dynamics: Equations, twist: Array, acceleration: Array) -> Array 
 
 
 def _size(dynamics: Equations, twist: Array) -> float:
-    """Largest turn, or way over the scene's length."""
+    """Largest rotation, or displacement over the scene's length."""
     return float(max(np.abs(twist[:, :3]).max() / dynamics.length, np.abs(twist[:, 3:]).max()))
 
 

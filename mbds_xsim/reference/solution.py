@@ -27,10 +27,10 @@ from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.servo import with_pushes
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
 
-# Trajectories: with fewer, lanes wait at the end, and more do not get cheaper. Of large scenes no
-# more than fit into some memory, as far as that fills the lanes.
+# Trajectories solved at once: with fewer, lanes idle at the end; more gain nothing. Large scenes
+# have as many as fit into some memory [bytes], but at least enough to fill the lanes.
 _TOGETHER, _LEAST_TOGETHER, _MEMORY = 256, 8, 2**25
-_SUNK = 1e-9  # what rounding may do to a start on the ground [m]
+_SUNK = 1e-9  # overlap that rounding may give a start in contact [m]
 TIGHTEST, LOOSEST = 1e-14, 1e-3
 _CONFIRMED = 1e-13
 _ALONE = 1e-11
@@ -45,38 +45,40 @@ def solve(
 ) -> Trajectory:
     """Integrate every trajectory of a batch to high accuracy.
 
-    Rigid bodies in coordinates of their spanning tree, loops kept closed by constraints at
-    acceleration level and a projection at every frame, by compiled kernels (`compiled`); scenes
-    with contact or stiff dampers in maximal coordinates (`marching`). Free bodies with one contact
-    sphere around their centre of mass are followed through flight, impacts, sliding and rolling,
-    exactly (`bouncing`); so are even balls that touch each other, two at a time, and no ground
-    (`colliding`). Any other contact has no unique solution: there a trajectory ends, with a
-    `FirstImpact` in place of a failure, when a contact sphere first reaches what it may touch; its
-    later frames are NaN.
+    Most scenes are integrated by compiled kernels, in coordinates of a spanning tree; loops are
+    closed by constraints at acceleration level and a projection at every frame (`compiled`). Joints
+    with dry friction or stops add events (`gripping`). Other scenes with contact or stiff dampers
+    use maximal coordinates (`marching`, `stiff`). Free bodies with one contact sphere around their
+    centre of mass are followed exactly through flight, impacts, sliding and rolling (`bouncing`);
+    so are even balls that touch each other, two at a time, and no ground (`colliding`). Any other
+    contact has no unique solution: there a trajectory ends, with a `FirstImpact` in place of a
+    failure, when a contact sphere first reaches what it may touch; its later frames are NaN.
 
     Args:
-        scene: What to simulate.
+        scene: Scene to simulate.
         batch: Starts and inputs.
-        rtol: Allowed error of a step, relative to the size of each component of the state.
-        cache: Whether results are taken from disk, and kept there.
+        rtol: Allowed error of a step, relative to 1 plus the size of each component of the state.
+        cache: Whether results are read from the disk, and stored there.
 
     Raises:
-        InputError: The tolerance is out of range, or a contact sphere starts in the ground.
+        InputError: The tolerance is out of range, or contact spheres start in the ground or in
+            each other.
     """
     return _solved("solve", integrate, scene, batch, checked_tolerance(rtol), cache)
 
 
 def confirmed(scene: Scene, batch: Batch, cache: bool) -> Trajectory:
-    """Solve again by other equations, slowly, for what the reference itself is held against.
+    """Solve again by other equations, slowly, to check the reference itself.
 
-    In maximal coordinates, all joints closed by multipliers, without the compiled kernels, at a
-    tolerance of 1e-13; an explicit method whatever is stiff.
+    All joints are closed by multipliers in maximal coordinates, without the compiled kernels, at a
+    tolerance of 1e-13; the method is explicit even for stiff scenes. Exceptions: rotors, couplings,
+    dry friction and stops need the compiled kernels, and the last two are solved as in `solve`.
     """
     return _solved("confirm", _marched, scene, batch, _CONFIRMED, cache)
 
 
 def _solved(
-    what: str,
+    kind: str,
     method: Callable[[Problem], Marched],
     scene: Scene,
     batch: Batch,
@@ -95,7 +97,7 @@ def _solved(
     each = 8 * 13 * (len(scene.bodies) + 1) * (batch.steps + 1)
     lanes = _MEMORY // each // _LEAST_TOGETHER * _LEAST_TOGETHER
     together = min(max(_LEAST_TOGETHER, lanes), _TOGETHER)
-    ready = entries.complete(what, scene, batch, rtol, compute, keep=cache, together=together)
+    ready = entries.complete(kind, scene, batch, rtol, compute, keep=cache, together=together)
     return _trajectory(scene, batch, ready)
 
 
@@ -115,7 +117,7 @@ def _marched(problem: Problem) -> Marched:
 
 
 def checked_tolerance(rtol: float) -> float:
-    """Give the tolerance back, or raise InputError."""
+    """Return the tolerance, or raise InputError if it is out of range."""
     if not TIGHTEST <= rtol <= LOOSEST:
         msg = f"rtol: got {rtol}, allowed is {TIGHTEST:.0e} to {LOOSEST:.0e}"
         raise InputError(msg)
@@ -131,16 +133,16 @@ def _check_apart(mechanism: Mechanism, start: Array) -> None:
     lowest, names = int(gap.min(axis=0).argmin()), [body.name for body in mechanism.scene.bodies]
     on = [f"contacts[{k}] on {names[body]!r}" for k, body in enumerate(mechanism.sphere_body)]
     if lowest < len(grounded):
-        where, what = f"{on[lowest]} starts", "below the ground z = 0"
-        why = "start it with its centre at its radius or higher"
+        subject, place = f"{on[lowest]} starts", "below the ground z = 0"
+        hint = "start it with its centre at its radius or higher"
     else:
-        where = " and ".join(on[k] for k in pairs[lowest - len(grounded)]) + " start"
-        what, why = "in each other", "start them apart"
-    raise InputError(f"{where} {-gap.min():.3g} m {what}; {why}")
+        subject = " and ".join(on[k] for k in pairs[lowest - len(grounded)]) + " start"
+        place, hint = "in each other", "start them apart"
+    raise InputError(f"{subject} {-gap.min():.3g} m {place}; {hint}")
 
 
 def start_states(mechanism: Mechanism, batch: Batch) -> Array:
-    """States of a batch's starts, shape (trajectory, body + world, 13)."""
+    """Start states of a batch, shape (trajectory, body + world, 13)."""
     return dynamics_of(mechanism).pack(BodyStates.of(mechanism, batch))
 
 
@@ -153,8 +155,8 @@ def integrate(problem: Problem) -> Marched:
         return _gripping(problem)
     stiff = is_stiff(problem)
     if stiff or mechanism.scene.contacts:
-        found = march_stiff(problem) if stiff else march(problem)
-        return found.within_half_turns(problem.dynamics)
+        marched = march_stiff(problem) if stiff else march(problem)
+        return marched.within_half_turns(problem.dynamics)
     from mbds_xsim.reference.compiled import march_compiled  # imports a compiler
 
     return march_compiled(problem)
@@ -163,7 +165,7 @@ def integrate(problem: Problem) -> Marched:
 def _gripping(problem: Problem) -> Marched:
     from mbds_xsim.reference.gripping import march_gripping  # imports a compiler
 
-    # Companions stop and start at times of their own, so that their errors do not cancel.
+    # Companions stop and start at different times, so that their errors do not cancel.
     rtol = min(problem.rtol, _ALONE) if problem.companions > 1 else problem.rtol
     return march_gripping(dataclasses.replace(problem, rtol=rtol))
 
@@ -183,7 +185,7 @@ def _trajectory(
         position[row], velocity[row] = bodies.position, bodies.velocity
         orientation[row] = mechanism.body_orientation(bodies.native)
         spin[row] = bodies.angular_velocity
-    # Frame 0 is the start, bit by bit.
+    # Frame 0 is the start, bit for bit.
     orientation[:, 0] = batch.orientation
     return Trajectory(time, position, orientation, velocity, spin, tuple(failures))
 
@@ -222,32 +224,32 @@ def sensitivity(
     a loose tolerance is enough.
 
     Args:
-        scene: What to simulate.
+        scene: Scene to simulate.
         batch: Starts and inputs.
         rtol: Allowed error of a step, as in `solve`.
-        cache: Whether results are taken from disk, and kept there.
+        cache: Whether results are read from the disk, and stored there.
 
     Returns:
-        G, shape (trajectory, frame), 1 at frame 0; NaN from the frame on at which the solution of
-        either of the two ends.
+        G, shape (trajectory, frame), 1 at frame 0; NaN from the frame on at which either of the two
+        solutions ends.
 
     Raises:
         InputError: The tolerance is out of range.
     """
     rtol = checked_tolerance(rtol)
-    what = f"sensitivity {_SIZE} {_SEED}"
+    kind = f"sensitivity {_SIZE} {_SEED}"
 
     def compute(rows: list[int]) -> list[entries.Arrays]:
         growth = _growth(scene, batch[rows], rtol)
         return [{"growth": values} for values in growth]
 
     ready = entries.complete(
-        what, scene, batch, rtol, compute, keep=cache, together=_PAIRS_TOGETHER
+        kind, scene, batch, rtol, compute, keep=cache, together=_PAIRS_TOGETHER
     )
-    found = np.empty((len(batch), batch.steps + 1))
+    factors = np.empty((len(batch), batch.steps + 1))
     for row, entry in ready:
-        found[row] = entry["growth"]
-    return found
+        factors[row] = entry["growth"]
+    return factors
 
 
 def _growth(scene: Scene, batch: Batch, rtol: float) -> Array:
@@ -267,7 +269,7 @@ def _growth(scene: Scene, batch: Batch, rtol: float) -> Array:
 
 
 def _perturbed(mechanism: Mechanism, state: Array, index: int) -> Array:
-    """Move one state, shape (body + world, 13), as its joints allow."""
+    """Perturb one state, shape (body + world, 13), as its joints allow."""
     dynamics = dynamics_of(mechanism)
     rng = np.random.default_rng(np.random.SeedSequence([_SEED, index]))
     free = _free_components(mechanism, dynamics, state)

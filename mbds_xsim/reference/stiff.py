@@ -1,6 +1,6 @@
 """March stiff scenes (strong spring–dampers) with the implicit method Radau IIA of order 5.
 
-An explicit method would take steps as short as the fastest decay although nothing moves as fast.
+An explicit method would take steps as short as the fastest decay, although nothing moves that fast.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from mbds_xsim.scene.state import Failure
 if TYPE_CHECKING:
     from scipy.integrate import Radau
 
-# Decays in a frame above which Radau is the faster one, measured on a fly-ball governor.
+# Decay times in a frame above which Radau is faster, measured on a fly-ball governor.
 _DECAYS = 2.5
 _FIRST_STEP = 0.01  # of a frame
 
 
 def is_stiff(problem: Problem) -> bool:
-    """Whether some motion decays much faster than frames follow each other, at the start."""
+    """Whether some motion decays much faster than in a frame, judged at the first start."""
     dynamics = problem.dynamics
     if not dynamics.damped:
         return False
@@ -38,7 +38,7 @@ def is_stiff(problem: Problem) -> bool:
 
 
 def march_stiff(problem: Problem) -> Marched:
-    """Do what `marching.march` does, one group of companions after the other."""
+    """Integrate states as `marching.march` does, one group of companions after the other."""
     dynamics, frame, frames = problem.dynamics, problem.frame, problem.frames
     batch, companions = len(problem.start), problem.companions
     marched = Marched.from_start(problem)
@@ -55,11 +55,11 @@ def march_stiff(problem: Problem) -> Marched:
             continue
         for k in range(frames):
             rate = _Rate(dynamics, problem.force[rows, k], problem.torque[rows, k])
-            ended, step = _through_frame(rate, state, min(step, frame), frame, k, problem.rtol)
-            if isinstance(ended, Failure):
-                failures[rows] = [ended] * companions
+            end, step = _through_frame(rate, state, min(step, frame), frame, k, problem.rtol)
+            if isinstance(end, Failure):
+                failures[rows] = [end] * companions
                 break
-            state = dynamics.project(ended)
+            state = dynamics.project(end)
             marched.states[rows, k + 1] = state
     return marched
 
@@ -67,10 +67,10 @@ def march_stiff(problem: Problem) -> Marched:
 def _through_frame(
     rate: _Rate, state: Array, step: float, frame: float, k: int, rtol: float
 ) -> tuple[Array | Failure, float]:
-    """States at the end of frame `k`, or why it is not reached, and the last free step."""
+    """States at the end of frame `k`, or the failure before it, and the next step to try."""
     from scipy.integrate import Radau  # takes long to import
 
-    # Radau's estimate is of order 3 only; so it is asked for less (Hairer and Wanner, Solving
+    # Radau's estimate is of order 3 only, so its tolerance is looser (Hairer and Wanner, Solving
     # Ordinary Differential Equations II, 1996, section IV.8: the transformation of radau5).
     loose = 0.1 * rtol ** (2.0 / 3.0)
     solver = Radau(
@@ -88,7 +88,7 @@ def _through_frame(
         if solver.status != "running":
             break
         solver.step()
-        # `h_abs` is what the error suggests next; the frame's end does not cut it short.
+        # `h_abs` is the next step that the error suggests; the frame's end does not cut it short.
         step = float(solver.h_abs)
         impact = _impact(rate, solver) if solver.status != "failed" else None
         if impact is not None:
@@ -102,7 +102,7 @@ def _through_frame(
 
 
 def _impact(rate: _Rate, solver: Radau) -> float | None:
-    """Time in the frame at which a contact sphere reached the ground in the last step."""
+    """Time in the frame at which a contact sphere touched something in the last step, or None."""
     if not len(rate.dynamics.topology.sphere_body):
         return None
     path, begin, span = solver.dense_output(), solver.t_old, solver.t - solver.t_old
@@ -126,7 +126,7 @@ class _Rate:
         return self.dynamics.derivative(y.reshape(self.shape), self.force, self.torque).reshape(-1)
 
     def jacobian(self, time: float, y: Array) -> Array:  # noqa: ARG002
-        """By forward differences, all columns of a state in one evaluation."""
+        """Jacobian by forward differences, all columns of a state in one evaluation."""
         size = self.shape[1] * self.shape[2]
         whole = np.zeros((len(y), len(y)))
         for k, state in enumerate(y.reshape(self.shape[0], size)):

@@ -24,22 +24,22 @@ class Topology:
     """Constant arrays of one mechanism."""
 
     layout: Layout
-    """Of the constraints, with vectors in principal frames and the world as the last body."""
+    """Layout of the constraints, with vectors in principal frames and the world as last body."""
     body_count: int
-    """Without the world."""
+    """Number of bodies without the world."""
     gravity: Array
     mass_root: Array
-    """√m, shape (body + world,); 1 for the world, which `weight` then takes out."""
+    """√m, shape (body + world,); 1 for the world, which `weight` then removes."""
     inertia_root: Array
     """Roots of the principal moments, shape (body + world, 3)."""
     weight: Array
     """1 for a body, 0 for the world, shape (body + world, 1)."""
     principal: Array
-    """Principal to native frame, wxyz, shape (body + world, 4)."""
+    """Rotation from principal to native frame, wxyz, shape (body + world, 4)."""
     hinge_incidence: Array
     """+1 at the child, −1 at the parent, shape (body + world, hinge)."""
     spring_incidence: Array
-    """One matrix an end, shape (2, body + world, spring)."""
+    """One incidence matrix for each end, shape (2, body + world, spring)."""
     rest_length: Array
     stiffness: Array
     damping: Array
@@ -50,7 +50,7 @@ class Topology:
     grounded: Indices
     """Spheres that may touch the ground."""
     sphere_pairs: Indices
-    """Those that may touch each other, shape (pair, 2)."""
+    """Spheres that may touch each other, shape (pair, 2)."""
 
 
 @functools.lru_cache(maxsize=64)

@@ -1,9 +1,9 @@
 """Functions of lanes that become instructions where a kernel calls them.
 
-numba types, lowers and compiles each function that a kernel calls, statement by statement, which
-takes far longer than to write down the dozen of instructions that a product of vectors is. So a
-plain function is called here with numbers that do that: `a * b` of two of them is the instruction
-for it.
+numba types, lowers and compiles each function that a kernel calls, statement by statement. For a
+product of vectors this takes far longer than to emit the dozen instructions that it needs. So a
+plain Python function is called here with numbers that emit instructions: `a * b` of two such
+numbers emits a multiplication.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from mbds_xsim.reference.lanes import address, lanes, spread_over
 
 @dataclass(frozen=True)
 class Number:
-    """A number, or eight, while a function is traced; without a builder of its kind alone."""
+    """A number, or eight, while a function is traced; without a builder only its type is known."""
 
     kind: Any
     builder: Any = None
@@ -90,7 +90,7 @@ class RowArray:
         return Number(lanes, self.builder, self.builder.load(place, align=8))
 
     def put(self, at: Number, number: Number) -> None:
-        """Write it."""
+        """Write a row of an array of lanes."""
         if self.builder is not None:
             place = address(self.context, self.builder, self.kind, self.value, at.value)
             self.builder.store(number.value, place, align=8)
@@ -100,22 +100,22 @@ class RowArray:
             return Number(types.float64)
         row, column = at
         array = self.context.make_array(self.kind)(self.context, self.builder, self.value)
-        where = [row.value, self.context.get_constant(types.intp, column)]
-        place = cgutils.get_item_pointer(self.context, self.builder, self.kind, array, where)
+        indices = [row.value, self.context.get_constant(types.intp, column)]
+        place = cgutils.get_item_pointer(self.context, self.builder, self.kind, array, indices)
         return Number(types.float64, self.builder, self.builder.load(place))
 
 
 def traced(function: Callable[..., Any]) -> Any:
-    """Let kernels call a function of numbers, tuples of them, and arrays."""
+    """Let kernels call a function of numbers, tuples of numbers, and arrays."""
 
-    def typed(*given: Any) -> Any:
-        kinds = [types.intp if isinstance(kind, types.Integer) else kind for kind in given]
+    def typed(*arguments: Any) -> Any:
+        kinds = [types.intp if isinstance(kind, types.Integer) else kind for kind in arguments]
         result = _kind_of(function(*(_traceable(kind) for kind in kinds)))
 
         def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
             pairs = zip(sig.args, args, strict=True)
-            found = function(*(_traceable(kind, context, builder, arg) for kind, arg in pairs))
-            return _packed(context, builder, result, found)
+            output = function(*(_traceable(kind, context, builder, arg) for kind, arg in pairs))
+            return _packed(context, builder, result, output)
 
         return signature(result, *kinds), generate
 
@@ -129,11 +129,11 @@ def traced(function: Callable[..., Any]) -> Any:
         lambda _, a, b, c, d, e, f: typed(a, b, c, d, e, f),
         lambda _, a, b, c, d, e, f, g: typed(a, b, c, d, e, f, g),
     )
-    made = intrinsic(shapes[len(inspect.signature(function).parameters)])
+    wrapper = intrinsic(shapes[len(inspect.signature(function).parameters)])
     # Traced functions call each other.
-    own = {"__call__": lambda _, *given: function(*given)}
-    made.__class__ = type("Traced", (type(made),), own)
-    return made
+    own = {"__call__": lambda _, *arguments: function(*arguments)}
+    wrapper.__class__ = type("Traced", (type(wrapper),), own)
+    return wrapper
 
 
 def _traceable(kind: Any, context: Any = None, builder: Any = None, value: Any = None) -> Any:
@@ -145,19 +145,19 @@ def _traceable(kind: Any, context: Any = None, builder: Any = None, value: Any =
     return tuple(Number(each, builder, part) for each, part in zip(kind, parts, strict=True))
 
 
-def _kind_of(found: Any) -> Any:
-    if isinstance(found, tuple):
-        return types.Tuple([_kind_of(each) for each in found])
-    return types.void if found is None else found.kind
+def _kind_of(output: Any) -> Any:
+    if isinstance(output, tuple):
+        return types.Tuple([_kind_of(each) for each in output])
+    return types.void if output is None else output.kind
 
 
-def _packed(context: Any, builder: Any, kind: Any, found: Any) -> Any:
-    if isinstance(found, tuple):
-        parts = zip(kind, found, strict=True)
+def _packed(context: Any, builder: Any, kind: Any, output: Any) -> Any:
+    if isinstance(output, tuple):
+        parts = zip(kind, output, strict=True)
         return context.make_tuple(
             builder, kind, [_packed(context, builder, *each) for each in parts]
         )
-    return context.get_dummy_value() if found is None else found.value
+    return context.get_dummy_value() if output is None else output.value
 
 
 @traced
@@ -168,5 +168,5 @@ def load(a, k):
 
 @traced
 def store(a, k, number):
-    """Write it."""
+    """Write a row of an array of shape (number, 8)."""
     a.put(k, number)

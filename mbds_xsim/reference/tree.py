@@ -25,35 +25,35 @@ _Rows = tuple[Index, Index, Array, Array, Array, Index]
 
 
 class Tree(NamedTuple):
-    """The mechanism's links, in the order of `Mechanism.links`, with the world behind them."""
+    """A mechanism's links, in the order of `Mechanism.links`, followed by the world."""
 
     kind: Index
     parent: Index
     body: Index
-    """Scene's index of each link's body."""
+    """Index in the scene of each link's body."""
     at: Index
-    """Where a link's places stand in a state."""
+    """Index in a state of each link's first coordinate."""
     speed_at: Index
-    """Where its speeds stand, and where the last one's end, shape (link + 1,)."""
+    """Index in a state of each link's first speed, and the end of the last ones, (link + 1,)."""
     place_count: int
     size: int
-    """Numbers of a state."""
+    """Number of coordinates and speeds in a state."""
     in_parent: Array
-    """Arms of the joint in the principal frames, shape (link, 3)."""
+    """Arms to joints in the parents' principal frames, (link, 3); `in_child`: in the children's."""
     in_child: Array
     axis: Array
-    """In the parent's frame."""
+    """Axes of the joints in the parents' frames."""
     fixed: Array
-    """A joint at 0 turns the child's frame to the parent's by this matrix, shape (link, 9);"""
+    """Matrices from the child's to the parent's frame for a joint at 0, shape (link, 9)."""
     odd: Array
-    """a hinge adds this times its sine,"""
+    """Matrices that hinges add to `fixed`, times the sine of their angle."""
     even: Array
-    """and this times 1 − cosine."""
+    """Matrices that hinges add to `fixed`, times 1 − cosine of their angle."""
     still: Array
     """`fixed` as a quaternion, shape (link, 4)."""
     mass: Array
     armature: Array
-    """Of the links' joints, shape (link,)."""
+    """Armature of the links' joints, shape (link,)."""
     moment: Array
     """Principal moments, shape (link, 3)."""
     yielding: Array
@@ -62,45 +62,45 @@ class Tree(NamedTuple):
     hinge_ends: Index
     """Links of the parents and children that torques act on, shape (2, hinge)."""
     hinge_axis: Array
-    """In the parents' frames, shape (hinge, 3)."""
+    """Axes in the parents' frames, shape (hinge, 3)."""
     spring_ends: Index
     spring_points: Array
-    """In the frames of the two ends, shape (2, spring, 3)."""
+    """Points in the frames of the two ends, shape (2, spring, 3)."""
     spring: Array
     """Rest length, stiffness and damping, shape (spring, 3)."""
     law_kind: Index
-    """Of `Mechanism.counted` and then of the drives' joints, `HINGE` or `SLIDER`."""
+    """`HINGE` or `SLIDER` for `Mechanism.counted` and then for the drives' joints."""
     law_ends: Index
     law_axis: Array
-    """In the parents' frames, shape (law, 3)."""
+    """Axes in the parents' frames, shape (law, 3)."""
     law_points: Array
     """Anchors in the frames of the two ends, shape (2, law, 3)."""
     law: Array
     """Coordinate at rest, stiffness and damping, shape (law, 3)."""
     pushed: Index
-    """Which input of a coordinate pushes, behind the torques of hinges; −1 of what is no drive."""
+    """Index in the inputs of a drive's push, after the torques of hinges; −1 if not a drive."""
     bound: Array
-    """Limits of drives, shape (law,)."""
+    """Limits of drives, infinite for other laws, shape (law,)."""
     angle_at: Index
-    """Where the angles of these hinges stand in a state; −1 of sliders, shape (law,). They count
-    whole turns, and stand behind the links' places."""
+    """Index in a state of each hinge's angle; −1 for sliders, shape (law,). Angles count whole
+    turns, and follow the links' coordinates."""
     angle_link: Index
-    """Links of those that are coupled; −1 of the others, shape (law,)."""
+    """Links of coupled hinges; −1 for other laws, shape (law,)."""
     row_kind: Index
     row_ends: Index
     row_points: Array
-    """Of each row a vector fixed in the first link and one in the second, shape (2, row, 3)."""
+    """Vectors fixed in the first and in the second link of each row, shape (2, row, 3)."""
     row_way: Array
-    """Direction of the row, fixed in the first link, or none, shape (row, 3). Of a coupling, whose
-    ends are the follower's and the leader's link: 1, −ratio and nothing."""
+    """Direction of the row, fixed in the first link, or zeros, shape (row, 3). For a coupling,
+    whose ends are the follower's and the leader's link: 1, −ratio and 0."""
     row_length: Array
-    """Of a distance link [m], or offset of a coupling."""
+    """Length of a distance link [m], or offset of a coupling."""
     row_place: Index
-    """Where the coordinates of a coupling stand in a state, shape (2, row); 0 of others."""
+    """Indices in a state of the coordinates of a coupling, shape (2, row); 0 for other rows."""
     loaded: int
-    """Rows that carry loads; those behind them follow from them."""
+    """Number of rows that carry loads; the rows after them follow from them."""
     plan: Elimination
-    """How these are eliminated."""
+    """Plan to eliminate the rows that carry loads."""
 
 
 @functools.lru_cache(maxsize=64)
@@ -163,11 +163,11 @@ def tree_of(mechanism: Mechanism) -> Tree:
         loaded=0,
         plan=plan_of(body, speeds, row_ends[:, :0], np.zeros(0, dtype=bool)),
     )
-    return with_rows(bare, np.arange(len(bare.row_kind)), len(bare.row_kind), kept=True)
+    return with_rows(bare, np.arange(len(bare.row_kind)), len(bare.row_kind), keep_all=True)
 
 
-def with_rows(tree: Tree, order: Index, loaded: int, *, kept: bool = False) -> Tree:
-    """Put closure rows into an order of which the first carry loads; `kept` as of `plan_of`."""
+def with_rows(tree: Tree, order: Index, loaded: int, *, keep_all: bool = False) -> Tree:
+    """Order the closure rows; the first `loaded` carry loads; `keep_all` as in `plan_of`."""
     ends, own = np.ascontiguousarray(tree.row_ends[:, order]), tree.row_kind[order] == COUPLED
     speeds = np.diff(tree.speed_at)
     return tree._replace(
@@ -178,17 +178,17 @@ def with_rows(tree: Tree, order: Index, loaded: int, *, kept: bool = False) -> T
         row_length=tree.row_length[order],
         row_place=np.ascontiguousarray(tree.row_place[:, order]),
         loaded=loaded,
-        plan=plan_of(tree.parent, speeds, ends[:, :loaded], own[:loaded], kept=kept),
+        plan=plan_of(tree.parent, speeds, ends[:, :loaded], own[:loaded], keep_all=keep_all),
     )
 
 
 def to_tree(mechanism: Mechanism, bodies: BodyStates, states: Array) -> Array:
-    """Coordinates of states, shape (batch, number).
+    """Coordinates and speeds of states in a mechanism's tree, shape (batch, number).
 
     Args:
-        mechanism: With the tree in whose coordinates.
-        bodies: The states.
-        states: The same as the reference has them, shape (batch, body + world, 13).
+        mechanism: Mechanism with that tree.
+        bodies: States of the bodies.
+        states: The same states in the reference's layout, shape (batch, body + world, 13).
     """
     tree = tree_of(mechanism)
     single = np.isin(tree.kind, (HINGE, SLIDER)).any()
@@ -207,14 +207,14 @@ def to_tree(mechanism: Mechanism, bodies: BodyStates, states: Array) -> Array:
             y[:, at], y[:, at + 1], y[:, fast] = np.cos(half), np.sin(half), links.rate[:, k]
         elif kind == SLIDER:
             y[:, at], y[:, fast] = links.coordinate[:, k], links.rate[:, k]
-    for joint, at in zip(mechanism.counted, tree.angle_at, strict=False):  # drives are behind
+    for joint, at in zip(mechanism.counted, tree.angle_at, strict=False):  # drives follow
         if at >= 0:
             y[:, at] = joint_coordinate(joint, bodies.position, bodies.native)
     return y
 
 
 def _acting(mechanism: Mechanism, inwards: Array, link_of: Index, first: int) -> dict[str, Any]:
-    """Lay out what acts on bodies; the angles that are counted stand from `first` on."""
+    """Lay out what acts on bodies; counted angles stand in a state from index `first` on."""
     hinges, springs, counted = mechanism.hinges, mechanism.springs, mechanism.counted
     drives = mechanism.drives
     laws = (*counted, *(drive.joint for drive in drives))
@@ -255,7 +255,7 @@ def _acting(mechanism: Mechanism, inwards: Array, link_of: Index, first: int) ->
 
 
 def _joint_matrices(joint: PlacedJoint | None) -> tuple[Array, Array, Array]:
-    """Constant part, sine's and (1 − cosine)'s of the turn of a joint in native frames."""
+    """Constant, sine and 1 − cosine parts of a joint's rotation matrix in native frames."""
     if joint is None or joint.kind != "hinge":
         return np.eye(3), np.zeros((3, 3)), np.zeros((3, 3))
     x, y, z = joint.axis
@@ -270,15 +270,15 @@ def _ends(pairs: list[tuple[int, int]], link_of: Index) -> Index:
 def _turned(inwards: Array, vectors: list[tuple[int, Array]]) -> Array:
     """Turn vectors from native into principal frames."""
     body = np.array([body for body, _ in vectors], dtype=np.int64)
-    given = np.array([vector for _, vector in vectors], dtype=float).reshape(-1, 3)
-    return rotation.rotate(inwards[body], given)
+    native = np.array([vector for _, vector in vectors], dtype=float).reshape(-1, 3)
+    return rotation.rotate(inwards[body], native)
 
 
 def _rows(mechanism: Mechanism, inwards: Array, link_of: Index) -> _Rows:
-    """Rows of the joints and links that close loops, as of `mbds_xsim.scene.constraints`.
+    """Rows of the joints and links that close loops, as in `mbds_xsim.scene.constraints`.
 
-    Those that hold points together stand along axes of the first body and not of W: which of them
-    are independent does not change with the way a mechanism has turned.
+    Rows that hold points together lie along axes of the first body and not of W, so that the choice
+    of independent rows does not depend on how a mechanism has turned.
     """
     layout = layout_of(mechanism)
     spans = layout.span_body.shape[1]
@@ -310,37 +310,37 @@ def _rows(mechanism: Mechanism, inwards: Array, link_of: Index) -> _Rows:
         ]
     )
     tree = [link.joint.index for link in mechanism.links if link.joint is not None]
-    kept = ~np.isin(layout.owner, tree)
+    closing = ~np.isin(layout.owner, tree)
     length = np.concatenate([np.zeros(sum(count[:3])), layout.length])
     return (
-        kind[kept],
-        np.ascontiguousarray(link_of[layout.row_body[:, kept]]),
-        np.ascontiguousarray(arms[:, kept]),
-        way[kept],
-        length[kept],
-        np.zeros((2, np.count_nonzero(kept)), dtype=np.int64),
+        kind[closing],
+        np.ascontiguousarray(link_of[layout.row_body[:, closing]]),
+        np.ascontiguousarray(arms[:, closing]),
+        way[closing],
+        length[closing],
+        np.zeros((2, np.count_nonzero(closing)), dtype=np.int64),
     )
 
 
 def _coupled(mechanism: Mechanism, at: Index, angle_at: Index) -> _Rows:
-    """Give the rows of couplings, whose vectors are none."""
+    """Return the rows of couplings, whose points are zero."""
     count, places = len(mechanism.couplings), {}
     for joint, angle in zip(mechanism.counted, angle_at.tolist(), strict=False):
         places[joint.name] = angle if angle >= 0 else int(at[link_number(mechanism, joint)])
     pairs = [(each.follower, each.leader) for each in mechanism.couplings]
     ends = [[link_number(mechanism, joint) for joint in pair] for pair in pairs]
-    found = [[places[joint.name] for joint in pair] for pair in pairs]
+    indices = [[places[joint.name] for joint in pair] for pair in pairs]
     return (
         np.full(count, COUPLED),
         np.array(ends, dtype=np.int64).reshape(-1, 2).T,
         np.zeros((2, count, 3)),
         np.array([(1.0, -each.ratio, 0.0) for each in mechanism.couplings]).reshape(-1, 3),
         np.array([each.offset for each in mechanism.couplings]),
-        np.array(found, dtype=np.int64).reshape(-1, 2).T,
+        np.array(indices, dtype=np.int64).reshape(-1, 2).T,
     )
 
 
 def link_number(mechanism: Mechanism, joint: PlacedJoint) -> int:
-    """Give the number of the link that a joint of the tree holds."""
+    """Return the number of the link that a joint of the tree holds."""
     joints = [None if link.joint is None else link.joint.index for link in mechanism.links]
     return joints.index(joint.index)

@@ -1,16 +1,16 @@
 """Articulated bodies on a spanning tree: O(n) recursions, eight states at once.
 
 Featherstone, Rigid Body Dynamics Algorithms, 2008, chapter 7, with all vectors in W and every
-body's twist that of its centre of mass. Ball joints and free bodies have the absolute orientation
-and angular velocity of their body as coordinates, so that they pass on a force and no moment.
-A hinge's angle is kept as cosine and sine of its half, which need no functions and no range.
+body's twist at its centre of mass. Ball joints and free bodies have the absolute orientation and
+angular velocity of their body as coordinates, so that they pass on a force and no moment. A hinge's
+angle is kept as cosine and sine of its half, which need no trigonometry and no limited range.
 
 A body's articulated inertia (M, H, J) gives the force F = M a + H α + f and the moment
 N = Hᵀ a + J α + n that accelerations a and α need. At a joint, off by r from the centre, it is
 H' = H + M [r]×, J' = J + Hᵀ [r]× − [r]× H'.
 
-Links are in the order of `Mechanism.links`; the last one is the world. What is known of each is
-kept in one array of lanes, at the places below.
+Links are in the order of `Mechanism.links`; the last one is the world. The numbers of all links are
+kept in one array of lanes, at the offsets below.
 """
 
 from __future__ import annotations
@@ -49,13 +49,13 @@ from mbds_xsim.reference.traced import load, store, traced
 from mbds_xsim.reference.tree import BALL, FIXED, FREE, HINGE, SLIDER, Tree
 
 # Kinematics: place, matrix, angular and linear velocity; axis; arms from the centre of mass and
-# from the parent's to the joint; accelerations that the velocities bring.
+# from the parent's to the joint; linear and angular accelerations due to velocities.
 X, R, W, V, AXIS, ARM, REACH, BEND, TWIST = 0, 3, 12, 15, 18, 21, 24, 27, 30
 # Loads in W, later the bias; inertia.
 F, N, M, H, J = 33, 36, 39, 45, 54
-# Of ball joints and free bodies: H' and the inverse of J', in place of H and J, which nobody reads
-# any more, so that a link's numbers stay near; J'⁻¹ H'ᵀ; of free ones the inverse of what is then
-# left of M. Of hinges and sliders: what their acceleration needs, and 1/D.
+# For ball joints and free bodies: H' and the inverse of J', in place of H and J, which are not read
+# any more, so that a link's numbers stay close together; J'⁻¹ H'ᵀ; for free bodies the inverse of
+# the remaining M. For hinges and sliders: force and moment that their acceleration needs, and 1/D.
 HJ, JI, G, MI = 45, 54, 60, 69
 UF, UN, DI = 60, 63, 66
 A, ALPHA = 75, 78
@@ -66,35 +66,35 @@ class Workspace(NamedTuple):
     """Arrays of lanes that kernels write into, each of shape (number, 8)."""
 
     link: Array
-    """`PLACES` of each link and of the world."""
+    """`PLACES` numbers of each link and of the world."""
     own: Array
-    """Of each speed: the part of its acceleration that is not the parent's."""
+    """Part of each speed's acceleration that is not due to the parent's."""
     load: Array
-    """Held forces and moments in W, six of each link and of the world."""
+    """Held forces and moments in W, six numbers of each link and of the world."""
     torque: Array
-    """Held torques about hinges."""
+    """Held torques about hinges, followed by the pushes of drives."""
     grip: Array
     """Dry friction of the joints with a law, against their coordinates."""
     rows: Array
-    """Jacobians of closure rows (12), biases and residuals (2)."""
+    """Jacobians of closure rows (12), biases, residuals and squared sizes (3)."""
     loads: Array
-    """Of each row: force and moment on the way down from its first end, and its second (12)."""
+    """Force and moment of each row on the way down from its first and from its second end (12)."""
     goals: Array
-    """Of each row: its bias on the way down."""
+    """Bias of each row on the way down."""
     through: Array
-    """Generalised loads of the rows that come through one link (6)."""
-    brought: Array
-    """What each row does to the speeds of the links that its load comes through."""
+    """Generalised loads of the rows that pass one link (6)."""
+    response: Array
+    """Accelerations that a unit load of each row brings the speeds of the links that it passes."""
     couplings: Array
-    """Of rows, by the numbers of `Elimination`; those of a row with itself become inverse."""
+    """Couplings of rows, numbered as in `Elimination`; those with themselves become inverse."""
     multipliers: Array
     share: Array
-    """Least independent part of a row, and largest contradiction of rows that follow (2)."""
+    """Least independent share of a row, and largest contradiction of unloaded rows (2)."""
 
 
 @compiled
 def move(t: Tree, work: Workspace, y):
-    """Place all bodies, and find their velocities and what these do to accelerations."""
+    """Place all bodies, and find their velocities and the accelerations due to these."""
     a = work.link
     for i in range(len(t.kind)):
         p, b, kind = t.parent[i] * PLACES, i * PLACES, t.kind[i]
@@ -135,7 +135,7 @@ def move(t: Tree, work: Workspace, y):
 
 @compiled
 def gather(a, speeds, b, p, fast, kind, armature, root):
-    """Hand a link's inertia and bias down, after those of its children."""
+    """Hand a link's inertia and bias down to its parent; children come before."""
     if kind in (BALL, FREE):
         _gather_ball(a, speeds, b, p, fast, kind, root)
     else:
@@ -144,7 +144,7 @@ def gather(a, speeds, b, p, fast, kind, armature, root):
 
 @traced
 def _at_joint(a, b):
-    """Give H', J', f' and n' of a link at its joint."""
+    """Return H', J', f' and n' of a link at its joint."""
     m, h, arm = load6(a, b + M), load9(a, b + H), load3(a, b + ARM)
     bend = load3(a, b + BEND)
     part = crossed_even(m, arm)
@@ -193,9 +193,9 @@ def _gather_ball(a, speeds, b, p, fast, kind, root):
     )
     f = sub(f, apply(hj, own))
     if kind == FREE:
-        left = inverse_even(m)
-        store6(a, b + MI, left)
-        store3(speeds, fast - 3, apply_even(left, f))
+        inverse_mass = inverse_even(m)
+        store6(a, b + MI, inverse_mass)
+        store3(speeds, fast - 3, apply_even(inverse_mass, f))
         return
     reach = load3(a, b + REACH)
     mine = crossed_even(m, reach)
@@ -259,7 +259,7 @@ def _gather_axis(a, speeds, b, p, fast, kind, armature, root):
 
 @traced
 def _give(a, p, m, h, j, f, n):
-    """Add inertia and bias to those of the parent; of `j` the upper half is read."""
+    """Add inertia and bias to those of the parent; only the upper half of `j` is read."""
     add_to3(a, p + M, (m[0], m[1], m[2]))
     add_to3(a, p + M + 3, (m[3], m[4], m[5]))
     add_to3(a, p + H, (h[0], h[1], h[2]))
@@ -349,7 +349,7 @@ def _turn_freely(a, b, y, at, fast):
 
 @compiled
 def _hinged(t, i, c, s):
-    """Give the matrix from a hinge's child to its parent."""
+    """Return the rotation matrix from a hinge's child to its parent."""
     f = 2.0 / (c * c + s * s)
     # sin φ and 1 − cos φ.
     k, m = f * c * s, f * s * s
@@ -373,7 +373,7 @@ def _constant(m, i):
 
 @compiled
 def zero():
-    """Give the vector of zeros."""
+    """Return the vector of zeros."""
     o = spread(0.0)
     return o, o, o
 

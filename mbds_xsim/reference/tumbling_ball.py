@@ -1,8 +1,8 @@
-"""A ball with any inertia: its centre of mass flies in closed form, all else is integrated.
+"""Motion of a ball with any inertia; all but the flight of its centre of mass is integrated.
 
 A tangential force f at the lowest point changes the slip by K f, where K depends on the
-orientation. While the ball slides the time σ of `sliding` keeps the equations smooth up to the
-stop: there the slip fades out exponentially, and the direction in which it does is found by itself.
+orientation. While the ball slides, the scaled time σ of `ball` keeps the equations smooth up to the
+stop: there the slip fades exponentially, and its last direction results from the equations.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.reference.ball import STILL, BallContact, BallState, Load, flown
 from mbds_xsim.reference.turning import cross, integrated, turning
 
-_SEED = 2.0 * STILL  # slip from which one starts that grows out of none
-_FIRM = 1.0 - 1e-12  # share of the largest friction below which rolling goes on
+_SEED = 2.0 * STILL  # slip with which sliding starts if there is none [m/s]
+_FIRM = 1.0 - 1e-12  # share of the largest friction up to which rolling goes on
 _FOREVER = 1e15
 _CROSS = np.array([[0.0, -1.0], [1.0, 0.0]])
-"""z × v for vectors of the plane."""
+"""Matrix of z × v for vectors in the ground plane."""
 
-_FADED = 40.0  # time constants after which exp is rounding
+_FADED = 40.0  # time constants after which an exponential is below rounding
 
 
 def _panels(count: int) -> tuple[Array, Array]:
-    """Places in [0, 1] and weights of Gauss's rule of 16 points on equal panels."""
+    """Nodes in [0, 1] and weights of Gauss's 16-point rule on equal panels."""
     x, w = np.polynomial.legendre.leggauss(16)
     places = (np.arange(count)[:, None] + 0.5 * (1.0 + x)) / count
     return places.reshape(-1), np.tile(0.5 * w / count, count)
@@ -39,7 +39,7 @@ _PLACES, _WEIGHTS = _panels(128)
 
 @dataclass(frozen=True, slots=True)
 class TumblingBall:
-    """Laws of motion of such a ball."""
+    """Laws of motion of a ball with any inertia."""
 
     contact: BallContact
     moments: Array
@@ -159,10 +159,10 @@ class TumblingBall:
 
 
 def _impact(yielding: Array, slip: Array, most: float) -> Array:
-    """Impulse of friction while the normal one grows; `most` is μ times all of the latter.
+    """Impulse of friction in an impact; `most` is μ times the whole normal impulse.
 
-    In the coordinates of the eigenvectors of K each part of the slip fades as exp(−k σ), where
-    |s| dσ = μ dp; the impact ends where p is all there is, or lasts for ever in σ and sticks.
+    Along each eigenvector of K the slip fades as exp(−k σ), where |s| dσ = μ dp and p is the normal
+    impulse so far. The impact ends when p is complete; if that takes forever in σ, the ball sticks.
     """
     from scipy.optimize import brentq  # takes long to import
 
@@ -171,15 +171,15 @@ def _impact(yielding: Array, slip: Array, most: float) -> Array:
     longest = _FADED / rates[0]
 
     def passed(end: float) -> float:
-        left = parts[:, None] * np.exp(-rates[:, None] * (end * _PLACES))
-        return end * float(np.hypot(*left) @ _WEIGHTS)
+        remaining = parts[:, None] * np.exp(-rates[:, None] * (end * _PLACES))
+        return end * float(np.hypot(*remaining) @ _WEIGHTS)
 
     if passed(longest) <= most:
-        left = np.zeros(2)
+        remaining = np.zeros(2)
     else:
         end = brentq(lambda at: passed(at) - most, 0.0, longest, xtol=1e-300, rtol=1e-14)
-        left = parts * np.exp(-rates * end)
-    return np.asarray(np.linalg.solve(yielding, axes @ left - slip))
+        remaining = parts * np.exp(-rates * end)
+    return np.asarray(np.linalg.solve(yielding, axes @ remaining - slip))
 
 
 def _breakaway(yielding: Array, drive: Array, most: float) -> Array:
@@ -193,8 +193,8 @@ def _breakaway(yielding: Array, drive: Array, most: float) -> Array:
         return math.hypot(*direction(growth)) - 1.0
 
     free = math.hypot(*drive)
-    found = direction(brentq(excess, 0.0, free) if most and excess(0.0) > 0.0 > excess(free) else 0)
-    return np.asarray(found / math.hypot(*found))
+    d = direction(brentq(excess, 0.0, free) if most and excess(0.0) > 0.0 > excess(free) else 0)
+    return np.asarray(d / math.hypot(*d))
 
 
 def _turned(motion: BallState, turn: Array, spin: Array) -> BallState:

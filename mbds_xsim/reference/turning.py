@@ -1,4 +1,4 @@
-"""Orientations and other small systems, integrated to some 1e-13."""
+"""Integration of orientations and other small systems to about 1e-13."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ def turned(turn: Array, rate: Callable[[float], Array], duration: float) -> Arra
     """Turn a quaternion by an angular velocity that is a known function of time.
 
     Args:
-        turn: At the start, shape (4,).
-        rate: Angular velocity in W at a time from the start [rad/s], shape (3,).
-        duration: [s].
+        turn: Quaternion at the start, shape (4,).
+        rate: Angular velocity in W [rad/s], shape (3,), as a function of the time since the start.
+        duration: Duration [s].
     """
     end = integrated(lambda t, q: turning(q, rate(t)), turn, duration).y[:, -1]
     return np.asarray(end / np.linalg.norm(end))
 
 
 def turning(turn: Array, spin: Array) -> Array:
-    """Give the rate of a quaternion under an angular velocity in W."""
+    """Return the rate of a quaternion under an angular velocity in W."""
     vector = turn[1:]
     return 0.5 * np.append(-spin @ vector, spin * turn[0] + cross(spin, vector))
 
@@ -44,7 +44,7 @@ def integrated(
     *ends: Callable[[float, Array], float],
     method: str = "DOP853",
 ) -> Any:
-    """Integrate up to a time, or to where one of `ends` falls to zero; as scipy's `solve_ivp`.
+    """Integrate up to a time, or until one of `ends` falls to zero; return as `solve_ivp` does.
 
     Raises:
         ArithmeticError: The integration fails.

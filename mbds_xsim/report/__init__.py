@@ -1,1 +1,1 @@
-"""What people read: terminal tables, pages, figures."""
+"""Reports for people: terminal tables, pages, figures."""

@@ -1,6 +1,6 @@
-"""Pieces of a report: what a study has to say, not how it is shown.
+"""Pieces of a report: the content of a study, independent of how it is shown.
 
-A study presents its result as a `Report` of blocks; the terminal, Markdown and pages each know how
+A study presents its result as a `Report` of blocks. The terminal, Markdown and pages each know how
 to show every kind of block, and know no study. Texts may come from strangers: each renderer makes
 them safe for its place.
 """
@@ -15,36 +15,36 @@ if TYPE_CHECKING:
     from mbds_xsim.report.themed import Style
 
 Mark: TypeAlias = Literal["", "pass", "warn", "fail", "over", "strong", "muted"]
-"""How something stands: a verdict, a figure beyond its budget, or a tone."""
+"""Status of a text: a verdict, a figure beyond its budget, or a tone."""
 Place: TypeAlias = Literal["terminal", "markdown", "page"]
 EVERYWHERE: frozenset[Place] = frozenset({"terminal", "markdown", "page"})
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A text in a table; a verdict's sign stands before it, even before none."""
+    """Text in a table; the sign of a verdict is put before it, even if it is empty."""
 
     text: str
     mark: Mark = ""
     line: Style | None = None
-    """Look of the curves that the row is about, where there are any."""
+    """Style of the curves that the row is about, if any."""
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column: what it is called, and what it says in a sentence (a tool tip on a page)."""
+    """Column of a table: its heading, and a sentence on its meaning (a tool tip on a page)."""
 
     heading: str
     meaning: str = ""
     words: bool = False
-    """Words rather than figures: set flush left."""
+    """Whether it holds words rather than figures, set flush left."""
     narrow: bool = True
-    """Whether a narrow terminal has it too."""
+    """Whether a narrow terminal shows it too."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """Cells of a row, and sentences that say why it stands so."""
+    """Cells of a row, and sentences that give reasons for its mark."""
 
     cells: tuple[Cell, ...]
     mark: Mark = ""
@@ -58,18 +58,18 @@ class Row:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows under headings, with a sentence below."""
+    """Rows under headings, with a note."""
 
     columns: tuple[Column, ...]
     rows: tuple[Row, ...]
     title: str = ""
     note: str = ""
     most: int | None = None
-    """Rows that a terminal shows."""
+    """Largest number of rows that a terminal shows; None for all."""
     grouped: bool = False
-    """Whether a terminal shows equal first cells once."""
+    """Whether a terminal shows equal first cells of successive rows only once."""
     folded: bool = False
-    """Whether a page shows the title alone until it is opened."""
+    """Whether a page shows only the title until it is opened."""
 
 
 @dataclass(frozen=True)
@@ -82,50 +82,50 @@ class Text:
 
 @dataclass(frozen=True)
 class Remark:
-    """A subject, and a sentence of it."""
+    """Subject, and a sentence about it."""
 
     subject: str
-    """May be a question."""
+    """Subject of the sentence; may be a question."""
     text: str
     mark: Mark = ""
 
     @property
     def begin(self) -> str:
-        """The subject, parted from the sentence."""
+        """Subject with the separator before the sentence."""
         return f"{self.subject}{'' if self.subject.endswith('?') else ':'} "
 
     @property
     def sentence(self) -> str:
-        """Both."""
+        """Subject and sentence together."""
         return f"{self.begin}{self.text}"
 
 
 @dataclass(frozen=True)
 class Remarks:
-    """What else is to be said, one line each."""
+    """Further remarks, one line each."""
 
     lines: tuple[Remark, ...]
     most: int | None = None
-    """Lines that a terminal shows."""
+    """Largest number of lines that a terminal shows; None for all."""
 
     @classmethod
     def of(cls, pairs: Iterable[tuple[str, str]], most: int | None = None) -> Remarks:
-        """Make remarks of subjects and sentences."""
+        """Make remarks from pairs of a subject and a sentence."""
         return cls(tuple(Remark(subject, text) for subject, text in pairs), most)
 
 
 @dataclass(frozen=True, eq=False)
 class Figure:
-    """A drawing by matplotlib: on pages as SVG."""
+    """Drawing by matplotlib, shown as SVG on pages."""
 
     title: str
-    """For those who do not see it."""
+    """Description for those who do not see it."""
     draw: Callable[[Any], None]
-    """Draws on the figure it is given."""
+    """Function that draws on the figure it is given."""
     size: tuple[float, float] = (5.4, 3.7)
     """Width and height [in]."""
     tips: dict[str, str] = field(default_factory=dict)
-    """By gid of an artist (`tip-…`), what it tells when pointed at."""
+    """Tool tips by the gid of an artist (`tip-…`)."""
     caption: str = ""
     wide: bool = False
 
@@ -138,14 +138,14 @@ class Key:
     colour: str = ""
     letter: str = ""
     curve: str = ""
-    """Class of the artists that a tick shows and hides: `curve-…` without `curve-`."""
+    """Class of the artists that a tick box shows and hides: `curve-…` without `curve-`."""
     hatched: bool = False
     dark: bool = False
 
 
 @dataclass(frozen=True)
 class Legend:
-    """What colours and letters of the figures below mean."""
+    """Meaning of colours and letters in the figures below."""
 
     keys: tuple[Key, ...]
 
@@ -156,23 +156,23 @@ class FigureGroup:
 
     figures: tuple[Figure, ...]
     least: int = 375
-    """Width that each has at least [px]."""
+    """Least width of each figure [px]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Motions to be played, by the viewer of pages."""
+    """Motions to play in the viewer of pages."""
 
     data: dict[str, Any]
-    """What the viewer reads: see `mbds_xsim.report.motion`."""
+    """Data that the viewer reads: see `mbds_xsim.report.motion`."""
     truth: str
-    """What the others are drawn over."""
+    """Name of the motion that the others are drawn over."""
     entries: tuple[tuple[str, Style], ...]
-    """Names and looks of the others."""
+    """Names and styles of the others."""
     contact: tuple[Table, ...] = ()
-    """Of each trajectory, under strips of its contact over time; needs data on contact."""
+    """Table for each trajectory, under strips of its contact over time; needs data on contact."""
     contact_words: tuple[str, str] = ("", "")
-    """Before and after the strips."""
+    """Texts before and after the strips."""
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,7 @@ class Section:
     opened: bool = False
     verdict: Mark = ""
     line: Style | None = None
-    """Look of the curves that it is about."""
+    """Style of the curves that it is about."""
     on: frozenset[Place] = EVERYWHERE
 
 
@@ -194,21 +194,21 @@ Block: TypeAlias = Table | Text | Remarks | FigureGroup | Legend | Motion | Sect
 
 @dataclass(frozen=True)
 class Report:
-    """A result as people read it: its answer first (on a terminal last), then what is behind it."""
+    """Result for people: the answer first (on a terminal last), then the evidence."""
 
     title: str
     what: str
-    """What the title's subject was asked; with a verdict, that in words."""
+    """Addition to the title; with a verdict, the verdict in words."""
     conclusion: str
     blocks: tuple[Block, ...]
     command: str
-    """That makes it again."""
+    """Command that makes the result again."""
     made: str = ""
     """How it was made: time, machine, versions."""
     description: str = ""
     verdict: Mark = ""
     picture: str = ""
-    """Link to a picture of it, for Markdown."""
+    """Link to a picture of the result, for Markdown."""
 
 
 def table_of(
@@ -221,8 +221,8 @@ def table_of(
     grouped: bool = False,
 ) -> Table:
     """Make a table of plain texts and cells, under columns or headings as in `columns_of`."""
-    made = (row if isinstance(row, Row) else row_of(row) for row in rows)
-    return Table(columns_of(*columns), tuple(made), title, note, most, grouped)
+    table_rows = (row if isinstance(row, Row) else row_of(row) for row in rows)
+    return Table(columns_of(*columns), tuple(table_rows), title, note, most, grouped)
 
 
 def row_of(cells: Iterable[Cell | str], mark: Mark = "", reasons: tuple[str, ...] = ()) -> Row:
@@ -231,7 +231,7 @@ def row_of(cells: Iterable[Cell | str], mark: Mark = "", reasons: tuple[str, ...
 
 
 def columns_of(*headings: Column | str) -> tuple[Column, ...]:
-    """Make columns of their headings: of words, or after `>` of figures."""
+    """Make columns from headings: of words, or of figures if the heading begins with `>`."""
     return tuple(
         Column(h.removeprefix(">"), words=not h.startswith(">")) if isinstance(h, str) else h
         for h in headings

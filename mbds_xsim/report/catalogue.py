@@ -1,6 +1,6 @@
-"""What there is: engines with their methods and limits, and scenes with their needs.
+"""Catalogue of engines, with their methods and limits, and of scenes, with their needs.
 
-Of the engines there is a page, `docs/engines.md`, written from their adapters' claims.
+The page `docs/engines.md` is written from it, and thus from the adapters' claims.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.claims import ContactLaw, Feature, Method, features_of
 
-_TIMEOUT = 600.0  # [s] to load a scene
+_TIMEOUT = 600.0  # time to load a scene [s]
 _HEAD = """\
 # Engines
 
@@ -67,7 +67,7 @@ _ASPECTS = {
     "friction": "friction",
     "two bodies' coefficients": "mixing",
 }
-# What makes constraints beside the coordinates of a tree.
+# Features that add constraints to the coordinates of a tree.
 _CONSTRAINED = (
     Feature.LOOP_BALL,
     Feature.LOOP_HINGE,
@@ -84,11 +84,11 @@ class MethodRow(msgspec.Struct, frozen=True):
     family: str
     order: int
     loop_order: int
-    """Order where constraints are solved beside the coordinates."""
+    """Order where constraints are solved in addition to the coordinates."""
     velocity_lag: float
-    """Recorded velocities belong to (frame time + lag · step)."""
+    """Lag of recorded velocities [steps]: they belong to (frame time + lag · step)."""
     refuses: dict[str, str]
-    """What it, unlike the engine, cannot do, with the reason."""
+    """Features that this method lacks, unlike its engine, with the reason."""
     single: bool = False
     """Whether it steps in single precision."""
 
@@ -105,20 +105,20 @@ class EngineRow(msgspec.Struct, frozen=True):
 
     engine: str
     version: str
-    """"not installed" where it is missing; the rest is empty then."""
+    """Version, or "not installed" if the engine is missing; the rest is empty then."""
     fault: str = ""
-    """Why an adapter of another package cannot be used; the rest is empty then, too."""
+    """Reason why an adapter of another package cannot be used; the rest is empty then, too."""
     package: str = ""
     """Distribution that installs it."""
     coordinates: str = ""
     methods: tuple[MethodRow, ...] = ()
     options: dict[str, OptionRow] = {}
     limits: dict[str, str] = {}
-    """What it cannot do, with the reason."""
+    """Features that the engine lacks, with the reason."""
     contact_law: ContactLaw | None = None
-    """What contact is in it."""
+    """Law of contact in the engine; None without contact."""
     smallest: str = ""
-    """Which masses and moments of inertia it holds."""
+    """Smallest masses and moments of inertia that it can hold, in words."""
 
 
 class SceneRow(msgspec.Struct, frozen=True):
@@ -136,7 +136,7 @@ class SceneRow(msgspec.Struct, frozen=True):
 
 
 def engine_rows() -> list[EngineRow]:
-    """List all known engines, and the reference; a missing one has no methods."""
+    """List all known engines and the reference; a missing one has no methods."""
     return [_engine_row(name) for name in registry.simulator_names()]
 
 
@@ -163,15 +163,15 @@ def scene_row(scene: Scene) -> SceneRow:
 
 
 def told_budgets(scene: Scene) -> str:
-    """Say what the error may be, and which budgets are not the usual ones."""
-    usual, own = (msgspec.structs.asdict(each) for each in (Budget(), scene.budget))
+    """Describe the budget of the error, and the budgets that are not the usual ones."""
+    usual, own = (msgspec.structs.asdict(budget) for budget in (Budget(), scene.budget))
     other = ", ".join(f"{key} {value:g}" for key, value in own.items() if value != usual[key])
     error = quantity.length(scene.budget.error_1s * scene.length)
     return f"error at 1 s {error}; {other or 'all as usual'}"
 
 
 def told_term(term: object) -> str:
-    """Say what is drawn of a scene's starts and inputs, without what is zero."""
+    """Describe a term of a scene's random starts and inputs, without values that are zero."""
     fields = {key: getattr(term, key) for key in term.__struct_fields__}  # type: ignore[attr-defined]
     parts = [f"{key}: {_shown(value)}" for key, value in fields.items() if not _nothing(value)]
     kind = term.__struct_config__.tag  # type: ignore[attr-defined]
@@ -179,7 +179,7 @@ def told_term(term: object) -> str:
 
 
 def _nothing(value: object) -> bool:
-    """Whether a value switches nothing on, or a vector or range is zero all over."""
+    """Return whether a value switches nothing on, or a vector or range is zero throughout."""
     return value is False or (isinstance(value, tuple) and not any(v != 0.0 for v in _flat(value)))
 
 
@@ -188,7 +188,7 @@ def _flat(value: object) -> list[object]:
 
 
 def _shown(value: object) -> str:
-    """Give ranges, by interval and by component, in few words."""
+    """Format ranges briefly, by interval and by component."""
     if isinstance(value, Levels):
         return ", ".join(f"{name} {_shown(getattr(value, name))}" for name in INTERVALS)
     if isinstance(value, float):
@@ -205,9 +205,9 @@ def _shown(value: object) -> str:
 
 
 def native_text(scene: Scene, engine: str, settings: Settings, start: int | None = None) -> str:
-    """Give exactly what an engine is given: a file of its own, or a script that simulates it.
+    """Return exactly what an engine is given: a native file, or a script that simulates it.
 
-    It starts as a trajectory of that number does, else as the scene itself says.
+    It starts like the trajectory of that number, or without one as the scene itself says.
 
     Raises:
         InputError: The engine cannot represent the scene, or crashed on it.
@@ -228,7 +228,7 @@ def _native_text(scene: Scene, engine: str, settings: Settings, start: int | Non
 
 
 def by_reason(refusals: dict[str, str]) -> dict[str, list[str]]:
-    """Put features that are refused for one reason together."""
+    """Group features that are refused for the same reason."""
     grouped: dict[str, list[str]] = {}
     for feature, reason in refusals.items():
         grouped.setdefault(reason, []).append(feature)
@@ -272,7 +272,7 @@ def _in_words(refusals: Mapping[Feature, str]) -> dict[str, str]:
 
 
 def engines_page(rows: list[EngineRow]) -> str:
-    """Write the page in Markdown."""
+    """Return the page in Markdown."""
     notes: list[str] = []
     cells = [[_cell(row, feature.value, notes) for row in rows] for feature in Feature]
     features = ([feature.value, *line] for feature, line in zip(Feature, cells, strict=True))
@@ -291,16 +291,16 @@ def engines_page(rows: list[EngineRow]) -> str:
 
 
 def _cell(row: EngineRow, feature: str, notes: list[str]) -> str:
-    """Say whether an engine has a feature, with a note where it has not or not always."""
+    """Return whether an engine has a feature, with a note if not, or not with all methods."""
     if feature in row.limits:
         return f"no{_mark(f'{row.engine}: {row.limits[feature]}.', notes)}"
     refusing = {m.name: m.refuses[feature] for m in row.methods if feature in m.refuses}
     if not refusing:
         return "yes"
-    said = "; ".join(
+    reasons = "; ".join(
         f"not with {_code(names)}: {reason}" for reason, names in by_reason(refusing).items()
     )
-    return f"some{_mark(f'{row.engine}, {said}.', notes)}"
+    return f"some{_mark(f'{row.engine}, {reasons}.', notes)}"
 
 
 def _mark(note: str, notes: list[str]) -> str:
@@ -310,11 +310,11 @@ def _mark(note: str, notes: list[str]) -> str:
 
 
 def _contact(rows: list[EngineRow]) -> str:
-    """Lay out what the engines say of their contacts; an engine without any has no column."""
+    """Lay out the engines' claims about contact; an engine without contact has no column."""
     laws = {row.engine: row.contact_law for row in rows if row.contact_law is not None}
     return _table(
         ["", *laws],
-        ([what, *(getattr(law, key) for law in laws.values())] for what, key in _ASPECTS.items()),
+        ([name, *(getattr(law, key) for law in laws.values())] for name, key in _ASPECTS.items()),
     ).rstrip("\n")
 
 
@@ -328,9 +328,9 @@ def _engine(row: EngineRow) -> str:
         ([f"`{k}`", f"`{o.default}`", o.meaning] for k, o in row.options.items()),
     )
     own = row.package == "mbds-xsim"
-    there = "always there" if own else f"`pip install 'mbds-xsim[{row.engine}]'`"
+    source = "always there" if own else f"`pip install 'mbds-xsim[{row.engine}]'`"
     return (
-        f"### {row.engine}\n\n{row.coordinates.capitalize()} coordinates; {there}.\n\n{methods}"
+        f"### {row.engine}\n\n{row.coordinates.capitalize()} coordinates; {source}.\n\n{methods}"
         + (f"\n{options}" if row.options else "")
     )
 

@@ -1,8 +1,8 @@
-"""A picture of a scene: particles, bodies, joints, springs, where it is held, which way it falls.
+"""Picture of a scene: particles, bodies, joints, springs, fixed points, direction of gravity.
 
 Everything is projected orthographically onto one plane: a scene that lies in a coordinate plane is
-seen straight on, any other from above its front corner. Symbols have the picture's size, positions,
-ellipsoids and contact spheres that of the scene.
+seen straight on, any other from above its front corner. Symbols scale with the picture; positions,
+ellipsoids and contact spheres scale with the scene.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _LABEL = {"fontsize": 8, "color": DRAWN, "zorder": 9}
 
 
 def draw_scene(scene: Scene, path: Path, *, start: int | None = None) -> None:
-    """Draw a scene into a PNG file: where a trajectory starts, else in the reference pose.
+    """Draw a scene into a PNG file, at a trajectory's start, or else in the reference pose.
 
     Raises:
         InputError: The file cannot be written.
@@ -44,7 +44,7 @@ def draw_scene(scene: Scene, path: Path, *, start: int | None = None) -> None:
 
 
 def scene_figure(scene: Scene) -> Figure:
-    """Give the drawing of a scene at its reference pose for a page."""
+    """Return a drawing of a scene in its reference pose for a page."""
     draw, size = _drawing(scene, None)
 
     def on_white(figure: Any) -> None:
@@ -61,7 +61,7 @@ def scene_figure(scene: Scene) -> Figure:
 
 
 def _drawing(scene: Scene, start: int | None) -> tuple[Draw, tuple[float, float]]:
-    """Give what draws a scene on a figure, and the size that fits [in]."""
+    """Return a function that draws a scene on a figure, and the size that fits [in]."""
     picture = _Picture.of(scene, start)
 
     def draw(figure: Any) -> None:
@@ -73,14 +73,14 @@ def _drawing(scene: Scene, start: int | None) -> tuple[Draw, tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class _Picture:
-    """A scene in one pose, with the view and the size of its symbols."""
+    """Scene in one pose, with the view and the size of its symbols."""
 
     mechanism: Mechanism
     bones: Skeleton
     pose: BodyStates
     view: Projection
     points: Array
-    """The skeleton's moving points in W, shape (point, 3)."""
+    """Moving points of the skeleton in W, shape (point, 3)."""
     low: Array
     high: Array
     unit: float
@@ -107,13 +107,13 @@ class _Picture:
         return _Picture(mechanism, bones, pose, view, points, low, high, 0.013 * extent)
 
     def inches(self) -> tuple[float, float]:
-        """Fit the picture, within reason, to the shape of the scene."""
+        """Return a size [in] that fits the shape of the scene, within reason."""
         width, height = self.high - self.low + 16.0 * self.unit
         scale = 6.2 / max(width, height)
         return max(6.0, width * scale), max(4.5, height * scale + 1.0)
 
     def paint(self, axes: Any) -> None:
-        """Draw all of it."""
+        """Draw the whole picture."""
         axes.set_axis_off()
         axes.set_aspect("equal", adjustable="datalim")
         pad = 8.0 * self.unit
@@ -166,7 +166,7 @@ class _Picture:
         axes.fill(*flat.T, color=_FAINT, alpha=0.5, lw=0, zorder=0, label="ground")
 
     def _bodies(self, axes: Any) -> None:
-        """Ellipsoids of bodies given by inertia; thin lines from centres of mass to joints."""
+        """Draw ellipsoids of bodies given by inertia, and lines from centres of mass to joints."""
         from matplotlib.patches import Ellipse
 
         for joint in self.mechanism.joints:
@@ -211,12 +211,12 @@ class _Picture:
             axes.plot(
                 [], [], "o", mfc="none", color=PARTS["contact sphere"], label="contact sphere"
             )
-        held = flat[len(self.points) :]
-        if len(held):
-            axes.plot(*held.T, "^", color=DRAWN, ms=8, zorder=6, label="fixed point", ls="none")
+        fixed = flat[len(self.points) :]
+        if len(fixed):
+            axes.plot(*fixed.T, "^", color=DRAWN, ms=8, zorder=6, label="fixed point", ls="none")
 
     def _spring(self, axes: Any, spring: PointPair) -> None:
-        """A zigzag; a damper alone is a straight dashed line."""
+        """Draw a zigzag, or for a damper alone a straight dashed line."""
         begin, end = self.view.flat(self._ends(spring))
         label = "spring" if spring.damping == 0 else "spring–damper"
         if spring.stiffness == 0:
@@ -232,7 +232,7 @@ class _Picture:
         axes.plot(*line.T, style, color=PARTS["spring"], linewidth=1.3, zorder=5, label=label)
 
     def _joint(self, axes: Any, joint: PlacedJoint) -> None:
-        """Ring for ball and hinge, bar for slider, square for fixed; hinge and slider axes."""
+        """Draw a ring for ball and hinge, a diamond on a bar for slider, a square for fixed."""
         colour = PARTS[joint.kind]
         place = self.view.flat(self._anchor(joint))
         marker = {"fixed": "s", "slider": "D"}.get(joint.kind, "o")
@@ -257,13 +257,13 @@ class _Picture:
         bodies = self.mechanism.scene.bodies
         if not 1 < len(bodies) <= _NAMED_BODIES:
             return
-        done: list[Array] = []
+        placed: list[Array] = []
         for body, place in zip(bodies, self.view.flat(self.pose.position), strict=True):
             close = sum(
                 bool((np.abs(place - other) < [9.0, 3.0] * np.full(2, self.unit)).all())
-                for other in done
+                for other in placed
             )
-            done.append(place)
+            placed.append(place)
             axes.annotate(
                 in_figure(body.name),
                 place,
@@ -283,7 +283,7 @@ class _Picture:
         axes.text(0.96 - share / 2, 0.11, text, ha="center", transform=axes.transAxes)
 
     def _directions(self, axes: Any) -> None:
-        """Axes of W at the lower left and gravity at the upper right, both in fixed size."""
+        """Draw the axes of W at the lower left and gravity at the upper right, in fixed size."""
         self._arrows(axes, (0.09, 0.11), [(v, "xyz"[k], PALE) for k, v in enumerate(np.eye(3))])
         gravity = np.array(self.mechanism.scene.gravity)
         size = float(np.hypot(*gravity[:2])) if gravity[2] == 0 else float(np.linalg.norm(gravity))
@@ -322,13 +322,13 @@ class _Picture:
 
     def _legend(self, axes: Any) -> None:
         handles, labels = axes.get_legend_handles_labels()
-        shown = dict(zip(labels, handles, strict=True))
+        entries = dict(zip(labels, handles, strict=True))
         axes.legend(
-            shown.values(),
-            shown.keys(),
+            entries.values(),
+            entries.keys(),
             loc="lower center",
             bbox_to_anchor=(0.5, 0.0),
-            ncols=min(len(shown), 4),
+            ncols=min(len(entries), 4),
             frameon=False,
             fontsize=8,
         )
@@ -341,7 +341,7 @@ class _Picture:
 
 
 def _round_number(value: float) -> float:
-    """Largest of 1, 2, 5 times a power of ten that is not above a value."""
+    """Return the largest of 1, 2, 5 times a power of ten that is not above a value."""
     power = 10.0 ** math.floor(math.log10(value))
     return power * max(step for step in (1.0, 2.0, 5.0) if step * power <= value * (1 + 1e-9))
 

@@ -1,4 +1,4 @@
-"""The files that a study is asked for: pages, Markdown, CSV, JSON."""
+"""Files that a study can write: pages, Markdown, CSV, JSON."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def write_reports(
     html: Path | None = None,
     markdown: Path | None = None,
 ) -> None:
-    """Write those that are named, each whole or not at all."""
+    """Write the files that are named, each whole or not at all."""
     if html is not None:
         write_whole(html, to_html(reports, title).encode())
     write_if(markdown, lambda: to_markdown(reports).encode())
@@ -50,23 +50,23 @@ def write_if(path: Path | None, content: Callable[[], bytes]) -> None:
 
 
 def link(picture: Path | None, page: Path | None) -> str:
-    """Give the address of a picture from the folder of a page; "" where there is none."""
+    """Return a picture's address relative to a page's folder; "" if either is missing."""
     if picture is None or page is None:
         return ""
-    # Blanks and brackets would end a link of Markdown.
+    # Blanks and brackets would end a Markdown link.
     return quote(os.fsencode(Path(os.path.relpath(picture, page.parent)).as_posix()))
 
 
 def results_json(results: Sequence[msgspec.Struct]) -> bytes:
-    """Write one result as an object, several as a list; NaN and infinities become null."""
-    what = results[0] if len(results) == 1 else results
-    return msgspec.json.format(msgspec.json.encode(what), indent=2)
+    """Encode one result as an object, several as a list; NaN and infinities become null."""
+    content = results[0] if len(results) == 1 else results
+    return msgspec.json.format(msgspec.json.encode(content), indent=2)
 
 
 def rows_csv(rows: Iterable[msgspec.Struct], *more: str) -> bytes:
-    """Give a header and a line a row, of one kind of rows; numbers of a tuple have blanks between.
+    """Return CSV with a header and a line per row, all of one kind.
 
-    `more` names properties that are columns too.
+    `more` names properties that are columns too. Blanks separate the numbers of a tuple.
     """
     listed = list(rows)
     fields = (
@@ -87,7 +87,7 @@ def _csv_cell(value: object) -> object:
 
 
 def to_html(reports: Sequence[Report], title: str) -> str:
-    """Give a page with a chapter a report; the first motion in them can be played."""
+    """Return a page with a chapter per report; the first motion in them can be played."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -119,22 +119,22 @@ def _motions(blocks: Iterable[Block]) -> Iterator[Motion]:
 
 
 def _finalized(value: Any) -> Any:
-    """Drop control characters; text that is HTML already stays so."""
+    """Drop control characters; text that is HTML already stays HTML."""
     return type(value)(printable(value)) if isinstance(value, str) else value
 
 
 def to_markdown(reports: Iterable[Report]) -> str:
-    """Give a chapter a report; what a column means is told where it first stands."""
-    told: set[Column] = set()
-    return "\n".join(_spaced(line for report in reports for line in _chapter(report, told)))
+    """Return Markdown with a chapter per report; columns are explained at their first use."""
+    explained: set[Column] = set()
+    return "\n".join(_spaced(line for report in reports for line in _chapter(report, explained)))
 
 
 def table_lines(headings: Iterable[str], rows: Iterable[Iterable[str]]) -> Iterator[str]:
     """Lay out texts that are Markdown already, row by row as they come.
 
     Args:
-        headings: What stands above the columns; after `>` that of a column of figures.
-        rows: As many texts each.
+        headings: Headings of the columns; `>` in front marks a column of figures.
+        rows: Rows with as many texts each.
     """
     above = list(headings)
     yield _line(heading.removeprefix(">") for heading in above)
@@ -152,7 +152,7 @@ def _line(texts: Iterable[str]) -> str:
 
 
 def _spaced(lines: Iterable[str]) -> Iterator[str]:
-    """Part lists from what stands around them by one blank line."""
+    """Separate lists from the text around them by one blank line."""
     above = ""
     for line in lines:
         if line and above and line.startswith("- ") != above.startswith("- "):
@@ -162,7 +162,7 @@ def _spaced(lines: Iterable[str]) -> Iterator[str]:
         above = line
 
 
-def _chapter(report: Report, told: set[Column]) -> Iterator[str]:
+def _chapter(report: Report, explained: set[Column]) -> Iterator[str]:
     yield from (f"# {in_markdown(report.title)}: {in_markdown(report.what)}", "")
     answer = f"{sentence(report.conclusion)}{sentence(report.description)}".rstrip()
     yield from (in_markdown(answer), "")
@@ -171,16 +171,16 @@ def _chapter(report: Report, told: set[Column]) -> Iterator[str]:
             f"![{in_markdown(report.title)}, {in_markdown(report.what)}]({report.picture})",
             "",
         )
-    yield from _blocks(report.blocks, told, 2)
-    made = f" on {in_markdown(report.made)}" if report.made else ""
-    yield from (f"- Made by {as_code(report.command)}{made}", "")
+    yield from _blocks(report.blocks, explained, 2)
+    origin = f" on {in_markdown(report.made)}" if report.made else ""
+    yield from (f"- Made by {as_code(report.command)}{origin}", "")
 
 
-def _blocks(blocks: Iterable[Block], told: set[Column], level: int) -> Iterator[str]:
+def _blocks(blocks: Iterable[Block], explained: set[Column], level: int) -> Iterator[str]:
     for block in blocks:
         match block:
             case Table():
-                yield from _table(block, told, level)
+                yield from _table(block, explained, level)
             case Text():
                 yield from (in_markdown(sentence(block.text).rstrip()), "")
             case Remarks(lines):
@@ -188,10 +188,10 @@ def _blocks(blocks: Iterable[Block], told: set[Column], level: int) -> Iterator[
             case Section() if "markdown" in block.on:
                 if block.title:
                     yield from (f"{'#' * level} {in_markdown(block.title)}", "")
-                yield from _blocks(block.blocks, told, level + bool(block.title))
+                yield from _blocks(block.blocks, explained, level + bool(block.title))
 
 
-def _table(table: Table, told: set[Column], level: int) -> Iterator[str]:
+def _table(table: Table, explained: set[Column], level: int) -> Iterator[str]:
     if table.title:
         yield from (f"{'#' * level} {in_markdown(table.title)}", "")
     if table.note:
@@ -205,8 +205,8 @@ def _table(table: Table, told: set[Column], level: int) -> Iterator[str]:
     for cells, reason in reasons:
         yield f"- {in_markdown(' '.join(cell.text for cell in cells[:2]))}: {in_markdown(reason)}"
     for column in table.columns:
-        if column.meaning and column not in told:
-            told.add(column)
+        if column.meaning and column not in explained:
+            explained.add(column)
             yield f"- {in_markdown(column.heading.strip())}: {in_markdown(column.meaning)}"
     if any(cell.mark == "over" for row in table.rows for cell in row.cells):
         yield "- Bold: over budget"

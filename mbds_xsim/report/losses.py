@@ -1,4 +1,4 @@
-"""The report on an imported model: what of its file is kept, approximated or dropped."""
+"""Report on an imported model: the parts of its file that are kept, approximated or dropped."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _MOST = 3  # places that a table names
 
 
 def import_row(imported: Imported) -> dict[str, Any]:
-    """Summarise an import; approximated and dropped are counted where they bear on the motion."""
+    """Summarise an import; only approximations and drops that affect the motion are counted."""
     mechanism = Mechanism.of(imported.scene)
     return {
         "file": imported.file,
@@ -48,7 +48,7 @@ def import_row(imported: Imported) -> dict[str, Any]:
 
 
 def present(imported: Imported, command: str) -> Report:
-    """Say what became of a model."""
+    """Return the report on an imported model."""
     row = import_row(imported)
     size = (
         f"{counted(row['bodies'], 'body')}, {row['mass_kg']:g} kg, "
@@ -65,21 +65,21 @@ def present(imported: Imported, command: str) -> Report:
 
 
 def _drawn(scene: Scene) -> Section:
-    """Show the model as it stands; bodies are ellipsoids of their inertia."""
+    """Draw the model in its reference pose; bodies are ellipsoids of their inertia."""
     figures = FigureGroup((scene_figure(scene),))
     return Section("The model at its reference pose", (figures,), on=frozenset({"page"}))
 
 
 def conclusion(imported: Imported) -> str:
-    """Say in a clause how much of what bears on the motion is lost."""
-    dropped, approximated = (imported.count(what) for what in ("dropped", "approximated"))
+    """Summarise in a clause how much of what affects the motion is lost."""
+    dropped, approximated = (imported.count(outcome) for outcome in ("dropped", "approximated"))
     if not dropped and not approximated:
         return "all that bears on the motion is kept"
     return f"{dropped} of what bears on the motion dropped, {approximated} approximated"
 
 
 def loss_blocks(imported: Imported | Written) -> Iterator[Block]:
-    """Give a table of what is lost of the motion; on pages also what is not."""
+    """Yield a table of losses that affect the motion; in Markdown and pages also the rest."""
     lost = [fate for fate in imported.fates if fate.moves and fate.outcome != "kept"]
     kept = [fate for fate in imported.fates if fate.moves and fate.outcome == "kept"]
     others = [fate for fate in imported.fates if not fate.moves]
@@ -91,10 +91,10 @@ def loss_blocks(imported: Imported | Written) -> Iterator[Block]:
 
 
 def loss_section(imported: Imported) -> Section:
-    """Say on a page about a model's motion what of it was lost on import."""
-    told = Text(f"{imported.file}, read by {imported.reader}: {conclusion(imported)}.")
+    """Return a section on the losses of import, for a page about the model's motion."""
+    summary = Text(f"{imported.file}, read by {imported.reader}: {conclusion(imported)}.")
     title = "What of the model is simulated"
-    return Section(title, (told, *loss_blocks(imported)), on=_WRITTEN)
+    return Section(title, (summary, *loss_blocks(imported)), on=_WRITTEN)
 
 
 def _table(fates: list[Fate], title: str) -> Table:

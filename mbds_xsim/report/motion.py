@@ -1,8 +1,8 @@
-"""What is drawn of a moving scene: points and lines, from where; motions packed for the viewer.
+"""Drawing of a moving scene: points, lines and view, and motions packed for the viewer.
 
-All motions share one *base* (the reference, or the first engine where there is none), in 16 bits
-over its box. Each engine is its deviation from the base, in 16 bits on a cubic scale: a deviation
-of a micrometre keeps two digits beside one of a metre, so that the viewer can magnify it.
+All motions share one *base* (the reference, or the first engine without one), in 16 bits over its
+bounding box. Each engine is its deviation from the base, in 16 bits on a cubic scale: a deviation
+of a micrometre keeps two digits next to one of a metre, so that the viewer can magnify it.
 """
 
 from __future__ import annotations
@@ -30,26 +30,26 @@ Edge = tuple[int, int]
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
-    """Points numbered moving first, then fixed."""
+    """Points and lines to draw; moving points are numbered first, then fixed ones."""
 
     mechanism: Mechanism
     body: Index
     """Body of each moving point, shape (point,)."""
     offset: Array
-    """In the native frame of its body [m], shape (point, 3)."""
+    """Offset of each point in the native frame of its body [m], shape (point, 3)."""
     radius: Array
     """True radius of a contact sphere, 0 for a dot, −1 for a bare end of a line [m]; (point,)."""
     fixed: Array
-    """In W [m], shape (fixed point, 3)."""
+    """Fixed points in W [m], shape (fixed point, 3)."""
     edges: tuple[Edge, ...]
 
     def positions(self, motion: Trajectory) -> Array:
-        """Moving points in W [m], shape (trajectory, frame, point, 3)."""
+        """Return the moving points in W [m], shape (trajectory, frame, point, 3)."""
         return BodyStates.of(self.mechanism, motion).points(self.body, self.offset)
 
 
 def skeleton(scene: Scene) -> Skeleton:
-    """Take particles, anchors and edges as the scene gives them.
+    """Make a skeleton of a scene's particles, anchors and edges.
 
     A body without particles shows its centre of mass. A scene without edges gets lines from the
     centres of its bodies to their joints, and along its distance links and springs.
@@ -77,7 +77,7 @@ def skeleton(scene: Scene) -> Skeleton:
 
 
 class _Drawing:
-    """A skeleton while it is put together, its points in the order they came."""
+    """Skeleton under construction, with its points in the order of their addition."""
 
     def __init__(self) -> None:
         self.body: list[int] = []
@@ -123,7 +123,7 @@ def _mechanical_edges(mechanism: Mechanism, drawing: _Drawing, centres: dict[int
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """Where one looks from: rows are right, up and towards the viewer."""
+    """View direction: the rows of `axes` point right, up and towards the viewer."""
 
     axes: Array
 
@@ -155,12 +155,12 @@ class Projection:
         return points @ self.axes[:2].T
 
     def depth(self, points: Array) -> Array:
-        """Nearness to the viewer."""
+        """Return how near points or directions (…, 3) are to the viewer."""
         return points @ self.axes[2]
 
 
 def pose_of(mechanism: Mechanism, start: int | None) -> BodyStates:
-    """Pose of the reference, or of the start of a trajectory; in a picture nothing moves."""
+    """Return the reference pose, at rest, or the start of a trajectory."""
     if start is not None:
         return BodyStates.of(mechanism, draw_batch(mechanism.scene, [start]))[0]
     still = np.zeros_like(mechanism.com)
@@ -169,9 +169,9 @@ def pose_of(mechanism: Mechanism, start: int | None) -> BodyStates:
 
 
 def outline(mechanism: Mechanism, pose: BodyStates, view: Projection, body: int) -> Array:
-    """Outline of the homogeneous ellipsoid with a body's mass and inertia: pᵀ M⁻¹ p = 1, (2, 2).
+    """Return M of the outline pᵀ M⁻¹ p = 1 of the ellipsoid with a body's mass and inertia, (2, 2).
 
-    Its semi-axes a, b, c obey I₁ = m (b² + c²) / 5 and so on.
+    The ellipsoid is homogeneous: its semi-axes a, b, c obey I₁ = m (b² + c²) / 5 and so on.
     """
     turn = view.axes @ rotation.matrix(pose.native[body])
     tensor = mechanism.inertia[body]
@@ -180,7 +180,7 @@ def outline(mechanism: Mechanism, pose: BodyStates, view: Projection, body: int)
 
 
 _REACH = 4.0
-"""A point further from the common motion than this many times its extent has left the view."""
+"""Distance from the common motion at which a point is out of view, over that motion's extent."""
 
 
 def packed(
@@ -189,14 +189,14 @@ def packed(
     length: float,
     step: float,
 ) -> dict[str, Any]:
-    """Pack motions as what they deviate from a common one by, which is packed over its box.
+    """Pack motions as deviations from a common motion, which is packed over its bounding box.
 
     Args:
-        motions: Name, look (None: it is the common one), points [m], shape (trajectory, frame,
+        motions: Name, style (None for the common motion), points [m], shape (trajectory, frame,
             point, 3), NaN from where it ends, and RMS error [m], shape (trajectory, frame), if any.
-        base: The common motion, of the same shape.
-        length: Of the scene [m], where nothing moves as far.
-        step: Between frames [s].
+        base: Common motion, of the same shape.
+        length: Length of the scene [m], used if the motion's extent is smaller.
+        step: Time between frames [s].
     """
     low, high = base.min(axis=(0, 1, 2)), base.max(axis=(0, 1, 2))
     reach = _REACH * max(float(np.linalg.norm(high - low)), length)
@@ -217,8 +217,8 @@ def packed(
 
 def _entry(name: str, style: Style | None, deviation: Array, reach: float) -> dict[str, Any]:
     with np.errstate(invalid="ignore"):
-        seen = (np.abs(deviation) <= reach).all(axis=(-1, -2))
-    shown = np.logical_and.accumulate(seen, axis=1)
+        visible = (np.abs(deviation) <= reach).all(axis=(-1, -2))
+    shown = np.logical_and.accumulate(visible, axis=1)
     scaled = np.cbrt(np.where(shown[..., None, None], deviation, 0.0) / reach)
     return {
         "name": name,
@@ -230,10 +230,10 @@ def _entry(name: str, style: Style | None, deviation: Array, reach: float) -> di
 
 
 def encoded(values: Array, kind: str) -> str:
-    """Give numbers as base64, rounded where the kind is one of integers."""
+    """Encode numbers as base64, rounded if the kind is one of integers."""
     return in_base64((values if kind.endswith("f4") else np.rint(values)).astype(kind))
 
 
 def in_base64(values: NDArray[Any]) -> str:
-    """Give the bytes of numbers as they are."""
+    """Encode the bytes of numbers, unchanged, as base64."""
     return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode()

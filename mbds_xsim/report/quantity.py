@@ -1,4 +1,4 @@
-"""Quantities as people read them: two digits, a unit that suits the size."""
+"""Quantities in readable form: two digits, and a unit that suits the size."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import math
 from mbds_xsim.base.text import apart
 
 NONE = "–"
-"""Shown where there is no figure."""
+"""Text for a missing figure."""
 
 _PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 _SMALLEST = 0.1
 _PLAIN = ("", "1")
 _ROUNDED = 15
-"""Digits from which on the division by a prefix can make two numbers one."""
+"""Number of digits above which division by a prefix can make two numbers equal."""
 
 
 def length(metres: float | None) -> str:
@@ -32,7 +32,7 @@ def pace(step: float, rtol: float | None) -> str:
 
 
 def beside(figure: float | None, budget: float | None, unit: str) -> tuple[str, str]:
-    """Write a figure and its budget, with more digits where it would read as kept but is not."""
+    """Write a figure and its budget, with more digits if a broken budget would read as kept."""
     if figure is None or budget is None:
         return with_unit(figure, unit), with_unit(budget, unit)
     return apart(figure, budget, lambda value, digits: with_unit(value, unit, digits), 2)
@@ -50,7 +50,7 @@ def number(value: float | None, digits: int = 2) -> str:
 
 
 def with_unit(value: float | None, unit: str, digits: int = 2) -> str:
-    """Write a value with a prefix before its unit where that is m or s, else as a number."""
+    """Write a value with a prefix before its unit if that is m or s, else as a number."""
     if value is None or not math.isfinite(value) or value == 0 or unit not in ("m", "s"):
         text = number(value, digits)
         return text if text == NONE or unit in _PLAIN else f"{text} {unit}"
@@ -66,7 +66,7 @@ def with_unit(value: float | None, unit: str, digits: int = 2) -> str:
 
 
 def _two_digits(value: float) -> str:
-    """Two digits or all before the point: `1.2`, `12`, `123`, from 10 000 on `1e+04`."""
+    """Write two digits, or all before the point: `1.2`, `12`, `123`, from 10 000 on `1e+04`."""
     if abs(value) >= 1e4:
         return f"{value:.0e}"
     return f"{value:.1f}" if abs(value) < 9.95 else f"{value:.0f}"

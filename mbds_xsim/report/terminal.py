@@ -1,4 +1,4 @@
-"""Where people read: reports in a terminal, and the progress of long work."""
+"""Reports in a terminal, and the progress of long work."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ from mbds_xsim.report.blocks import (
 )
 
 _PIPED = 160
-"""Columns where nobody says how many there are."""
+"""Number of columns if the width is unknown."""
 _WIDE = 104
-"""Columns of a terminal from which on whole tables fit."""
+"""Least width of a terminal that fits whole tables [columns]."""
 _LEAST = 80
-"""Columns that a table takes at least: no figure is cut where a narrow terminal folds lines."""
+"""Least width of a table [columns]: a narrower terminal folds lines, and no figure is cut."""
 _SHORT = 32
 """Longest text of a column that is never folded."""
 SIGNS = {"pass": "✓", "warn": "!", "fail": "✗", "over": "✗"}
@@ -56,7 +56,7 @@ _STYLES = {
 class Outlet(Console):
     """Standard output or error: text is data, and colour is used where it means something.
 
-    A reader that hangs up ends the telling, not the work.
+    If the reader hangs up, the output ends, not the work.
     """
 
     def __init__(self, *, stderr: bool) -> None:
@@ -67,7 +67,7 @@ class Outlet(Console):
     def render(
         self, renderable: RenderableType, options: ConsoleOptions | None = None
     ) -> Iterator[Segment]:
-        """Render, without what text in it would make a terminal do."""
+        """Render text without its control characters."""
         for text, style, control in super().render(renderable, options):
             yield Segment(text if control else printable(text), style, control)
 
@@ -79,10 +79,10 @@ class Outlet(Console):
 
 
 def print_report(report: Report, console: Console) -> None:
-    """Print a report, its conclusion last: there it is read."""
+    """Print a report, with its conclusion last, where it is read."""
     console.print()
-    asked = "" if report.verdict else f": {report.what}"
-    title = Words(f"{report.title}{asked}", style="bold")
+    subtitle = "" if report.verdict else f": {report.what}"
+    title = Words(f"{report.title}{subtitle}", style="bold")
     title.append(f"  {report.description}" if report.description else "", style="dim not bold")
     console.print(title, highlight=False)
     print_blocks(report.blocks, console)
@@ -100,7 +100,7 @@ def print_report(report: Report, console: Console) -> None:
 
 
 def print_blocks(blocks: Iterable[Block], console: Console) -> None:
-    """Print those blocks that a terminal can show."""
+    """Print the blocks that a terminal can show."""
     for block in blocks:
         match block:
             case Table():
@@ -119,17 +119,17 @@ def print_blocks(blocks: Iterable[Block], console: Console) -> None:
 
 def _print_table(table: Table, console: Console) -> None:
     wide = console.width >= _WIDE
-    shown = [k for k, column in enumerate(table.columns) if wide or column.narrow]
+    columns = [k for k, column in enumerate(table.columns) if wide or column.narrow]
     grid = Grid(
         title=table.title or None, title_justify="left", title_style="",
         box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, header_style="bold",
     )  # fmt: skip
-    for k in shown:
+    for k in columns:
         longest = max((len(row.cells[k].text) for row in table.rows), default=0)
         _add_column(grid, table.columns[k], whole=longest <= _SHORT)
     above = ""
     for row in table.rows[: table.most]:
-        cells = [_words(row.cells[k]) for k in shown]
+        cells = [_words(row.cells[k]) for k in columns]
         if table.grouped and row.cells[0].text == above:
             cells[0] = Words("")
         above = row.cells[0].text
@@ -161,7 +161,7 @@ def _words(cell: Cell) -> Words:
 
 
 def _reason(cells: tuple[Cell, ...], mark: str, reasons: tuple[str, ...]) -> Grid:
-    """First reason behind a hanging indent, and how many more there are."""
+    """Lay out the first reason with a hanging indent, and the number of further reasons."""
     first, *rest = reasons
     name = " ".join(cell.text for cell in cells[:2])
     more = f" (and {len(rest)} more)" if rest else ""
@@ -183,14 +183,14 @@ def _hanging(sign: Words, text: Words) -> Grid:
     return line
 
 
-def _left_out(count: int, most: int | None, what: str, console: Console) -> None:
+def _left_out(count: int, most: int | None, noun: str, console: Console) -> None:
     if most is not None and count > most:
-        told = f"{count - most} more {what}, in the page, Markdown or JSON"
-        console.print(_remark(Remark("and", told)))
+        text = f"{count - most} more {noun}, in the page, Markdown or JSON"
+        console.print(_remark(Remark("and", text)))
 
 
-_EVERY = 60.0  # off a terminal [s]
-_SPEED_OVER = 600.0  # work comes in bursts; rate and time left look back over so long [s]
+_EVERY = 60.0  # between lines of a log [s]
+_SPEED_OVER = 600.0  # work comes in bursts; rate and time left are averages over this time [s]
 
 
 _PARTS: dict[str, Callable[[], ProgressColumn]] = {
@@ -202,13 +202,13 @@ _PARTS: dict[str, Callable[[], ProgressColumn]] = {
 
 
 class Bar:
-    """One line on a terminal, gone when the work is done; elsewhere lines on standard error.
+    """Progress in one line on a terminal, gone at the end; elsewhere lines on standard error.
 
     Args:
-        console: Where it is shown.
-        parts: From left to right: `bar`, `count`, `elapsed`, `remaining`, or a text with fields, as
-            `{rate}`; `{what}` is what is being done.
-        fields: First values of the fields.
+        console: Console to show it on.
+        parts: Columns, left to right: `bar`, `count`, `elapsed`, `remaining`, or a text with
+            fields, such as `{rate}`; `{what}` is the current work.
+        fields: Initial values of the fields.
     """
 
     def __init__(self, console: Console, *parts: str, what: str = "", **fields: Any) -> None:
@@ -235,21 +235,21 @@ class Bar:
         self._progress.stop()
 
     def notice(self, line: str) -> None:
-        """Say what is to stay and be read: above the bar, or on standard error."""
+        """Print a line that stays: above the bar, or on standard error."""
         if self._on_terminal:
             self._progress.console.print(Words(line))
         else:
             _log(line)
 
-    def doing(self, what: str) -> None:
-        """Say what is being done now."""
-        self._show(description=what)
+    def doing(self, work: str) -> None:
+        """Show the current work."""
+        self._show(description=work)
 
     def forecast(self, left_s: float) -> None:
-        """Pass over what the bar tells itself by what it counts."""
+        """Ignore a forecast: the bar estimates the time left from its count."""
 
     def _write_log(self) -> None:
-        """Show in a log that work goes on, and how far it is."""
+        """Log from time to time that work goes on, and how far it is."""
         while not self._ended.wait(_EVERY):
             (task,) = self._progress.tasks
             parts = (part for part in self._parts if not isinstance(part, BarColumn))
@@ -257,35 +257,35 @@ class Bar:
             _log(" ".join(words))
 
     def _spent(self) -> float:
-        """Time since the beginning [s]."""
+        """Return the time since the beginning [s]."""
         return time.monotonic() - self._begin
 
     def _rate(self, count: int) -> str:
         return f"{count / max(self._spent(), 1e-9):.3g}"
 
-    def _show(self, **what: Any) -> None:
-        self._progress.update(self._task, **what)
+    def _show(self, **fields: Any) -> None:
+        self._progress.update(self._task, **fields)
 
 
 class ProgressBar(Bar):
-    """Shows how many of the tasks are done, and what was done last."""
+    """Progress as the number of finished tasks, and the name of the last one."""
 
     def __init__(self, console: Console) -> None:
         super().__init__(
             console, "{what:<28}", "bar", "count", "elapsed", "left", "remaining", what="starting"
         )
 
-    def begin(self, total: int, what: str = "running") -> None:
-        """Say how many tasks there are, and what is done."""
-        self._show(total=total, completed=0, description=what)
+    def begin(self, total: int, work: str = "running") -> None:
+        """Set the number of tasks, and name the work."""
+        self._show(total=total, completed=0, description=work)
 
-    def advance(self, what: str) -> None:
+    def advance(self, work: str) -> None:
         """Count one task as done."""
-        self._show(advance=1, description=what)
+        self._show(advance=1, description=work)
 
 
 class StudyBar(Bar):
-    """Takes forecasts of the work left, and counts them down by the clock."""
+    """Progress by forecasts of the work left, counted down by the clock."""
 
     def __init__(self, console: Console, workers: int, subject: str) -> None:
         self._workers, self._points = workers, 0
@@ -294,22 +294,22 @@ class StudyBar(Bar):
         super().__init__(console, *parts, what=first, points=0, time_left="")
 
     def begin(self, total: int) -> None:
-        """Pass over how many tasks there are: points are counted."""
+        """Ignore the number of tasks: points are counted."""
 
     def forecast(self, left_s: float) -> None:
-        """Say how much work is left [s of one worker]."""
-        spent, left = self._spent(), left_s / self._workers
-        words = f"{left:.0f} s left" if left < 90 else f"{left / 60:.0f} min left"
-        self._show(completed=spent, total=spent + left, time_left=words)
+        """Set the work left [s of one worker]."""
+        spent, remaining = self._spent(), left_s / self._workers
+        words = f"{remaining:.0f} s left" if remaining < 90 else f"{remaining / 60:.0f} min left"
+        self._show(completed=spent, total=spent + remaining, time_left=words)
 
-    def advance(self, what: str) -> None:
+    def advance(self, work: str) -> None:
         """Count one point as measured."""
         self._points += 1
-        self._show(description=what, points=self._points, completed=self._spent())
+        self._show(description=work, points=self._points, completed=self._spent())
 
 
 class GeneratingBar(Bar):
-    """Shows trajectories made, rate, time left, and rejected ones."""
+    """Progress of data: trajectories made, rate, time left, and rejected trajectories."""
 
     def __init__(self, console: Console) -> None:
         self._made, self._rejected = 0, 0
@@ -317,16 +317,16 @@ class GeneratingBar(Bar):
         super().__init__(console, *parts, rate="", rejected=0)
 
     def begin(self, total: int, done: int = 0) -> None:
-        """Say how many trajectories there are, and how many an earlier run has made."""
+        """Set the number of trajectories, and how many of them an earlier run has made."""
         self._show(total=total, completed=done)
 
-    def advance(self, what: str) -> None:
-        """Count what is found before any trajectory is made."""
-        del what
+    def advance(self, work: str) -> None:
+        """Count a task that precedes the trajectories, such as a search for settings."""
+        del work
         self.made(1, 0)
 
     def made(self, done: int, rejected: int) -> None:
-        """Count trajectories that were made since, and how many of them were rejected."""
+        """Count newly made trajectories, and how many of them were rejected."""
         self._made += done
         self._rejected += rejected
         rate = f"{self._rate(self._made)}/s"
@@ -334,7 +334,7 @@ class GeneratingBar(Bar):
 
 
 class TrainingBar(Bar):
-    """Shows steps, runs done, steps a second, time left, and the last validation."""
+    """Progress of training: steps, finished runs, steps per second, time left, last validation."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -345,13 +345,13 @@ class TrainingBar(Bar):
         super().__init__(console, *parts, runs="", rate="", last="")
 
     def begin(self, done: int, most_steps: Sequence[int]) -> None:
-        """Say how many runs are done, and the most steps of each that is not."""
+        """Set the number of finished runs, and the most steps of each other run."""
         self._runs, self._done = done + len(most_steps), done
         self._begin = time.monotonic()
         self._show(total=sum(most_steps), runs=self._count())
 
     def reached(self, name: str, step: int, error: float, *, before: bool) -> None:
-        """Tell how far a run is; steps of an earlier process are no speed of this one."""
+        """Report how far a run is; steps of an earlier process do not count for the speed."""
         with self._lock:
             new = step - self._steps.get(name, 0)
             self._steps[name] = step
@@ -360,12 +360,12 @@ class TrainingBar(Bar):
             self._show(advance=new, rate=f"{self._rate(self._taken)} steps/s", last=last)
 
     def ended(self, name: str, most_steps: int, how: str) -> None:
-        """Tell of a run that is over, whose other steps need not be taken."""
+        """Report that a run is over, so that its other steps need not be taken."""
         with self._lock:
             self._done += 1
-            left = most_steps - self._steps.get(name, 0)
+            remaining = most_steps - self._steps.get(name, 0)
             self._steps[name] = most_steps
-            self._show(advance=left, runs=self._count())
+            self._show(advance=remaining, runs=self._count())
         self._console.print(f"{name}: {how}", highlight=False, soft_wrap=True)
         self._console.file.flush()  # a log of days is read while it grows
 
@@ -374,7 +374,7 @@ class TrainingBar(Bar):
 
 
 def _text(form: str) -> ProgressColumn:
-    """Fill a text's fields from those of the task."""
+    """Make a column that fills a text's fields with those of the task."""
     described = form.replace("{what", "{task.description")
     return TextColumn(re.sub(r"\{(\w+)\}", r"{task.fields[\1]}", described), markup=False)
 

@@ -1,7 +1,7 @@
 """Figures: colours and markers with one meaning everywhere, in the themes of pages and of files.
 
-Engines have Okabe and Ito's colours, which colour-blind people tell apart. No engine, model,
-interval, part of a scene or outcome of a run looks like one of another kind.
+Most colours of engines are Okabe and Ito's, which colour-blind people can tell apart. No engine,
+model, interval, part of a scene or outcome of a run looks like one of another kind.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ MODELS = {"gns": "#7a4fb5", "hgnn": "#a8123e", "lgnn": "#8c6d1f", "sgnn": "#5c8a
 _OTHER = "#6b6b6b"
 
 LIGHT = (*ENGINES, *MODELS.values(), _OTHER)
-"""Of what pages show."""
+"""Palette for a light background: engines, models, and any other model."""
 DARK = (
     "#2fc79c", "#ff66ee", "#e8a0c8", "#56a8ec", "#9494ff", "#ff8c42", "#f2bb3f", "#9ad8fa",
     "#b795f2", "#ff7394", "#cfae5c", "#a5cf52", "#a9a9a9",
 )  # fmt: skip
-"""The same, lighter, for a dark background."""
+"""The same palette, lighter, for a dark background."""
 
 INTERVALS = ("#6fc7cf", "#008c9e", "#00565f")
-"""Low, medium and high."""
+"""Colours of the intervals low, medium and high."""
 
 PARTS = {
     "hinge": "#2b3f8c",
@@ -48,7 +48,7 @@ PARTS = {
     "distance link": "#b59a00",
     "contact sphere": "#9a7fd6",
 }
-"""What a drawing of a scene shows beside its bodies."""
+"""Colours of the parts of a scene's drawing other than bodies."""
 
 METHODS = {
     "Euler": "o",
@@ -64,43 +64,43 @@ METHODS = {
     "adaptive": "d",
     "runge_kutta5": "8",
 }
-"""Markers of methods: filled forms, which nothing else has."""
+"""Markers of methods: filled shapes, used for nothing else."""
 _ANOTHER_MARKER = "h"
 
 
 @dataclass(frozen=True)
 class Style:
-    """How a result is drawn."""
+    """Style in which a result is drawn."""
 
     colour: int
-    """Place in the palettes `LIGHT` and `DARK`."""
+    """Index into the palettes `LIGHT` and `DARK`."""
     dashed: bool
-    """Native settings are dashed, beside the same engine's matched ones."""
+    """Whether lines are dashed: native settings, next to the same engine's matched ones."""
     letter: str = ""
-    """On curves, for those who do not see colours."""
+    """Letter on curves, for those who do not see colours."""
 
 
 def engine_style(engine: str, others: Iterable[str] = (), *, dashed: bool = False) -> Style:
-    """Give an engine its colour: registered ones in their order, then the others."""
-    known = list(dict.fromkeys([*registry.simulator_names(), *others, engine]))
+    """Return an engine's style: colours go to registered engines in order, then to the others."""
+    names = list(dict.fromkeys([*registry.simulator_names(), *others, engine]))
     initials = "".join(word[:1] for word in engine.split("-")).upper()
-    return Style(known.index(engine) % len(ENGINES), dashed, initials)
+    return Style(names.index(engine) % len(ENGINES), dashed, initials)
 
 
 def model_style(model: str, *, dashed: bool = False) -> Style:
-    """Give a learned model its colour, and a variant of it with a plus the same."""
-    known, kin = list(MODELS), model.removesuffix("+")
-    place = known.index(kin) if kin in MODELS else len(MODELS)
+    """Return a learned model's style; a variant with a plus has the same."""
+    names, kin = list(MODELS), model.removesuffix("+")
+    place = names.index(kin) if kin in MODELS else len(MODELS)
     return Style(len(ENGINES) + place, dashed, model[:1].upper())
 
 
 def model_colour(model: str) -> str:
-    """Give a learned model its colour on white."""
+    """Return a learned model's colour on white."""
     return LIGHT[model_style(model).colour]
 
 
 def marker_of(method: str) -> str:
-    """Give a method its marker; one that is not known gets the same one every time."""
+    """Return a method's marker; unknown methods share one."""
     return METHODS.get(method, _ANOTHER_MARKER)
 
 
@@ -108,18 +108,18 @@ SOURCE = "Source"
 """Key of the checksum in a PNG."""
 
 INK = "#010203"
-"""Becomes the colour of the page's text."""
+"""Stand-in for the colour of the page's text."""
 PAPER = "#fefdfc"
-"""Becomes the colour of the page's ground."""
+"""Stand-in for the colour of the page's background."""
 GREY = "#7f7f7f"
 DRAWN, PALE = "#1c2733", "#8a949e"
-"""Lines of pictures of scenes and of their motions."""
+"""Colours of lines in pictures of scenes and of their motions."""
 
 DOTTED: dict[str, Any] = {"color": INK, "linewidth": 0.9, "linestyle": (0, (1, 2))}
-"""Line of what is asked or allowed, on every chart."""
+"""Line style of targets and limits, on every chart."""
 
 _COLOURS = 256
-_EXACT = 128  # lines, areas and text as they are; the others are of edges that fade out
+_EXACT = 128  # colours kept exactly: lines, areas and text; the others are of edges that fade out
 _STYLE = {
     "svg.fonttype": "none",
     "font.size": 9,
@@ -142,15 +142,15 @@ Draw = Callable[[Any], None]
 Layout = Literal["constrained"] | None
 
 
-def picture(draw: Draw, size: tuple[float, float], layout: Layout, **how: Any) -> bytes:
-    """Draw into a PNG of all colours on white, without the style of pages; sizes are in inches."""
+def picture(draw: Draw, size: tuple[float, float], layout: Layout, **options: Any) -> bytes:
+    """Draw into a full-colour PNG on white, without the style of pages; sizes are in inches."""
     from matplotlib.figure import Figure
 
     stream = io.BytesIO()
     with _styled(ON_WHITE):
         figure = Figure(figsize=size, layout=layout)
         draw(figure)
-        figure.savefig(stream, format="png", dpi=150, metadata={"Software": None}, **how)
+        figure.savefig(stream, format="png", dpi=150, metadata={"Software": None}, **options)
     return stream.getvalue()
 
 
@@ -158,11 +158,11 @@ def svg(title: str, draw: Draw, size: tuple[float, float], tips: dict[str, str])
     """Draw into an SVG that goes straight into a page.
 
     Args:
-        title: For those who do not see it.
-        draw: Draws on the figure it is given.
+        title: Description for those who do not see it.
+        draw: Function that draws on the figure it is given.
         size: Width and height [in].
-        tips: By gid of an artist, what it tells when pointed at. A gid's part before the last
-            dash is the artist's class.
+        tips: Tool tips by the gid of an artist. A gid's part before the last dash is the
+            artist's class.
     """
     stream = io.StringIO()
     _saved(draw, size, stream, format="svg", transparent=True, metadata={"Date": None})
@@ -172,23 +172,23 @@ def svg(title: str, draw: Draw, size: tuple[float, float], tips: dict[str, str])
 def png(draw: Draw, size: tuple[float, float], stored: bytes = b"") -> bytes:
     """Draw into a PNG of 256 colours on white, of a size [in].
 
-    `stored` is the file that keeps what is drawn; its checksum goes into the PNG.
+    `stored` is the file that keeps the drawn data; its checksum goes into the PNG.
     """
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo
 
-    drawn, stream = io.BytesIO(), io.BytesIO()
-    _saved(draw, size, drawn, format="png", dpi=150, facecolor="white")
-    picture = few_colours(Image.open(drawn).convert("RGB"))
-    told = PngInfo()
+    raw, stream = io.BytesIO(), io.BytesIO()
+    _saved(draw, size, raw, format="png", dpi=150, facecolor="white")
+    picture = few_colours(Image.open(raw).convert("RGB"))
+    metadata = PngInfo()
     if stored:
-        told.add_text(SOURCE, checksum(stored))
-    picture.save(stream, format="png", optimize=True, pnginfo=told)
+        metadata.add_text(SOURCE, checksum(stored))
+    picture.save(stream, format="png", optimize=True, pnginfo=metadata)
     return stream.getvalue()
 
 
 def stacked(parts: Sequence[tuple[Draw, tuple[float, float]]], stored: bytes = b"") -> bytes:
-    """Draw parts one below the other, each with its size [in], into a PNG as of `png`."""
+    """Draw parts one below the other, each with its size [in], into a PNG as `png` does."""
     draws, sizes = zip(*parts, strict=True)
     widths, heights = zip(*sizes, strict=True)
 
@@ -201,15 +201,15 @@ def stacked(parts: Sequence[tuple[Draw, tuple[float, float]]], stored: bytes = b
 
 
 def checksum(stored: bytes) -> str:
-    """Give what a picture says of the file that keeps what it shows."""
+    """Return the checksum by which a picture names the file of its data."""
     return f"sha256 {hashlib.sha256(stored.strip()).hexdigest()}"
 
 
 def few_colours(picture: Image) -> Image:
-    """Give a picture 256 colours: those of most pixels, then time and again the farthest one left.
+    """Reduce a picture to 256 colours: the most frequent, then repeatedly the farthest one left.
 
-    Median cut, the usual way, goes by numbers of pixels alone: two small markers of different
-    colours can get one between them. From mode RGB to mode P.
+    The usual median cut goes by numbers of pixels alone: two small markers of different colours
+    can get one between them. The picture goes from mode RGB to mode P.
     """
     from PIL.Image import fromarray
 
@@ -225,13 +225,13 @@ def few_colours(picture: Image) -> Image:
         distance = ((colours - colours[chosen[number]]) ** 2).sum(axis=1)
         closer = distance < off
         nearest[closer], off[closer] = number, distance[closer]
-    found = fromarray(nearest[place].reshape(picture.height, picture.width), "P")
-    found.putpalette(colours[chosen].astype(np.uint8).tobytes())
-    return found
+    image = fromarray(nearest[place].reshape(picture.height, picture.width), "P")
+    image.putpalette(colours[chosen].astype(np.uint8).tobytes())
+    return image
 
 
 def level(axes: Any, value: float, text: str) -> None:
-    """Draw across a chart what is asked or allowed, and say at the right what it is."""
+    """Draw a target or limit as a line across a chart, with its label at the right."""
     axes.axhline(value, **DOTTED)
     note(axes, text, (1.0, value), ("axes fraction", "data"), ha="right")
 
@@ -241,7 +241,7 @@ def note(
 ) -> None:
     """Write a few words just above a spot of a chart; `ha` is the side on which they begin.
 
-    `where` is what the spot's places across and upwards are counted in, as matplotlib names it.
+    `where` names the coordinates of the spot across and upwards, as matplotlib does.
     """
     axes.annotate(
         text, spot, xycoords=where, xytext=(-3 if ha == "right" else 3, 3),
@@ -252,7 +252,7 @@ def note(
 
 @contextmanager
 def _styled(style: Any) -> Iterator[None]:
-    """Draw in a style; letters of a name that the font lacks become boxes, without a warning."""
+    """Draw in a style; letters that the font lacks become boxes, without a warning."""
     import matplotlib
 
     with matplotlib.rc_context(style), warnings.catch_warnings():
@@ -260,17 +260,17 @@ def _styled(style: Any) -> Iterator[None]:
         yield
 
 
-def _saved(draw: Draw, size: tuple[float, float], stream: Any, **how: Any) -> None:
+def _saved(draw: Draw, size: tuple[float, float], stream: Any, **options: Any) -> None:
     from matplotlib.figure import Figure
 
     with _styled(_STYLE | {"svg.hashsalt": "mbds-xsim"}):
         figure = Figure(figsize=size, layout="constrained")
         draw(figure)
-        figure.savefig(stream, **how)
+        figure.savefig(stream, **options)
 
 
 def _themed(text: str, title: str, tips: dict[str, str]) -> Markup:
-    """Cut what only a file needs; colours become those of the page, ids that clash go."""
+    """Cut what only a file needs; use the page's colours, and drop ids that clash."""
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r'<g id="((?:curve|tip)-[\w-]+)">', lambda match: _group(match[1], tips), text)

@@ -1,1 +1,1 @@
-"""What is simulated: the neutral scene, its mechanism, its starts and inputs."""
+"""The simulated problem: the neutral scene, its mechanism, its starts and inputs."""

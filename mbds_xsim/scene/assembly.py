@@ -1,4 +1,4 @@
-"""The start of a scene: poses that close every loop, velocities that keep every joint together."""
+"""Initial state of a scene: poses that close every loop, velocities that satisfy every joint."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-_STRIDE = 0.1  # largest change of a joint coordinate between two solves [rad, or lengths]
+_STRIDE = 0.1  # largest change of a joint coordinate between two solves [rad or scene lengths]
 _MOST_STRIDES = 1000
 _NEWTON_STEPS = 50
-_LONGEST_STEP = 0.5  # of one Newton step [rad, or lengths]: keeps it from flying off
-_CLOSED = 1e-12  # of the scene's length
+_LONGEST_STEP = 0.5  # largest Newton step [rad or scene lengths], against divergence
+_CLOSED = 1e-12  # relative to the scene's length
 _GAP_TOLERANCE = 1e-9
 _VELOCITY_TOLERANCE = 1e-9
 _BRANCH_TOLERANCE = 1e-6
@@ -37,12 +37,12 @@ _BRANCH_TOLERANCE = 1e-6
 
 @functools.lru_cache(maxsize=64)
 def assemble(mechanism: Mechanism) -> BodyStates:
-    """Find the scene's own start: joint `start` and `rate`, body velocities, all loops closed.
+    """Find the scene's initial state from joint `start` and `rate` and body velocities.
 
-    A tree is put together joint by joint where all its coordinates, or rates, are given. Otherwise
-    poses move from the reference pose by mass-weighted Newton steps with the given joint
-    coordinates led to their values in small strides, and velocities that are not given are the
-    ones of least kinetic energy.
+    A tree is assembled joint by joint if all its coordinates, or rates, are given. Otherwise
+    mass-weighted Newton steps move the bodies from the reference pose and close all loops, while
+    the given joint coordinates approach their values in small strides. Velocities that are not
+    given are those of least kinetic energy.
 
     Raises:
         SceneError: A loop cannot be closed, or given velocities break a joint.
@@ -64,7 +64,7 @@ def assemble(mechanism: Mechanism) -> BodyStates:
 
 
 def _follows_from(mechanism: Mechanism, key: Literal["start", "rate"]) -> bool:
-    """Whether the joints' own values say all: of a tree that hangs on hinges and sliders."""
+    """Return whether given joint values fix the state, as in a tree of hinges and sliders."""
     joints = mechanism.scene.joints
     velocities = (body.velocity or body.angular_velocity for body in mechanism.scene.bodies)
     return not (
@@ -81,7 +81,7 @@ def _follows_from(mechanism: Mechanism, key: Literal["start", "rate"]) -> bool:
 
 
 def _on_its_tree(mechanism: Mechanism, start: BodyStates) -> BodyStates:
-    """Take rounding errors out of the tree's joints, and out of coordinates that are given."""
+    """Remove rounding errors from the tree's joints and from given coordinates."""
     joints = mechanism.scene.joints
     moves = start.velocity.any() or start.angular_velocity.any()
     if not moves and all(joint.start is None and joint.rate is None for joint in joints):
@@ -89,16 +89,16 @@ def _on_its_tree(mechanism: Mechanism, start: BodyStates) -> BodyStates:
     links = to_links(mechanism, start)
     if not (mechanism.loops or mechanism.distances):
         for k, link in enumerate(mechanism.links):
-            given = None if link.joint is None else joints[link.joint.index]
-            if given is not None and given.start is not None:
-                links.coordinate[k] = given.start
-            if given is not None and given.rate is not None:
-                links.rate[k] = given.rate
+            scene_joint = None if link.joint is None else joints[link.joint.index]
+            if scene_joint is not None and scene_joint.start is not None:
+                links.coordinate[k] = scene_joint.start
+            if scene_joint is not None and scene_joint.rate is not None:
+                links.rate[k] = scene_joint.rate
     return to_bodies(mechanism, links)
 
 
 def check_joints(mechanism: Mechanism, starts: BodyStates) -> None:
-    """Raise SceneError, naming the joint, unless poses and velocities keep all joints together.
+    """Raise SceneError, naming the joint, unless poses and velocities satisfy all joints.
 
     `starts` may have leading axes.
     """
@@ -117,16 +117,16 @@ def check_joints(mechanism: Mechanism, starts: BodyStates) -> None:
     speed = max(1.0, float(np.abs(twist).max(initial=0.0)))
     gap, veer = coupling_gaps(mechanism, starts)
     owners = _owners(mechanism, rows)
-    for rigid, tied, allowed, what in (
+    for joint_error, coupling_error, allowed, template in (
         (rows.residual, gap, _GAP_TOLERANCE * length, "start leaves {} off by {:.3g} m or rad"),
         (rate, veer, _VELOCITY_TOLERANCE * speed, "velocities break {} at {:.3g} m/s or rad/s"),
     ):
-        off = np.concatenate([rigid, tied], axis=-1)
+        off = np.concatenate([joint_error, coupling_error], axis=-1)
         per_row = np.abs(off).max(axis=tuple(range(off.ndim - 1)), initial=0.0)
         if per_row.max(initial=0.0) > allowed:
             worst = int(np.argmax(per_row))
             name = _owner_name(mechanism, int(owners[worst]))
-            fault = what.format(name, per_row[worst])
+            fault = template.format(name, per_row[worst])
             msg = (
                 f"sampling: the drawn {fault}, allowed is {allowed:.0e}; draw the others that this "
                 "joint holds along with it, or leave the draw out"
@@ -135,7 +135,7 @@ def check_joints(mechanism: Mechanism, starts: BodyStates) -> None:
 
 
 def check_limits(mechanism: Mechanism, starts: BodyStates) -> None:
-    """Raise SceneError, naming the joint, unless poses are within the limits of joints."""
+    """Raise SceneError, naming the joint, unless poses are within all joint limits."""
     for joint in mechanism.limited:
         past = joint.beyond(joint_coordinate(joint, starts.position, starts.native)).max(initial=0)
         if past > _GAP_TOLERANCE:
@@ -148,13 +148,13 @@ def check_limits(mechanism: Mechanism, starts: BodyStates) -> None:
 
 def _assemble_pose(mechanism: Mechanism, position: Array, native: Array) -> tuple[Array, Array]:
     scene = mechanism.scene
-    given = [(placed, scene.joints[placed.index]) for placed in mechanism.joints]
-    led = [(placed, float(joint.start)) for placed, joint in given if joint.start is not None]
+    pairs = [(placed, scene.joints[placed.index]) for placed in mechanism.joints]
+    targets = [(placed, float(joint.start)) for placed, joint in pairs if joint.start is not None]
     unit = {"hinge": _STRIDE, "slider": _STRIDE * scene.length}
-    needed = max([1.0, *(abs(target) / unit[joint.kind] for joint, target in led)])
+    needed = max([1.0, *(abs(target) / unit[joint.kind] for joint, target in targets)])
     strides = min(int(np.ceil(needed)), _MOST_STRIDES)
     for k in range(1, strides + 1):
-        goal = [(joint, target * k / strides) for joint, target in led]
+        goal = [(joint, target * k / strides) for joint, target in targets]
         position, native = _close(mechanism, position, native, goal, again=k == strides)
     return position, native
 
@@ -163,13 +163,13 @@ def _close(
     mechanism: Mechanism,
     position: Array,
     native: Array,
-    led: list[tuple[PlacedJoint, float]],
+    goal: list[tuple[PlacedJoint, float]],
     *,
     again: bool,
 ) -> tuple[Array, Array]:
-    """Take Newton steps until all is closed, and one more `again`, which leaves rounding alone."""
+    """Take Newton steps until all loops close; `again` adds one, down to rounding errors."""
     tolerance = _CLOSED * max(1.0, mechanism.scene.length)
-    residual, jacobian, owner = _pose_rows(mechanism, position, native, led)
+    residual, jacobian, owner = _pose_rows(mechanism, position, native, goal)
     for _ in range(_NEWTON_STEPS):
         off = np.abs(residual).max(initial=0.0)
         if off < tolerance and not (again and off > 0.0):
@@ -180,10 +180,10 @@ def _close(
         step *= min(1.0, _LONGEST_STEP / reach)
         position = position + step[:, 0]
         native = rotation.multiply(rotation.from_vector(step[:, 1]), native)
-        residual, jacobian, owner = _pose_rows(mechanism, position, native, led)
-    # A tree always closes, so what to change is one of the others.
+        residual, jacobian, owner = _pose_rows(mechanism, position, native, goal)
+    # A tree always closes, so one of the other constraints is to blame.
     tree = [link.joint.index for link in mechanism.links if link.joint is not None]
-    blamed = np.where(np.isin(owner, tree) & (np.arange(len(owner)) < len(owner) - len(led)), 0, 1)
+    blamed = np.where(np.isin(owner, tree) & (np.arange(len(owner)) < len(owner) - len(goal)), 0, 1)
     worst = int(np.argmax(np.abs(residual) * blamed))
     msg = (
         f"{_owner_name(mechanism, int(owner[worst]))} cannot be closed: the start leaves it off by "
@@ -194,24 +194,24 @@ def _close(
 
 
 def _pose_rows(
-    mechanism: Mechanism, position: Array, native: Array, led: list[tuple[PlacedJoint, float]]
+    mechanism: Mechanism, position: Array, native: Array, goal: list[tuple[PlacedJoint, float]]
 ) -> tuple[Array, csr_array, Array]:
-    """Residual, Jacobian and owner of all constraints and, behind them, the led joints."""
+    """Return residual, Jacobian and owner of all constraints, then of joints with a goal."""
     from scipy.sparse import vstack  # takes long to import
 
     still = np.zeros_like(position)
     rows = constraint_rows(mechanism, position, native, still, still)
-    ahead = [
+    deviations = [
         _wrapped(joint, float(joint_coordinate(joint, position, native)) - target)
-        for joint, target in led
+        for joint, target in goal
     ]
-    rates = [rate_row(mechanism, joint, position, native) for joint, _ in led]
-    tied = coupling_rows(mechanism, position, native)
+    rates = [rate_row(mechanism, joint, position, native) for joint, _ in goal]
+    couplings = coupling_rows(mechanism, position, native)
     off, _ = coupling_gaps(mechanism, BodyStates(position, native, still, still))
     return (
-        np.concatenate([rows.residual, off, ahead]),
-        vstack([sparse_jacobian(rows, mechanism.body_count), *tied, *rates], format="csr"),
-        np.concatenate([_owners(mechanism, rows), [joint.index for joint, _ in led]]),
+        np.concatenate([rows.residual, off, deviations]),
+        vstack([sparse_jacobian(rows, mechanism.body_count), *couplings, *rates], format="csr"),
+        np.concatenate([_owners(mechanism, rows), [joint.index for joint, _ in goal]]),
     )
 
 
@@ -223,8 +223,8 @@ def _complete_velocities(
     scene = mechanism.scene
     still = np.zeros_like(position)
     rows = constraint_rows(mechanism, position, native, still, still)
-    tied = coupling_rows(mechanism, position, native)
-    jacobian = [sparse_jacobian(rows, mechanism.body_count), *tied]
+    couplings = coupling_rows(mechanism, position, native)
+    jacobian = [sparse_jacobian(rows, mechanism.body_count), *couplings]
     names = [_owner_name(mechanism, int(owner)) for owner in _owners(mechanism, rows)]
     wanted: list[float] = [0.0] * len(names)
     for placed in mechanism.joints:
@@ -236,10 +236,10 @@ def _complete_velocities(
     unit = eye_array(6 * mechanism.body_count, format="csr")
     for k, body in enumerate(scene.bodies):
         for offset, key in ((0, "velocity"), (3, "angular_velocity")):
-            given = getattr(body, key)
-            if given is not None:
+            value = getattr(body, key)
+            if value is not None:
                 jacobian.append(unit[6 * k + offset : 6 * k + offset + 3])
-                wanted += given
+                wanted += value
                 names += [f"bodies[{body.name!r}].{key}"] * 3
     if not any(wanted):
         return still, still.copy()
@@ -264,9 +264,9 @@ def _complete_velocities(
 def _check_branch(
     mechanism: Mechanism, position: Array, native: Array, velocity: Array, angular_velocity: Array
 ) -> None:
-    """Refuse velocities that keep the joints together, but no acceleration goes on to do so.
+    """Raise SceneError if velocities satisfy the joints but no acceleration keeps doing so.
 
-    That is so in singular poses alone, where dependent rows curve in different ways.
+    This happens only in singular poses, where dependent rows curve in different ways.
     """
     if not (mechanism.loops or mechanism.distances):
         return
@@ -297,17 +297,17 @@ def _least_energy(
     root, rotors = inverse_mass_root(mechanism, native), mechanism.rotors
     if not rotors:
         return least_change(matrix, root, goal)
-    # A rotor is a mass with a speed of its own, which is tied to its joint's rate.
+    # A rotor is a mass with its own speed, which is tied to its joint's rate.
     rates = vstack([rate_row(mechanism, joint, position, native) for joint in rotors])
-    tied = block_array([[matrix, None], [rates, -eye_array(len(rotors))]], format="csr")
-    own = diags_array(1.0 / np.sqrt([joint.armature for joint in rotors]))
-    whole = block_array([[root, None], [None, own]], format="csr")
+    extended = block_array([[matrix, None], [rates, -eye_array(len(rotors))]], format="csr")
+    rotor_root = diags_array(1.0 / np.sqrt([joint.armature for joint in rotors]))
+    extended_root = block_array([[root, None], [None, rotor_root]], format="csr")
     goal = np.concatenate([goal, np.zeros(len(rotors))])
-    return least_change(tied, whole, goal)[: -len(rotors)]
+    return least_change(extended, extended_root, goal)[: -len(rotors)]
 
 
 def inverse_mass_root(mechanism: Mechanism, native: Array) -> csr_array:
-    """Give the symmetric root of the inverse of the mass matrix of all twists in W."""
+    """Return the symmetric square root of the inverse mass matrix of all twists in W."""
     from scipy.sparse import bsr_array
 
     turn = rotation.matrix(native)
@@ -327,7 +327,7 @@ def _wrapped(joint: PlacedJoint, difference: float) -> float:
 
 
 def _owners(mechanism: Mechanism, rows: ConstraintRows) -> Index:
-    """Number what rows belong to: those of joints and distance links, and behind them couplings."""
+    """Return the owner of each row: joints, then distance links, then couplings."""
     count = len(mechanism.joints) + len(mechanism.distances)
     return np.concatenate([rows.owner, count + np.arange(len(mechanism.couplings))])
 

@@ -1,4 +1,4 @@
-"""Which bodies may touch each other, and how they rebound."""
+"""Collisions between bodies: the pairs that may touch, and their coefficients."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _TOO_MANY = "200 frames of so many pairs of spheres take 3 GB to check"
 
 
 class Collisions(Neutral):
-    """Which bodies' contact spheres touch each other; the coefficients are those of every pair."""
+    """Pairs of bodies whose contact spheres can touch; all pairs have the same coefficients."""
 
     pairs: tuple[tuple[str, str], ...]
-    """Two bodies each: every contact sphere of the one touches every one of the other."""
+    """Pairs of bodies; every contact sphere of one can touch every sphere of the other."""
     friction: Annotated[float, bounds.at_least_zero]
     """Coulomb's coefficient μ, isotropic."""
     restitution: Annotated[float, bounds.share]
@@ -34,56 +34,57 @@ class Collisions(Neutral):
 
 
 def check_collisions(collisions: Collisions, carriers: Sequence[str]) -> None:
-    """Raise SceneError where a pair is not of two bodies with contact spheres, or comes twice."""
-    seen: set[frozenset[str]] = set()
-    spheres, found = Counter(carriers), 0
+    """Raise SceneError unless all pairs differ and consist of two bodies with contact spheres."""
+    pairs: set[frozenset[str]] = set()
+    spheres, count = Counter(carriers), 0
     if not collisions.pairs:
         raise SceneError("collisions.pairs: got none, allowed are one or more")
     for k, pair in enumerate(collisions.pairs):
         where = f"collisions.pairs[{k}]"
         for end, body in enumerate(pair):
             if body not in spheres:
-                what = UnknownName.of("body with contact spheres", body, sorted(spheres))
-                raise SceneError(f"{where}[{end}]: {what}")
-        if len({*pair}) < 2 or frozenset(pair) in seen:
+                fault = UnknownName.of("body with contact spheres", body, sorted(spheres))
+                raise SceneError(f"{where}[{end}]: {fault}")
+        if len({*pair}) < 2 or frozenset(pair) in pairs:
             msg = f"{where}: got {list(pair)}, allowed are two different bodies, each pair once"
             raise SceneError(msg)
-        seen.add(frozenset(pair))
-        found += spheres[pair[0]] * spheres[pair[1]]
-    bounds.count("collisions.pairs · spheres", found, _MOST_PAIRS, _TOO_MANY)
+        pairs.add(frozenset(pair))
+        count += spheres[pair[0]] * spheres[pair[1]]
+    bounds.count("collisions.pairs · spheres", count, _MOST_PAIRS, _TOO_MANY)
 
 
 def sphere_pairs(scene: Scene) -> Index:
-    """Number the contact spheres that may touch each other, shape (pair, 2)."""
-    of: dict[str, list[int]] = {}
+    """Return the indices of contact spheres that may touch each other, shape (pair, 2)."""
+    spheres: dict[str, list[int]] = {}
     for k, sphere in enumerate(scene.contacts):
-        of.setdefault(sphere.body, []).append(k)
+        spheres.setdefault(sphere.body, []).append(k)
     pairs = scene.collisions.pairs if scene.collisions else ()
-    found = [(i, j) for one, other in pairs for i in of[one] for j in of[other]]
-    return np.array(found, dtype=np.int64).reshape(-1, 2)
+    indices = [(i, j) for one, other in pairs for i in spheres[one] for j in spheres[other]]
+    return np.array(indices, dtype=np.int64).reshape(-1, 2)
 
 
 def passed(mechanism: Mechanism, position: Array, native: Array) -> Mask:
-    """Tell whether a contact sphere is past what it touches, its centre in it; shape (…).
+    """Return whether a sphere's centre is below the ground or inside another sphere, shape (…).
 
     Args:
-        mechanism: Whose spheres.
+        mechanism: The mechanism.
         position: Centres of mass, shape (…, body, 3).
         native: Rotations of the native frames, shape (…, body, 4).
     """
     body, radius = mechanism.sphere_body, mechanism.sphere_radius
     place = position[..., body, :] + rotation.rotate(native[..., body, :], mechanism.sphere_offset)
     one, other = mechanism.sphere_pairs.T
-    apart = rotation.norm(place[..., one, :] - place[..., other, :])
-    inside = apart < np.maximum(radius[one], radius[other])
+    distance = rotation.norm(place[..., one, :] - place[..., other, :])
+    inside = distance < np.maximum(radius[one], radius[other])
     sunk = place[..., 2] < (0.0 if mechanism.scene.ground else -np.inf)
     return np.asarray(inside.any(axis=-1) | sunk.any(axis=-1))
 
 
 def has_known_impacts(mechanism: Mechanism) -> bool:
-    """Whether what is rigid has one motion through all impacts.
+    """Return whether rigid bodies have a unique motion through all impacts.
 
-    That of balls on the ground has, and of balls with even inertia that touch each other alone.
+    This holds for balls on the ground, and for balls of isotropic inertia that touch only each
+    other.
     """
     scene = mechanism.scene
     if not mechanism.has_only_balls or (scene.ground and scene.collisions):
@@ -94,6 +95,6 @@ def has_known_impacts(mechanism: Mechanism) -> bool:
 
 
 def count_pairs(mechanism: Mechanism) -> int:
-    """Count the pairs that may touch: of spheres and the ground, and of spheres."""
+    """Count the pairs that may touch: sphere and ground, and two spheres."""
     grounded = mechanism.scene.ground is not None
     return len(mechanism.sphere_body) * grounded + len(mechanism.sphere_pairs)

@@ -3,16 +3,16 @@
 One *row* is one scalar equation g = 0 between two bodies. With the twist (v, ω) of each body in
 W, its rate is ġ = J_parent · twist_parent + J_child · twist_child, and its second derivative adds
 the *bias* J̇ · twist. Rows come in four elementary forms (Haug, Computer-Aided Kinematics and
-Dynamics of Mechanical Systems, 1989, section 9.4), from which every joint is put together:
+Dynamics of Mechanical Systems, 1989, section 9.4), from which every joint is built:
 
 - point: e · (p_child − p_parent), e a world axis: three make a ball joint;
 - along: n · (p_child − p_parent), n fixed in the parent: two make a slider's line;
 - normal: a · n, a fixed in the child and n in the parent: two make a hinge, three a lock;
 - distance: |p_child − p_parent| − L.
 
-Everything that turns with a body is a *vector* fixed in it (arms of joints, axes, normals), kept in
-one list: the evaluation turns all of them at once. *Spans* are pairs of points, one a joint, link
-or spring; their first and second ends come first in that list.
+*Vectors* are fixed in a body and turn with it (arms of joints, axes, normals). They are kept in one
+list, so that all are rotated at once. *Spans* are pairs of points, one per joint, link or spring;
+their first and second ends come first in that list.
 
 All functions are vectorised over leading axes. The world is a body at rest with index −1.
 """
@@ -50,31 +50,31 @@ _ARM = np.array(
 
 @dataclass(frozen=True, eq=False)
 class ConstraintRows:
-    """Every row of a mechanism at given states."""
+    """All constraint rows of a mechanism at given states."""
 
     parent: Indices
     """Body of the row's first end (−1 the world), shape (row,)."""
     child: Indices
     owner: Indices
-    """Joint (scene order) that the row belongs to, then the distance links behind; (row,)."""
+    """Joint of each row (scene order), or number of joints + index of its distance link; (row,)."""
     residual: Array
-    """g [m, or rad for directions], shape (…, row)."""
+    """Residual g [m, or rad for directions], shape (…, row)."""
     jacobian_parent: Array
     """Coefficients of the parent's (v, ω), shape (…, row, 6)."""
     jacobian_child: Array
     bias: Array
-    """J̇ · twist [m/s² or rad/s²], shape (…, row)."""
+    """Bias J̇ · twist [m/s² or rad/s²], shape (…, row)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """The constant parts of the rows: which vectors and spans make them."""
+    """Constant parts of the rows: the vectors and spans from which they are made."""
 
     vector_body: Indices
     vector: Array
-    """In frames of the bodies, shape (vector, 3)."""
+    """Vectors in the frames of their bodies, shape (vector, 3)."""
     span_body: Indices
-    """Of the first and second ends, shape (2, span)."""
+    """Bodies of the first and second ends, shape (2, span)."""
     points: slice
     """Spans of the ball, hinge and fixed joints."""
     along: slice
@@ -82,18 +82,18 @@ class Layout:
     distances: slice
     springs: slice
     along_normal: slice
-    """Vectors: the normals of the slider's line."""
+    """Vectors that are normal to a slider's line."""
     normal: slice
-    """Vectors: the normals n in the parent, then (`lever`) the directions a in the child."""
+    """Vectors n in the parent that stay normal to the vectors a in the child (`lever`)."""
     lever: slice
     hinge: slice
-    """Vectors: the hinges' axes, fixed in the parent."""
+    """Vectors along the hinges' axes, fixed in the parent."""
     length: Array
-    """Of the distance links [m]."""
+    """Lengths of the distance links [m]."""
     row_body: Indices
     """Bodies of the two ends of every row, shape (2, row)."""
     owner: Indices
-    """As of `ConstraintRows`."""
+    """Owner of each row, as in `ConstraintRows`."""
 
     @property
     def row_count(self) -> int:
@@ -103,9 +103,9 @@ class Layout:
 
 @dataclass(frozen=True, eq=False)
 class Moving:
-    """Bodies' rotation matrices, and vectors and spans with two time derivatives.
+    """Rotation matrices of bodies, and vectors and spans with two time derivatives.
 
-    The second derivatives are those without accelerations of the bodies.
+    The second derivatives leave out the accelerations of the bodies.
     """
 
     turn: Array
@@ -123,11 +123,11 @@ def constraint_rows(
     """Evaluate all rows, point rows first, then along, normal, distance.
 
     Args:
-        mechanism: Whose constraints.
+        mechanism: The mechanism.
         position: Centres of mass in W [m], shape (…, body, 3).
         native: Rotations of the native frames, shape (…, body, 4).
-        velocity: Of the centres of mass in W [m/s], shape (…, body, 3).
-        angular_velocity: In W [rad/s], shape (…, body, 3).
+        velocity: Velocities of the centres of mass in W [m/s], shape (…, body, 3).
+        angular_velocity: Angular velocities in W [rad/s], shape (…, body, 3).
     """
     layout = layout_of(mechanism)
     world = np.zeros((*position.shape[:-2], 1, 3))
@@ -154,31 +154,31 @@ def dense_jacobian(rows: ConstraintRows, body_count: int) -> Array:
     count = len(rows.parent)
     lead = rows.jacobian_parent.shape[:-2]
     dense = np.zeros((*lead, count, body_count + 1, 6))
-    each = np.arange(count)
-    dense[..., each, rows.parent, :] = rows.jacobian_parent
-    dense[..., each, rows.child, :] += rows.jacobian_child
+    row = np.arange(count)
+    dense[..., row, rows.parent, :] = rows.jacobian_parent
+    dense[..., row, rows.child, :] += rows.jacobian_child
     return dense[..., :body_count, :].reshape(*lead, count, 6 * body_count)
 
 
 def sparse_jacobian(rows: ConstraintRows, body_count: int) -> csr_array:
-    """Do the same for rows of one state, without the zeros."""
+    """Scatter the blocks of one state into a sparse matrix, shape (row, 6 · body)."""
     from scipy.sparse import csr_array  # takes long to import
 
     count = len(rows.parent)
     ends = np.concatenate([rows.parent, rows.child])
     blocks = np.concatenate([rows.jacobian_parent, rows.jacobian_child])
-    held = ends >= 0
-    row = np.repeat(np.tile(np.arange(count), 2)[held], 6)
-    column = (6 * ends[held, None] + np.arange(6)).reshape(-1)
-    matrix = csr_array((blocks[held].reshape(-1), (row, column)), shape=(count, 6 * body_count))
+    on_body = ends >= 0
+    row = np.repeat(np.tile(np.arange(count), 2)[on_body], 6)
+    column = (6 * ends[on_body, None] + np.arange(6)).reshape(-1)
+    matrix = csr_array((blocks[on_body].reshape(-1), (row, column)), shape=(count, 6 * body_count))
     matrix.eliminate_zeros()
     return matrix
 
 
 def degrees_of_freedom(mechanism: Mechanism) -> int:
-    """Degrees of freedom at the reference pose: coordinates less independent rows.
+    """Count the degrees of freedom at the reference pose: coordinates minus independent rows.
 
-    A mechanism that passes a singular configuration there counts more than elsewhere.
+    At a singular reference pose, the count is higher than elsewhere.
     """
     still = np.zeros((mechanism.body_count, 3))
     native = np.broadcast_to(rotation.IDENTITY, (mechanism.body_count, 4))
@@ -189,14 +189,14 @@ def degrees_of_freedom(mechanism: Mechanism) -> int:
 
     from mbds_xsim.scene.row_space import independent_rows
 
-    tied = coupling_rows(mechanism, mechanism.com, native)
-    jacobian = vstack([sparse_jacobian(rows, mechanism.body_count), *tied], format="csr")
+    couplings = coupling_rows(mechanism, mechanism.com, native)
+    jacobian = vstack([sparse_jacobian(rows, mechanism.body_count), *couplings], format="csr")
     return 6 * mechanism.body_count - len(independent_rows(jacobian))
 
 
 @functools.lru_cache(maxsize=64)
 def layout_of(mechanism: Mechanism) -> Layout:
-    """Lay the rows of a mechanism out, with vectors in native frames (once each)."""
+    """Lay out the rows of a mechanism, with vectors in native frames (cached)."""
     joints = mechanism.joints
     points = [joint for joint in joints if joint.kind != "slider"]
     along = [(j, n) for j in joints if j.kind == "slider" for n in rotation.normal_to(j.axis)]
@@ -207,7 +207,7 @@ def layout_of(mechanism: Mechanism) -> Layout:
         for group in (points, [joint for joint, _ in along])
     ] + [[(*pair.bodies, *pair.in_body) for pair in group] for group in pairs]
     spans = [span for group in groups for span in group]
-    listed = [
+    vector_groups = [
         [(span[0], span[2]) for span in spans],
         [(span[1], span[3]) for span in spans],
         [(joint.parent, n) for joint, n in along],
@@ -215,9 +215,9 @@ def layout_of(mechanism: Mechanism) -> Layout:
         [(joint.child, a) for joint, a, _ in normal],
         [(hinge.parent, hinge.axis) for hinge in mechanism.hinges],
     ]
-    vectors = [pair for group in listed for pair in group]
+    vectors = [pair for group in vector_groups for pair in group]
     of_points, of_along, of_distances, of_springs = _slices(groups)
-    along_normal, of_normal, lever, hinge = _slices(listed)[2:]
+    along_normal, of_normal, lever, hinge = _slices(vector_groups)[2:]
     ends = _indices([span[:2] for span in spans]).reshape(-1, 2).T
     normal_ends = _indices([(j.parent, j.child) for j, _, _ in normal]).reshape(-1, 2).T
     owners = [joint.index for joint in points for _ in range(3)]
@@ -243,7 +243,7 @@ def layout_of(mechanism: Mechanism) -> Layout:
 
 
 def _normal_pairs(joint: PlacedJoint) -> list[tuple[Array, Array]]:
-    """Directions (a in the child, n in the parent) that stay at right angles."""
+    """Return directions (a in the child, n in the parent) that stay at right angles."""
     if joint.kind == "hinge":
         return [(joint.axis, n) for n in rotation.normal_to(joint.axis)]
     if joint.kind == "ball":
@@ -252,7 +252,7 @@ def _normal_pairs(joint: PlacedJoint) -> list[tuple[Array, Array]]:
 
 
 def _slices(groups: Sequence[Sequence[object]]) -> list[slice]:
-    """Say where groups are when they follow each other in one list."""
+    """Return the slices that groups occupy when concatenated into one list."""
     ends = np.cumsum([0, *map(len, groups)]).tolist()
     return [slice(*pair) for pair in itertools.pairwise(ends)]
 
@@ -264,16 +264,16 @@ def _indices(values: Sequence[object]) -> Indices:
 def motion_of(
     layout: Layout, turn: Array, x: Array, v: Array, w: Array, *, bodies_first: bool = False
 ) -> Moving:
-    """Move vectors and spans with their bodies, the world the last of them.
+    """Move vectors and spans with their bodies; the world is the last body.
 
     Args:
-        layout: Of which vectors and spans.
+        layout: Layout of the vectors and spans.
         turn: Rotation matrices of the frames of the vectors, shape (…, body + world, 3, 3).
         x: Centres of mass in W [m], shape (…, body + world, 3).
-        v: Their velocities [m/s].
+        v: Velocities of the centres of mass [m/s].
         w: Angular velocities in W [rad/s].
         bodies_first: Whether spans add arms to the distance of the bodies, which rounds less far
-            from the origin, or start from the points; the bits of drawn starts depend on it.
+            from the origin, instead of subtracting points; drawn starts depend on it bit by bit.
     """
     body, (first, second) = layout.vector_body, layout.span_body
     u = np.einsum("...kij,kj->...ki", turn[..., body, :, :], layout.vector)
@@ -283,8 +283,8 @@ def motion_of(
     count = len(first)
     a, b = slice(count), slice(count, 2 * count)
 
-    def between(values: Array | None, carried: Array) -> Array:
-        begin, end = carried[..., a, :], carried[..., b, :]
+    def between(values: Array | None, arms: Array) -> Array:
+        begin, end = arms[..., a, :], arms[..., b, :]
         if values is None:
             return end - begin
         if bodies_first:
@@ -295,29 +295,29 @@ def motion_of(
 
 
 def evaluate(layout: Layout, motion: Moving) -> tuple[Array, Array, Array]:
-    """Evaluate all rows.
+    """Evaluate all rows of a layout.
 
     Returns:
         Residuals and biases, shape (…, row), and the Jacobian's blocks of the parent and of the
-        child, shape (…, 2, row + 1, 6), of which the last one is empty.
+        child, shape (…, 2, row + 1, 6), whose last row is empty.
     """
     arm, (count, points) = motion.vector[0], (layout.span_body.shape[1], layout.points.stop)
     lead = arm.shape[:-2]
     halves = np.zeros((*lead, 2, layout.row_count + 1, 6))
     for end, sign, first in ((0, -1.0, 0), (1, 1.0, count)):
-        # To split an axis makes a view: what is put into it is in the halves.
+        # Splitting an axis makes a view, so writing to it fills the halves.
         block = halves[..., end, : 3 * points, :].reshape(*lead, points, 3, 6)
         block[..., :3] = sign * _AXES
-        carried = arm[..., first : first + points, :] @ (sign * _ARM)
-        block[..., 3:] = carried.reshape(*lead, points, 3, 3)
+        angular = arm[..., first : first + points, :] @ (sign * _ARM)
+        block[..., 3:] = angular.reshape(*lead, points, 3, 3)
     residual = [motion.span[0][..., layout.points, :].reshape(*lead, -1)]
     bias = [motion.span[2][..., layout.points, :].reshape(*lead, -1)]
-    done = 3 * points
+    start = 3 * points
     for part in (_along_rows, _normal_rows, _distance_rows):
-        error, curvature = part(layout, motion, halves[..., done:, :])
+        error, curvature = part(layout, motion, halves[..., start:, :])
         residual.append(error)
         bias.append(curvature)
-        done += error.shape[-1]
+        start += error.shape[-1]
     return np.concatenate(residual, axis=-1), np.concatenate(bias, axis=-1), halves
 
 
@@ -357,13 +357,13 @@ def _fill_line(
     halves: Array,
     spans: slice,
     direction: Array,
-    carried: Array | None,
+    extension: Array | None,
 ) -> None:
-    """Fill blocks along a direction; `carried` is what the parent's turn carries with it."""
+    """Fill the blocks of rows along a direction; `extension` is added to the parent's arm."""
     arm, count = motion.vector[0], layout.span_body.shape[1]
     first, second = arm[..., spans, :], arm[..., spans.start + count : spans.stop + count, :]
-    if carried is not None:
-        first = first + carried
+    if extension is not None:
+        first = first + extension
     rows = slice(direction.shape[-2])
     halves[..., 0, rows, :3], halves[..., 1, rows, :3] = -direction, direction
     halves[..., 0, rows, 3:] = -rotation.cross(first, direction)

@@ -16,16 +16,16 @@ Finite = Annotated[float, bounds.finite]
 
 
 class Coupling(Neutral):
-    """A rigid gear without mass: coordinate = `ratio` times that of another joint + `offset`."""
+    """A rigid massless gear: coordinate = `ratio` · coordinate of another joint + `offset`."""
 
     joint: str
-    """A hinge or slider, which follows one other at most."""
+    """Hinge or slider that follows; it can follow only one joint."""
     follows: str
-    """Another one."""
+    """Hinge or slider that is followed."""
     ratio: Finite = 1.0
-    """Coordinate per coordinate of the other: [rad/rad], [rad/m], [m/rad] or [m/m]; not 0."""
+    """Coordinate change per change of the other: [rad/rad], [rad/m], [m/rad] or [m/m]; not 0."""
     offset: Finite = 0.0
-    """Coordinate where the other's is 0 [rad or m]."""
+    """Coordinate when the other joint's is 0 [rad or m]."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -35,13 +35,13 @@ class Coupling(Neutral):
 
     @property
     def name(self) -> str:
-        """Name it by what it does."""
+        """Name that describes the coupling."""
         return f"{self.joint} follows {self.follows}"
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedCoupling:
-    """A joint of the spanning tree whose coordinate follows another's."""
+    """A coupling between two placed joints of the spanning tree."""
 
     name: str
     follower: PlacedJoint
@@ -51,15 +51,15 @@ class PlacedCoupling:
 
 
 def check_couplings(couplings: tuple[Coupling, ...]) -> None:
-    """Raise SceneError where a joint follows several others, or, in the end, itself."""
-    followed: dict[str, str] = {}
+    """Raise SceneError if a joint follows several others or, through a chain, itself."""
+    leaders: dict[str, str] = {}
     for k, coupling in enumerate(couplings):
-        if coupling.joint in followed:
-            got = f"couplings[{k}].joint: got {coupling.joint!r} again"
-            raise SceneError(f"{got}, allowed is that a joint follows one other")
-        followed[coupling.joint] = at = coupling.follows
-        while at in followed and at != coupling.joint:
-            at = followed[at]
-        if at == coupling.joint:
-            got = f"couplings[{k}].follows: got {coupling.follows!r}"
-            raise SceneError(f"{got}, by which {coupling.joint!r} follows itself")
+        if coupling.joint in leaders:
+            fault = f"couplings[{k}].joint: got {coupling.joint!r} again"
+            raise SceneError(f"{fault}, allowed is that a joint follows one other")
+        leaders[coupling.joint] = leader = coupling.follows
+        while leader in leaders and leader != coupling.joint:
+            leader = leaders[leader]
+        if leader == coupling.joint:
+            fault = f"couplings[{k}].follows: got {coupling.follows!r}"
+            raise SceneError(f"{fault}, by which {coupling.joint!r} follows itself")

@@ -1,4 +1,4 @@
-"""A trajectory while it is drawn, and the draws that move joints."""
+"""Trajectories that are being drawn, and the draws that move joints."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 from mbds_xsim.scene.spanning import connected
 
 UPRIGHT = 1.0 - 1e-9
-"""Vertical part of the axis of a slider that lifts what it carries."""
+"""Least vertical component of a slider's unit axis with which it can lift bodies."""
 
 
 @dataclass
 class Draft:
-    """A trajectory while it is drawn."""
+    """A trajectory whose start and inputs are being drawn."""
 
     mechanism: Mechanism
     index: int
@@ -37,21 +37,21 @@ class Draft:
     inputs: bool
 
     def body(self, name: str) -> int:
-        """Give the position of a body."""
+        """Return the index of a body."""
         return [body.name for body in self.mechanism.scene.bodies].index(name)
 
     def uniform(self, span: terms.Span) -> float:
-        """Draw from the range that holds in the interval."""
+        """Draw uniformly from the range of this trajectory's interval."""
         low, high = terms.span_of(span, self.interval)
         return float(self.rng.uniform(low, high))
 
     def uniforms(self, spans: Sequence[terms.Span], count: int) -> Array:
-        """Draw from several ranges in turn, so many times over; shape (count, span)."""
+        """Draw `count` times from several ranges in turn; shape (count, span)."""
         low, high = np.array([terms.span_of(span, self.interval) for span in spans]).T
         return np.asarray(low + (high - low) * self.rng.random((count, len(spans))))
 
     def move_rigidly(self, bodies: list[int], point: Array, turn: Array) -> None:
-        """Turn bodies, poses and velocities together, about a point of W."""
+        """Rotate poses and velocities of bodies rigidly about a point in W."""
         for values, origin in (
             (self.position, point),
             (self.velocity, np.zeros(3)),
@@ -61,31 +61,31 @@ class Draft:
         self.native[bodies] = rotation.multiply(turn, self.native[bodies])
 
     def add_twist(self, bodies: list[int], point: Array, rate: Array) -> None:
-        """Add a rigid angular velocity about a point of W."""
+        """Add a rigid angular velocity about a point in W."""
         self.velocity[bodies] += rotation.cross(rate, self.position[bodies] - point)
         self.angular_velocity[bodies] += rate
 
 
 @dataclass(frozen=True, eq=False)
 class Drafts:
-    """Trajectories of a mechanism while they are drawn, side by side."""
+    """Several trajectories of a mechanism that are being drawn together."""
 
     mechanism: Mechanism
     each: list[Draft]
-    """Their arrays are parts of those of all."""
+    """One draft per trajectory; its arrays are views of those below."""
     states: BodyStates
-    """Shapes (trajectory, body, …)."""
+    """Body states, with shapes (trajectory, body, …)."""
     force: Array
-    """[N], shape (trajectory, step, body, 3)."""
+    """Forces [N], shape (trajectory, step, body, 3)."""
     torque: Array
-    """[N·m], shape (trajectory, step, hinge)."""
+    """Torques [N·m], shape (trajectory, step, hinge)."""
 
 
 def pose(term: terms.Pose, drawing: Draft) -> None:
-    """Lead hinges and sliders to a coordinate, with all that hangs on them."""
+    """Add a drawn amount to hinge and slider coordinates, which moves all bodies outboard."""
     for name in term.joints:
         joint, point, axis = _placed(drawing, name)
-        moved = outboard(drawing.mechanism, joint.child)
+        bodies = outboard(drawing.mechanism, joint.child)
         amount = drawing.uniform(term.coordinate)
         spin, drift = np.zeros(3), np.zeros(3)
         if joint.parent != WORLD_INDEX:
@@ -93,44 +93,44 @@ def pose(term: terms.Pose, drawing: Draft) -> None:
             arm = point - drawing.position[joint.parent]
             drift = drawing.velocity[joint.parent] + np.cross(spin, arm)
         # Relative to the parent, velocities turn along with the bodies.
-        drawing.add_twist(moved, point, -spin)
-        drawing.velocity[moved] -= drift
+        drawing.add_twist(bodies, point, -spin)
+        drawing.velocity[bodies] -= drift
         if joint.kind == "hinge":
-            drawing.move_rigidly(moved, point, rotation.from_vector(amount * axis))
+            drawing.move_rigidly(bodies, point, rotation.from_vector(amount * axis))
         else:
-            drawing.position[moved] += amount * axis
-        drawing.velocity[moved] += drift
-        drawing.add_twist(moved, point, spin)
+            drawing.position[bodies] += amount * axis
+        drawing.velocity[bodies] += drift
+        drawing.add_twist(bodies, point, spin)
 
 
 def hinge_rate(term: terms.HingeRate, drawing: Draft) -> None:
-    """Give hinges a rate."""
+    """Add a drawn rate to hinges."""
     mechanism = drawing.mechanism
-    rates, driven = [], set()
+    rates, children = [], set()
     for name in term.joints:
         joint, point, axis = _placed(drawing, name)
         rates.append(drawing.uniform(term.rate))
         drawing.add_twist(outboard(mechanism, joint.child), point, rates[-1] * axis)
-        driven.add(joint.child)
+        children.add(joint.child)
     if rates and any(term.travel):
-        moved = {other for body in driven for other in carried_by(mechanism, body)}
-        drawing.velocity[sorted(moved)] += np.mean(rates) * np.array(term.travel)
+        bodies = {other for body in children for other in carried_by(mechanism, body)}
+        drawing.velocity[sorted(bodies)] += np.mean(rates) * np.array(term.travel)
 
 
 def lift(term: terms.Lift, drawing: Draft) -> None:
-    """Move what a body carries up or down until the lowest contact sphere is at a height."""
+    """Raise or lower a body and those it carries until the lowest sphere is at a drawn height."""
     mechanism = drawing.mechanism
-    moved = _lifted(drawing, drawing.body(term.body))
-    own = np.isin(mechanism.sphere_body, moved)
+    bodies = _lifted(drawing, drawing.body(term.body))
+    own = np.isin(mechanism.sphere_body, bodies)
     if not own.any():
         msg = f"sampling: {term.body!r} carries no contact sphere, by which to lift it"
         raise SceneError(msg)
     low = mechanism.sphere_heights(drawing.position, drawing.native) - mechanism.sphere_radius
-    drawing.position[moved, 2] += drawing.uniform(term.height) - low[own].min()
+    drawing.position[bodies, 2] += drawing.uniform(term.height) - low[own].min()
 
 
 def _lifted(drawing: Draft, body: int) -> list[int]:
-    """Give what a free body's joints carry, or what an upright slider does."""
+    """Return the bodies jointed to a free body, or those outboard of an upright slider."""
     mechanism = drawing.mechanism
     joint = next(link.joint for link in mechanism.links if link.body == body)
     if joint is not None and joint.kind == "slider":
@@ -141,7 +141,7 @@ def _lifted(drawing: Draft, body: int) -> list[int]:
 
 
 def carried_by(mechanism: Mechanism, body: int) -> list[int]:
-    """Bodies that joints connect to a free body, itself among them."""
+    """Return a free body and all bodies jointed to it; raise SceneError if the world holds it."""
     pairs = [(joint.parent, joint.child) for joint in mechanism.joints]
     group = next(group for group in connected(mechanism.body_count, pairs) if body in group)
     if any(WORLD_INDEX in ends and {*ends} & {*group} for ends in pairs):
@@ -156,7 +156,7 @@ def _tree_joints(mechanism: Mechanism) -> dict[str, PlacedJoint]:
 
 
 def _placed(drawing: Draft, name: str) -> tuple[PlacedJoint, Array, Array]:
-    """Find a joint of the tree, and where its anchor and axis are now, in W."""
+    """Find a joint of the tree with its present anchor and axis in W."""
     joint = _tree_joints(drawing.mechanism).get(name)
     if joint is None:
         msg = f"sampling: the joint {name!r} closes a loop; it follows from the others"
@@ -169,9 +169,9 @@ def _placed(drawing: Draft, name: str) -> tuple[PlacedJoint, Array, Array]:
 
 
 def outboard(mechanism: Mechanism, body: int) -> list[int]:
-    """Return a body and all that the spanning tree hangs on it."""
-    found = [body]
+    """Return a body and all its descendants in the spanning tree."""
+    bodies = [body]
     for link in mechanism.links:
-        if link.parent in found:
-            found.append(link.body)
-    return found
+        if link.parent in bodies:
+            bodies.append(link.body)
+    return bodies

@@ -1,7 +1,7 @@
 """Scene files: TOML to Scene and back, without loss.
 
-Reading also assembles the mechanism and draws one trajectory of each interval, so that a scene
-that was read can be simulated. `docs/scene-file.md` lists every key.
+Reading also assembles the mechanism and draws one trajectory of each interval, so that every
+scene that is read can be simulated. `docs/scene-file.md` lists every key.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def read_scene(path: Path) -> Scene:
     """Read a scene file and check that its mechanism assembles and its starts can be drawn.
 
     Raises:
-        SceneError: One line: the file, the table, what was got and what is allowed.
+        SceneError: With one line: the file, the table, the value found and what is allowed.
     """
     data = _load(path)
     try:
@@ -62,25 +62,25 @@ def read_scene(path: Path) -> Scene:
 
 
 def write_scene(scene: Scene, *, defaults: bool = False) -> str:
-    """Give the text of a scene file; keys that have their default are mostly left out.
+    """Return the text of a scene file; keys with default values are mostly left out.
 
-    With `defaults` they are all there: equal scenes then have equal texts, which mean the same to
-    a version with other defaults.
+    With `defaults`, all are written: equal scenes then have equal texts, which keep their meaning
+    in a version with other defaults.
     """
     return _compact(tomli_w.dumps(_explicit(scene) if defaults else msgspec.to_builtins(scene)))
 
 
 def save_scene(scene: Scene, path: str | Path) -> None:
-    """Write a scene file, whole or not at all.
+    """Write a scene file atomically.
 
     Raises:
-        InputError: It cannot be written.
+        InputError: The file cannot be written.
     """
     write_whole(path_of("path", path), write_scene(scene).encode())
 
 
 def check_starts(scene: Scene) -> None:
-    """Draw a trajectory of each interval; raise SceneError where a number runs out of range."""
+    """Draw one trajectory per interval; raise SceneError if a number is not finite."""
     with np.errstate(all="ignore"):
         batch = draw_batch(scene, range(len(INTERVALS)))
     for key in ("position", "orientation", "velocity", "angular_velocity", "force", "torque"):
@@ -95,7 +95,7 @@ def _load(path: Path) -> Mapping[str, Any]:
         return tomllib.loads(text)
     except RecursionError as error:
         raise SceneError(f"{path}: this is not TOML: brackets without end") from error
-    except ValueError as error:  # also from a number of too many digits
+    except ValueError as error:  # also raised for a number with too many digits
         raise SceneError(f"{path}: this is not TOML: {error}") from error
 
 
@@ -106,7 +106,7 @@ def _text(path: Path) -> str:
         if len(content) > _LARGEST_FILE:
             size = f"{_LARGEST_FILE // 10**6} MB"
             raise SceneError(f"{path}: got more than {size}: 20 000 bodies with joints take 7 MB")
-        text = content.decode("utf-8-sig")  # Windows writes a mark before the text
+        text = content.decode("utf-8-sig")  # Windows may add a byte order mark
     except OSError as error:
         msg = (
             f"{path}: cannot be read ({error.strerror}); give the path of a .toml file or the "
@@ -127,7 +127,7 @@ def _text(path: Path) -> str:
 
 
 def _is_deep(text: str) -> bool:
-    """Whether some key may have so many parts that parsing takes their square in memory.
+    """Return whether a key may have so many parts that parsing takes quadratic memory.
 
     A dot between parts is in a run of bare parts or touches a quote; keys end with their line.
     """
@@ -137,7 +137,7 @@ def _is_deep(text: str) -> bool:
 
 
 def _explicit(value: Any) -> Any:
-    """Plain values of a scene, with all keys but those that say nothing."""
+    """Return a scene as plain values, without keys that have no effect."""
     if isinstance(value, tuple):
         return [_explicit(item) for item in value]
     if not isinstance(value, Neutral):
@@ -149,16 +149,16 @@ def _explicit(value: Any) -> Any:
 
 
 def _compact(text: str) -> str:
-    """Put arrays that fit into one line, which the writer spreads over one line a number."""
+    """Join arrays that fit on one line; the writer puts every number on its own line."""
     lines: list[str] = []
-    opened: list[int] = []
+    starts: list[int] = []
     for line in text.removesuffix("\n").split("\n"):
         lines.append(line)
-        # Strings end in a quote, so only an array that goes on ends in a bracket like this.
+        # Strings end in a quote, so only the start of a multi-line array ends in a bracket.
         if line.endswith("["):
-            opened.append(len(lines) - 1)
+            starts.append(len(lines) - 1)
         elif line.strip() in ("]", "],"):
-            first = opened.pop()
+            first = starts.pop()
             inner = " ".join(item.strip() for item in lines[first + 1 : -1]).removesuffix(",")
             joined = lines[first] + inner + line.strip()
             if len(joined) <= _LINE:
@@ -167,7 +167,7 @@ def _compact(text: str) -> str:
 
 
 def explain(error: msgspec.ValidationError, data: Mapping[str, Any]) -> str:
-    """Put a failed conversion of `data` to Scene in the user's terms."""
+    """Explain a failed conversion of `data` to Scene in the user's terms."""
     text = str(error)
     place = _PLACE.search(text)
     path = _steps(place["path"] or "") if place else []
@@ -176,10 +176,10 @@ def explain(error: msgspec.ValidationError, data: Mapping[str, Any]) -> str:
         return _explain_value(str(cause), path, data)
     if field := _FIELD.match(text):
         return _explain_key(field["fault"] == "contains unknown", field["key"], path, data)
-    got, kind = _descend(path, data)
-    if isinstance(got, str) and (tags := _tags(kind)):
-        return f"{_where(path, data)}got {_shown(got)}, allowed is {tags}"
-    return f"{_where(path, data)}got {_shown(got)}, allowed is {_allowed(kind)}"
+    value, kind = _descend(path, data)
+    if isinstance(value, str) and (tags := _tags(kind)):
+        return f"{_where(path, data)}got {_text_of(value)}, allowed is {tags}"
+    return f"{_where(path, data)}got {_text_of(value)}, allowed is {_allowed(kind)}"
 
 
 def _steps(path: str) -> _Path:
@@ -187,7 +187,7 @@ def _steps(path: str) -> _Path:
 
 
 def _explain_value(text: str, path: _Path, data: Mapping[str, Any]) -> str:
-    """A struct refused its values: its text starts with a key of its own, or says all itself."""
+    """Explain values that a struct refused; its text starts with one of its keys or is complete."""
     _, kind = _descend(path, data)
     key = _LEADING_KEY.match(text)
     if key and path and isinstance(kind, inspect.StructType) and key[1] in _keys(kind):
@@ -202,11 +202,11 @@ def _explain_key(unknown: bool, key: str, path: _Path, data: Mapping[str, Any]) 
         return f"{where}the key 'kind' is missing; allowed is {_allowed(kind)}"
     keys = _keys(kind)
     if unknown:
-        near = difflib.get_close_matches(key, keys, n=1)
-        hint = f"; did you mean {near[0]!r}? Allowed are " if near else "; allowed are "
+        matches = difflib.get_close_matches(key, keys, n=1)
+        hint = f"; did you mean {matches[0]!r}? Allowed are " if matches else "; allowed are "
         return f"{where}unknown key {key!r}{hint}{', '.join(keys)}"
-    given = ", ".join(map(str, table)) or "none"
-    return f"{where}the key {key!r} is missing, it is {_allowed(keys[key])}; got {given}"
+    present = ", ".join(map(str, table)) or "none"
+    return f"{where}the key {key!r} is missing, it is {_allowed(keys[key])}; got {present}"
 
 
 def _keys(kind: inspect.StructType) -> dict[str, inspect.Type]:
@@ -215,7 +215,7 @@ def _keys(kind: inspect.StructType) -> dict[str, inspect.Type]:
 
 
 def _descend(path: _Path, data: Any) -> tuple[Any, inspect.Type]:
-    """Value and type at a path; the data is known to be sound down to there."""
+    """Return value and type at a path, down to which the data is known to be valid."""
     value, kind = data, inspect.type_info(Scene)
     for step in path:
         kind = _resolved(kind, value)
@@ -230,7 +230,7 @@ def _descend(path: _Path, data: Any) -> tuple[Any, inspect.Type]:
 
 
 def _resolved(kind: inspect.Type, value: Any) -> inspect.Type:
-    """Take the member of a union that the value was read as."""
+    """Return the union member as which the value was read."""
     if not isinstance(kind, inspect.UnionType):
         return kind
     tables = [t for t in kind.types if isinstance(t, inspect.StructType)]
@@ -243,7 +243,7 @@ def _resolved(kind: inspect.Type, value: Any) -> inspect.Type:
 
 
 def _where(path: _Path, data: Mapping[str, Any]) -> str:
-    """Write a path as in `bodies[2].particles[0].mass (in 'rung1'): `."""
+    """Format a path as in `bodies[2].particles[0].mass (in 'rung1'): `."""
     if not path:
         return ""
     text = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path)
@@ -254,7 +254,7 @@ def _where(path: _Path, data: Mapping[str, Any]) -> str:
     return f"{text.removeprefix('.')}{named}: "
 
 
-def _shown(value: Any) -> str:
+def _text_of(value: Any) -> str:
     text = "a table" if isinstance(value, Mapping) else repr(value)
     return text if len(text) <= 60 else f"{text[:57]}…"
 
@@ -299,7 +299,7 @@ def _either(kind: inspect.UnionType) -> str:
 
 
 def _tags(kind: inspect.Type) -> str:
-    """List the tags of a union of tables that a key tells apart."""
+    """List the tags of a tagged union of tables."""
     members = kind.types if isinstance(kind, inspect.UnionType) else ()
     tagged = [t for t in members if isinstance(t, inspect.StructType) and t.tag_field]
     return " or ".join(repr(t.tag) for t in tagged)

@@ -1,4 +1,4 @@
-"""A model of another format as it came in: its scene, and what became of all that its file says."""
+"""A model imported from another format: its scene, and the fate of everything in its file."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ Outcome = Literal["kept", "approximated", "dropped"]
 
 
 class Fate(msgspec.Struct, frozen=True):
-    """What became of one thing that a file says, wherever it says it."""
+    """Outcome of converting one kind of element, wherever a file contains it."""
 
     element: str
-    """As the format calls it."""
+    """Name of the element in the format."""
     properties: tuple[str, ...]
-    """Attributes of the element; none: the element as a whole."""
+    """Attributes of the element; empty for the element as a whole."""
     outcome: Outcome
     reason: str
-    """How it is kept or approximated, or why it is dropped."""
+    """Explanation of how it is kept or approximated, or why it is dropped."""
     moves: bool
-    """Whether it bears on the motion."""
+    """Whether it affects the motion."""
     places: tuple[str, ...] = ()
     """Names of the elements, some with their values."""
     count: int = 1
@@ -34,88 +34,88 @@ class Fate(msgspec.Struct, frozen=True):
 
 
 class LinkFacts(msgspec.Struct, frozen=True):
-    """Mass of a link that can move, in W at the reference pose."""
+    """Mass properties of a movable link, in W at the reference pose."""
 
     name: str
     mass: float
-    """[kg]"""
+    """Mass [kg]."""
     com: Vector
-    """[m]"""
+    """Centre of mass in W [m]."""
     inertia: tuple[float, float, float, float, float, float]
-    """xx, yy, zz, xy, xz, yz about the centre of mass [kg·m²]."""
+    """Inertia xx, yy, zz, xy, xz, yz about the centre of mass [kg·m²]."""
     body: str = ""
-    """Of the scene, that it is or is fixed to."""
+    """Body of the scene that the link is or is fixed to."""
 
     @classmethod
     def of(cls, name: str, mass: float, com: Array, inertia: Array, body: str = "") -> Self:
-        """Take an inertia of shape (3, 3)."""
+        """Make the facts from an inertia tensor of shape (3, 3)."""
         (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertia.tolist()
         return cls(name, float(mass), com.tolist(), (xx, yy, zz, xy, xz, yz), body)
 
     @property
     def tensor(self) -> Array:
-        """The inertia, shape (3, 3)."""
+        """Inertia tensor about the centre of mass [kg·m²], shape (3, 3)."""
         xx, yy, zz, xy, xz, yz = self.inertia
         return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 class JointFacts(msgspec.Struct, frozen=True):
-    """A joint with freedom, at the reference pose; zeros where it has none of something."""
+    """A joint that allows motion, at the reference pose; properties that it lacks are zero."""
 
     name: str
     kind: str
-    """hinge, slider, ball, free, or another program's word."""
+    """Kind: hinge, slider, ball, free, or another program's name for it."""
     anchor: Vector = (0.0, 0.0, 0.0)
-    """In W [m]."""
+    """Anchor in W [m]."""
     axis: Vector = (0.0, 0.0, 0.0)
-    """In W."""
+    """Axis in W."""
     damping: float = 0.0
     friction: float = 0.0
     stiffness: float = 0.0
     armature: float = 0.0
     limits: tuple[float, float] | None = None
-    """Counted from the reference pose."""
+    """Lower and upper limit, measured from the reference pose."""
     enforced: bool = True
-    """Whether the limits hold, or are only remembered."""
+    """Whether the limits act; otherwise they are only recorded."""
 
 
 class ModelFacts(msgspec.Struct, frozen=True):
-    """What a reader makes of a model's file."""
+    """Contents of a model's file, as a reader understands it."""
 
     reader: str
-    """Name and version."""
+    """Name and version of the reader."""
     links: tuple[LinkFacts, ...] = ()
     joints: tuple[JointFacts, ...] = ()
     couplings: int = 0
-    """Joints that follow another."""
+    """Number of joints that follow another."""
 
 
 class Written(msgspec.Struct, frozen=True):
-    """A scene in another format, with the report on what was lost."""
+    """A scene in another format, with a report on losses."""
 
     text: str
     fates: tuple[Fate, ...]
 
 
 class Imported(msgspec.Struct, frozen=True):
-    """A scene made of a model, with the report on what was lost."""
+    """A scene made from a model, with a report on losses."""
 
     scene: Scene
     file: str
     format: str
     reader: str
-    """Name and version of what has read it."""
+    """Name and version of the reader."""
     fates: tuple[Fate, ...]
     facts: ModelFacts
-    """What the file says."""
+    """Contents of the file."""
 
     def count(self, outcome: Outcome) -> int:
-        """Count the fates of an outcome that bear on the motion."""
+        """Count the fates with an outcome that affect the motion."""
         return sum(fate.outcome == outcome and fate.moves for fate in self.fates)
 
 
 def gathered(fates: Iterable[Fate]) -> tuple[Fate, ...]:
-    """Make one of all fates that differ in their places alone, losses first."""
+    """Merge fates that differ only in their places, sorted by effect on motion, then by loss."""
 
     def alike(fate: Fate) -> tuple[object, ...]:
         order = ("dropped", "approximated", "kept").index(fate.outcome)

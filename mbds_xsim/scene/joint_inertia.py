@@ -1,4 +1,4 @@
-"""What joints of the spanning tree move at a pose, as if no loops were closed; vectorised."""
+"""Effective inertia of the spanning tree's joints at a pose, with loops open; vectorised."""
 
 from __future__ import annotations
 
@@ -18,31 +18,31 @@ _POSES = 32
 def moved_inertias(
     mechanism: Mechanism, joints: Sequence[PlacedJoint], bodies: BodyStates
 ) -> tuple[Array, Array]:
-    """Give what coordinates of hinges and sliders of the tree move [kg·m² or kg].
+    """Return the effective inertia of hinges and sliders of the tree [kg·m² or kg].
 
     Returns:
-        By which a torque or force on the coordinate accelerates it, with all others free; and with
-        all others held, which is more; shapes (…, joint).
+        Inertia against a torque or force on the coordinate, with all other coordinates free, and
+        with all others held, which is larger; shapes (…, joint).
     """
     mass, _ = _mass_matrix(mechanism, bodies)
-    own = _numbers(mechanism, joints)
-    yielding = np.linalg.inv(mass)
-    return np.asarray(1.0 / yielding[..., own, own]), mass[..., own, own]
+    numbers = _numbers(mechanism, joints)
+    inverse = np.linalg.inv(mass)
+    return np.asarray(1.0 / inverse[..., numbers, numbers]), mass[..., numbers, numbers]
 
 
 def kicks(
     mechanism: Mechanism, joints: Sequence[PlacedJoint], bodies: BodyStates
 ) -> tuple[Array, Array]:
-    """Give what an impulse on a coordinate that changes its rate by 1 does to the bodies.
+    """Return the bodies' velocity changes due to an impulse that changes a joint's rate by 1.
 
     Returns:
-        Changes of their velocities and of their angular velocities in W, [m/s] and [rad/s] per
-        unit of the rate, shapes (…, joint, body, 3).
+        Changes of velocities and angular velocities in W, [m/s] and [rad/s] per unit of the rate,
+        shapes (…, joint, body, 3).
     """
     mass, moving = _mass_matrix(mechanism, bodies)
-    own = _numbers(mechanism, joints)
-    yielding = np.linalg.inv(mass)[..., own]
-    share = yielding / np.diagonal(yielding[..., own, :], axis1=-2, axis2=-1)[..., None, :]
+    numbers = _numbers(mechanism, joints)
+    inverse = np.linalg.inv(mass)[..., numbers]
+    share = inverse / np.diagonal(inverse[..., numbers, :], axis1=-2, axis2=-1)[..., None, :]
     linear, angular = (
         np.einsum("...dj,...dbi->...jbi", share, values)
         for values in (moving.velocity, moving.angular_velocity)
@@ -51,7 +51,7 @@ def kicks(
 
 
 def poses(mechanism: Mechanism) -> BodyStates:
-    """Give the scene's start, and others with hinges and sliders anywhere between their limits."""
+    """Return the scene's start, then random poses of hinges and limited sliders."""
     start = to_links(
         mechanism, assemble(mechanism).each(lambda values: np.stack([values] * _POSES))
     )
@@ -65,9 +65,9 @@ def poses(mechanism: Mechanism) -> BodyStates:
 
 
 def _mass_matrix(mechanism: Mechanism, bodies: BodyStates) -> tuple[Array, BodyStates]:
-    """Give that of the tree's freedoms, (…, freedom, freedom), and motions at unit rates of them.
+    """Return the mass matrix of the tree's freedoms, and the body motions at their unit rates.
 
-    Of the latter shapes are (…, freedom, body, …).
+    Shapes are (…, freedom, freedom) and (…, freedom, body, …).
     """
     freedoms = _freedoms(mechanism)
     spread = bodies.each(lambda values: np.repeat(values[..., None, :, :], len(freedoms), axis=-3))
@@ -86,21 +86,21 @@ def _mass_matrix(mechanism: Mechanism, bodies: BodyStates) -> tuple[Array, BodyS
 
 
 def _freedoms(mechanism: Mechanism) -> list[tuple[str, tuple[int, ...]]]:
-    """Fields of `LinkStates` with places in them."""
-    found: list[tuple[str, tuple[int, ...]]] = []
+    """List the tree's freedoms as fields of `LinkStates` with indices into them."""
+    freedoms: list[tuple[str, tuple[int, ...]]] = []
     for k, link in enumerate(mechanism.links):
         kind = link.joint.kind if link.joint else "free"
         if kind in ("hinge", "slider"):
-            found.append(("rate", (k,)))
+            freedoms.append(("rate", (k,)))
         if kind in ("ball", "free"):
-            found += [("angular_velocity", (k, i)) for i in range(3)]
+            freedoms += [("angular_velocity", (k, i)) for i in range(3)]
         if kind == "free":
-            found += [("velocity", (k, i)) for i in range(3)]
-    return found
+            freedoms += [("velocity", (k, i)) for i in range(3)]
+    return freedoms
 
 
 def _numbers(mechanism: Mechanism, joints: Sequence[PlacedJoint]) -> list[int]:
-    """Find the freedoms that are coordinates of joints."""
+    """Find the freedoms that are the joints' coordinates."""
     link = {link.joint.index: k for k, link in enumerate(mechanism.links) if link.joint}
     freedoms = _freedoms(mechanism)
     return [freedoms.index(("rate", (link[joint.index],))) for joint in joints]

@@ -1,8 +1,8 @@
-"""Between body states and the coordinates of joints and of the spanning tree, vectorised.
+"""Conversion between body states and joint or spanning-tree coordinates, vectorised.
 
 Engines that use reduced coordinates hold, for each link of `Mechanism.links`, the motion of the
 body relative to its tree parent. `LinkStates` has that motion in one form for all joint kinds;
-an adapter copies the columns its engine wants. The order is that of `Mechanism.links`.
+an adapter copies the columns its engine needs. The order is that of `Mechanism.links`.
 """
 
 from __future__ import annotations
@@ -34,22 +34,22 @@ class BodyStates:
     native: Array
     """Rotations of the native frames, shape (…, body, 4)."""
     velocity: Array
-    """[m/s], shape (…, body, 3)."""
+    """Velocities of the centres of mass in W [m/s], shape (…, body, 3)."""
     angular_velocity: Array
-    """In W [rad/s], shape (…, body, 3)."""
+    """Angular velocities in W [rad/s], shape (…, body, 3)."""
 
     @staticmethod
     def of(mechanism: Mechanism, motion: Batch | Trajectory) -> BodyStates:
-        """Take the starts of a batch, or the frames of a trajectory."""
+        """Return the starts of a batch, or the frames of a trajectory, as body states."""
         native = mechanism.native_rotation(motion.orientation)
         return BodyStates(motion.position, native, motion.velocity, motion.angular_velocity)
 
     def __getitem__(self, rows: Any) -> BodyStates:
-        """Take some of the states, by their leading axes."""
+        """Select states along their leading axes."""
         return self.each(lambda values: values[rows])
 
     def each(self, change: Callable[[Array], Array]) -> BodyStates:
-        """Change all four arrays alike."""
+        """Apply a function to all four arrays."""
         return BodyStates(*map(change, vars(self).values()))
 
     def with_world(self) -> BodyStates:
@@ -59,30 +59,30 @@ class BodyStates:
         return BodyStates(*map(_followed, vars(self).values(), vars(still).values()))
 
     def arms(self, body: Bodies, offset: Array) -> Array:
-        """Turn vectors from centres of mass to points of bodies into W [m], (…, point, 3)."""
-        return rotation.rotate(taken(self.native, body), offset)
+        """Rotate offsets from centres of mass to points into W [m], shape (…, point, 3)."""
+        return rotation.rotate(select_bodies(self.native, body), offset)
 
     def points(self, body: Bodies, offset: Array) -> Array:
-        """Place points that are fixed in bodies [m], shape (…, point, 3)."""
-        return taken(self.position, body) + self.arms(body, offset)
+        """Return points fixed in bodies, in W [m], shape (…, point, 3)."""
+        return select_bodies(self.position, body) + self.arms(body, offset)
 
     def speeds(self, body: Bodies, offset: Array) -> Array:
-        """Give the velocities of such points [m/s], shape (…, point, 3)."""
-        spin = taken(self.angular_velocity, body)
-        return taken(self.velocity, body) + rotation.cross(spin, self.arms(body, offset))
+        """Return the velocities of points fixed in bodies [m/s], shape (…, point, 3)."""
+        spin = select_bodies(self.angular_velocity, body)
+        return select_bodies(self.velocity, body) + rotation.cross(spin, self.arms(body, offset))
 
 
-def taken(values: Array, body: Bodies) -> Array:
-    """Take some bodies' values, whose components stay apart in memory where they are."""
+def select_bodies(values: Array, body: Bodies) -> Array:
+    """Select bodies' values, preserving the memory layout."""
     return np.asarray(values.T[:, body].T)
 
 
 def _followed(values: Array, last: Array) -> Array:
-    """Append a body's values, in memory as the others."""
+    """Append a body's values, preserving the memory layout."""
     shape = *values.shape[:-2], values.shape[-2] + 1, values.shape[-1]
-    found = np.empty_like(values, shape=shape)
-    found[..., :-1, :], found[..., -1, :] = values, last
-    return found
+    extended = np.empty_like(values, shape=shape)
+    extended[..., :-1, :], extended[..., -1, :] = values, last
+    return extended
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,28 +90,28 @@ class LinkStates:
     """Motion of each body relative to its tree parent, in link order."""
 
     rotation: Array
-    """Native frame of the child to that of the parent (wxyz), shape (…, link, 4)."""
+    """Rotation from the child's to the parent's native frame (wxyz), shape (…, link, 4)."""
     angular_velocity: Array
-    """Of the child relative to the parent, in the child's native frame [rad/s], (…, link, 3)."""
+    """Child's rate relative to the parent, in the child's frame [rad/s], shape (…, link, 3)."""
     coordinate: Array
     """Hinge angle in (−π, π] [rad] or slider displacement [m], else 0, shape (…, link)."""
     rate: Array
-    """Its rate [rad/s or m/s], else 0, shape (…, link)."""
+    """Rate of the coordinate [rad/s or m/s], else 0, shape (…, link)."""
     position: Array
-    """Of a free body's centre of mass in W [m], else 0, shape (…, link, 3)."""
+    """Centre of mass of a free body in W [m], else 0, shape (…, link, 3)."""
     velocity: Array
-    """Of a free body's centre of mass in W [m/s], else 0, shape (…, link, 3)."""
+    """Velocity of a free body's centre of mass in W [m/s], else 0, shape (…, link, 3)."""
 
     @staticmethod
     def still(shape: tuple[int, ...]) -> LinkStates:
-        """Give links that neither move nor are moved, shape (…, link), to be filled."""
+        """Return links at rest in the reference pose, shape (…, link), to be filled in."""
         turn = np.broadcast_to(rotation.IDENTITY, (*shape, 4)).copy()
         spin, place, speed = (np.zeros((*shape, 3)) for _ in range(3))
         return LinkStates(turn, spin, np.zeros(shape), np.zeros(shape), place, speed)
 
 
 def joint_coordinate(joint: PlacedJoint, position: Array, native: Array) -> Array:
-    """Hinge angle in (−π, π] [rad] or slider displacement [m]; leading axes are kept."""
+    """Return hinge angle in (−π, π] [rad] or slider displacement [m]; leading axes are kept."""
     (xp, qp), (xc, qc) = (
         (np.zeros(3), rotation.IDENTITY)
         if body == WORLD_INDEX
@@ -119,29 +119,29 @@ def joint_coordinate(joint: PlacedJoint, position: Array, native: Array) -> Arra
         for body in (joint.parent, joint.child)
     )
     if joint.kind == "slider":
-        apart = xc + rotation.rotate(qc, joint.in_child) - xp - rotation.rotate(qp, joint.in_parent)
-        return np.asarray(np.sum(apart * rotation.rotate(qp, joint.axis), axis=-1))
+        span = xc + rotation.rotate(qc, joint.in_child) - xp - rotation.rotate(qp, joint.in_parent)
+        return np.asarray(np.sum(span * rotation.rotate(qp, joint.axis), axis=-1))
     return rotation.angle_about(rotation.multiply(rotation.conjugate(qp), qc), joint.axis)
 
 
 def joint_rate(joint: PlacedJoint, world: BodyStates) -> Array:
-    """Give the rate of that coordinate [rad/s or m/s], of states with the world."""
+    """Return the rate of a hinge or slider [rad/s or m/s], from states with the world."""
     parent, child = joint.parent, joint.child
     axis = world.arms(parent, joint.axis)
-    moving = world.angular_velocity[..., child, :] - world.angular_velocity[..., parent, :]
+    relative = world.angular_velocity[..., child, :] - world.angular_velocity[..., parent, :]
     if joint.kind == "slider":
         anchor = world.points(child, joint.in_child)
         arm = anchor - world.position[..., parent, :]
-        carried = rotation.cross(world.angular_velocity[..., parent, :], arm)
-        moving = world.speeds(child, joint.in_child) - world.velocity[..., parent, :] - carried
-    return np.asarray(np.sum(moving * axis, axis=-1))
+        swing = rotation.cross(world.angular_velocity[..., parent, :], arm)
+        relative = world.speeds(child, joint.in_child) - world.velocity[..., parent, :] - swing
+    return np.asarray(np.sum(relative * axis, axis=-1))
 
 
 def joint_turns(joint: PlacedJoint, world: BodyStates, frame: float) -> Array:
-    """Give the angles by which a hinge turns over each step [rad], shape (trajectory, step).
+    """Return the angle that a hinge turns in each step [rad], shape (trajectory, step).
 
     A frame gives its angle up to full turns; the mean of the rates at the two ends of the step
-    chooses among them.
+    resolves these.
     """
     rate = joint_rate(joint, world)
     turn = np.diff(joint_coordinate(joint, world.position, world.native), axis=1)
@@ -150,32 +150,32 @@ def joint_turns(joint: PlacedJoint, world: BodyStates, frame: float) -> Array:
 
 
 def coupling_gaps(mechanism: Mechanism, bodies: BodyStates) -> tuple[Array, Array]:
-    """Give by how much followers are off where couplings have them, and at which rate.
+    """Return by how much followers deviate from their couplings, in coordinate and rate.
 
-    Hinge angles count as in (−π, π], so it is for starts. Shapes (…, coupling) [rad or m, and /s].
+    Hinge angles are in (−π, π], so this is for starts. Shapes (…, coupling) [rad or m, and /s].
     """
     world, lead = bodies.with_world(), bodies.position.shape[:-2]
     off, rate = (np.empty((*lead, len(mechanism.couplings))) for _ in range(2))
-    for k, each in enumerate(mechanism.couplings):
-        here, there = (
+    for k, coupling in enumerate(mechanism.couplings):
+        follower, leader = (
             joint_coordinate(joint, bodies.position, bodies.native)
-            for joint in (each.follower, each.leader)
+            for joint in (coupling.follower, coupling.leader)
         )
-        off[..., k] = here - each.ratio * there - each.offset
-        leading = joint_rate(each.leader, world)
-        rate[..., k] = joint_rate(each.follower, world) - each.ratio * leading
+        off[..., k] = follower - coupling.ratio * leader - coupling.offset
+        leading = joint_rate(coupling.leader, world)
+        rate[..., k] = joint_rate(coupling.follower, world) - coupling.ratio * leading
     return off, rate
 
 
 def joint_loads(mechanism: Mechanism, bodies: BodyStates, push: Array) -> tuple[Array, Array]:
-    """Give what springs, dampers and drives of joints do to the bodies.
+    """Return the loads of joint springs, dampers and drives on the bodies.
 
-    Hinge angles count as in (−π, π].
+    Hinge angles are taken in (−π, π].
 
     Args:
-        mechanism: Whose joints.
+        mechanism: The mechanism.
         bodies: States, with any leading axes.
-        push: Of the drives, shape (…, drive).
+        push: Pushes of the drives (`PlacedDrive.pushes`), shape (…, drive).
 
     Returns:
         Forces on centres of mass [N] and moments about them [N·m], in W, shapes (…, body, 3).
@@ -201,12 +201,12 @@ def joint_loads(mechanism: Mechanism, bodies: BodyStates, push: Array) -> tuple[
 
 
 def rate_row(mechanism: Mechanism, joint: PlacedJoint, position: Array, native: Array) -> csr_array:
-    """Give the row that makes a hinge's or slider's rate of the twists, shape (1, 6 · body)."""
+    """Return the row that maps twists to a hinge's or slider's rate, shape (1, 6 · body)."""
     from scipy.sparse import csr_array
 
-    held = joint.parent == WORLD_INDEX
-    axis = joint.axis if held else rotation.rotate(native[joint.parent], joint.axis)
-    # What either is of the world is left out below.
+    on_world = joint.parent == WORLD_INDEX
+    axis = joint.axis if on_world else rotation.rotate(native[joint.parent], joint.axis)
+    # Blocks of the world are left out below.
     if joint.kind == "hinge":
         child, parent = [0.0, 0.0, 0.0, *axis], [0.0, 0.0, 0.0, *-axis]
     else:
@@ -223,7 +223,7 @@ def rate_row(mechanism: Mechanism, joint: PlacedJoint, position: Array, native: 
 
 
 def coupling_rows(mechanism: Mechanism, position: Array, native: Array) -> list[csr_array]:
-    """Give, for each coupling, the row whose product with the twists is 0, shape (1, 6 · body)."""
+    """Return each coupling's row, whose product with the twists is 0, shape (1, 6 · body)."""
 
     def row(joint: PlacedJoint) -> csr_array:
         return rate_row(mechanism, joint, position, native)
@@ -264,13 +264,13 @@ def to_links(mechanism: Mechanism, bodies: BodyStates) -> LinkStates:
 
 
 def to_bodies(mechanism: Mechanism, links: LinkStates) -> BodyStates:
-    """Forward kinematics: body states from tree coordinates.
+    """Compute body states from tree coordinates (forward kinematics).
 
     Ball joints and free bodies read `rotation` and `angular_velocity`, free bodies `position` and
     `velocity` too, hinges and sliders only `coordinate` and `rate`.
     """
     tree = _Tree.of(mechanism)
-    # Only what goes from parent to child is done link by link. Axis 0 is the link.
+    # Only the recursion from parent to child runs link by link. Axis 0 is the link.
     native = _natives(tree, links)
     parent = _above(tree, native, rotation.IDENTITY)
     each = (slice(None), *(None for _ in native.shape[1:-1]))
@@ -302,13 +302,13 @@ def to_bodies(mechanism: Mechanism, links: LinkStates) -> BodyStates:
 
 
 def _above(tree: _Tree, values: Array, world: Array) -> Array:
-    """Give each link what its parent has, or the world."""
+    """Return the value of each link's parent, or the world's."""
     still = np.broadcast_to(world, (1, *values.shape[1:]))
     return np.concatenate([values, still])[tree.parent_link]
 
 
 def _natives(tree: _Tree, links: LinkStates) -> Array:
-    """Rotations of the native frames, shape (link, …, 4)."""
+    """Return the rotations of the native frames, shape (link, …, 4)."""
     turn = np.moveaxis(links.rotation, -2, 0).copy()
     turn[~tree.turns_freely] = rotation.IDENTITY
     for hinge in np.flatnonzero(tree.hinge):
@@ -321,7 +321,7 @@ def _natives(tree: _Tree, links: LinkStates) -> Array:
 
 
 def _down(tree: _Tree, steps: Array) -> Array:
-    """Add up from the world to each link, shape (link, …, 3)."""
+    """Sum steps from the world to each link, shape (link, …, 3)."""
     total = steps.copy()
     for k, parent in enumerate(tree.parent_link):
         if parent >= 0:
@@ -331,16 +331,16 @@ def _down(tree: _Tree, steps: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Tree:
-    """The links as arrays, in their order."""
+    """Links of the spanning tree as arrays, in link order."""
 
     body: Index
     link_of_body: Index
     parent_body: Index
     parent_link: Index
-    """−1 where the parent is the world."""
+    """Link of the parent; −1 if the parent is the world."""
     free: Mask
     turns_freely: Mask
-    """Free bodies and ball joints."""
+    """Whether the link is a free body or has a ball joint."""
     hinge: Mask
     slider: Mask
     axis: Array
@@ -355,7 +355,7 @@ class _Tree:
     @staticmethod
     @functools.lru_cache(maxsize=64)
     def of(mechanism: Mechanism) -> _Tree:
-        """Collect them."""
+        """Collect the links of a mechanism (cached)."""
         links = mechanism.links
         body = np.array([link.body for link in links])
         link_of_body = np.argsort(body)
@@ -383,10 +383,10 @@ class _Tree:
 
 
 def _of_children(tree: _Tree, bodies: BodyStates) -> BodyStates:
-    """States of the links' bodies, in link order."""
+    """Return the states of the links' bodies, in link order."""
     return bodies.each(lambda values: values[..., tree.body, :])
 
 
 def _of_parents(tree: _Tree, bodies: BodyStates) -> BodyStates:
-    """States of the links' parents, the world's among them, in link order."""
+    """Return the states of the links' parents, including the world, in link order."""
     return bodies.with_world().each(lambda values: values[..., tree.parent_body, :])

@@ -1,4 +1,4 @@
-"""Points by which the distance of two motions is measured: particles, or such as stand for them."""
+"""Markers: points that measure the distance of two motions, particles or their substitutes."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from mbds_xsim.scene.mechanism import Mechanism
 
 
 def markers(mechanism: Mechanism) -> tuple[Index, Array]:
-    """Give the body (marker,) and the offset from its centre of mass in N [m] (marker, 3) of each.
+    """Return each marker's body (marker,) and offset from its centre of mass in N [m] (marker, 3).
 
-    They are the particles; in a body without any, six points around its centre of mass at its
-    mean radius of gyration.
+    Markers are the particles; in a body without any, they are six points around its centre of mass
+    at its mean radius of gyration.
     """
     bare = np.flatnonzero(mechanism.particles_per_body == 0)
     radius = np.sqrt(np.einsum("kii->k", mechanism.inertia[bare]) / (2.0 * mechanism.mass[bare]))
@@ -24,6 +24,6 @@ def markers(mechanism: Mechanism) -> tuple[Index, Array]:
 
 
 def marker_positions(mechanism: Mechanism, position: Array, native: Array) -> Array:
-    """Place the markers [m], shape (…, marker, 3), of bodies at positions and turns of N."""
+    """Return markers in W [m], shape (…, marker, 3), from body positions and rotations of N."""
     body, offset = markers(mechanism)
     return position[..., body, :] + rotation.rotate(native[..., body, :], offset)

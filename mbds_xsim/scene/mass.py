@@ -11,7 +11,7 @@ from mbds_xsim.scene.scene import Body
 
 
 def mass_properties(body: Body) -> tuple[float, Array, Array]:
-    """Give a body's mass [kg], centre of mass in W [m] and inertia about it in W's axes [kg·m²]."""
+    """Return a body's mass [kg], centre of mass in W [m] and inertia about it in W [kg·m²]."""
     turn = rotation.matrix(np.array(body.orientation))
     if body.inertia is not None:
         (xx, yy, zz), (xy, xz, yz) = body.inertia.moments, body.inertia.products
@@ -44,7 +44,7 @@ def of_revolution(inertia: Array, axis: Array) -> tuple[float, float, float]:
     """Compare a tensor with that of a body of revolution about an axis through its centre.
 
     Returns:
-        Its moment about the axis, the mean one across it, and how far any element is off
+        Moment about the axis, mean moment across it, and the largest deviation of an element
         [kg·m²].
     """
     along = float(axis @ inertia @ axis)

@@ -33,7 +33,7 @@ WORLD_INDEX = -1
 _CENTRED = 1e-9  # [m]
 
 CUT: tuple[JointKind, ...] = ("ball", "hinge", "slider", "fixed")
-"""Which joints rather close a loop than carry a body. Those that constrain most stay in the tree,
+"""Joint kinds, those preferred for closing loops first. Those that constrain most stay in the tree,
 so that loops are closed by the joints that engines close best."""
 
 
@@ -46,17 +46,17 @@ class PlacedJoint:
     parent: int
     child: int
     anchor: Array
-    """In W at the reference pose [m], shape (3,)."""
+    """Anchor in W at the reference pose [m], shape (3,)."""
     axis: Array
-    """Unit, in W at the reference pose, shape (3,); zero where the kind has none."""
+    """Unit axis in W at the reference pose, shape (3,); zero if the kind has none."""
     in_parent: Array
-    """Anchor in the parent's native frame [m]; in W where the parent is the world."""
+    """Anchor in the parent's native frame [m]; in W if the parent is the world."""
     in_child: Array
     """Anchor in the child's native frame [m]."""
     index: int
     """Position in `scene.joints`."""
     stiffness: float = 0.0
-    """Of the coordinate's spring [N·m/rad or N/m], with those of servos, as the damping."""
+    """Stiffness of spring and servos [N·m/rad or N/m]; the damping likewise includes servos."""
     damping: float = 0.0
     rest: float = 0.0
     armature: float = 0.0
@@ -64,12 +64,12 @@ class PlacedJoint:
     limits: tuple[float, float] | None = None
     restitution: float = 0.0
     coupled: bool = False
-    """Whether it follows another joint, or another follows it."""
+    """Whether it follows another joint or is followed."""
     driven: bool = False
     """Whether a drive acts on it."""
 
     def turned_round(self) -> PlacedJoint:
-        """Give the same joint from the child to the parent."""
+        """Return the same joint with parent and child exchanged."""
         return dataclasses.replace(
             self,
             parent=self.child,
@@ -91,11 +91,11 @@ class PlacedJoint:
 
     @property
     def in_tree(self) -> bool:
-        """Whether something is on it that only a joint of the tree can have."""
+        """Whether it has a property that only a joint of the spanning tree can have."""
         return bool(self.armature or self.friction or self.limits or self.coupled or self.driven)
 
     def effort(self, coordinate: Array, rate: Array) -> Array:
-        """Give the torque [N·m] or force [N] of the spring and damper along the axis on the child.
+        """Return the torque [N·m] or force [N] of spring and damper along the axis on the child.
 
         The parent gets the opposite.
         """
@@ -103,7 +103,7 @@ class PlacedJoint:
         return np.asarray(-spring - self.damping * rate)
 
     def beyond(self, coordinate: Array) -> Array:
-        """Give how far coordinates are past the limits, which it has [rad or m], 0 within."""
+        """Return how far coordinates exceed the joint's limits [rad or m]; 0 within them."""
         assert self.limits is not None
         low, high = self.limits
         return np.maximum(np.maximum(low - coordinate, coordinate - high), 0.0)
@@ -111,16 +111,16 @@ class PlacedJoint:
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """A body's place in the spanning tree: which joint holds it, and on which body.
+    """A body's place in the spanning tree: its parent body and the joint between them.
 
-    The joint points from the tree parent to the body. Where the scene's joint points the other
-    way its axis is negated here, which leaves its coordinate, rate and torque as they are.
+    The joint points from the tree parent to the body. If the scene's joint points the other
+    way, its axis is negated here, which leaves its coordinate, rate and torque unchanged.
     """
 
     body: int
     parent: int
     joint: PlacedJoint | None
-    """None: the body is free."""
+    """Joint from the parent to the body; None if the body is free."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,16 +131,16 @@ class PointPair:
     bodies: tuple[int, int]
     in_body: tuple[Array, Array]
     length: float
-    """Length of the link, rest length of the spring [m]."""
+    """Length of the link or rest length of the spring [m]."""
     stiffness: float = 0.0
     damping: float = 0.0
 
     def pull(self, line: Array, rate: Array) -> Array:
-        """Give the force on the first end, of which the second gets the opposite [N].
+        """Return the force on the first end [N]; the second end gets the opposite.
 
         Args:
-            line: From the first end to the second in W [m], shape (3,).
-            rate: Its rate [m/s].
+            line: Vector from the first end to the second in W [m], shape (3,).
+            rate: Rate of that vector [m/s].
         """
         length = float(np.linalg.norm(line))
         along = line / length
@@ -148,26 +148,26 @@ class PointPair:
         return np.asarray(tension * along)
 
     def as_read(self, line: Array) -> tuple[float, float, float, float]:
-        """Give stiffness, damping, rest length and present length, as `Readback.spring` has it."""
+        """Return stiffness, damping, rest length and present length, as in `Readback.spring`."""
         return self.stiffness, self.damping, self.length, float(np.linalg.norm(line))
 
 
 @dataclass(frozen=True, eq=False)
 class Mechanism:
-    """Arrays of a scene, body by body in scene order."""
+    """Arrays of a scene and its spanning tree; bodies are in scene order."""
 
     scene: Scene
     mass: Array
-    """[kg], shape (body,)."""
+    """Masses [kg], shape (body,)."""
     com: Array
     """Centres of mass in W at the reference pose [m], shape (body, 3)."""
     inertia: Array
-    """About the centre of mass in the native frame [kg·m²], shape (body, 3, 3)."""
+    """Inertia about the centre of mass in the native frame [kg·m²], shape (body, 3, 3)."""
     reference_orientation: Array
-    """Body frame to W at the reference pose, shape (body, 4)."""
+    """Rotation from body frame to W at the reference pose, shape (body, 4)."""
     joints: tuple[PlacedJoint, ...]
     links: tuple[Link, ...]
-    """The spanning tree, parents before children; one link a body."""
+    """The spanning tree, parents before children; one link per body."""
     loops: tuple[PlacedJoint, ...]
     """The joints that close loops, in scene order."""
     distances: tuple[PointPair, ...]
@@ -198,7 +198,7 @@ class Mechanism:
 
     @functools.cached_property
     def counted(self) -> tuple[PlacedJoint, ...]:
-        """The joints whose coordinate matters, a hinge's with its whole turns, in scene order."""
+        """The joints whose coordinate, including whole turns, matters; in scene order."""
         return tuple(
             j for j in self.joints if j.complies or j.friction or j.limits or j.coupled or j.driven
         )
@@ -220,7 +220,7 @@ class Mechanism:
 
     @property
     def has_impacts(self) -> bool:
-        """Whether something can meet the ground or another body, or a joint its stop."""
+        """Whether a sphere can hit the ground or another body, or a joint its stop."""
         return bool(self.scene.contacts or self.limited)
 
     @functools.cached_property
@@ -234,7 +234,7 @@ class Mechanism:
 
     @functools.cached_property
     def drives(self) -> tuple[PlacedDrive, ...]:
-        """Servos that are more than a spring, damper and held input, in scene order."""
+        """Servos that no spring, damper and held input can replace, in scene order."""
         joints = {joint.name: joint for joint in (*self.loops, *self.joints)}
         pairs = ((joints[servo.joint], servo) for servo in self.scene.servos)
         return tuple(
@@ -270,33 +270,33 @@ class Mechanism:
 
     @staticmethod
     def of(scene: Scene, cut: tuple[JointKind, ...] = CUT) -> Mechanism:
-        """Build (once per scene) the arrays and the tree; raise SceneError where none exist.
+        """Build (once per scene) the arrays and the tree; raise SceneError if impossible.
 
         Args:
             scene: The scene.
-            cut: All kinds of joints, those first that rather close a loop than carry a body.
+            cut: All joint kinds, those preferred for closing loops first.
         """
         return _build(scene, cut)
 
     def native_rotation(self, orientation: Array) -> Array:
-        """Published orientations (…, body, 4) to rotations of the native frames."""
+        """Convert published orientations (…, body, 4) to rotations of the native frames."""
         if (self.reference_orientation == rotation.IDENTITY).all():
             return orientation.copy()
         return rotation.multiply(orientation, rotation.conjugate(self.reference_orientation))
 
     def body_orientation(self, native: Array) -> Array:
-        """Rotations of the native frames (…, body, 4) to published orientations."""
+        """Convert rotations of the native frames (…, body, 4) to published orientations."""
         if (self.reference_orientation == rotation.IDENTITY).all():
             return native.copy()
         return rotation.multiply(native, self.reference_orientation)
 
     def particle_positions(self, position: Array, orientation: Array) -> Array:
-        """Particle centres in W [m], shape (…, particle, 3), from body states (…, body, 3|4)."""
+        """Return particle centres in W [m], (…, particle, 3), from body states (…, body, 3|4)."""
         turn = self.native_rotation(orientation)[..., self.particle_body, :]
         return position[..., self.particle_body, :] + rotation.rotate(turn, self.particle_offset)
 
     def sphere_heights(self, position: Array, native: Array) -> Array:
-        """Heights of the contact spheres' centres [m], shape (…, sphere).
+        """Return the heights of the contact spheres' centres [m], shape (…, sphere).
 
         Args:
             position: Centres of mass, shape (…, body, 3).
@@ -315,9 +315,9 @@ def _build(scene: Scene, cut: tuple[JointKind, ...]) -> Mechanism:
     tree, loops = spanning_tree(len(scene.bodies), joints, cut)
     for joint in loops:
         if joint.in_tree:
-            given = [key for key in ("armature", "friction", "limits") if getattr(joint, key)]
-            what = (given or ["a coupling" if joint.coupled else "a servo with a limit"])[0]
-            where = f"joints[{joint.name!r}]: got {what} on a joint that closes a loop"
+            keys = [key for key in ("armature", "friction", "limits") if getattr(joint, key)]
+            label = (keys or ["a coupling" if joint.coupled else "a servo with a limit"])[0]
+            where = f"joints[{joint.name!r}]: got {label} on a joint that closes a loop"
             raise SceneError(f"{where}, allowed is it on others; let another joint close it")
     counts = np.array([len(body.particles) for body in scene.bodies])
     particle_body = np.repeat(np.arange(len(counts)), counts)
@@ -365,7 +365,7 @@ def _native(point: tuple[float, float, float], body: int, com: Array) -> Array:
 def _place(scene: Scene, k: int, index: dict[str, int], com: Array) -> PlacedJoint:
     joint = scene.joints[k]
     stiffness, damping, rest = law_of(joint, scene.servos)
-    # hypot neither under- nor overflows, whatever the axis is measured in.
+    # hypot neither underflows nor overflows, whatever the axis's length.
     axis = np.zeros(3) if joint.axis is None else np.array(joint.axis) / math.hypot(*joint.axis)
     parent, child = index[joint.parent], index[joint.child]
     return PlacedJoint(

@@ -2,8 +2,8 @@
 
 Everything of trajectory i comes from `default_rng(SeedSequence([seed, i]))` in this order: the
 scene's `sampling` entries as listed, each in the order its docstring gives, then the noise, frame
-by frame, body by body, component by component. Switching noise or inputs off draws all the same,
-so that the start stays what it was.
+by frame, body by body, component by component. Inputs are drawn even when switched off, and noise
+comes last, so that switching either off leaves the start unchanged.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from mbds_xsim.scene.draft import Draft, Drafts, carried_by, hinge_rate, lift, p
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
 from mbds_xsim.scene.scene import Scene
-from mbds_xsim.scene.servo import held
+from mbds_xsim.scene.servo import zero_order_hold
 from mbds_xsim.scene.state import Batch
 
 # σ holds for frames of this length; other intervals keep the noise's spectral density.
 _NOISE_FRAME = 0.02
-_CENTRED = 1e-9  # of a contact sphere at a centre of mass [m]
+_CENTRED = 1e-9  # tolerance of a sphere centred at a centre of mass [m]
 _MOVING = {1: slice(1), 2: slice(0, 3, 2), 3: slice(3)}  # components of W by dimension
 _ALL_ROUND = (0.0, 2.0 * np.pi)  # [rad]
 
@@ -42,10 +42,10 @@ def draw_batch(
     noise: bool = True,
     inputs: bool = True,
 ) -> Batch:
-    """Draw trajectories by index. Index i takes the interval low, medium, high of i mod 3.
+    """Draw trajectories by index; index i takes interval i mod 3 of low, medium, high.
 
     Args:
-        scene: What to sample.
+        scene: Scene to sample.
         indices: Numbers of the trajectories, 0 or more.
         seed: Seed of the whole set.
         noise: Whether the noise forces act.
@@ -76,27 +76,27 @@ def draw_batch(
     )
 
 
-def distinct_starts(scene: Scene, asked: int, *, noise: bool = True, inputs: bool = True) -> int:
-    """Tell how many trajectories are worth drawing: one where nothing is drawn, else as asked.
+def distinct_starts(scene: Scene, count: int, *, noise: bool = True, inputs: bool = True) -> int:
+    """Return the number of trajectories worth drawing: one if all would be alike, else `count`.
 
     Args:
-        scene: What to sample.
-        asked: Number of trajectories.
+        scene: Scene to sample.
+        count: Number of trajectories.
         noise: Whether the noise forces act.
         inputs: Whether drawn forces and torques act.
     """
     starts = any(
         inputs or not isinstance(term, terms.HingeTorque | terms.Wind) for term in scene.sampling
     )
-    return asked if starts or (noise and scene.noise > 0) else 1
+    return count if starts or (noise and scene.noise > 0) else 1
 
 
 @dataclass(frozen=True)
 class Starts:
-    """Which trajectories of a scene are drawn: as many of each interval."""
+    """Trajectories of a scene to draw, equally many for each interval."""
 
     trajectories: int = 1
-    """Of each interval; where nothing is drawn there is one in all."""
+    """Number per interval; if nothing is random, there is one in total."""
     seed: int = 0
     noise: bool = True
     """Whether the noise forces act."""
@@ -104,19 +104,19 @@ class Starts:
     """Whether drawn forces and torques act."""
 
     def draw(self, scene: Scene) -> Batch:
-        """Draw them (SceneError as in `draw_batch`)."""
-        asked = len(terms.INTERVALS) * self.trajectories
-        count = distinct_starts(scene, asked, noise=self.noise, inputs=self.inputs)
+        """Draw the trajectories; raise SceneError as `draw_batch` does."""
+        total = len(terms.INTERVALS) * self.trajectories
+        count = distinct_starts(scene, total, noise=self.noise, inputs=self.inputs)
         return draw_batch(scene, range(count), seed=self.seed, noise=self.noise, inputs=self.inputs)
 
 
 def noise_components(scene: Scene) -> list[int]:
-    """Components of W in which the scene moves, and so the noise acts."""
+    """Return the components of W in which the scene moves and the noise acts."""
     return [0, 1, 2][_MOVING[scene.dimension]]
 
 
 def _begun(mechanism: Mechanism, indices: list[int], seed: int, inputs: bool) -> Drafts:
-    """Give every trajectory the start and the inputs that the scene has itself."""
+    """Begin every trajectory with the scene's own start and inputs."""
 
     def for_all(values: Array) -> Array:
         return np.repeat(values[None], len(indices), axis=0)
@@ -141,21 +141,23 @@ def _begun(mechanism: Mechanism, indices: list[int], seed: int, inputs: bool) ->
 
 @functools.lru_cache(maxsize=16)
 def _scene_inputs(mechanism: Mechanism) -> tuple[Array, Array]:
-    """Forces (step, body, 3) and torques (step, hinge) that the scene lists itself."""
+    """Return forces (step, body, 3) and torques (step, hinge) that the scene itself lists."""
     scene = mechanism.scene
     force = np.zeros((scene.clock.steps, mechanism.body_count, 3))
     torque = np.zeros((scene.clock.steps, len(mechanism.hinges)))
     bodies = {body.name: k for k, body in enumerate(scene.bodies)}
     hinges = {joint.name: k for k, joint in enumerate(mechanism.hinges)}
     for item in scene.forces:
-        force[:, bodies[item.body]] += held(np.array(item.series), item.hold, scene.clock.steps)
+        force[:, bodies[item.body]] += zero_order_hold(
+            np.array(item.series), item.hold, scene.clock.steps
+        )
     for joint in mechanism.joints:
         own = scene.joints[joint.index]
         servos = [s for s in scene.servos if s.joint == joint.name and not s.is_drive(own)]
         push = np.zeros(scene.clock.steps)
         for servo in servos:
             for part in servo.push(joint.rest):
-                push += held(part, servo.hold, scene.clock.steps)
+                push += zero_order_hold(part, servo.hold, scene.clock.steps)
         if joint.name in hinges:
             torque[:, hinges[joint.name]] += push
         elif any(servo.needs_input for servo in servos):
@@ -163,7 +165,9 @@ def _scene_inputs(mechanism: Mechanism) -> tuple[Array, Array]:
             body, sign = (joint.child, 1.0) if joint.parent == WORLD_INDEX else (joint.parent, -1.0)
             force[:, body] += sign * push[:, None] * joint.axis
     for load in scene.torques:
-        torque[:, hinges[load.joint]] += held(np.array(load.series), load.hold, scene.clock.steps)
+        torque[:, hinges[load.joint]] += zero_order_hold(
+            np.array(load.series), load.hold, scene.clock.steps
+        )
     return force, torque
 
 
@@ -177,19 +181,19 @@ def _add_noise(drawing: Draft) -> None:
 def _swing(term: terms.Swing, drafts: Drafts) -> None:
     states, hung = drafts.states, _hung(drafts.mechanism, term.bodies)
     spans = (term.polar, _ALL_ROUND, term.speed, _ALL_ROUND)
-    drawn = np.array([drawing.uniforms(spans, len(hung.body)) for drawing in drafts.each])
-    polar, azimuth, speed, heading = np.moveaxis(drawn, -1, 0).copy()[..., None]
+    draws = np.array([drawing.uniforms(spans, len(hung.body)) for drawing in drafts.each])
+    polar, azimuth, speed, heading = np.moveaxis(draws, -1, 0).copy()[..., None]
     # Turning by `polar` about a horizontal axis leaves the body without spin about its arm.
-    about = np.concatenate([np.sin(azimuth), -np.cos(azimuth), np.zeros_like(polar)], axis=-1)
-    turn = rotation.from_vector(polar * about)
+    axis = np.concatenate([np.sin(azimuth), -np.cos(azimuth), np.zeros_like(polar)], axis=-1)
+    turn = rotation.from_vector(polar * axis)
     down = rotation.rotate(turn, hung.arm)
     first, second = rotation.normal_to(down)
     relative = speed * (np.cos(heading) * first + np.sin(heading) * second)
     rate = rotation.cross(down, relative) / rotation.squares(down)
-    reach, carried = _pivots(hung, states, turn, rate)
+    offsets, velocities = _pivots(hung, states, turn, rate)
     states.native[:, hung.body], states.angular_velocity[:, hung.body] = turn, rate
     for k, (body, parent) in enumerate(zip(hung.body, hung.parent, strict=True)):
-        pivot, pivot_velocity = reach[:, k], carried[:, k]
+        pivot, pivot_velocity = offsets[:, k], velocities[:, k]
         if parent != WORLD_INDEX:
             pivot = states.position[:, parent] + pivot
             pivot_velocity = states.velocity[:, parent] + pivot_velocity
@@ -204,16 +208,16 @@ class _Hung:
     body: list[int]
     parent: list[int]
     above: Index
-    """Place of the parent among them; −1 where it is none of those before."""
+    """Place of the parent in this list; −1 unless it is one of those before."""
     arm: Array
-    """From the joint to the centre of mass [m], shape (hung, 3)."""
+    """Arm from the joint to the centre of mass [m], shape (hung, 3)."""
     in_parent: Array
-    """The joint, from the parent's centre of mass [m], shape (hung, 3)."""
+    """Joint relative to the parent's centre of mass [m], shape (hung, 3)."""
 
 
 @functools.lru_cache(maxsize=64)
 def _hung(mechanism: Mechanism, bodies: tuple[str, ...]) -> _Hung:
-    """Find the joints, and that they are what swings."""
+    """Find the ball joints of bodies that swing; raise SceneError if a body cannot."""
     names = [body.name for body in mechanism.scene.bodies]
     links = {link.body: link for link in mechanism.links}
     joints = []
@@ -244,14 +248,14 @@ def _hung(mechanism: Mechanism, bodies: tuple[str, ...]) -> _Hung:
 
 
 def _pivots(hung: _Hung, states: BodyStates, turn: Array, rate: Array) -> tuple[Array, Array]:
-    """Joints from their parents' centres of mass, and what the parents' turning adds there."""
+    """Return joints relative to their parents' centres of mass, and velocities due to spin."""
     swung = hung.above[:, None] >= 0
     native = np.where(swung, turn[:, hung.above], states.native[:, hung.parent])
     spin = np.where(swung, rate[:, hung.above], states.angular_velocity[:, hung.parent])
     arm = rotation.rotate(native, hung.in_parent)
     swing = rotation.cross(spin, arm)
-    world = np.array(hung.parent)[:, None] == WORLD_INDEX
-    return np.where(world, hung.in_parent, arm), np.where(world, 0.0, swing)
+    on_world = np.array(hung.parent)[:, None] == WORLD_INDEX
+    return np.where(on_world, hung.in_parent, arm), np.where(on_world, 0.0, swing)
 
 
 def _turn(term: terms.Turn, drawing: Draft) -> None:
@@ -265,8 +269,8 @@ def _turn(term: terms.Turn, drawing: Draft) -> None:
 
 def _throw(term: terms.Throw, drawing: Draft) -> None:
     body = drawing.body(term.body)
-    carried = carried_by(drawing.mechanism, body)
-    drawing.position[carried] += [drawing.uniform(span) for span in term.displacement]
+    bodies = carried_by(drawing.mechanism, body)
+    drawing.position[bodies] += [drawing.uniform(span) for span in term.displacement]
     center = drawing.position[body].copy()
     turn = rotation.IDENTITY
     if term.orientation == "about_y":
@@ -274,16 +278,16 @@ def _throw(term: terms.Throw, drawing: Draft) -> None:
     elif term.orientation == "uniform":
         gauss = drawing.rng.standard_normal(4)
         turn = gauss / np.linalg.norm(gauss)
-    drawing.move_rigidly(carried, center, turn)
-    drawing.velocity[carried] += [drawing.uniform(span) for span in term.velocity]
+    drawing.move_rigidly(bodies, center, turn)
+    drawing.velocity[bodies] += [drawing.uniform(span) for span in term.velocity]
     rate = np.array([drawing.uniform(span) for span in term.angular_velocity])
-    drawing.add_twist(carried, center, rate)
+    drawing.add_twist(bodies, center, rate)
 
 
 def _roll(term: terms.Roll, drawing: Draft) -> None:
     mechanism = drawing.mechanism
     body = drawing.body(term.body)
-    carried = carried_by(mechanism, body)
+    bodies = carried_by(mechanism, body)
     own = mechanism.sphere_body == body
     if own.sum() != 1 or np.abs(mechanism.sphere_offset[own]).max() > _CENTRED:
         msg = (
@@ -292,7 +296,7 @@ def _roll(term: terms.Roll, drawing: Draft) -> None:
         )
         raise SceneError(msg)
     rolling = np.cross([0.0, 0.0, 1.0], drawing.velocity[body]) / mechanism.sphere_radius[own]
-    drawing.add_twist(carried, drawing.position[body], drawing.uniform(term.share) * rolling)
+    drawing.add_twist(bodies, drawing.position[body], drawing.uniform(term.share) * rolling)
 
 
 def _hinge_torque(term: terms.HingeTorque, drawing: Draft) -> None:
@@ -327,7 +331,7 @@ def _wind(term: terms.Wind, drawing: Draft) -> None:
 
 
 def _one_by_one(draw: Callable[[Any, Draft], None]) -> Callable[[Any, Drafts], None]:
-    """Draw for every trajectory by itself."""
+    """Apply a draw to every trajectory separately."""
 
     def draw_all(term: Any, drafts: Drafts) -> None:
         for drawing in drafts.each:

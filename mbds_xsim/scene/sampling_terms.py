@@ -20,7 +20,7 @@ Names = Annotated[tuple[str, ...], bounds.names]
 
 
 def _ordered(key: str, span: tuple[float, float] | Levels) -> None:
-    """Raise unless a range is one; `Levels` has checked its own."""
+    """Raise unless a range is finite and ordered; `Levels` has checked its own."""
     if isinstance(span, Levels):
         return
     if not (math.isfinite(span[1] - span[0]) and span[0] <= span[1]):
@@ -44,12 +44,12 @@ Span = Annotated[tuple[float, float] | Levels, _ordered]
 
 
 def span_of(span: Span, interval: Interval) -> Range:
-    """Give the range that holds in an interval."""
+    """Return the range that applies in an interval."""
     return getattr(span, interval) if isinstance(span, Levels) else span
 
 
 class Swing(Neutral, tag_field="kind", tag="swing"):
-    """Hang a chain of ball-jointed bodies at random directions.
+    """Hang a chain of ball-jointed bodies in random directions.
 
     For each body, in the given order, drawn in this order: polar angle of the arm (from the
     body's tree joint to its centre of mass) from −z, azimuth uniform in [0, 2π), speed of the
@@ -60,9 +60,9 @@ class Swing(Neutral, tag_field="kind", tag="swing"):
 
     bodies: Names
     polar: Span
-    """[rad]"""
+    """Polar angle of the arm from −z [rad]."""
     speed: Span
-    """[m/s]"""
+    """Speed of the centre of mass relative to the joint [m/s]."""
 
 
 class Turn(Neutral, tag_field="kind", tag="turn"):
@@ -71,37 +71,37 @@ class Turn(Neutral, tag_field="kind", tag="turn"):
     point: Annotated[Vector, bounds.place]
     """A point of the axis in W [m]."""
     axis: Annotated[Vector, bounds.direction]
-    """In W; need not be unit."""
+    """Direction of the axis in W; need not be a unit vector."""
     angle: Span
-    """[rad]"""
+    """Angle of the turn [rad]."""
     rate: Span
-    """[rad/s]"""
+    """Rate about the axis [rad/s]."""
 
 
 class Throw(Neutral, tag_field="kind", tag="throw"):
-    """Throw one free body, and all that its joints carry, rigidly.
+    """Throw one free body, with all bodies jointed to it, rigidly.
 
     Drawn in this order: displacement of its centre of mass from the reference pose (x, y, z),
-    orientation, velocity (x, y, z), angular velocity (x, y, z). The turn is about the body's
-    centre of mass.
+    orientation, velocity (x, y, z), angular velocity (x, y, z). The rotation is about the
+    body's centre of mass.
     """
 
     body: str
     displacement: tuple[Span, Span, Span] = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
-    """[m]"""
+    """Displacement in W [m]."""
     orientation: Literal["reference", "about_y", "uniform"] = "reference"
-    """Kept, turned about y by a uniform angle, or uniform on SO(3)."""
+    """Reference orientation kept, turned about y by a uniform angle, or uniform on SO(3)."""
     velocity: tuple[Span, Span, Span] = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
-    """[m/s]"""
+    """Velocity in W [m/s]."""
     angular_velocity: tuple[Span, Span, Span] = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
-    """In W [rad/s]."""
+    """Angular velocity in W [rad/s]."""
 
 
 class Roll(Neutral, tag_field="kind", tag="roll"):
-    """Spin a free body by a share of the rate at which it would roll at the velocity it has.
+    """Spin a free body at a share of the rate at which it would roll at its velocity.
 
     The share is drawn: 0 slides without spin, 1 rolls without slip. The body carries one contact
-    sphere, at its centre of mass; what the body's joints carry turns with it.
+    sphere, at its centre of mass; all bodies jointed to it turn with it.
     """
 
     body: str
@@ -109,33 +109,33 @@ class Roll(Neutral, tag_field="kind", tag="roll"):
 
 
 class Lift(Neutral, tag_field="kind", tag="lift"):
-    """Lift or lower a body and what it carries until its lowest contact sphere is at a height.
+    """Raise or lower a body and those it carries until its lowest contact sphere is at a height.
 
-    The body is free, with all that its joints carry, or an upright slider carries it.
+    The body is free and moves with all bodies jointed to it, or an upright slider carries it.
     """
 
     body: str
     height: Span
-    """Of the sphere's lowest point above the ground [m]."""
+    """Height of the sphere's lowest point above the ground [m]."""
 
 
 class Pose(Neutral, tag_field="kind", tag="pose"):
-    """Lead hinges and sliders to a coordinate each, drawn by itself, added to that of the file."""
+    """Add a coordinate, drawn for each joint separately, to the one that the file gives."""
 
     joints: Names
     coordinate: Span
-    """Hinge [rad], slider [m]."""
+    """Coordinate of a hinge [rad] or slider [m]."""
 
 
 class HingeRate(Neutral, tag_field="kind", tag="hinge_rate"):
-    """Give hinges a rate relative to the body that carries them, each drawn by itself."""
+    """Add a rate, drawn for each hinge separately, relative to the body that carries it."""
 
     joints: Names
     rate: Span
-    """[rad/s]"""
+    """Rate to add [rad/s]."""
     travel: Annotated[Vector, bounds.finite] = (0.0, 0.0, 0.0)
-    """Velocity in W of the free bodies that carry the hinges, and of all that is jointed to them,
-    over the mean of the drawn rates [m/rad]: how a car rolls along on its wheels."""
+    """Velocity in W per mean drawn rate, of the free bodies that carry the hinges and all bodies
+    jointed to them [m/rad]: makes a car roll along on its wheels."""
 
 
 class HingeTorque(Neutral, tag_field="kind", tag="hinge_torque"):
@@ -147,25 +147,25 @@ class HingeTorque(Neutral, tag_field="kind", tag="hinge_torque"):
 
     joints: Names
     torque: Span
-    """[N·m]"""
+    """Torque about each hinge [N·m]."""
     hold: Annotated[int, bounds.at_least_one] = 10
-    """Frames that a stretch lasts."""
+    """Number of frames that a stretch lasts."""
     random_sign: bool = False
 
 
 class Wind(Neutral, tag_field="kind", tag="wind"):
     """Blow horizontally on every particle with the same force A(t)·(cos φ, sin φ, 0).
 
-    A(t) is an Ornstein–Uhlenbeck process started from its stationary law. Drawn in this order:
-    φ uniform in [0, 2π), the mean of A from `mean`, then one standard normal per frame.
+    A(t) is an Ornstein–Uhlenbeck process started from its stationary distribution. Drawn in this
+    order: φ uniform in [0, 2π), the mean of A from `mean`, then one standard normal per frame.
     """
 
     mean: Span
     """Mean force on a particle [N]."""
     deviation: Annotated[float, bounds.at_least_zero] = 0.3
-    """Standard deviation of A over its mean."""
+    """Standard deviation of A relative to its mean."""
     correlation_time: Annotated[float, bounds.positive] = 0.5
-    """[s]"""
+    """Correlation time of A [s]."""
 
 
 Draw = Swing | Turn | Throw | Roll | Lift | Pose | HingeRate | HingeTorque | Wind

@@ -1,11 +1,11 @@
-"""The neutral description of a scene: bodies, what joins them, what acts on them, how it starts.
+"""The neutral description of a scene: bodies, joints, loads and initial state.
 
 SI units, radians, z up, quaternions wxyz. Everything is placed in the world frame W at the
 *reference pose*; a body may carry a frame of its own (`position`, `orientation`) in which its
 particles, centre of mass and inertia are given. By default that frame is W itself, so that a
 mechanism can be written down in one coordinate system.
 
-These types check what can be seen locally; `Scene` checks that the parts fit together. All are
+Each type checks its own values; `Scene` checks that the parts fit together. All types are
 immutable, comparable and hashable.
 """
 
@@ -39,13 +39,13 @@ Count = Annotated[int, bounds.at_least_one]
 WORLD = "world"
 GRAVITY: Vector = (0.0, 0.0, -9.81)
 MOST_PARTS = 20_000
-"""Largest number of bodies, joints and so on that reading is tested with: it takes 8 s."""
+"""Largest number of bodies, of joints etc.; reading a scene of this size takes 8 s."""
 MOST_STATES = 10_000_000
-"""Largest number of bodies times steps: a trajectory of so many states takes 1 GB."""
+"""Largest product of bodies and steps; a trajectory of so many states takes 1 GB."""
 PARTICLE_MASS = 1.0
 PARTICLE_INERTIA = 6.17e-4
 PARTICLE_RADIUS = math.sqrt(2.5 * PARTICLE_INERTIA / PARTICLE_MASS)
-"""Of the solid sphere that has this mass and inertia [m]."""
+"""Radius of the solid sphere that has this mass and inertia [m]."""
 
 
 class Particle(Neutral):
@@ -54,20 +54,20 @@ class Particle(Neutral):
     position: Place
     """Centre in the body frame [m]."""
     mass: Positive = PARTICLE_MASS
-    """[kg]"""
+    """Mass [kg]."""
     inertia: NotNegative = PARTICLE_INERTIA
-    """About any axis through its centre [kg·m²]."""
+    """Moment of inertia about any axis through the centre [kg·m²]."""
 
 
 class Inertia(Neutral):
     """Mass, centre of mass and inertia given directly, for a body without particles."""
 
     mass: Positive
-    """[kg]"""
+    """Mass [kg]."""
     moments: FiniteVector
     """Ixx, Iyy, Izz about the centre of mass, along the body frame's axes [kg·m²]."""
     products: FiniteVector = (0.0, 0.0, 0.0)
-    """The tensor's elements Ixy, Ixz, Iyz (so Ixy = −∫xy dm) [kg·m²]."""
+    """Tensor elements Ixy, Ixz, Iyz (so Ixy = −∫xy dm) [kg·m²]."""
     com: Place = (0.0, 0.0, 0.0)
     """Centre of mass in the body frame [m]."""
 
@@ -85,11 +85,11 @@ class Body(Neutral):
     position: Place = (0.0, 0.0, 0.0)
     """Origin of the body frame in W at the reference pose [m]."""
     orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)
-    """Body frame to W at the reference pose, wxyz, unit."""
+    """Rotation from the body frame to W at the reference pose, a unit quaternion wxyz."""
     velocity: FiniteVector | None = None
-    """Initial velocity of the centre of mass in W [m/s]; left out, it follows from the joints."""
+    """Initial velocity of the centre of mass in W [m/s]; if omitted, it follows from the joints."""
     angular_velocity: FiniteVector | None = None
-    """Initial angular velocity in W [rad/s]; left out, it follows from the joints."""
+    """Initial angular velocity in W [rad/s]; if omitted, it follows from the joints."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -106,8 +106,8 @@ class Body(Neutral):
 class Joint(Neutral):
     """A holonomic joint between two bodies, placed in W at the reference pose.
 
-    Its coordinate (hinge angle, slider displacement) is zero there and grows as the child turns
-    about, or moves along, the axis relative to the parent.
+    Its coordinate (hinge angle or slider displacement) is zero at that pose and grows as the child
+    turns about, or moves along, the axis relative to the parent.
     """
 
     name: Name
@@ -117,25 +117,25 @@ class Joint(Neutral):
     anchor: Place
     """A point of the joint in W at the reference pose [m]."""
     axis: Direction | None = None
-    """Of a hinge or slider, in W at the reference pose; need not be unit."""
+    """Axis of a hinge or slider in W at the reference pose; need not be a unit vector."""
     start: Finite | None = None
-    """Initial coordinate of a hinge [rad] or slider [m]; left out, it follows from the others."""
+    """Initial coordinate of a hinge [rad] or slider [m]; if omitted, it follows from the others."""
     rate: Finite | None = None
-    """Initial rate of a hinge [rad/s] or slider [m/s]; left out, it follows from the others."""
+    """Initial rate of a hinge [rad/s] or slider [m/s]; if omitted, it follows from the others."""
     stiffness: NotNegative = 0.0
-    """Of a spring on the coordinate of a hinge [N·m/rad] or slider [N/m]."""
+    """Stiffness of a spring on the coordinate of a hinge [N·m/rad] or slider [N/m]."""
     damping: NotNegative = 0.0
-    """Of a damper on it [N·m·s/rad] or [N·s/m]."""
+    """Damping coefficient on the coordinate [N·m·s/rad] or [N·s/m]."""
     rest: Finite = 0.0
-    """Coordinate at which the spring is slack [rad] or [m]."""
+    """Coordinate at which the spring is relaxed [rad] or [m]."""
     armature: NotNegative = 0.0
-    """Inertia of a rotor on it, times the gear ratio squared [kg·m²] or [kg]."""
+    """Rotor inertia times the gear ratio squared [kg·m²] or [kg]."""
     friction: NotNegative = 0.0
-    """Of dry friction on it, which it takes at most while it stands still [N·m] or [N]."""
+    """Dry friction: its size in motion and its largest size at rest [N·m] or [N]."""
     limits: Annotated[tuple[float, float], bounds.span] | None = None
-    """Coordinates of the stops between which it moves [rad] or [m]."""
+    """Coordinates of the lower and upper stop [rad] or [m]."""
     restitution: Annotated[float, bounds.share] = 0.0
-    """Newton's coefficient e of its rebound from a stop, in [0, 1]."""
+    """Newton's coefficient of restitution e at a stop, in [0, 1]."""
 
     added = ("stiffness", "damping", "rest", "armature", "friction", "limits", "restitution")
 
@@ -145,10 +145,10 @@ class Joint(Neutral):
         if has_axis and self.axis is None:
             msg = f"a {self.kind} joint needs an axis, got none"
             raise SceneError(msg)
-        given = [key for key in ("axis", "start", "rate") if getattr(self, key) is not None]
-        given += [key for key in self.added if getattr(self, key)]
-        if not has_axis and given:
-            msg = f"{given[0]}: got it on a {self.kind} joint, allowed is it on a hinge or slider"
+        keys = [key for key in ("axis", "start", "rate") if getattr(self, key) is not None]
+        keys += [key for key in self.added if getattr(self, key)]
+        if not has_axis and keys:
+            msg = f"{keys[0]}: got it on a {self.kind} joint, allowed is it on a hinge or slider"
             raise SceneError(msg)
         if self.kind == "hinge" and abs(self.start or 0.0) > 2 * math.pi:
             msg = f"start: got {self.start}, allowed is −2π to 2π; hinge angles are in radians"
@@ -182,18 +182,18 @@ class DistanceLink(_Between):
     """A massless rigid link: keeps two points at a constant distance."""
 
     length: Size | None = None
-    """[m]; left out, the distance at the reference pose."""
+    """Length [m]; by default the distance at the reference pose."""
 
 
 class SpringDamper(_Between):
     """A massless linear spring and damper along the line between two points."""
 
     stiffness: NotNegative = 0.0
-    """[N/m]"""
+    """Stiffness [N/m]."""
     damping: NotNegative = 0.0
-    """[N·s/m]"""
+    """Damping [N·s/m]."""
     rest_length: Annotated[float, bounds.rest_length] | None = None
-    """[m]; left out, the distance at the reference pose."""
+    """Rest length [m]; by default the distance at the reference pose."""
 
 
 class Force(Neutral):
@@ -201,33 +201,33 @@ class Force(Neutral):
 
     body: str
     series: Annotated[tuple[Vector, ...], bounds.rows]
-    """One row per held stretch [N]; a single row is a constant force."""
+    """One row per stretch of `hold` frames [N]; a single row is a constant force."""
     hold: Count = 1
-    """Frames that each row lasts; the last row goes on to the end."""
+    """Number of frames that each row lasts; the last row continues to the end."""
 
 
 class Torque(Neutral):
-    """A torque about a hinge's axis: on the child, and the opposite on the parent."""
+    """A torque about a hinge's axis on the child, with the opposite torque on the parent."""
 
     joint: str
     series: Annotated[tuple[float, ...], bounds.rows]
-    """One value per held stretch [N·m]; a single one is a constant torque."""
+    """One value per stretch of `hold` frames [N·m]; a single value is a constant torque."""
     hold: Count = 1
-    """Frames that each value lasts; the last goes on to the end."""
+    """Number of frames that each value lasts; the last value continues to the end."""
 
 
 class ContactSphere(Neutral):
-    """A sphere fixed in a body that can touch the ground plane, and spheres of other bodies."""
+    """A sphere fixed in a body that can touch the ground plane and spheres of other bodies."""
 
     body: str
     center: Place
-    """In W at the reference pose [m]."""
+    """Centre in W at the reference pose [m]."""
     radius: Size
-    """[m]"""
+    """Radius [m]."""
 
 
 class Ground(Neutral):
-    """The plane z = 0. The coefficients are those of the pair sphere–ground."""
+    """The plane z = 0, with the coefficients of contact between it and the spheres."""
 
     friction: NotNegative
     """Coulomb's coefficient μ, isotropic."""
@@ -236,7 +236,7 @@ class Ground(Neutral):
 
 
 class Clock(Neutral):
-    """When frames are recorded: frame k at k · frame, k = 0 … steps."""
+    """Recording times: frame k at k · `frame`, k = 0 … `steps`."""
 
     frame: Annotated[float, bounds.interval] = 0.02
     """Interval between recorded frames [s]; inputs are constant over it."""
@@ -250,19 +250,19 @@ class Clock(Neutral):
 
 
 class Scene(Neutral):
-    """A whole scene. `Mechanism.of` in `mbds_xsim.scene.mechanism` gives its arrays and tree."""
+    """A complete scene; `mbds_xsim.scene.mechanism.Mechanism.of` builds its arrays and tree."""
 
     name: Name
     bodies: tuple[Body, ...]
     length: Size
-    """The scene's size, the unit of its error budgets [m]."""
+    """Characteristic size of the scene, the unit of its error budgets [m]."""
     description: str = ""
     source: str = ""
-    """Where the numbers come from."""
+    """Source of the numbers."""
     dimension: Literal[1, 2, 3] = 3
-    """1: moves along x; 2: in x and z; 3."""
+    """Dimension of the motion: 1 along x, 2 in x and z, 3 in space."""
     gravity: FiniteVector = GRAVITY
-    """[m/s²]"""
+    """Gravity in W [m/s²]."""
     joints: tuple[Joint, ...] = ()
     distance_links: tuple[DistanceLink, ...] = ()
     springs: tuple[SpringDamper, ...] = ()
@@ -275,13 +275,13 @@ class Scene(Neutral):
     collisions: Collisions | None = None
     clock: Clock = Clock()
     sampling: tuple[Draw, ...] = ()
-    """How starts and inputs are drawn; without it every trajectory starts alike."""
+    """Rules for drawing starts and inputs; without any, all trajectories start alike."""
     noise: NotNegative = 0.0
-    """Standard deviation of the random force per component and particle [N], see docs."""
+    """Standard deviation of the random force per component and particle [N]; see docs."""
     anchors: tuple[Place, ...] = ()
     """Fixed points of the drawn skeleton and the learned graph; numbered after the particles."""
     edges: tuple[tuple[int, int], ...] = ()
-    """Pairs of particles (numbered body by body), anchors behind them."""
+    """Edges of skeleton and graph: pairs of particles (numbered body by body) or anchors."""
     budget: Budget = Budget()
 
     added = ("servos", "couplings", "collisions")
@@ -304,33 +304,33 @@ class Scene(Neutral):
     def _check_names(self) -> None:
         for table in ("bodies", "joints", "distance_links", "springs"):
             names = Counter(item.name for item in getattr(self, table))
-            twice = [name for name, count in names.items() if count > 1]
-            if twice:
-                msg = f"{table}: got {twice[0]!r} twice, each name is allowed once"
+            duplicates = [name for name, count in names.items() if count > 1]
+            if duplicates:
+                msg = f"{table}: got {duplicates[0]!r} twice, each name is allowed once"
                 raise SceneError(msg)
 
     def _check_references(self) -> None:
         bodies = {body.name for body in self.bodies}
-        held = bodies | {WORLD}
+        ends = bodies | {WORLD}
         hinges = {joint.name for joint in self.joints if joint.kind == "hinge"}
         coordinates = hinges | {joint.name for joint in self.joints if joint.kind == "slider"}
         for k, joint in enumerate(self.joints):
             for key in ("parent", "child"):
-                _known(f"joints[{k}].{key}", getattr(joint, key), held)
+                _known(f"joints[{k}].{key}", getattr(joint, key), ends)
         for table in ("distance_links", "springs"):
             for k, item in enumerate(getattr(self, table)):
                 for end in (0, 1):
-                    _known(f"{table}[{k}].bodies[{end}]", item.bodies[end], held)
+                    _known(f"{table}[{k}].bodies[{end}]", item.bodies[end], ends)
         for k, force in enumerate(self.forces):
             _known(f"forces[{k}].body", force.body, bodies)
         for k, torque in enumerate(self.torques):
-            _known(f"torques[{k}].joint", torque.joint, hinges, what="hinge")
+            _known(f"torques[{k}].joint", torque.joint, hinges, kind="hinge")
         for k, servo in enumerate(self.servos):
-            _known(f"servos[{k}].joint", servo.joint, coordinates, what="hinge or slider")
+            _known(f"servos[{k}].joint", servo.joint, coordinates, kind="hinge or slider")
         for k, coupling in enumerate(self.couplings):
             for key in ("joint", "follows"):
                 got = getattr(coupling, key)
-                _known(f"couplings[{k}].{key}", got, coordinates, what="hinge or slider")
+                _known(f"couplings[{k}].{key}", got, coordinates, kind="hinge or slider")
         check_couplings(self.couplings)
         for k, sphere in enumerate(self.contacts):
             _known(f"contacts[{k}].body", sphere.body, bodies)
@@ -340,8 +340,8 @@ class Scene(Neutral):
                 _known(f"sampling[{k}].bodies", body, bodies)
             posed = isinstance(draw, Pose)
             for joint_name in getattr(draw, "joints", ()):
-                named, what = (coordinates, "hinge or slider") if posed else (hinges, "hinge")
-                _known(f"sampling[{k}].joints", joint_name, named, what=what)
+                allowed, kind = (coordinates, "hinge or slider") if posed else (hinges, "hinge")
+                _known(f"sampling[{k}].joints", joint_name, allowed, kind=kind)
             if isinstance(draw, Throw | Roll | Lift):
                 _known(f"sampling[{k}].body", draw.body, bodies)
 
@@ -372,8 +372,8 @@ class Scene(Neutral):
         return sum(len(body.particles) for body in self.bodies)
 
 
-def _known(where: str, got: str, allowed: set[str], *, what: str = "body") -> None:
+def _known(where: str, got: str, allowed: set[str], *, kind: str = "body") -> None:
     if got not in allowed:
         listed = sorted(allowed)[:12] + ["…"] * (len(allowed) > 12)
-        msg = f"{where}: {UnknownName.of(what, got, listed)}"
+        msg = f"{where}: {UnknownName.of(kind, got, listed)}"
         raise SceneError(msg)

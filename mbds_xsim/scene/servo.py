@@ -1,4 +1,4 @@
-"""A motor that leads a hinge or slider to held targets."""
+"""A motor that drives a hinge or slider towards held targets."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ _WORLD = "world"
 
 
 class Servo(Neutral):
-    """A proportional and derivative controller on a joint, the same in every trajectory.
+    """A proportional–derivative controller on a joint, the same in every trajectory.
 
     It is a spring and damper between the joint and its targets: a position servo has a stiffness, a
-    velocity servo a damping alone. With a limit it saturates there.
+    velocity servo only a damping. A limit saturates its output.
     """
 
     joint: str
     position: Annotated[tuple[float, ...], bounds.rows] = (0.0,)
-    """Angles [rad] or places [m] to go to, one per held stretch."""
+    """Target angles [rad] or positions [m], one per stretch of `hold` frames."""
     velocity: Annotated[tuple[float, ...], bounds.rows] = (0.0,)
-    """Rates to go at [rad/s] or [m/s], likewise."""
+    """Target rates [rad/s] or [m/s], one per stretch of `hold` frames."""
     stiffness: Annotated[float, bounds.at_least_zero] = 0.0
-    """Torque per angle off the target [N·m/rad] or force per way [N/m]."""
+    """Torque per angle from the target [N·m/rad] or force per distance [N/m]."""
     damping: Annotated[float, bounds.at_least_zero] = 0.0
-    """Torque per rate off the target [N·m·s/rad] or force per speed [N·s/m]."""
+    """Torque per rate from the target [N·m·s/rad] or force per speed [N·s/m]."""
     hold: Annotated[int, bounds.at_least_one] = 1
-    """Frames that each target lasts; the last goes on to the end."""
+    """Number of frames that each target lasts; the last target continues to the end."""
     limit: Annotated[float, bounds.positive] | None = None
-    """Largest torque [N·m] or force [N] that it gives, either way; left out, any."""
+    """Largest torque [N·m] or force [N] in either direction; unlimited if omitted."""
 
     added = ("limit",)
 
@@ -50,12 +50,12 @@ class Servo(Neutral):
 
     @property
     def needs_input(self) -> bool:
-        """Whether it is more than a spring and damper."""
+        """Whether it needs an input in addition to a spring and damper."""
         changes = len({*self.position}) > 1 or len({*self.velocity}) > 1
         return changes or (any(self.velocity) and not self.stiffness)
 
     def is_drive(self, joint: Joint) -> bool:
-        """Whether no spring, damper and held input of its joint come to the same.
+        """Return whether no spring, damper and held input on its joint can replace it.
 
         A torque about a hinge can be held, and so can a force along a slider on the world.
         """
@@ -63,16 +63,16 @@ class Servo(Neutral):
         return self.limit is not None or (moving and self.needs_input)
 
     def push(self, rest: float) -> tuple[Array, Array]:
-        """Give torques or forces of its targets on a joint that is slack at a coordinate."""
+        """Return the efforts [N·m or N] of position targets, relative to `rest`, and of rates."""
         lead = self.stiffness * (np.array(self.position) - rest)
         return lead, self.damping * np.array(self.velocity)
 
 
 def law_of(joint: Joint, servos: tuple[Servo, ...]) -> tuple[float, float, float]:
-    """Sum up stiffness, damping and rest of a joint's own spring and damper and of its servos.
+    """Combine a joint's own spring and damper with its servos into stiffness, damping and rest.
 
-    What leads the servos of a hinge is an input, and of a slider if it changes; else it shifts the
-    rest. Drives are not among them.
+    Targets of a hinge's servos act as inputs, those of a slider's only if they change; otherwise
+    they shift the rest coordinate. Drives are left out.
     """
     mine = [servo for servo in servos if servo.joint == joint.name and not servo.is_drive(joint)]
     stiffness = joint.stiffness + sum(servo.stiffness for servo in mine)
@@ -85,43 +85,43 @@ def law_of(joint: Joint, servos: tuple[Servo, ...]) -> tuple[float, float, float
 
 @dataclass(frozen=True, eq=False)
 class PlacedDrive:
-    """A servo that acts on the coordinate of a joint of the tree, by the state at every instant."""
+    """A servo on a joint of the tree whose effort depends on the state at every instant."""
 
     joint: PlacedJoint
     servo: Servo
 
     @property
     def limit(self) -> float:
-        """Of its torque or force, infinite without one."""
+        """Limit of its torque or force; infinite without one."""
         return np.inf if self.servo.limit is None else self.servo.limit
 
     def effort(self, push: Array | float, coordinate: Array | float, rate: Array | float) -> Array:
-        """Give the torque [N·m] or force [N] along the axis on the child.
+        """Return the torque [N·m] or force [N] along the axis on the child.
 
         Args:
-            push: What its targets exert where joint and rate are 0, as `pushes` has it.
-            coordinate: Of the joint [rad or m], with whole turns.
-            rate: [rad/s or m/s].
+            push: Effort of its targets where coordinate and rate are 0, as from `pushes`.
+            coordinate: Coordinate of the joint [rad or m], with whole turns.
+            rate: Rate of the joint [rad/s or m/s].
         """
-        return np.clip(self.wanted(push, coordinate, rate), -self.limit, self.limit)
+        return np.clip(self.demand(push, coordinate, rate), -self.limit, self.limit)
 
     def at(self, push: float, coordinate: float, rate: float) -> float:
-        """Give the same of numbers, which is called in every step of some engines."""
+        """Return `effort` for plain numbers, which some engines need in every step."""
         servo = self.servo
         wanted = push - servo.stiffness * coordinate - servo.damping * rate
         return wanted if servo.limit is None else min(max(wanted, -servo.limit), servo.limit)
 
-    def wanted(self, push: Array | float, coordinate: Array | float, rate: Array | float) -> Array:
-        """Give what it would exert without a limit."""
+    def demand(self, push: Array | float, coordinate: Array | float, rate: Array | float) -> Array:
+        """Return the effort without the limit."""
         spring = self.servo.stiffness * np.asarray(coordinate)
         return np.asarray(push - spring - self.servo.damping * np.asarray(rate))
 
     def as_read(self) -> tuple[float, float, float]:
-        """Give stiffness, damping and limit, as `Readback.drive` has it."""
+        """Return stiffness, damping and limit (0: none), as in `Readback.drive`."""
         return self.servo.stiffness, self.servo.damping, self.servo.limit or 0.0
 
     def formula(self) -> str:
-        """Write `effort` at its first target in Python, of variables `angle` and `rate`."""
+        """Write `effort` at the first target in Python, with variables `angle` and `rate`."""
         push, servo = float(self.pushes(1)[0]), self.servo
         wanted = f"{push!r} - {servo.stiffness!r} * angle - {servo.damping!r} * rate"
         if servo.limit is None:
@@ -129,20 +129,22 @@ class PlacedDrive:
         return f"min(max({wanted}, -{servo.limit!r}), {servo.limit!r})"
 
     def pushes(self, steps: int) -> Array:
-        """Give what its targets exert where joint and rate are 0, shape (step,)."""
-        first, second = (held(part, self.servo.hold, steps) for part in self.servo.push(0.0))
+        """Return the effort of its targets where coordinate and rate are 0, shape (step,)."""
+        first, second = (
+            zero_order_hold(part, self.servo.hold, steps) for part in self.servo.push(0.0)
+        )
         return first + second
 
 
 def with_pushes(drives: tuple[PlacedDrive, ...], torque: Array) -> Array:
-    """Put what the targets of drives exert behind the torques of hinges.
+    """Append the pushes of drives to the torques of hinges.
 
     Args:
-        drives: Those of a mechanism.
-        torque: From the first step on, shape (…, step, hinge).
+        drives: Drives of the mechanism.
+        torque: Torques from the first step on, shape (…, step, hinge).
 
     Returns:
-        Shape (…, step, hinge + drive).
+        Torques and pushes, shape (…, step, hinge + drive).
     """
     if not drives:
         return torque
@@ -151,7 +153,7 @@ def with_pushes(drives: tuple[PlacedDrive, ...], torque: Array) -> Array:
     return np.concatenate([torque, pushes], axis=-1)
 
 
-def held(series: Array, hold: int, steps: int) -> Array:
-    """Let each row of a series last for some frames, and the last one to the end, (step, …)."""
+def zero_order_hold(series: Array, hold: int, steps: int) -> Array:
+    """Repeat each row of a series for `hold` steps, and the last to the end; shape (step, …)."""
     rows = np.minimum(np.arange(steps) // hold, len(series) - 1)
     return np.asarray(series[rows])

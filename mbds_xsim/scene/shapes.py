@@ -1,4 +1,4 @@
-"""What native listings share: balls and rods that show a mechanism, and the law of springs."""
+"""Common parts of native listings: balls and rods that show a mechanism, and the spring law."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PointPair
 
 THICK, THIN = 0.02, 0.007
-"""Radii of what has no size of its own, in lengths of the scene."""
+"""Radii of balls and rods that have no size of their own, relative to the scene's length."""
 
 TENSION = """
 
@@ -22,8 +22,7 @@ def pull(ends, points, length, stiffness, damping):
     tension = stiffness * (np.linalg.norm(line) - length)
     tension += damping * along @ (second_rate - first_rate)
 """
-"""The beginning of a listing's function that pulls at both ends of a spring; `motion` places one.
-"""
+"""Beginning of a listing's function that pulls at both ends of a spring; `motion` places an end."""
 
 Point = list[float]
 
@@ -34,13 +33,13 @@ class Shape:
 
     body: int
     radius: float
-    """[m]"""
+    """Radius [m]."""
     points: tuple[Point, ...]
-    """One or two, in the body's native frame [m]."""
+    """One or two points in the body's native frame [m]."""
 
 
 def shapes(mechanism: Mechanism) -> Iterator[Shape]:
-    """Give balls for particles, centres of mass and contact spheres, rods from these to joints."""
+    """Yield balls for particles, centres of mass and spheres, and rods from centres to joints."""
     length = mechanism.scene.length
     for body, place in zip(mechanism.particle_body, mechanism.particle_offset, strict=True):
         yield Shape(int(body), THICK * length, (place.tolist(),))
@@ -61,12 +60,12 @@ def shapes(mechanism: Mechanism) -> Iterator[Shape]:
 
 
 def pull_call(spring: PointPair, end: Callable[[int], str], points: Iterable[Array]) -> str:
-    """Write a listing's call of `pull`.
+    """Write a listing's call to `pull`.
 
     Args:
-        spring: Which.
-        end: Writes a body.
-        points: The ends, in the frames in which the listing's `motion` takes them.
+        spring: Spring that pulls.
+        end: Function that writes a body.
+        points: Ends of the spring, in the frames that the listing's `motion` expects.
     """
     ends = ", ".join("None" if body == WORLD_INDEX else end(body) for body in spring.bodies)
     places = ", ".join(repr(point.tolist()) for point in points)

@@ -1,4 +1,4 @@
-"""Which joints carry bodies, which close loops, and which bodies hang together."""
+"""The spanning tree: joints that carry bodies, joints that close loops, connected bodies."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _WORLD = -1
 def spanning_tree(
     body_count: int, joints: tuple[PlacedJoint, ...], cut: tuple[JointKind, ...]
 ) -> tuple[list[tuple[int, int, PlacedJoint | None]], tuple[PlacedJoint, ...]]:
-    """Kruskal's minimum spanning forest, then links ordered from the roots outwards.
+    """Find Kruskal's minimum spanning forest, with links ordered from the roots outwards.
 
-    Of joints of one kind, the last listed closes the loop; those with a spring or damper stay in
-    the tree if any can, as reduced coordinates have them there, and those that have a rotor or
-    friction or limits or are coupled before all.
+    Of joints of one kind, the last one listed closes the loop. Joints with a spring or damper stay
+    in the tree if possible, where reduced coordinates have them; joints with a rotor, friction,
+    limits, a coupling or a drive take precedence over all others.
 
     Returns:
-        Of each link body, parent and joint from the parent to it, and the joints that close loops.
+        Body, parent and joint from the parent (None if free) of each link; joints closing loops.
     """
     group = list(range(body_count + 1))  # the last one is the world
 
@@ -44,32 +44,32 @@ def spanning_tree(
         else:
             group[a] = b
             tree.append(joint)
-    at: dict[int, list[PlacedJoint]] = defaultdict(list)
+    joints_at: dict[int, list[PlacedJoint]] = defaultdict(list)
     for joint in sorted(tree, key=lambda joint: joint.index):
-        at[joint.parent].append(joint)
-        at[joint.child].append(joint)
+        joints_at[joint.parent].append(joint)
+        joints_at[joint.child].append(joint)
     links: list[tuple[int, int, PlacedJoint | None]] = []
-    seen: set[int] = {_WORLD}
+    reached: set[int] = {_WORLD}
     queue = deque([_WORLD])
     roots = iter(range(body_count))
     while len(links) < body_count:
         if not queue:
-            root = next(k for k in roots if k not in seen)
+            root = next(k for k in roots if k not in reached)
             links.append((root, _WORLD, None))
-            seen.add(root)
+            reached.add(root)
             queue.append(root)
         here = queue.popleft()
-        for joint in at[here]:
+        for joint in joints_at[here]:
             outwards = joint if joint.parent == here else joint.turned_round()
-            if outwards.child not in seen:
+            if outwards.child not in reached:
                 links.append((outwards.child, here, outwards))
-                seen.add(outwards.child)
+                reached.add(outwards.child)
                 queue.append(outwards.child)
     return links, tuple(sorted(loops, key=lambda joint: joint.index))
 
 
 def connected(body_count: int, pairs: Iterable[tuple[int, int]]) -> list[tuple[int, ...]]:
-    """Group the bodies that pairs connect, directly or by way of others but not of the world."""
+    """Group the bodies that pairs connect, directly or through others but not through the world."""
     label = list(range(body_count))
     for a, b in pairs:
         if _WORLD not in (a, b):

@@ -1,9 +1,9 @@
 """Spin that nothing in a scene can change.
 
-A body of revolution that is held and pushed on its axis alone feels no torque about it: its spin
-about the axis stays as it was, and one that starts without never has any. Its moment of inertia
-about the axis then never acts, so an engine may leave that coordinate out and keep only where the
-axis points. The orientation follows: it is carried along with the axis, without turning about it.
+A body of revolution that is held and pushed only on its axis feels no torque about it: its spin
+about the axis is constant, and stays zero if it starts at zero. Its moment of inertia about the
+axis then never acts, so an engine may leave that coordinate out and keep only the direction of the
+axis. The orientation follows: it is carried along with the axis, without turning about it.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import Scene
 
-_EVEN = 1e-12  # relative, of moments of inertia and lengths
+_EVEN = 1e-12  # relative tolerance of moments of inertia and lengths
 STILL = 1e-12
-"""Spin below which there is none; rounding leaves 1e-16 [rad/s]."""
+"""Largest spin that counts as zero; rounding leaves 1e-16 [rad/s]."""
 
 
 @functools.lru_cache(maxsize=64)
@@ -32,8 +32,8 @@ def idle_axes(scene: Scene) -> Array:
     """Find the bodies that never spin about their axis.
 
     Returns:
-        Unit axes in native frames, zero where a body has none, shape (body, 3). Bodies that are
-        given a spin by the scene's starts (one of each interval is drawn) have none.
+        Unit axes in native frames, zero if a body has none, shape (body, 3). Bodies to which
+        the scene's starts give a spin (one of each interval is drawn) have none.
     """
     mechanism = Mechanism.of(scene)
     axes = np.array([_axis_of_revolution(mechanism, k) for k in range(mechanism.body_count)])
@@ -47,53 +47,53 @@ def idle_axes(scene: Scene) -> Array:
 
 
 def spin_about(axes: Array, native: Array, angular_velocity: Array) -> Array:
-    """Give the spin of bodies about axes in native frames [rad/s], shape (…, body)."""
+    """Return the spin of bodies about axes in native frames [rad/s], shape (…, body)."""
     return rotation.dot(rotation.rotate(native, axes), angular_velocity)
 
 
 def carried(axes: Array, start: Array, bodies: BodyStates, interval: float) -> BodyStates:
-    """Give bodies without spin the orientation that their axis carries along.
+    """Replace the orientation of bodies without spin by the one that their axis carries along.
 
     Between frames an axis follows the cubic through its directions and their rates, along which
     the rotation is integrated by Magnus' series to fourth order (Blanes, Casas, Oteo, Ros: The
     Magnus expansion and some of its applications, Physics Reports 470, 2009, eq. 253).
 
     Args:
-        axes: As `idle_axes` gives them.
+        axes: Axes as `idle_axes` returns them.
         start: Native rotations at frame 0, shape (…, body, 4).
         bodies: Motion of all bodies, frame by frame, shape (…, frame, body, …); those with an axis
             may be turned about it in any way.
-        interval: Between frames [s].
+        interval: Interval between frames [s].
     """
     idle = np.flatnonzero(axes.any(axis=-1))
     native, spin = bodies.native.copy(), bodies.angular_velocity.copy()
-    turned = native[..., idle, :]
-    axis = rotation.rotate(turned, axes[idle])
+    turn = native[..., idle, :]
+    axis = rotation.rotate(turn, axes[idle])
     across = spin[..., idle, :]
     across -= rotation.dot(across, axis)[..., None] * axis
     spin[..., idle, :] = across
     carry = _carry(axis, rotation.cross(across, axis), interval)
-    ahead = rotation.conjugate(turned[..., 1:, :, :])
+    ahead = rotation.conjugate(turn[..., 1:, :, :])
     missing = np.concatenate(
         [
-            rotation.multiply(rotation.conjugate(turned[..., :1, :, :]), start[..., None, idle, :]),
-            rotation.multiply(ahead, rotation.multiply(carry, turned[..., :-1, :, :])),
+            rotation.multiply(rotation.conjugate(turn[..., :1, :, :]), start[..., None, idle, :]),
+            rotation.multiply(ahead, rotation.multiply(carry, turn[..., :-1, :, :])),
         ],
         axis=-3,
     )
     half = 0.5 * np.cumsum(rotation.angle_about(missing, axes[idle]), axis=-2)[..., None]
     back = np.concatenate([np.cos(half), np.sin(half) * axes[idle]], axis=-1)
-    native[..., idle, :] = rotation.multiply(turned, back)
+    native[..., idle, :] = rotation.multiply(turn, back)
     return BodyStates(bodies.position, native, bodies.velocity, spin)
 
 
 def _carry(axis: Array, rate: Array, interval: float) -> Array:
-    """Rotations that carry axes (…, frame, body, 3) from each frame to the next."""
+    """Return the rotations that carry axes (…, frame, body, 3) from each frame to the next."""
     begin, end = axis[..., :-1, :, :], axis[..., 1:, :, :]
     leave, arrive = interval * rate[..., :-1, :, :], interval * rate[..., 1:, :, :]
 
     def turning(s: float) -> Array:
-        """Angular velocity, times the interval, of the cubic at a part of the interval."""
+        """Return interval · angular velocity of the cubic at a fraction of the interval."""
         at = (
             (1 + 2 * s) * (1 - s) ** 2 * begin
             + s**2 * (3 - 2 * s) * end
@@ -114,15 +114,15 @@ def _carry(axis: Array, rate: Array, interval: float) -> Array:
 
 
 def _axis_of_revolution(mechanism: Mechanism, body: int) -> Array:
-    """Axis through all that holds a body; zero where something could turn it about that."""
+    """Return the axis through all attachments of a body; zero if anything could turn it."""
     none = np.zeros(3)
     link = next(link for link in mechanism.links if link.body == body)
     if link.joint is None or body in mechanism.sphere_body:
         return none
-    held = [joint for joint in mechanism.joints if body in (joint.parent, joint.child)]
-    if any(joint.kind != "ball" for joint in held):
+    joints = [joint for joint in mechanism.joints if body in (joint.parent, joint.child)]
+    if any(joint.kind != "ball" for joint in joints):
         return none
-    points = [joint.in_child if joint.child == body else joint.in_parent for joint in held]
+    points = [joint.in_child if joint.child == body else joint.in_parent for joint in joints]
     for pair in (*mechanism.distances, *mechanism.springs):
         points += [
             point for end, point in zip(pair.bodies, pair.in_body, strict=True) if end == body

@@ -1,4 +1,4 @@
-"""What goes into a simulation and what comes out, and what makes two scenes the same physics.
+"""Input and output of a simulation, and the fingerprint of a scene's physics.
 
 Axes are (trajectory, frame, body, component). Bodies are in scene order. Orientations turn
 published body frames to W (wxyz); velocities are of the centres of mass, all in W.
@@ -21,7 +21,7 @@ from mbds_xsim.scene.sampling_terms import INTERVALS, Interval
 from mbds_xsim.scene.scene import Scene
 
 STATES = ("position", "orientation", "velocity", "angular_velocity")
-"""What is known of a body in a frame, and of its start."""
+"""Fields that give the state of a body in a frame or at its start."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,36 +29,35 @@ class Batch:
     """Starts and inputs of some trajectories."""
 
     index: Index
-    """Number of each trajectory; decides its interval and its random numbers; (trajectory,)."""
+    """Number of each trajectory, which decides its interval and random numbers; (trajectory,)."""
     position: Array
     """Centres of mass at frame 0 [m], shape (trajectory, body, 3)."""
     orientation: Array
-    """At frame 0, shape (trajectory, body, 4)."""
+    """Orientations at frame 0, shape (trajectory, body, 4)."""
     velocity: Array
-    """At frame 0 [m/s], shape (trajectory, body, 3)."""
+    """Velocities of the centres of mass at frame 0 [m/s], shape (trajectory, body, 3)."""
     angular_velocity: Array
-    """At frame 0 in W [rad/s], shape (trajectory, body, 3)."""
+    """Angular velocities in W at frame 0 [rad/s], shape (trajectory, body, 3)."""
     force: Array
-    """In W on centres of mass, held over each step [N], shape (trajectory, step, body, 3)."""
+    """Forces in W on centres of mass, held over each step [N], (trajectory, step, body, 3)."""
     torque: Array
-    """About the hinges of `Mechanism.hinges`, held over each step: on the child, and the
-    opposite on the parent; the axis turns with the bodies [N·m]. Shape (trajectory, step, hinge).
-    """
+    """Torques about `Mechanism.hinges`, held over each step [N·m], shape (trajectory, step, hinge).
+    They act on the child and oppositely on the parent; the axis turns with the bodies."""
 
     def __len__(self) -> int:
         return len(self.index)
 
     def interval(self, row: int) -> Interval:
-        """Give the sampling interval of a row."""
+        """Return the sampling interval of a row."""
         return INTERVALS[int(self.index[row]) % len(INTERVALS)]
 
     def label(self, row: int) -> str:
-        """Name a row for reading, with its interval unless the row is the only one."""
+        """Return a readable name of a row, with its interval unless the row is the only one."""
         interval = f" ({self.interval(row)})" if len(self) > 1 else ""
         return f"trajectory {self.index[row]}{interval}"
 
     def __getitem__(self, rows: slice | list[int] | Index) -> Batch:
-        """Take some of the trajectories."""
+        """Select some of the trajectories."""
         return Batch(*(getattr(self, key)[rows] for key in self.__dataclass_fields__))
 
     def truncated(self, steps: int) -> Batch:
@@ -73,10 +72,10 @@ class Batch:
 
 @dataclass(frozen=True)
 class Failure:
-    """Why a trajectory ended early; a value, not an exception."""
+    """Early end of a trajectory; a value, not an exception."""
 
     frame: int
-    """First frame that is missing."""
+    """First missing frame."""
     reason: str
 
 
@@ -85,31 +84,31 @@ class Trajectory:
     """Recorded motion of a batch. Frames from a failure on are NaN."""
 
     time: Array
-    """[s], shape (frame,)."""
+    """Times of the frames [s], shape (frame,)."""
     position: Array
     """Centres of mass [m], shape (trajectory, frame, body, 3)."""
     orientation: Array
-    """Shape (trajectory, frame, body, 4)."""
+    """Orientations, shape (trajectory, frame, body, 4)."""
     velocity: Array
-    """[m/s], shape (trajectory, frame, body, 3)."""
+    """Velocities of the centres of mass [m/s], shape (trajectory, frame, body, 3)."""
     angular_velocity: Array
-    """In W [rad/s], shape (trajectory, frame, body, 3)."""
+    """Angular velocities in W [rad/s], shape (trajectory, frame, body, 3)."""
     failures: tuple[Failure | None, ...]
-    """One entry a trajectory; None where it ran to the end."""
+    """One entry per trajectory; None if it ran to the end."""
 
     def __len__(self) -> int:
         return len(self.position)
 
     def __getitem__(self, rows: slice | list[int]) -> Trajectory:
-        """Take some of the trajectories."""
-        picked = (
+        """Select some of the trajectories."""
+        failures = (
             self.failures[rows] if isinstance(rows, slice) else [self.failures[k] for k in rows]
         )
         arrays = {key: getattr(self, key)[rows] for key in STATES}
-        return dataclasses.replace(self, **arrays, failures=tuple(picked))
+        return dataclasses.replace(self, **arrays, failures=tuple(failures))
 
     def replaced(self, rows: Index, other: Trajectory) -> Trajectory:
-        """Put another's trajectories in the place of some, in their order."""
+        """Replace some of the trajectories by those of another, in order."""
         arrays = {key: getattr(self, key).copy() for key in STATES}
         failures = list(self.failures)
         for key, values in arrays.items():
@@ -119,7 +118,7 @@ class Trajectory:
         return Trajectory(self.time, **arrays, failures=tuple(failures))
 
     def padded(self, time: Array) -> Trajectory:
-        """Go on with frames of NaN, as after a failure, until the end of some instants."""
+        """Extend with frames of NaN, as after a failure, to the end of the given times."""
         whole = Trajectory.empty(time, len(self), self.position.shape[2])
         for key in STATES:
             getattr(whole, key)[:, : len(self.time)] = getattr(self, key)
@@ -127,7 +126,7 @@ class Trajectory:
 
     @property
     def known(self) -> Mask:
-        """Whether there is a motion at a frame, shape (trajectory, frame)."""
+        """Whether the motion is known at a frame, shape (trajectory, frame)."""
         return np.asarray(np.isfinite(self.position).all(axis=(2, 3)))
 
     @property
@@ -135,14 +134,14 @@ class Trajectory:
         """Whether all numbers of a trajectory are finite, shape (trajectory,)."""
         fields = [getattr(self, key) for key in STATES]
         with np.errstate(over="ignore", invalid="ignore"):
-            if all(np.isfinite(field.sum()) for field in fields):  # as most are
+            if all(np.isfinite(field.sum()) for field in fields):  # the usual case
                 return np.ones(len(self), dtype=bool)
         return np.logical_and.reduce([np.isfinite(field).all(axis=(1, 2, 3)) for field in fields])
 
     def cut_at_failures(self) -> Trajectory:
-        """Put NaN into all frames from each failure on, the last one at least.
+        """Set all frames from each failure on, at least the last one, to NaN.
 
-        So that no frame is used, whatever numbers an adapter left there.
+        This keeps numbers that an adapter left there from being used.
         """
         last = len(self.time) - 1
         for row, failure in enumerate(self.failures):
@@ -153,7 +152,7 @@ class Trajectory:
 
     @staticmethod
     def joined(parts: Sequence[Trajectory]) -> Trajectory:
-        """Put trajectories one after the other, one part at least."""
+        """Concatenate the trajectories of one or more parts."""
         if len(parts) == 1:
             return parts[0]
         arrays = {key: np.concatenate([getattr(part, key) for part in parts]) for key in STATES}
@@ -168,22 +167,22 @@ class Trajectory:
         return Trajectory(time, place, turn, speed, spin, (None,) * trajectory_count)
 
 
-_SAID = ("name", "description", "source", "budget", "anchors", "edges")
-"""What does not decide the motion."""
+_INERT = ("name", "description", "source", "budget", "anchors", "edges")
+"""Fields of a scene that do not affect the motion."""
 
 
 def fingerprint(scene: Scene) -> str:
-    """Give 16 hexadecimal digits that stand for bodies, joints, loads, clock and starts.
+    """Return 16 hexadecimal digits that identify bodies, joints, loads, clock and starts.
 
-    Numbers count to nine digits, so that a scene that is made by a formula has the same
+    Numbers are rounded to nine digits, so that a scene made by a formula has the same
     fingerprint on every machine.
     """
-    plain = {key: _plain(value) for key, value in scene.decisive().items() if key not in _SAID}
+    plain = {key: _plain(value) for key, value in scene.decisive().items() if key not in _INERT}
     return hashlib.sha256(msgspec.json.encode(plain, order="sorted")).hexdigest()[:16]
 
 
 def _plain(value: Any) -> Any:
-    """Spell out tables, defaults too, as these decide the motion as well."""
+    """Write out tables including defaults, since these also affect the motion."""
     if isinstance(value, Neutral):
         parts = {key: _plain(part) for key, part in value.decisive().items()}
         return [type(value).__name__, parts]

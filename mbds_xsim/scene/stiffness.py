@@ -1,4 +1,4 @@
-"""How fast the springs and dampers of a scene can make it move, with its joints holding."""
+"""Rates at which the springs and dampers of a scene can move it while its joints hold."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from mbds_xsim.scene.joint_space import BodyStates, rate_row
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PointPair
 from mbds_xsim.scene.scene import Scene
 
-# Of the largest singular value: constraint rows that say nothing new.
+# Share of the largest singular value below which constraint rows are redundant.
 _RANK = 1e-9
 
 
 def spring_step(scene: Scene, *, angle: float, decay: float) -> float:
-    """Give the longest step in which springs turn by an angle [rad] and dampers decay so far [s].
+    """Return the longest step [s] of at most `angle` [rad] of spring phase and `decay` of damping.
 
-    For explicit methods, which are unstable where a decay is faster than their steps; infinite
-    without springs.
+    It is for explicit methods, which are unstable if a decay is faster than their steps. It is
+    infinite without springs.
     """
     oscillating, decaying = spring_rates(scene)
     return min(
@@ -35,11 +35,11 @@ def spring_step(scene: Scene, *, angle: float, decay: float) -> float:
 def spring_rates(scene: Scene) -> tuple[float, float]:
     """Bound the rates at which spring–dampers and drives oscillate and decay at the start [1/s].
 
-    They are √λ(K Y) and λ(C Y), λ the largest eigenvalue and Y the inverse of the effective mass
-    between the springs' ends: what a force between them accelerates them apart by while joints
-    hold. Each spring may pull in the direction in which its ends yield most, as it turns while a
-    mechanism moves, and only the joints of the spanning tree hold, as at a dead point of a loop
-    nothing would move. Both are 0 without springs.
+    They are √λ(K Y) and λ(C Y), where λ is the largest eigenvalue and Y the inverse effective mass
+    between the springs' ends: their relative acceleration per unit force while joints hold. Each
+    spring may pull in the direction in which its ends yield most, since it turns as the mechanism
+    moves. Only the joints of the spanning tree hold, since at a dead point of a loop nothing would
+    move. Both are 0 without springs.
     """
     mechanism = Mechanism.of(scene)
     joints = (*mechanism.compliant, *(drive.joint for drive in mechanism.drives))
@@ -63,18 +63,18 @@ def spring_rates(scene: Scene) -> tuple[float, float]:
     return float(np.sqrt(_largest(stiffness, free))), _largest(damping, free)
 
 
-def _free(mechanism: Mechanism, start: BodyStates, apart: Array) -> Array:
-    """Weigh rows by inverse masses, and take out of them what joints of the tree hold."""
+def _free(mechanism: Mechanism, start: BodyStates, relative_rows: Array) -> Array:
+    """Weight rows by inverse masses, and remove the directions held by joints of the tree."""
     root = inverse_mass_root(mechanism, start.native).toarray()
     still = np.zeros_like(start.position)
     rows = constraint_rows(mechanism, start.position, start.native, still, still)
     loops = [joint.index for joint in mechanism.loops]
     tree = (rows.owner < len(mechanism.joints)) & ~np.isin(rows.owner, loops)
-    return _without(dense_jacobian(rows, mechanism.body_count)[tree] @ root, apart @ root)
+    return _without(dense_jacobian(rows, mechanism.body_count)[tree] @ root, relative_rows @ root)
 
 
 def _apart(mechanism: Mechanism, start: BodyStates, spring: PointPair) -> Array:
-    """Rows that give the velocity of the second end against the first, (3, 6 · body)."""
+    """Return rows for the velocity of the second end relative to the first, (3, 6 · body)."""
     rows = np.zeros((3, mechanism.body_count, 6))
     for body, point, sign in zip(spring.bodies, spring.in_body, (-1.0, 1.0), strict=True):
         if body != WORLD_INDEX:
@@ -84,9 +84,9 @@ def _apart(mechanism: Mechanism, start: BodyStates, spring: PointPair) -> Array:
     return rows.reshape(3, -1)
 
 
-def _without(held: Array, rows: Array) -> Array:
-    """Take out of rows what lies in the span of those that are held."""
-    _, sizes, basis = np.linalg.svd(held, full_matrices=False)
+def _without(constraints: Array, rows: Array) -> Array:
+    """Remove from rows their components in the span of constraint rows."""
+    _, sizes, basis = np.linalg.svd(constraints, full_matrices=False)
     basis = basis[sizes > _RANK * sizes.max(initial=0.0)]
     return np.asarray(rows - rows @ basis.T @ basis)
 

@@ -1,1 +1,1 @@
-"""Who simulates: the contract of adapters, their registry, settings and read-back."""
+"""Simulation: the contract of adapters, their registry, settings and read-back."""

@@ -1,4 +1,4 @@
-"""What an adapter is: a neutral scene goes in, a run that makes trajectories comes out."""
+"""The adapter contract: a neutral scene goes in, a run that makes trajectories comes out."""
 
 from __future__ import annotations
 
@@ -32,29 +32,29 @@ from mbds_xsim.simulate.claims import (
 Profile = Literal["native", "matched"]
 
 version_of = functools.cache(version)
-"""Of an installed distribution; to read it takes milliseconds."""
+"""Version of an installed distribution, cached since reading it takes milliseconds."""
 
 _REFINABLE = 4
-# What would need shorter steps is too dear for a preset: 20 000 a frame of 20 ms [s].
+# Shortest step of a preset [s]: 20 000 in a frame of 20 ms; even shorter ones cost too much.
 _SHORTEST = 1e-6
 _MOST_STEPS = 10**9
-"""In a frame: engines count them in 32 bits, and this many take hours."""
+"""Largest number of steps in a frame: engines count in 32 bits, and this many take hours."""
 # A body that crosses so many scene lengths in a frame has blown up.
 _LENGTHS_PER_FRAME = 1e3
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How an engine steps a scene."""
+    """Method, step and options with which an engine steps a scene."""
 
     method: str
     step: float
-    """[s]; divides the frame interval."""
+    """Integration step [s]; divides the frame interval."""
     options: Mapping[str, float | int | bool | str] = field(default_factory=dict)
-    """The method's own knobs, as `Adapter.options` lists them; what is left out has its default."""
+    """Options of the method, as listed in `Adapter.options`; omitted ones have their default."""
 
     def substeps(self, frame: float) -> int:
-        """Steps in a frame; raise InputError where the step does not divide it."""
+        """Return the steps in a frame; raise InputError if the step does not divide it."""
         number = isinstance(self.step, SupportsFloat) and math.isfinite(self.step)
         count = round(frame / self.step) if number and self.step > frame / _MOST_STEPS else 0
         if count < 1 or abs(count * self.step - frame) > 1e-9 * frame:
@@ -70,57 +70,57 @@ class Settings:
 class Readback:
     """The native model as the engine holds it, in the toolkit's conventions.
 
-    `mbds_xsim.simulate.readback.compare` holds it against the scene before the first step. What an
-    engine has no way of telling is None.
+    `mbds_xsim.simulate.readback.compare` compares it with the scene before the first step. Fields
+    that an engine cannot report are None.
     """
 
     mass: Array
-    """[kg], shape (body,)."""
+    """Masses [kg], shape (body,)."""
     inertia: Array
-    """About the centre of mass in native frames [kg·m²], shape (body, 3, 3)."""
+    """Inertia about the centre of mass in native frames [kg·m²], shape (body, 3, 3)."""
     com: Array
-    """In W with the engine's model put at the batch's first start [m], shape (body, 3)."""
+    """Centres of mass in W with the model at the batch's first start [m], shape (body, 3)."""
     orientation: Array
-    """At that start, published convention, shape (body, 4)."""
+    """Orientations at that start, published convention, shape (body, 4)."""
     velocity: Array
-    """At that start [m/s], shape (body, 3)."""
+    """Velocities of the centres of mass at that start [m/s], shape (body, 3)."""
     angular_velocity: Array
-    """At that start [rad/s], shape (body, 3)."""
+    """Angular velocities in W at that start [rad/s], shape (body, 3)."""
     gravity: Array | None
-    """[m/s²], shape (3,)."""
+    """Gravity in W [m/s²], shape (3,)."""
     step: float | None
-    """[s]"""
+    """Integration step [s]."""
     joint_axis: Array | None
-    """Of hinges and sliders in scene order, in W at that start, shape (joint, 3); NaN where a
+    """Axes of hinges and sliders in scene order, in W at that start, shape (joint, 3); NaN if a
     loop joint has no native counterpart."""
     damping: Array | None
-    """Every damping coefficient the engine reports, less what the scene asks for; all must be 0,
+    """Every damping coefficient that the engine reports, minus the scene's; all must be 0,
     shape (any,)."""
     contact: Array | None = None
     """Radius [m], friction and restitution of each contact sphere on the ground, in scene order;
-    NaN where the engine, or the scene, has no such coefficient. Shape (sphere, 3)."""
+    NaN if the engine, or the scene, has no such coefficient. Shape (sphere, 3)."""
     collision: Array | None = None
     """Friction and restitution of each of `Mechanism.sphere_pairs`, as above, shape (pair, 2)."""
     sphere: Array | None = None
     """Centres of the contact spheres, in scene order and in W at that start [m], (sphere, 3)."""
     anchor: Array | None = None
     """Anchors of the joints in scene order, as fixed in the parent and in the child, in W at that
-    start [m], shape (joint, 2, 3); NaN where a joint has no native counterpart that tells."""
+    start [m], shape (joint, 2, 3); NaN if no native counterpart of a joint reports it."""
     spring: Array | None = None
     """Stiffness [N/m], damping [N·s/m], rest length [m] and length at that start [m] of the
-    springs in scene order, shape (spring, 4). Where an engine has none, what the adapter that
-    applies them goes by."""
+    springs in scene order, shape (spring, 4). If an engine has none, the values with which the
+    adapter applies them."""
     law: Array | None = None
     """Stiffness, damping and coordinate at rest of `Mechanism.compliant` [N·m/rad or N/m,
-    N·m·s/rad or N·s/m, rad or m], shape (joint, 3); likewise."""
+    N·m·s/rad or N·s/m, rad or m], shape (joint, 3); as for `spring`."""
     armature: Array | None = None
-    """Of `Mechanism.rotors` [kg·m² or kg], shape (joint,)."""
+    """Armature of `Mechanism.rotors` [kg·m² or kg], shape (joint,)."""
     friction: Array | None = None
     """Dry friction of `Mechanism.frictional` [N·m or N], shape (joint,)."""
     limits: Array | None = None
-    """Of `Mechanism.limited`, lower and upper [rad or m], shape (joint, 2)."""
+    """Lower and upper limits of `Mechanism.limited` [rad or m], shape (joint, 2)."""
     drive: Array | None = None
-    """Stiffness, damping and limit (0: none) of `Mechanism.drives`, shape (drive, 3); likewise."""
+    """Stiffness, damping, limit (0: none) of `Mechanism.drives`, (drive, 3); as for `spring`."""
     coupling: Array | None = None
     """Ratio and offset of `Mechanism.couplings`, shape (coupling, 2)."""
 
@@ -130,14 +130,14 @@ class ModelSize:
     """Size of the native model."""
 
     coordinates: int
-    """Velocity coordinates."""
+    """Number of velocity coordinates."""
     constraints: int
-    """Constraint rows solved beside them."""
+    """Number of constraint rows solved in addition."""
     contact_pairs: int = 0
 
 
 class Run(ABC):
-    """A loaded scene. The only owner of engine memory; use it in a `with` block."""
+    """A loaded scene and the only owner of engine memory; use it in a `with` block."""
 
     size: ModelSize
 
@@ -152,7 +152,7 @@ class Run(ABC):
         """Simulate every trajectory of the batch over its `steps` recorded steps.
 
         Frame 0 is the start as the engine holds it. A blow-up, NaN, engine warning or silent
-        clamp ends that trajectory with a `Failure`; it never raises and never touches the others.
+        clamp ends that trajectory with a `Failure`; it never raises and never affects the others.
         The result's arrays are the caller's. Calling again starts afresh: same batch, same bits.
         """
 
@@ -162,10 +162,10 @@ class Run(ABC):
 
     @abstractmethod
     def native(self, batch: Batch) -> str:
-        """Exactly what the engine is given, at the batch's first start, to run without us.
+        """Return the exact engine input at the batch's first start, to run without the toolkit.
 
-        A file of the engine's own format, or a Python script that simulates the scene's frames
-        without inputs and then prints the bodies' states.
+        It is a file in the engine's own format, or a Python script that simulates the scene's
+        frames without inputs and then prints the bodies' states.
         """
 
     @abstractmethod
@@ -174,34 +174,34 @@ class Run(ABC):
 
 
 class Adapter(ABC):
-    """An engine: stateless, its claims are class attributes."""
+    """An engine behind the common contract; stateless, with its claims as class attributes."""
 
     name: ClassVar[str]
-    """Entry point, extra, file name and attribute in files."""
+    """Name of the engine as entry point, extra, file name and attribute in files."""
     package: ClassVar[str]
-    """Distribution on the package index."""
+    """Name of its distribution on the package index."""
     revision: ClassVar[int] = 1
-    """Raised in the change that makes the adapter's motions differ: kept results are made anew."""
+    """Number raised by any change that affects motions, so that stored results are made anew."""
     methods: ClassVar[Mapping[str, Method]]
-    """By name; the first is the one `matched` prefers."""
+    """Methods by name; `matched` prefers the first."""
     options: ClassVar[Mapping[str, Option]]
     sweeps: ClassVar[Mapping[str, Sweep]] = {}
-    """By option: what trade-off charts try. Options that decide between speed and accuracy."""
+    """Values that trade-off charts try, for options that trade speed for accuracy."""
     limits: ClassVar[Mapping[Feature, str]]
     """Features that the engine cannot represent, with the reason."""
     coordinates: ClassVar[Literal["reduced", "maximal"]]
     cut: ClassVar[tuple[JointKind, ...]] = CUT
-    """All kinds of joints, those first that the engine rather closes a loop by than carries a body
-    with: `Mechanism.of(scene, cut)` has that tree, and `limits` are about it."""
+    """All joint kinds, those first that the engine prefers for closing loops:
+    `Mechanism.of(scene, cut)` builds that tree, and `limits` refer to it."""
     contact_law: ClassVar[ContactLaw | None] = None
-    """None without contact."""
+    """Contact law in words; None without contact."""
     smallest: ClassVar[str] = "none that a scene file can name is too small"
-    """Which masses, moments of inertia and other values the engine holds; `cannot_hold` finds
-    others."""
+    """Masses, moments of inertia and other values that the engine can hold, in words; `cannot_hold`
+    finds values that it cannot."""
 
     @final
     def open(self, scene: Scene, settings: Settings) -> Run:
-        """Check that the engine can do it, then load it.
+        """Check that the engine can simulate the scene, then load it.
 
         Raises:
             Unsupported: The engine or the method cannot represent the scene.
@@ -229,36 +229,35 @@ class Adapter(ABC):
 
     @final
     def refusals(self, scene: Scene, method: str) -> dict[Feature, str]:
-        """Give what the scene needs and the method cannot do, each with the reason."""
+        """Return the features that the scene needs and the method lacks, each with the reason."""
         missing = {**self.limits, **self.methods[method].refuses}
         needs = features_of(scene, self.cut)
         return {feature: missing[feature] for feature in Feature if feature in needs & set(missing)}
 
     @final
     def option(self, settings: Settings, name: str) -> Any:
-        """Value of an option, or its default."""
+        """Return the value of an option, or its default."""
         return settings.options.get(name, self.options[name].default)
 
     def cannot_hold(self, scene: Scene) -> str:
-        """Name a value that the engine has but cannot hold, as the mass of a body that is too small
-        or a spring without a rest length, and what it holds; "": none is.
+        """Name a scene value that the engine cannot hold, and what it can; "" if there is none.
+
+        Examples are the mass of a body that is too small, or a spring without a rest length.
         """
         del scene
         return ""
 
     def contact_scales(self, settings: Settings) -> ContactScales:
-        """Tell how finely contact is resolved; impulses of one step unless an adapter says so."""
+        """Return how finely contact is resolved; by default, impacts last one step."""
         return ContactScales(settings.step)
 
     def version(self) -> str:
-        """Version of the installed engine: that of its distribution unless an adapter says so."""
+        """Return the version of the installed engine, by default that of its distribution."""
         return version_of(self.package)
 
     @abstractmethod
     def settings(self, scene: Scene, profile: Profile) -> Settings:
-        """Preset without a search: `native` is what an ordinary user of the engine gets,
-        `matched` a careful choice for a scene that has none stored.
-        """
+        """Return an ordinary user's preset (`native`), or a careful one (`matched`); no search."""
 
     @abstractmethod
     def load(self, scene: Scene, settings: Settings) -> Run:
@@ -266,16 +265,16 @@ class Adapter(ABC):
 
 
 def nearest_step(frame: float, usual: float) -> float:
-    """Divide a frame [s] into equal steps as near as can be to a usual one [s]."""
+    """Divide a frame [s] into equal steps as close as possible to the usual one [s]."""
     return frame / max(1, round(frame / usual))
 
 
 def careful_step(frame: float, longest: float, fewest: int) -> float:
-    """Divide a frame [s] into `fewest` steps or more, none above the longest [s].
+    """Divide a frame [s] into at least `fewest` equal steps, none longer than `longest` [s].
 
-    A longest step below 1 µs counts as 1 µs. A frame resolves the motion, so mechanisms faster
-    than the longest step foresees get finer steps. There are a multiple of four, which the
-    consistency check can make coarser.
+    A longest step below 1 µs counts as 1 µs. Frames resolve the motion, so `fewest` gives finer
+    steps to fast mechanisms. The number is a multiple of four, so that the consistency check can
+    use coarser steps.
     """
     count = max(fewest, math.ceil(frame / max(longest, _SHORTEST) - 1e-9))
     return frame / (_REFINABLE * math.ceil(count / _REFINABLE))
@@ -284,7 +283,7 @@ def careful_step(frame: float, longest: float, fewest: int) -> float:
 def recorded(
     mechanism: Mechanism, bodies: BodyStates, failures: tuple[Failure | None, ...]
 ) -> Trajectory:
-    """Make a trajectory of the motion of bodies, shape (trajectory, frame, body, …).
+    """Make a trajectory from body states of shape (trajectory, frame, body, …).
 
     Frames from a failure on become NaN, in the given arrays as well.
     """
@@ -300,26 +299,26 @@ def recorded(
 
 
 def until_blow_up(
-    mechanism: Mechanism, bodies: BodyStates, told: Sequence[Failure | None] = ()
+    mechanism: Mechanism, bodies: BodyStates, reported: Sequence[Failure | None] = ()
 ) -> Trajectory:
-    """Make a trajectory that ends where it blows up, or before where the engine has told so.
+    """Make a trajectory that ends where it blows up, or earlier if the engine reported a failure.
 
     Args:
-        mechanism: Of the scene.
-        bodies: Shape (trajectory, frame, body, …); the start is as it was given.
-        told: By trajectory, where the engine tells any.
+        mechanism: Mechanism of the scene.
+        bodies: States, shape (trajectory, frame, body, …); the start is as it was given.
+        reported: Failures that the engine reported, one per trajectory; empty if it reports none.
     """
     bad = too_fast(mechanism, bodies.velocity)
     blown = first_failures(bad, lambda *_: blow_up(mechanism), earliest=1)
-    return recorded(mechanism, bodies, earlier(told, blown) if told else blown)
+    return recorded(mechanism, bodies, earlier(reported, blown) if reported else blown)
 
 
 def earlier(
     one: Sequence[Failure | None], other: Sequence[Failure | None]
 ) -> tuple[Failure | None, ...]:
-    """Give the earlier of two failures of each trajectory."""
+    """Return the earlier of two failures of each trajectory."""
     both = (filter(None, pair) for pair in zip(one, other, strict=True))
-    return tuple(min(found, key=lambda failure: failure.frame, default=None) for found in both)
+    return tuple(min(failures, key=lambda end: end.frame, default=None) for failures in both)
 
 
 def first_failures(
@@ -328,9 +327,9 @@ def first_failures(
     """Turn each trajectory's first bad frame into a failure.
 
     Args:
-        bad: Shape (trajectory, frame).
-        reason: Says what is wrong, by row and frame.
-        earliest: Frame of a failure at the least; 1 where the start is recorded as it was given.
+        bad: Whether a frame is bad, shape (trajectory, frame).
+        reason: Function that says what is wrong, given row and frame.
+        earliest: Earliest frame of a failure; 1 if the start is recorded as it was given.
     """
     first = bad.argmax(axis=1).tolist()
     return tuple(
@@ -340,7 +339,7 @@ def first_failures(
 
 
 def blow_up(mechanism: Mechanism) -> str:
-    """Say what is wrong with the frames that `too_fast` finds."""
+    """Return the reason of a failure for frames that `too_fast` finds."""
     return f"a body's speed passes {_top_speed(mechanism):.3g} m/s or is not a number"
 
 
@@ -348,8 +347,8 @@ def too_fast(mechanism: Mechanism, velocity: Array) -> Mask:
     """Find the frames of a blow-up; a NaN counts as one.
 
     Args:
-        mechanism: Of the scene.
-        velocity: Of the bodies [m/s], shape (…, body, 3).
+        mechanism: Mechanism of the scene.
+        velocity: Velocities of the bodies [m/s], shape (…, body, 3).
     """
     return ~(rotation.norm(velocity).max(axis=-1) < _top_speed(mechanism))
 

@@ -1,4 +1,4 @@
-"""Which engines run at which settings, from the user's words.
+"""Engines and their settings, as chosen by the user's words.
 
 Settings are the stored matched ones, an adapter's own presets, or those of files; each has a name,
 its *profile*.
@@ -28,41 +28,41 @@ from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Adapter, Profile, Settings
 
 MATCHED, _NATIVE = "matched", "native"
-_NAME = re.compile("[a-z][a-z0-9_]{0,39}")  # no "-": file names have the engine's before one
+_NAME = re.compile("[a-z][a-z0-9_]{0,39}")  # no "-", which ends the engine in file names
 
 
 @dataclass(frozen=True)
 class Contender:
-    """One row of the table to be."""
+    """An engine at a profile of settings: a future row of the table."""
 
     engine: str
     profile: str
-    """What its settings are called: matched, native, or the name of a file's."""
+    """Name of its settings: matched, native, or the name of those in a file."""
     settings: Settings
     limit: float = field(default=LIMIT, compare=False)
-    """Longest that one piece of its work may take [s]."""
+    """Time limit of one piece of its work [s]."""
 
     @property
     def name(self) -> str:
-        """Engine and profile."""
+        """Name made of engine and profile."""
         return f"{self.engine} ({self.profile})"
 
 
 @dataclass(frozen=True)
 class Choice:
-    """Which engines at which settings."""
+    """Engines and profiles of settings to run."""
 
     engines: tuple[str, ...]
     profiles: tuple[str, ...] = (MATCHED,)
     method: str | None = None
     step: float | None = None
     named: bool = True
-    """Whether the engines were asked for by name: one that cannot do the scene is then an error;
-    otherwise it is left out, and the result says so."""
-    given: Mapping[str, Mapping[str, Matched]] = field(default_factory=dict, hash=False)
-    """Settings by profile and engine, from files or a search, that go before those stored."""
+    """Whether the engines were asked for by name: one that cannot simulate the scene is then an
+    error; otherwise it is left out, and the result says so."""
+    settings: Mapping[str, Mapping[str, Matched]] = field(default_factory=dict, hash=False)
+    """Settings by profile and engine, from files or a search, preferred to stored ones."""
     limit: float = LIMIT
-    """Longest that one piece of an engine's work may take [s]."""
+    """Time limit of one piece of an engine's work [s]."""
 
     @staticmethod
     def parse(
@@ -74,20 +74,19 @@ class Choice:
         limit: float = LIMIT,
         also: tuple[str, ...] = (),
     ) -> Choice:
-        """Read names, or words separated by commas; no engine named means all installed.
+        """Read names, given one by one or separated by commas.
 
-        What is beside these, `also`, then takes part too.
-
-        A profile may be the path of a file of settings: as `mbds-xsim match --out` writes it, or
-        with a `name` of its own. No engine named means all of the files then.
+        If no engine is named, all engines of the settings files take part or, without such files,
+        all installed engines and those in `also`. A profile may be the path of a settings file: as
+        `mbds-xsim match --out` writes it, or with a `name` of its own.
         """
         names = words_of(engines) if engines is not None else ()
         for name in names:
             registry.load_adapter(name)
         named = bool(names)
-        words, given = _profiles(words_of(profiles), names)
+        words, settings = _profiles(words_of(profiles), names)
         if not names:
-            names = tuple(dict.fromkeys(name for one in given.values() for name in one))
+            names = tuple(dict.fromkeys(name for table in settings.values() for name in table))
         names = names or (*registry.installed_engines(), *also)
         if not names:
             msg = "no engine is installed; install them with: pip install 'mbds-xsim[engines]'"
@@ -95,23 +94,23 @@ class Choice:
         if method is not None and len(names) != 1:
             msg = f"--method {method}: methods differ between engines, name one with --engines"
             raise InputError(msg)
-        return Choice(names, words, method, step, named, given, limit)
+        return Choice(names, words, method, step, named, settings, limit)
 
     def contenders(self, scene: Scene) -> tuple[list[Contender], dict[str, str]]:
-        """Settle the settings of every engine.
+        """Determine the settings of every engine.
 
         Returns:
             The contenders, and the engines left out, each with the reason.
 
         Raises:
-            Unsupported: An engine asked for by name cannot do the scene, or none can.
+            Unsupported: An engine asked for by name cannot simulate the scene, or none can.
             InputError: The settings are wrong.
         """
-        found: list[Contender] = []
+        contenders: list[Contender] = []
         left_out: dict[str, str] = {}
         for profile in self.profiles:
             for name in self.engines:
-                if profile != MATCHED and name not in self.given.get(profile, {name: None}):
+                if profile != MATCHED and name not in self.settings.get(profile, {name: None}):
                     continue
                 adapter = registry.load_adapter(name)
                 try:
@@ -120,19 +119,19 @@ class Choice:
                 except Unsupported as error:
                     left_out[name] = str(error)
                 else:
-                    found.append(Contender(name, profile, settings, self.limit))
-        if left_out and (self.named or not found):
+                    contenders.append(Contender(name, profile, settings, self.limit))
+        if left_out and (self.named or not contenders):
             raise Unsupported(self._refusal(scene, left_out))
-        return found, left_out | self.faulty
+        return contenders, left_out | self.faulty
 
     @property
     def faulty(self) -> dict[str, str]:
         """Adapters that would take part but cannot be used, each with the reason."""
-        return {} if self.named or self.given else registry.faulty_engines()
+        return {} if self.named or self.settings else registry.faulty_engines()
 
     def _settings(self, scene: Scene, adapter: Adapter, profile: str) -> Settings:
-        given = self.given.get(profile, {}).get(adapter.name)
-        preset = given and given.settings(scene)
+        matched = self.settings.get(profile, {}).get(adapter.name)
+        preset = matched and matched.settings(scene)
         preset = preset or settings_for(scene, adapter, as_profile(profile))
         method = self.method or preset.method
         if self.step is not None and method in adapter.methods and adapter.methods[method].adaptive:
@@ -145,7 +144,7 @@ class Choice:
         )
 
     def _refusal(self, scene: Scene, left_out: dict[str, str]) -> str:
-        """Say what cannot be done, and what can do it."""
+        """Explain what cannot be done, and suggest methods or engines that can."""
         name, reason = next(iter(left_out.items()))
         methods = _able_methods(registry.load_adapter(name), scene)
         able = [e for e in self.engines if _able_methods(registry.load_adapter(e), scene)]
@@ -156,15 +155,15 @@ class Choice:
 
 
 def is_file(word: str) -> bool:
-    """Tell whether a word for settings names a file, and no profile."""
+    """Return whether a word for settings names a file, not a profile."""
     return bool(Path(word).suffix) or os.sep in word
 
 
 def _profiles(
     words: tuple[str, ...], engines: tuple[str, ...]
 ) -> tuple[tuple[str, ...], dict[str, dict[str, Matched]]]:
-    """Name the profiles, and read those of files."""
-    profiles, given = list[str](), dict[str, dict[str, Matched]]()
+    """Return the names of profiles, and the settings of those in files."""
+    profiles, by_profile = list[str](), dict[str, dict[str, Matched]]()
     for word in words:
         if not is_file(word):
             profiles.append(as_profile(word))
@@ -172,18 +171,18 @@ def _profiles(
         name, settings = read_settings(Path(word))
         missing = [engine for engine in engines if engine not in settings]
         if missing and (name == MATCHED or len(missing) == len(engines)):
-            has = ", ".join(settings)
-            msg = f"--settings {word}: no settings of {missing[0]}; there are: {has}"
+            available = ", ".join(settings)
+            msg = f"--settings {word}: no settings of {missing[0]}; there are: {available}"
             raise InputError(msg)
         profiles.append(name)
-        given[name] = settings
+        by_profile[name] = settings
     if not profiles or len(set(profiles)) < len(profiles):
         msg = (
             f"--settings: got {','.join(words) or 'none'}, allowed is each name once; a file "
             "without a `name` is called matched"
         )
         raise InputError(msg)
-    return tuple(profiles), given
+    return tuple(profiles), by_profile
 
 
 def _able_methods(adapter: Adapter, scene: Scene) -> list[str]:
@@ -192,23 +191,23 @@ def _able_methods(adapter: Adapter, scene: Scene) -> list[str]:
     return [name for name in adapter.methods if not adapter.refusals(scene, name)]
 
 
-def words_of(given: str | Iterable[str]) -> tuple[str, ...]:
+def words_of(names: str | Iterable[str]) -> tuple[str, ...]:
     """Split a text at commas; each word counts once.
 
     Raises:
-        InputError: It is neither a text nor several.
+        InputError: The words are neither a text nor several texts.
     """
-    words = given.split(",") if isinstance(given, str) else given
+    words = names.split(",") if isinstance(names, str) else names
     if not isinstance(words, Iterable) or not all(isinstance(word, str) for word in words):
-        msg = f"got {given!r}, allowed are names, as 'one,other' or ['one', 'other']"
+        msg = f"got {names!r}, allowed are names, as 'one,other' or ['one', 'other']"
         raise InputError(msg)
     return tuple(dict.fromkeys(word.strip() for word in words))
 
 
 class Matched(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Settings of one engine as they stand in a file, whatever frame interval they are used with.
+    """Settings of one engine as written in a file, independent of the frame interval.
 
-    The figures that they gave, `found` in each table of the file, are for people.
+    The figures obtained with them, `found` in each table of the file, are for people.
     """
 
     method: str
@@ -216,16 +215,16 @@ class Matched(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     options: dict[str, float | int | bool | str] = {}
 
     def settings(self, scene: Scene) -> Settings:
-        """Give the settings for a scene."""
+        """Return the settings for a scene."""
         return Settings(self.method, scene.clock.frame / self.steps_per_frame, self.options)
 
 
 def settings_for(scene: Scene, adapter: Adapter, profile: Profile) -> Settings:
-    """Give the settings without a search.
+    """Return the settings without a search.
 
     `matched` settings that have been found and checked for a built-in scene are stored in
-    `scenes/matched/`, one file a scene; those of an engine that another package adds, in the folder
-    that this package registers. They hold for its physics, whatever a scene is called.
+    `scenes/matched/`, one file per scene; those of an engine that another package adds are in the
+    folder that this package registers. They apply to scenes of the same name and physics.
     For other scenes the adapter makes a careful choice; `mbds_xsim.measure.quick` searches first.
     """
     if profile == MATCHED and is_stored(scene, adapter.name):
@@ -234,30 +233,30 @@ def settings_for(scene: Scene, adapter: Adapter, profile: Profile) -> Settings:
 
 
 def is_stored(scene: Scene, engine: str) -> bool:
-    """Tell whether settings are stored for an engine and a scene of this physics."""
+    """Return whether settings are stored for an engine and a scene of this name and physics."""
     return engine in _stored(scene.name) and _physics(scene) == _built_in(scene.name)
 
 
 def read_settings(path: Path) -> tuple[str, dict[str, Matched]]:
-    """Read a file of settings: what they are called, and those of each engine.
+    """Read a settings file: its name, and the settings of each engine.
 
     `mbds-xsim match --out` writes such a file; its settings are called matched. With another `name`
-    they are a variant, of which no budget is expected.
+    they are a variant, which need not meet the budgets.
 
     Raises:
-        InputError: The file cannot be read or is none of settings, or an engine is not there; the
-            text says where.
+        InputError: The file cannot be read or is no settings file, or an engine is missing; the
+            message says where.
     """
-    name, found = _read(path)
-    for engine in found:
+    name, settings = _read(path)
+    for engine in settings:
         registry.load_adapter(engine)
-    return name, found
+    return name, settings
 
 
 def _read(path: Path) -> tuple[str, dict[str, Matched]]:
-    """Read a file of settings, of engines that need not be installed."""
+    """Read a settings file, whose engines need not be installed."""
     try:
-        name, found = _tables(read_file(path).decode("utf-8-sig"))
+        name, settings = _tables(read_file(path).decode("utf-8-sig"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         msg = f"--settings {path}: cannot be read: {error}"
         raise InputError(msg) from error
@@ -273,31 +272,31 @@ def _read(path: Path) -> tuple[str, dict[str, Matched]]:
             f"and _, a letter first, and not {_NATIVE}"
         )
         raise InputError(msg)
-    for engine, entry in found.items():
+    for engine, entry in settings.items():
         if entry.steps_per_frame < 1:
             msg = (
                 f"--settings {path}: {engine}.steps_per_frame: got {entry.steps_per_frame}, "
                 "allowed is 1 or more"
             )
             raise InputError(msg)
-    if not found:
+    if not settings:
         msg = f"--settings {path}: no engine has settings there"
         raise InputError(msg)
-    return name, found
+    return name, settings
 
 
 @functools.cache
 def _stored(scene_name: str) -> Mapping[str, Matched]:
-    """Read the toolkit's, and each engine's that its own package ships."""
+    """Read stored settings of the toolkit, and of engines whose own package ships them."""
     entry = files("mbds_xsim_scenes") / "matched" / f"{scene_name}.toml"
-    found = _tables(entry.read_text("utf-8"))[1] if entry.is_file() else {}
+    settings = _tables(entry.read_text("utf-8"))[1] if entry.is_file() else {}
     for engine, point in registry.registered("mbds_xsim.matched").items():
         package = find_spec(point.value)  # which imports nothing
         for folder in (package and package.submodule_search_locations) or ():
-            theirs = Path(folder) / f"{scene_name}.toml"
-            if engine not in found and theirs.is_file():
-                found |= {name: e for name, e in _read(theirs)[1].items() if name == engine}
-    return found
+            path = Path(folder) / f"{scene_name}.toml"
+            if engine not in settings and path.is_file():
+                settings |= {name: e for name, e in _read(path)[1].items() if name == engine}
+    return settings
 
 
 def _tables(text: str) -> tuple[Any, dict[str, Matched]]:
@@ -315,14 +314,14 @@ def _built_in(scene_name: str) -> str:
 
 
 def _physics(scene: Scene) -> str:
-    """Stand for all that decides what settings a scene needs; how long it lasts does not."""
+    """Return a fingerprint of all that decides a scene's settings, which its duration does not."""
     return fingerprint(
         msgspec.structs.replace(scene, clock=msgspec.structs.replace(scene.clock, steps=1))
     )
 
 
 def as_profile(name: str) -> Profile:
-    """Read a profile's name."""
+    """Check a profile's name and return it."""
     profiles: dict[str, Profile] = {"matched": "matched", "native": "native"}
     check_name("settings profile", name, sorted(profiles))
     return profiles[name]

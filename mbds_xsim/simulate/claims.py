@@ -1,4 +1,4 @@
-"""What an adapter claims: features, methods, options, and what contact is in its engine."""
+"""Claims of an adapter: features, methods, options, and its engine's contact law."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from mbds_xsim.scene.mechanism import CUT, JointKind, Mechanism
 from mbds_xsim.scene.scene import Scene
 
 TRUTH = "reference"
-"""Family of the reference itself: what it is held against is no other than it is."""
+"""Family of the reference itself, which is compared only with itself."""
 FAMILIES = (
     "semi-implicit Euler", "implicit Euler", "RK4", "Runge-Kutta 3", "Runge-Kutta 3(2)",
     "Runge-Kutta 5", "Runge-Kutta 5(4)", "Runge-Kutta 6(7)", "generalised-alpha", "trapezoidal",
     "toolkit RK4", TRUTH,
 )  # fmt: skip
-"""What a method may be of; `own_family` names one that is none of these."""
+"""Known families of methods; `own_family` names another one."""
 RTOL = "rtol"
 """Option of adaptive methods: the tolerance that decides their steps."""
 _OWN = " (own)"
-_KINKED = 2  # order at most where forces have kinks
+_KINKED = 2  # highest order if forces have kinks
 
 
 def own_family(name: str) -> str:
-    """Name a family that no other engine's methods are known to be of."""
+    """Name a family to which no other engine's methods are known to belong."""
     return name + _OWN
 
 
 class Feature(Enum):
-    """What a scene can ask of an engine."""
+    """Features that a scene can require of an engine."""
 
     BALL = "ball joint"
     HINGE = "hinge joint"
@@ -64,7 +64,7 @@ class Feature(Enum):
     CONTACT = "sphere on the ground"
     COLLISION = "sphere on another body's sphere"
     LINKED_CONTACT = "spheres of joined bodies, or off centre"
-    """Or balls that touch the ground and each other: all contact but what has one solution."""
+    """Also balls that touch the ground and each other: all contact without a unique solution."""
 
 
 LOOPS = frozenset(feature for feature in Feature if feature.name.startswith("LOOP_"))
@@ -74,11 +74,11 @@ CONTACTS = (Feature.CONTACT, Feature.COLLISION, Feature.LINKED_CONTACT)
 
 
 def features_of(scene: Scene, cut: tuple[JointKind, ...] = CUT) -> frozenset[Feature]:
-    """List what the scene needs; forces count where sampling, noise or tables can make one.
+    """List the features a scene needs; forces count if sampling, noise or tables can cause one.
 
     Args:
         scene: The scene.
-        cut: Kinds of joints, those first that rather close a loop than carry a body.
+        cut: All joint kinds, those preferred for closing loops first.
     """
     mechanism = Mechanism.of(scene, cut)
     tree = [link.joint for link in mechanism.links]
@@ -86,12 +86,12 @@ def features_of(scene: Scene, cut: tuple[JointKind, ...] = CUT) -> frozenset[Fea
     kinds |= {Feature[f"LOOP_{joint.kind.upper()}"] for joint in mechanism.loops}
     diagonal = np.einsum("kii->ki", mechanism.inertia)[:, :, None] * np.eye(3)
     draws = {draw.__struct_config__.tag for draw in scene.sampling}
-    driven = {joint.name for joint in mechanism.hinges}
+    hinges = {joint.name for joint in mechanism.hinges}
     drives = [drive.servo for drive in mechanism.drives]
     servos = [servo for servo in scene.servos if servo not in drives]
-    driving = {load.joint for load in scene.torques} | {servo.joint for servo in servos}
+    driven = {load.joint for load in scene.torques} | {servo.joint for servo in servos}
     holds = bool(mechanism.frictional or scene.contacts)
-    asked = {
+    needs = {
         Feature.FREE_BODY: None in tree,
         Feature.DISTANCE_LINK: bool(scene.distance_links),
         Feature.SPRING_DAMPER: bool(scene.springs),
@@ -108,46 +108,46 @@ def features_of(scene: Scene, cut: tuple[JointKind, ...] = CUT) -> frozenset[Fea
         Feature.FORCE: bool(scene.forces)
         or scene.noise > 0
         or "wind" in draws
-        or any(servo.needs_input and servo.joint not in driven for servo in servos),
-        Feature.HINGE_TORQUE: bool(driving & driven) or "hinge_torque" in draws,
+        or any(servo.needs_input and servo.joint not in hinges for servo in servos),
+        Feature.HINGE_TORQUE: bool(driven & hinges) or "hinge_torque" in draws,
         Feature.FULL_INERTIA: not np.allclose(mechanism.inertia, diagonal, rtol=0, atol=1e-14),
         Feature.CONTACT: scene.ground is not None,
         Feature.COLLISION: scene.collisions is not None,
         Feature.LINKED_CONTACT: bool(scene.contacts) and not has_known_impacts(mechanism),
     }
-    return frozenset(kinds | {feature for feature, needed in asked.items() if needed})
+    return frozenset(kinds | {feature for feature, needed in needs.items() if needed})
 
 
 @dataclass(frozen=True)
 class Method:
-    """One way of stepping, with the claims that the contract suite measures."""
+    """A stepping method, with the claims that the contract suite measures."""
 
     name: str
     family: str
-    """Methods of one family are one vote: their agreement is no evidence. One of `FAMILIES`, or
-    an `own_family`; no other, as a misspelling would be a vote of its own."""
+    """Family of methods: one of `FAMILIES` or an `own_family`. A family has one vote, as agreement
+    within it is no evidence. Other names are refused, as a misspelling would add a vote."""
     order: int
-    """Order of convergence on smooth scenes that the method can run; of an adaptive method the
-    order of its steps, which no test can see."""
+    """Order of convergence on smooth scenes that the method can run; for an adaptive method,
+    the order of its steps, which no test can see."""
     refuses: Mapping[Feature, str] = field(default_factory=dict)
     """Features that this method, unlike the engine, cannot do, with the reason."""
     loop_order: int | None = None
-    """Order where constraints are solved beside the coordinates, if it differs."""
+    """Order when constraints are solved in addition to the coordinates; None if the same."""
     loop_velocity_order: int | None = None
-    """Order of the velocities there, if it is lower than that of the positions."""
+    """Order of the velocities in that case; None if the same as that of the positions."""
     velocity_lag: float = 0.0
-    """Recorded velocities belong to (frame time + lag · step): −½ for a leapfrog's. In contact it
-    may be less, where an adapter divides steps."""
+    """Lag of recorded velocities, which belong to (frame time + lag · step): −½ for leapfrog. In
+    contact it may be smaller, if an adapter divides steps."""
     own: bool = True
-    """Whether the engine itself steps. What the toolkit steps is never matched by a search: it
-    says nothing about the engine's stepping."""
+    """Whether the engine itself steps. A search for matched settings never takes a method that the
+    toolkit steps, since it says nothing about the engine's stepping."""
     adaptive: bool = False
-    """Whether it controls its error: it chooses its steps by the option `rtol`, which it must
-    have, and is run at a step of one frame."""
+    """Whether it controls its error: it chooses its steps by the option `rtol`, which is then
+    required, and is run at a step of one frame."""
 
     single: bool = False
-    """Whether it holds states and steps them in single precision: they are then judged as rounded
-    to 24 significant bits, and by the scene's budgets as any other."""
+    """Whether it holds and steps states in single precision: checks then allow for rounding to 24
+    significant bits, while the scene's budgets stay the same."""
 
     def __post_init__(self) -> None:
         if self.family not in FAMILIES and not self.family.endswith(_OWN):
@@ -157,13 +157,13 @@ class Method:
 
     @property
     def is_truth(self) -> bool:
-        """Whether it is the reference: its distance to itself is no figure of accuracy."""
+        """Whether it is the reference, whose distance to itself is no figure of accuracy."""
         return self.family == TRUTH
 
     def order_for(self, scene: Scene) -> int:
-        """Order that holds for a scene: 1 where friction or limits stop joints within steps.
+        """Return the order for a scene: 1 if friction or limits stop joints within steps.
 
-        And 2 at most where servos saturate, as a force has a kink in the step in which they do.
+        It is at most 2 if servos saturate, as forces then have kinks. Adaptive methods keep theirs.
         """
         mechanism = Mechanism.of(scene)
         if mechanism.braked and not self.adaptive:
@@ -173,7 +173,7 @@ class Method:
         return min(order, _KINKED) if mechanism.saturates and not self.adaptive else order
 
     def velocity_order_for(self, scene: Scene) -> int:
-        """Order to which a scene's velocities may be down, where they carry constraint forces."""
+        """Return the order of a scene's velocities, which constraints may lower."""
         order = self.order_for(scene)
         lower = self.loop_velocity_order
         return min(order, lower) if lower is not None and _constrained(scene) else order
@@ -186,9 +186,9 @@ def _constrained(scene: Scene) -> bool:
 
 @dataclass(frozen=True)
 class Option:
-    """A knob of an adapter: its default, what it does and which values it takes.
+    """An option of an adapter: its default, its meaning and the values allowed.
 
-    Values are of the default's kind: true or false, a whole number, a finite number or a name.
+    Values are of the default's type: true or false, a whole number, a finite number or a name.
     """
 
     default: float | int | bool | str
@@ -201,13 +201,13 @@ class Option:
     names: tuple[str, ...] = ()
     """All names allowed."""
 
-    def check(self, what: str, value: object) -> None:
-        """Raise InputError, which calls the option `what`, unless the value is allowed."""
+    def check(self, label: str, value: object) -> None:
+        """Raise InputError, naming the option as `label`, unless the value is allowed."""
         if self.names:
             if value not in self.names:
-                raise UnknownName.of(what, str(value), list(self.names))
+                raise UnknownName.of(label, str(value), list(self.names))
         elif not (self._kind_fits(value) and self._is_within(value)):
-            raise InputError(f"{what}: got {value!r}, allowed is {self._allowed()}")
+            raise InputError(f"{label}: got {value!r}, allowed is {self._allowed()}")
 
     def _kind_fits(self, value: object) -> bool:
         if isinstance(self.default, bool | str):
@@ -237,9 +237,9 @@ class Sweep:
 
     values: tuple[float | int | bool | str, ...]
     methods: tuple[str, ...] = ()
-    """Methods that the option acts on; all where none is named."""
+    """Methods that the option affects; empty for all."""
     needs: frozenset[Feature] = frozenset()
-    """The option acts where a scene needs any of these; everywhere where none is named."""
+    """Features of which a scene must need one for the option to act; empty if none matters."""
 
 
 def check_claims(
@@ -248,7 +248,7 @@ def check_claims(
     sweeps: Mapping[str, Sweep],
     cut: tuple[JointKind, ...],
 ) -> None:
-    """Raise ValueError where claims of an adapter contradict each other."""
+    """Raise ValueError if claims of an adapter contradict each other."""
     if not methods:
         raise ValueError("it has no methods")
     for name, method in methods.items():
@@ -264,26 +264,26 @@ def check_claims(
 
 @dataclass(frozen=True)
 class ContactScales:
-    """How finely an engine resolves contact; the contract suite derives from it what it allows."""
+    """Contact resolution of an engine, from which the contract suite derives its tolerances."""
 
     time: float
-    """Over which it spreads an impact: the step where contact is rigid, and as long as a spring
-    takes to push a sphere out where it is compliant [s]."""
+    """Duration of an impact [s]: one step if contact is rigid, or the time that a spring needs to
+    push a sphere out if it is compliant."""
     slip: float = 0.0
     """Slip up to which friction is less than Coulomb's [m/s]."""
 
 
 @dataclass(frozen=True)
 class ContactLaw:
-    """What contact is in an engine, in words; `mbds-xsim contact` measures it."""
+    """An engine's contact law in words; `mbds-xsim contact` measures it."""
 
     normal: str
-    """How a sphere is kept out of what it touches."""
+    """Law that keeps a sphere from penetrating."""
     restitution: str
-    """What decides the rebound."""
+    """Law that decides the rebound."""
     friction: str
-    """In which set the friction force is."""
+    """Shape of the friction cone."""
     mixing: str
-    """How the coefficients of two bodies become those of the pair."""
+    """Rule that combines the coefficients of two bodies."""
     adapter: str
-    """What the adapter does about it, in sentences."""
+    """Measures that the adapter takes, in sentences."""

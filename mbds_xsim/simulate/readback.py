@@ -1,6 +1,6 @@
-"""Hold the native model, as the engine tells it, against the scene, before the first step.
+"""Compare the native model, as the engine reports it, with the scene, before the first step.
 
-Adapters that hold the spanning tree put its joints into the scene's order by `joint_axes` and
+Adapters of engines that hold the spanning tree put its joints into scene order by `joint_axes` and
 `joint_anchors`.
 """
 
@@ -23,7 +23,7 @@ from mbds_xsim.simulate.adapter import Readback, Settings
 from mbds_xsim.simulate.claims import Method
 
 _Quantity = tuple[str, Array | None, Array, float, list[str]]
-"""What it is, as read and as wanted, the least scale of a difference, and the rows' names."""
+"""Name, values read, values wanted, least scale of a difference, and the rows' names."""
 
 _TOLERANCE = 1e-9
 _MISSING = 1e-6
@@ -41,19 +41,19 @@ def compare(
     readback: Readback,
     method: Method | None = None,
 ) -> list[str]:
-    """List what the engine holds differently from the scene, each in one line.
+    """List the differences between the engine's model and the scene, each in one line.
 
     Figures are relative to the largest element of the expected array, or to the scene's length
-    for positions. The method tells in what precision they are held; double where it is left out.
+    for positions. The method determines their precision, double if it is omitted.
     """
-    lines, allowed = [], max(_TOLERANCE, rounding.held(mechanism, method))
-    for what, got, wanted, floor, names in _quantities(mechanism, batch, readback):
+    lines, allowed = [], max(_TOLERANCE, rounding.state_error(mechanism, method))
+    for quantity, got, wanted, floor, names in _quantities(mechanism, batch, readback):
         if got is not None and (len(wanted) or got.size):
-            lines += _differences(what, got, wanted, floor, names, allowed)
+            lines += _differences(quantity, got, wanted, floor, names, allowed)
     off = 0.0 if readback.step is None else abs(readback.step - settings.step)
     if not off <= allowed * settings.step:
         lines.append(f"step: got {readback.step:.9g} s, the settings say {settings.step:.9g} s")
-    slack = rounding.held(mechanism, method) * _most_damping(mechanism)
+    slack = rounding.state_error(mechanism, method) * _most_damping(mechanism)
     if readback.damping is not None and np.any(np.abs(readback.damping) > slack):
         lines.append(f"damping: got up to {np.abs(readback.damping).max():g}, the scene has none")
     return lines
@@ -64,17 +64,17 @@ def joint_axes(
     of_link: Callable[[Link], Array],
     of_loop: Callable[[PlacedJoint], Array] | None = None,
 ) -> Array:
-    """Give what `Readback.joint_axis` tells, in W, shape (joint, 3).
+    """Return the axes for `Readback.joint_axis`, in W, shape (joint, 3).
 
     Args:
-        mechanism: Of the scene.
-        of_link: The axis of a link's joint, as it points in the spanning tree.
-        of_loop: The axis of a joint that closes a loop; NaN where there is no such function.
+        mechanism: Mechanism of the scene.
+        of_link: Function that returns the axis of a link's joint, as it points in the tree.
+        of_loop: Function that returns the axis of a loop-closing joint; NaN without it.
     """
     links = {link.joint.index: link for link in mechanism.links if link.joint}
-    jointed = [joint for joint in mechanism.joints if joint.kind in ("hinge", "slider")]
-    axes = np.full((len(jointed), 3), np.nan)
-    for axis, joint in zip(axes, jointed, strict=True):
+    joints = [joint for joint in mechanism.joints if joint.kind in ("hinge", "slider")]
+    axes = np.full((len(joints), 3), np.nan)
+    for axis, joint in zip(axes, joints, strict=True):
         if (link := links.get(joint.index)) is not None:
             axis[:] = of_link(link) if link.body == joint.child else -of_link(link)
         elif of_loop is not None:
@@ -85,12 +85,12 @@ def joint_axes(
 def joint_anchors(
     mechanism: Mechanism, of_link: Callable[[Link], tuple[Array, Array] | None]
 ) -> Array:
-    """Give what `Readback.anchor` tells, in W; NaN of loops, shape (joint, 2, 3).
+    """Return the anchors for `Readback.anchor`, in W, shape (joint, 2, 3); NaN for loop joints.
 
     Args:
-        mechanism: Of the scene.
-        of_link: The anchor of a link's joint, as fixed in the tree parent and in the body; None
-            where the engine does not tell.
+        mechanism: Mechanism of the scene.
+        of_link: Function that returns the anchor of a link's joint, as fixed in the tree parent and
+            in the body; None if the engine does not report it.
     """
     anchors = np.full((len(mechanism.joints), 2, 3), np.nan)
     for link in mechanism.links:
@@ -103,11 +103,11 @@ def joint_anchors(
 def joint_laws(
     mechanism: Mechanism, of_link: Callable[[Link, PlacedJoint], tuple[float, float, float]]
 ) -> Array:
-    """Give what `Readback.law` tells; NaN of loops, shape (joint, 3).
+    """Return the laws for `Readback.law`, shape (joint, 3); NaN for loop joints.
 
     Args:
-        mechanism: Of the scene.
-        of_link: Stiffness, damping and coordinate at rest of a link's joint.
+        mechanism: Mechanism of the scene.
+        of_link: Function that returns stiffness, damping and rest coordinate of a link's joint.
     """
     laws = np.full((len(mechanism.compliant), len(_LAW)), np.nan)
     links = {link.joint.index: link for link in mechanism.links if link.joint}
@@ -118,22 +118,22 @@ def joint_laws(
 
 
 def _most_damping(mechanism: Mechanism) -> float:
-    """Give the largest coefficient of the scene, of which an engine's surplus is the rest."""
-    asked = [spring.damping for spring in mechanism.springs]
-    return max(asked + [joint.damping for joint in mechanism.compliant], default=0.0)
+    """Return the scene's largest damping, the scale of rounding errors in an engine's surplus."""
+    dampings = [spring.damping for spring in mechanism.springs]
+    return max(dampings + [joint.damping for joint in mechanism.compliant], default=0.0)
 
 
 def _quantities(mechanism: Mechanism, batch: Batch, readback: Readback) -> Iterator[_Quantity]:
-    """Give everything that both sides hold."""
+    """Yield all quantities that both sides hold."""
     scene, length = mechanism.scene, mechanism.scene.length
     bodies = [body.name for body in scene.bodies]
-    turned = _with_idle_spin(mechanism, batch, readback)
-    orientation = _turn(turned, batch)
-    yield "mass [kg]", turned.mass, mechanism.mass, 0.0, bodies
-    yield "inertia [kg·m²]", turned.inertia, mechanism.inertia, 0.0, bodies
-    yield "start: centre of mass [m]", turned.com, batch.position[0], length, bodies
-    yield "start: velocity [m/s]", turned.velocity, batch.velocity[0], 1.0, bodies
-    spin, wanted = turned.angular_velocity, batch.angular_velocity[0]
+    completed = _with_idle_spin(mechanism, batch, readback)
+    orientation = _turn(completed, batch)
+    yield "mass [kg]", completed.mass, mechanism.mass, 0.0, bodies
+    yield "inertia [kg·m²]", completed.inertia, mechanism.inertia, 0.0, bodies
+    yield "start: centre of mass [m]", completed.com, batch.position[0], length, bodies
+    yield "start: velocity [m/s]", completed.velocity, batch.velocity[0], 1.0, bodies
+    spin, wanted = completed.angular_velocity, batch.angular_velocity[0]
     yield "start: angular velocity [rad/s]", spin, wanted, 1.0, bodies
     yield "start: orientation", orientation, batch.orientation[0], 1.0, bodies
     gravity = None if readback.gravity is None else readback.gravity[None]
@@ -143,31 +143,31 @@ def _quantities(mechanism: Mechanism, batch: Batch, readback: Readback) -> Itera
     yield from _of_springs(mechanism, world, readback)
     laws = np.array([(j.stiffness, j.damping, j.rest) for j in mechanism.compliant]).reshape(-1, 3)
     names = [joint.name for joint in mechanism.compliant]
-    for what, key, joints in (
+    for quantity, key, joints in (
         ("armature", "armature", mechanism.rotors),
         ("dry friction", "friction", mechanism.frictional),
     ):
         wanted = np.array([[getattr(joint, key)] for joint in joints]).reshape(-1, 1)
-        held: Array | None = getattr(readback, key)
-        got = None if held is None else held.reshape(-1, 1)
-        yield what, got, wanted, 0.0, [joint.name for joint in joints]
+        values: Array | None = getattr(readback, key)
+        got = None if values is None else values.reshape(-1, 1)
+        yield quantity, got, wanted, 0.0, [joint.name for joint in joints]
     yield from _columns("joints", _LAW, _known(readback.law, laws), laws, names)
     stops = np.array([joint.limits for joint in mechanism.limited])
     names = [joint.name for joint in mechanism.limited]
     yield from _columns("joints", ("lower limit", "upper limit"), readback.limits, stops, names)
-    driven = np.array([drive.as_read() for drive in mechanism.drives])
+    drives = np.array([drive.as_read() for drive in mechanism.drives])
     names = [drive.joint.name for drive in mechanism.drives]
-    yield from _columns("servos", _SERVO, _known(readback.drive, driven), driven, names)
-    tied = np.array([(each.ratio, each.offset) for each in mechanism.couplings])
-    names = [each.name for each in mechanism.couplings]
-    yield from _columns("couplings", ("ratio", "offset"), readback.coupling, tied, names)
+    yield from _columns("servos", _SERVO, _known(readback.drive, drives), drives, names)
+    couplings = np.array([(coupling.ratio, coupling.offset) for coupling in mechanism.couplings])
+    names = [coupling.name for coupling in mechanism.couplings]
+    yield from _columns("couplings", ("ratio", "offset"), readback.coupling, couplings, names)
     yield from _of_contact(mechanism, world, readback)
 
 
 def _of_joints(mechanism: Mechanism, world: BodyStates, readback: Readback) -> Iterator[_Quantity]:
-    jointed = [joint for joint in mechanism.joints if joint.kind in ("hinge", "slider")]
-    axes = np.array([world.arms(joint.parent, joint.axis) for joint in jointed])
-    names = [joint.name for joint in jointed]
+    joints = [joint for joint in mechanism.joints if joint.kind in ("hinge", "slider")]
+    axes = np.array([world.arms(joint.parent, joint.axis) for joint in joints])
+    names = [joint.name for joint in joints]
     yield "axis", _known(readback.joint_axis, axes), axes, 1.0, names
     ends = [
         (world.points(j.parent, j.in_parent), world.points(j.child, j.in_child))
@@ -212,26 +212,26 @@ def _of_contact(mechanism: Mechanism, world: BodyStates, readback: Readback) -> 
 
 
 def _columns(
-    what: str, columns: tuple[str, ...], got: Array | None, wanted: Array, names: list[str]
+    quantity: str, columns: tuple[str, ...], got: Array | None, wanted: Array, names: list[str]
 ) -> Iterator[_Quantity]:
-    """Part a table of coefficients, shape (item, column); each has a scale of its own."""
-    wanted = wanted.reshape(-1, len(columns))  # of no items, too
+    """Split a table of coefficients (item, column) into columns, each with its own scale."""
+    wanted = wanted.reshape(-1, len(columns))  # also without items
     if got is None or got.shape != wanted.shape:
-        yield what, got, wanted, 0.0, names
+        yield quantity, got, wanted, 0.0, names
         return
     for k, column in enumerate(columns):
         yield column, got[:, [k]], wanted[:, [k]], 0.0, names
 
 
 def _known(got: Array | None, wanted: Array) -> Array | None:
-    """Take what an engine cannot tell, NaN, for what is wanted."""
+    """Replace NaN, for values an engine cannot report, by the wanted values."""
     return got if got is None or got.shape != wanted.shape else np.where(np.isnan(got), wanted, got)
 
 
 def _with_idle_spin(mechanism: Mechanism, batch: Batch, readback: Readback) -> Readback:
-    """Add what an engine may leave out: how bodies that never spin would do so.
+    """Complete inertia, orientation and spin of bodies that never spin, if the engine omits them.
 
-    Only where the engine has no inertia about such a body's axis.
+    This applies only if the engine has no inertia about such a body's axis.
     """
     axes = idle_axes(mechanism.scene)
     moments = np.einsum("ki,kij,kj->k", axes, readback.inertia, axes)
@@ -254,22 +254,22 @@ def _with_idle_spin(mechanism: Mechanism, batch: Batch, readback: Readback) -> R
 
 
 def _turn(readback: Readback, batch: Batch) -> Array:
-    """Orientations as read, with the sign of the expected ones (q and −q are one rotation)."""
+    """Return orientations with the sign of the expected ones (q and −q are one rotation)."""
     sign = np.sign(np.sum(readback.orientation * batch.orientation[0], axis=-1, keepdims=True))
     return readback.orientation * np.where(sign == 0, 1.0, sign)
 
 
 def _differences(
-    what: str, got: Array, wanted: Array, floor: float, names: list[str], allowed: float
+    quantity: str, got: Array, wanted: Array, floor: float, names: list[str], allowed: float
 ) -> list[str]:
     if got.shape != wanted.shape:
-        return [f"{what}: got shape {got.shape}, the scene has {wanted.shape}"]
+        return [f"{quantity}: got shape {got.shape}, the scene has {wanted.shape}"]
     scale = max(floor, float(np.abs(wanted).max())) or 1.0
     off = np.abs(got - wanted).reshape(len(wanted), -1).max(axis=1) / scale
     if np.all(off <= allowed):
         return []
     worst = int(np.nanargmax(np.where(np.isfinite(off), off, np.inf)))
     return [
-        f"{what} of {names[worst]}: got {np.round(got[worst], 9).tolist()}, the scene says "
+        f"{quantity} of {names[worst]}: got {np.round(got[worst], 9).tolist()}, the scene says "
         f"{np.round(wanted[worst], 9).tolist()} ({np.sum(~(off <= allowed))} differ)"
     ]

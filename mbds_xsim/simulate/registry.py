@@ -1,9 +1,9 @@
 """Adapters, scenes, and readers and writers of other formats, found by entry point.
 
-Adapters of other packages are asked in processes of their own and never imported here. What a
-package does when it is imported or called is anything: it may raise, hang, take all memory or end
-the process. A first process makes its adapter and writes down what it claims; a class that holds
-these claims stands for it here. Readers of models are called in such processes, too.
+Adapters of other packages are called in separate processes and never imported here, since a
+package may raise, hang, take all memory or end the process when it is imported or called. A first
+process makes its adapter and returns its claims; a class with these claims stands in for it here.
+Readers of models are called in such processes, too.
 """
 
 from __future__ import annotations
@@ -40,52 +40,52 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-# In the paper's order; every other size of a family is found by its name too.
+# In the paper's order; other sizes of a family are found by name, too.
 PAPER_SCENES = (
     "ballscroll", "balldrop", "5pendulum", "6pendulum", "2ladder", "3ladder", "particlecar",
     "simplecubli",
 )  # fmt: skip
 
 REFERENCE = "reference"
-"""Name of the one simulator behind the contract that is no engine."""
+"""Name of the reference solver, the only simulator with an adapter that is no engine."""
 
 _OURS = "mbds-xsim"
 _TRUTH = EntryPoint(REFERENCE, "mbds_xsim.reference.adapter:Reference", "mbds_xsim.adapters")
 
 Reader = Callable[[Path, Path, bool, bool], "Imported"]
-"""Takes the file, the folder that its paths must not leave, whether its base floats, and whether
-its shapes touch the ground; its name among entry points is the suffix of the files. Raises
+"""Function of the file, the folder that its paths must not leave, whether its base floats, and
+whether its shapes touch the ground. Its entry point is named after the files' suffix. It raises
 `InputError` with a line that does not name the file."""
 
 Writer = Callable[[Scene], "Written"]
-"""Raises `InputError` with the reason where the format has no place for a scene."""
+"""Function that writes a scene; raises `InputError` if the format cannot express it."""
 
-_READING = 300.0  # longest that a model may take to be read [s]
-_TIMEOUT = 60.0  # longest that an adapter may take to be imported, or to answer a question [s]
+_READING = 300.0  # time limit for reading a model [s]
+_TIMEOUT = 60.0  # time limit for an adapter's import or answer [s]
 
 
 def engine_names() -> list[str]:
-    """Names of all known adapters, whether their engine is installed or not."""
+    """Return the names of all known adapters, whether or not their engine is installed."""
     return sorted(registered("mbds_xsim.adapters"))
 
 
 def simulator_names() -> list[str]:
-    """Names of all engines, and of the reference."""
+    """Return the names of all engines and of the reference."""
     return [*engine_names(), REFERENCE]
 
 
 def is_foreign(name: str) -> bool:
-    """Whether another package registers the adapter."""
+    """Return whether another package registers the adapter."""
     return _owner(registered("mbds_xsim.adapters")[name]) != _OURS
 
 
 def installed_engines() -> list[str]:
-    """Names of the adapters whose engine can be imported."""
+    """Return the names of the adapters whose engine can be imported."""
     return [name for name in engine_names() if _lack(name) is None]
 
 
 def faulty_engines() -> dict[str, str]:
-    """Names of adapters of other packages that cannot be used, each with the reason."""
+    """Return the adapters of other packages that cannot be used, each with the reason."""
     lacks = {name: _lack(name) for name in engine_names()}
     return {name: str(lack) for name, lack in lacks.items() if isinstance(lack, EngineFaulty)}
 
@@ -104,7 +104,7 @@ def load_adapter(name: str) -> Adapter:
     Raises:
         UnknownName: No adapter has that name.
         EngineMissing: Its engine is not installed.
-        EngineFaulty: It is another package's, and goes wrong before it can be asked anything.
+        EngineFaulty: The adapter is another package's, and fails before it can answer.
     """
     if name == REFERENCE:
         return made(_TRUTH)
@@ -117,17 +117,17 @@ def load_adapter(name: str) -> Adapter:
         return other
     try:
         adapter = made(points[name])
-        if not is_foreign(name):  # which may have no package of its own
+        if not is_foreign(name):  # a foreign one may lack a package
             version_of(adapter.package)  # adapters import their engine late
         return adapter
     except ImportError as error:
-        how = f"pip install 'mbds-xsim[{name}]'"
-        msg = f"the engine {name} is not installed ({error}); install it with: {how}"
+        command = f"pip install 'mbds-xsim[{name}]'"
+        msg = f"the engine {name} is not installed ({error}); install it with: {command}"
         raise EngineMissing(msg) from error
 
 
 def scene_names() -> list[str]:
-    """Names of the built-in scenes: the paper's, then other single ones and scene files."""
+    """Return the names of built-in scenes: the paper's, then other single ones and scene files."""
     others = registered("mbds_xsim.single_scenes").keys() | _scene_files().keys()
     return [*PAPER_SCENES, *sorted(others - set(PAPER_SCENES))]
 
@@ -167,7 +167,7 @@ def load_scene(name: str) -> Scene:
 
 
 def is_model(name: str) -> bool:
-    """Whether something is registered to read files of such a name."""
+    """Return whether a reader for files with such a name is registered."""
     return Path(name).suffix[1:].lower() in registered("mbds_xsim.model_readers")
 
 
@@ -177,13 +177,13 @@ def read_model(
     """Read a model and check that its mechanism assembles and its starts can be drawn.
 
     Args:
-        path: Of the file.
-        folder: That files named in the model must lie in; left out, the model's own.
-        floating: Whether a base that the file ties to nothing is free, not fixed in the world.
+        path: Path of the file.
+        folder: Folder in which files named in the model must lie; by default the model's own.
+        floating: Whether a base that the file does not attach is free, not fixed in the world.
         ground: Whether its collision shapes touch the ground.
 
     Raises:
-        InputError: One line: the file, what is wrong with it and where.
+        InputError: The file is invalid; one line names it, the fault and its place.
     """
     readers = registered("mbds_xsim.model_readers")
     suffix = path.suffix[1:].lower()
@@ -193,8 +193,8 @@ def read_model(
     if in_utf8(str(path.absolute())) != str(path.absolute()):
         raise InputError(f"{path}: got a path that is not UTF-8, which readers need; rename it")
     inside = (folder or path.parent).absolute()
-    question = (readers[suffix], path.absolute(), inside, floating, ground)
-    (answer,) = run_tasks([Task(_read, question, _READING)], workers=1)
+    arguments = (readers[suffix], path.absolute(), inside, floating, ground)
+    (answer,) = run_tasks([Task(_read, arguments, _READING)], workers=1)
     if isinstance(answer, Crash):
         raise SceneError(f"{path}: {answer.reason}")
     imported: Imported = answer
@@ -215,10 +215,10 @@ def write_model(scene: Scene, kind: str) -> Written:
 
     Args:
         scene: The scene.
-        kind: Of the format.
+        kind: Name of the format.
 
     Raises:
-        InputError: The format has no place for the scene; the text says why.
+        InputError: The format cannot express the scene; the message says why.
     """
     writers = registered("mbds_xsim.model_writers")
     check_name("format of models", kind, sorted(writers))
@@ -227,7 +227,7 @@ def write_model(scene: Scene, kind: str) -> Written:
 
 
 def package_version(distribution: str) -> str:
-    """Version of an installed distribution, or "not installed"."""
+    """Return the version of an installed distribution, or "not installed"."""
     try:
         return version_of(distribution)
     except PackageNotFoundError:
@@ -236,7 +236,7 @@ def package_version(distribution: str) -> str:
 
 @functools.cache
 def registered(group: str) -> dict[str, EntryPoint]:
-    """Give what packages register in a group of entry points, by name."""
+    """Return the entry points that packages register in a group, by name."""
     points: dict[str, EntryPoint] = {}
     for point in entry_points(group=group):
         if point.name in points and points[point.name].value != point.value:
@@ -250,21 +250,21 @@ def registered(group: str) -> dict[str, EntryPoint]:
 
 @functools.cache
 def _scene_files() -> dict[str, Path]:
-    found = {}
+    paths = {}
     for point in registered("mbds_xsim.scenes").values():
         for entry in files(point.value).iterdir():
             if entry.name.endswith(".toml"):
-                found[entry.name.removesuffix(".toml")] = Path(str(entry))
-    return found
+                paths[entry.name.removesuffix(".toml")] = Path(str(entry))
+    return paths
 
 
 _CLAIMED = {key: hint.__args__[0] for key, hint in get_type_hints(Adapter).items()}
 _Claims: Any = msgspec.defstruct("_Claims", [*_CLAIMED.items(), ("installed", str)])
-"""What an adapter says of itself: the class variables of `Adapter`, and its engine's version."""
+"""Claims of an adapter: the class variables of `Adapter`, and its engine's version."""
 
 
 class _StandIn(Adapter):
-    """Another package's adapter, by its claims."""
+    """Stand-in for another package's adapter, with its claims."""
 
     point: ClassVar[EntryPoint]
     installed: ClassVar[str]
@@ -282,7 +282,7 @@ class _StandIn(Adapter):
         return settings
 
     def cannot_hold(self, scene: Scene) -> str:
-        answer = _ask(_held, self.point, scene)
+        answer = _ask(_cannot_hold, self.point, scene)
         return f"it does not say: {answer.reason}" if isinstance(answer, Crash) else str(answer)
 
     def contact_scales(self, settings: Settings) -> ContactScales:
@@ -297,21 +297,21 @@ class _StandIn(Adapter):
 
 
 def stand_in(point: EntryPoint) -> Adapter | str | None:
-    """Give what stands for another package's adapter, or why there is none.
+    """Return the stand-in for another package's adapter, or why there is none.
 
     Returns:
-        None for the toolkit's own, and in a process that carries out a task: that is already one
-        of its own.
+        None for the toolkit's own adapters, and in a process that carries out a task, which is
+        already a separate one.
     """
     foreign = not in_worker() and _owner(point) != _OURS
     return _tried(point) if foreign else None
 
 
 def made(point: EntryPoint) -> Adapter:
-    """Import an adapter and make it.
+    """Import an adapter and make an instance.
 
     Raises:
-        TypeError: It is none.
+        TypeError: The entry point gives something else.
     """
     adapter = point.load()()
     if not isinstance(adapter, Adapter):
@@ -329,26 +329,26 @@ def _tried(point: EntryPoint) -> Adapter | str:
     return adapter
 
 
-@functools.cache  # a package's metadata are read anew each time
+@functools.cache  # a package's metadata is otherwise read each time
 def _owner(point: EntryPoint) -> str:
     return point.dist.name if point.dist is not None else "(unknown)"
 
 
-def _ask(function: Any, point: EntryPoint, *about: Any) -> Any:
-    return _answer(function, point, pickle.dumps(about))
+def _ask(function: Any, point: EntryPoint, *arguments: Any) -> Any:
+    return _answer(function, point, pickle.dumps(arguments))
 
 
 @functools.cache
-def _answer(function: Any, point: EntryPoint, about: bytes) -> Any:
-    (answer,) = run_tasks([Task(function, (point, *pickle.loads(about)), _TIMEOUT)], workers=1)
+def _answer(function: Any, point: EntryPoint, arguments: bytes) -> Any:
+    (answer,) = run_tasks([Task(function, (point, *pickle.loads(arguments)), _TIMEOUT)], workers=1)
     return answer
 
 
 def _claims(point: EntryPoint) -> dict[str, Any]:
-    """Ask an adapter; raises where a claim is missing, or not of the type it must have."""
+    """Return an adapter's claims; raise an error if one is missing or of the wrong type."""
     adapter = made(point)
-    said = {key: getattr(adapter, key) for key in _CLAIMED if key != "package"}
-    raw = _Claims(**said, package=getattr(adapter, "package", ""), installed=adapter.version())
+    values = {key: getattr(adapter, key) for key in _CLAIMED if key != "package"}
+    raw = _Claims(**values, package=getattr(adapter, "package", ""), installed=adapter.version())
     claims = msgspec.json.decode(msgspec.json.encode(raw), type=_Claims)
     if claims.name != point.name:
         raise ValueError(f"its name is {claims.name!r}, that of the entry point {point.name!r}")
@@ -361,13 +361,13 @@ def _claims(point: EntryPoint) -> dict[str, Any]:
 def _preset(point: EntryPoint, scene: Scene, profile: Profile) -> Settings:
     adapter = made(point)
     settings = _typed(adapter.settings(scene, profile), Settings)
-    with suppress(Unsupported):  # another of its methods may do the scene
+    with suppress(Unsupported):  # another of its methods may support the scene
         adapter.check(scene, settings)
     _scales(point, settings)
     return settings
 
 
-def _held(point: EntryPoint, scene: Scene) -> str:
+def _cannot_hold(point: EntryPoint, scene: Scene) -> str:
     return _typed(made(point).cannot_hold(scene), str)
 
 
@@ -375,8 +375,8 @@ def _scales(point: EntryPoint, settings: Settings) -> ContactScales:
     return _typed(made(point).contact_scales(settings), ContactScales)
 
 
-def _typed(given: object, kind: type[T]) -> T:
-    """Give the same as a value whose fields have the types of a class."""
-    if not isinstance(given, kind):
-        raise TypeError(f"it gives {given!r:.60}, not {kind.__name__}")
-    return msgspec.json.decode(msgspec.json.encode(given), type=kind)
+def _typed(value: object, kind: type[T]) -> T:
+    """Convert a value so that its fields have the types of a class."""
+    if not isinstance(value, kind):
+        raise TypeError(f"it gives {value!r:.60}, not {kind.__name__}")
+    return msgspec.json.decode(msgspec.json.encode(value), type=kind)

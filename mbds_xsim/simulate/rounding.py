@@ -1,4 +1,4 @@
-"""What rounding leaves of what an engine holds: no check can ask for more.
+"""Rounding errors in the values that an engine holds: no check can demand more accuracy.
 
 Each operation leaves a relative error of half a unit in the last place, u = 2⁻²⁴ in single
 precision and 2⁻⁵³ in double (Higham, Accuracy and Stability of Numerical Algorithms, 2002, 2.2).
@@ -10,21 +10,21 @@ from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
 from mbds_xsim.simulate.claims import Method
 
 _UNIT = {True: 2.0**-24, False: 2.0**-53}
-# That a number passes on its way from a body's parent to the body: a product of quaternions, their
-# unit length, a vector turned and added.
+# Operations on a number from a body's parent to the body: a product of quaternions, their
+# normalisation, a vector rotated and added.
 _OF_LINK = 16
 
 
-def held(mechanism: Mechanism, method: Method | None) -> float:
-    """Relative error with which a state comes back out of an engine's coordinates.
+def state_error(mechanism: Mechanism, method: Method | None) -> float:
+    """Return the relative error of a state that is read back from an engine's coordinates.
 
-    What is rounded in a link is carried on by all that hang on it, so the longest chain counts.
+    Rounding errors of a link carry over to all its descendants, so the longest chain counts.
     """
     return _OF_LINK * _longest_chain(mechanism) * _unit(method)
 
 
-def stepped(method: Method | None, steps: int) -> float:
-    """Relative error that so many steps add up, each of which rounds the state once."""
+def step_error(method: Method | None, steps: int) -> float:
+    """Return the relative error accumulated in steps, each of which rounds the state once."""
     return steps * _unit(method)
 
 

@@ -1,8 +1,8 @@
-"""Simulators: whatever makes a motion of a scene and a start, be it an engine or a trained model.
+"""Simulators: anything that makes a motion from a scene and a start, an engine or a trained model.
 
 Studies take lists of them and need not know which kind each is. An engine's method is one
-(`EngineMethod`); a trained model is another, in `mbds_xsim.learn.simulator`, so that only who asks
-for models loads torch.
+(`EngineMethod`); a trained model is another, in `mbds_xsim.learn.simulator`, so that torch is
+loaded only if models are requested.
 """
 
 from __future__ import annotations
@@ -29,68 +29,68 @@ from mbds_xsim.simulate.timed import WARM_UP, checked, stopwatch
 Options = Mapping[str, float | int | bool | str]
 
 NATIVE = "native"
-"""Variation that stands for what an ordinary user of an engine gets."""
+"""Variation with the settings that an ordinary user of an engine gets."""
 LEARNED = "learned"
 """Family of trained models."""
 
-_WORTH = 0.1  # of the scene's length: shorter ways are not compared
+_WORTH = 0.1  # of the scene's length: shorter paths are not compared
 
 
 @dataclass(frozen=True, eq=False)
 class Signs:
-    """What shows in a motion held against the truth, each of shape (frame,), NaN if unknown.
+    """Figures of a motion compared with the truth, each of shape (frame,), NaN if unknown.
 
-    All that is left to judge where a simulator gives positions of particles and no bodies.
+    They are the only basis for judgement if a simulator gives particle positions but no bodies.
     """
 
     time: Array
-    """[s]"""
+    """Time [s]."""
     finite: Mask
     """Whether all numbers of the motion are finite up to this frame."""
     energy: Array
-    """Deviation of the energy balance over its scale, with its sign."""
+    """Signed deviation of the energy balance, relative to its scale."""
     gap: Array
-    """Largest gap of a joint over the scene's length, or angle between its axes [rad]."""
+    """Largest gap of a joint relative to the scene's length, or angle between its axes [rad]."""
     sunk: Array
-    """Deepest overlap of a contact sphere with what it touches, over the scene's length."""
+    """Deepest overlap of a contact sphere, relative to the scene's length."""
     way: Array
-    """Way of the particles over that of the truth, where that is long enough."""
+    """Path length of the particles relative to the truth's, if that is long enough."""
     error: Array
-    """RMS distance of the particles to the truth over the scene's length."""
+    """RMS distance of the particles from the truth, relative to the scene's length."""
     begin: int = 0
-    """First frame that the simulator made itself: those before were given to it."""
+    """First frame that the simulator made itself; earlier ones were given to it."""
 
 
 def part_of_way(gone: Array, due: Array, length: float) -> Array:
-    """Give the part of the way due [m] that is gone, where that is worth comparing; (frame,)."""
+    """Return path length `gone` over path length `due`, NaN if that is too short; (frame,)."""
     return np.where(due > _WORTH * length, gone / due, np.nan)
 
 
 @dataclass(frozen=True, eq=False)
 class Simulated:
-    """What a simulator made of one start, and what that took."""
+    """Motion that a simulator made from one start, and its cost."""
 
     motion: Trajectory | Signs
-    """The bodies' motion, or where only particles are known, what these show."""
+    """Motion of the bodies, or its figures if only particles are known."""
     wall_s: tuple[float, ...]
-    """Wall time of the motion, one entry a repeat [s]."""
+    """Wall time of the motion, one entry per repeat [s]."""
     cpu_s: tuple[float, ...]
-    """Processor time of the motion, one entry a repeat [s]."""
+    """Processor time of the motion, one entry per repeat [s]."""
     simulated_s: float
-    """Simulated time that these are for [s]."""
+    """Simulated time that these times cover [s]."""
     setup_s: float
-    """Loading the model [s]."""
+    """Time to load the model [s]."""
     size: ModelSize | None = None
     method: Method | None = None
     step: float | None = None
     """Integration step [s]."""
     contact_time: float | None = None
-    """Over which an impact is spread [s]."""
+    """Duration of an impact [s]."""
 
 
 @dataclass(frozen=True)
 class Simulator(ABC):
-    """What makes motions of scenes, at one or several numbers of steps a frame."""
+    """An engine method or trained model, at one or several numbers of steps per frame."""
 
     engine: str
     """Name of the engine or model."""
@@ -98,53 +98,53 @@ class Simulator(ABC):
     """Method by which it steps, or how it was trained."""
     _: KW_ONLY
     variation: str = ""
-    """What differs from the usual options; empty: nothing."""
+    """Difference from the usual options; empty if there is none."""
     counts: tuple[int, ...] = (1,)
-    """Steps a frame at which it is tried, the fewest first."""
+    """Numbers of steps per frame to try, in ascending order."""
     digits: bool = False
-    """Whether counts are digits n in place of steps, for relative tolerances of 10⁻ⁿ."""
+    """Whether counts are digits n of relative tolerances 10⁻ⁿ instead of steps."""
     profile: Profile = "matched"
     """Profile of its settings, or of the data that it was trained on."""
     source: str = ""
     """File that it comes from, as the user named it; empty for engines."""
-    shown: int = 0
-    """First frames of the truth that it has to be shown."""
+    context: int = 0
+    """Number of first frames of the truth that it must be shown."""
 
     @property
     def name(self) -> str:
-        """All that tells it from the others of a study."""
+        """Name that is unique within a study."""
         return " ".join(filter(None, (self.engine, self.method, self.variation)))
 
     @property
     @abstractmethod
     def family(self) -> str:
-        """Family of methods: agreement within one is no evidence."""
+        """Family of methods; agreement within a family is no evidence."""
 
     @property
     @abstractmethod
     def package(self) -> str:
-        """Name of what runs it: the engine, or torch."""
+        """Name of the software that runs it: the engine, or torch."""
 
     @property
     @abstractmethod
     def version(self) -> str:
-        """Version of that."""
+        """Version of that software."""
 
     @abstractmethod
     def clock(self, usual: Clock) -> Clock:
-        """Give the frames at which it records, over the time of the usual ones."""
+        """Return the clock at which it records, over the duration of the usual one."""
 
     @abstractmethod
     def refusal(self, scene: Scene) -> str:
-        """Say why it cannot simulate a scene; "" where it can."""
+        """Return why it cannot simulate a scene; "" if it can."""
 
     @abstractmethod
     def options(self, scene: Scene) -> Options:
-        """Give the options with which it simulates a scene."""
+        """Return the options with which it simulates a scene."""
 
     @abstractmethod
     def decisive(self, scene: Scene, count: int) -> list[Any]:
-        """List all of it that decides the motion, in words and numbers that JSON can hold."""
+        """List everything about it that decides the motion, in words and numbers for JSON."""
 
     @abstractmethod
     def simulate(
@@ -153,14 +153,14 @@ class Simulator(ABC):
         """Simulate one start in this process.
 
         Args:
-            scene: What to simulate.
+            scene: Scene to simulate.
             start: A batch of one.
-            count: Steps a frame.
-            truth: The reference, whose first frames some simulators need; None: unknown.
+            count: Number of steps per frame.
+            truth: The reference, whose first frames some simulators need; None if unknown.
             often: Whether times matter: then it warms up, and short motions are repeated.
 
         Raises:
-            InputError: It cannot do the scene, or lacks what it needs.
+            InputError: It cannot simulate the scene, or lacks an input that it needs.
         """
 
 
@@ -169,12 +169,12 @@ class EngineMethod(Simulator):
     """A method of an engine."""
 
     _: KW_ONLY
-    given: Options | None = None
-    """Its options; None: those of the engine's profile for the scene."""
+    own_options: Options | None = None
+    """Options of the method; if None, those of the engine's profile for the scene."""
     together: int = 1
-    """Copies of the start that run at once: times are each one's share."""
+    """Number of copies of the start that run at once; `simulated_s` counts them all."""
     release: str = ""
-    """Version of the engine where it is run, if that is not here."""
+    """Version of the engine if it runs elsewhere; empty if it runs here."""
 
     @property
     def family(self) -> str:
@@ -192,11 +192,11 @@ class EngineMethod(Simulator):
         return self.release or registry.load_adapter(self.engine).version()
 
     def clock(self, usual: Clock) -> Clock:
-        """Give the usual frames."""
+        """Return the usual clock."""
         return usual
 
     def refusal(self, scene: Scene) -> str:
-        """Ask the adapter."""
+        """Return why the adapter refuses a scene; "" if it does not."""
         try:
             settings = self.settings(scene, self.counts[0])
             registry.load_adapter(self.engine).check(scene, settings)
@@ -205,13 +205,13 @@ class EngineMethod(Simulator):
         return ""
 
     def options(self, scene: Scene) -> Options:
-        """Give those of its own, or of the profile's settings, whatever their method."""
-        if self.given is not None:
-            return dict(self.given)
+        """Return its own options, or those of the profile's settings, whatever their method."""
+        if self.own_options is not None:
+            return dict(self.own_options)
         return dict(settings_for(scene, registry.load_adapter(self.engine), self.profile).options)
 
     def settings(self, scene: Scene, count: int) -> Settings:
-        """Give the settings at a number of steps a frame, or of digits."""
+        """Return the settings at a number of steps per frame, or of digits."""
         options = self.options(scene)
         if self.digits:
             return Settings(self.method, scene.clock.frame, {**options, RTOL: 10.0**-count})
@@ -228,7 +228,7 @@ class EngineMethod(Simulator):
     def simulate(
         self, scene: Scene, start: Batch, count: int, truth: Trajectory | None, *, often: bool
     ) -> Simulated:
-        """Load the engine, and roll the start out."""
+        """Load the engine and roll out the start."""
         del truth
         adapter, settings = registry.load_adapter(self.engine), self.settings(scene, count)
         isolate.begin()
@@ -238,9 +238,9 @@ class EngineMethod(Simulator):
             if often:
                 run.rollout(start.truncated(WARM_UP))
             copies = start[[0] * self.together]
-            made, wall, cpu = stopwatch(lambda: run.rollout(copies), often=often)
+            trajectory, wall, cpu = stopwatch(lambda: run.rollout(copies), often=often)
             return Simulated(
-                checked(made, copies)[:1],
+                checked(trajectory, copies)[:1],
                 wall,
                 cpu,
                 simulated_s=scene.clock.frame * start.steps * self.together,

@@ -1,4 +1,4 @@
-"""The one stopwatch around a rollout, and what it tells of work that will take long."""
+"""The one stopwatch around a rollout, and forewarnings of work that will take long."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ Made = TypeVar("Made")
 Seconds = tuple[float, ...]
 
 WARM_UP = 2
-"""Frames before those that are timed."""
-_ENOUGH = 0.2  # of timing [s]
+"""Number of frames before those that are timed."""
+_ENOUGH = 0.2  # total time after which no repeat is needed [s]
 _MOST_REPEATS = 7
 
 _TURNS_AND_RATES = (("orientation", 4), ("velocity", 3), ("angular_velocity", 3))
-"""Of states of bodies: names, and numbers of each body."""
+"""Fields of body states other than the position, with their numbers per body."""
 _LONG = 120.0
-"""A run that takes longer is announced [s]."""
+"""Longest run that is not announced [s]."""
 _EACH = 2e-4
-"""Longest that a step takes for each body in any engine [s]; the slowest measured is Exudyn in
-`particlecar` with 1.4e-4. What is short even so is not worth a look beforehand."""
+"""Upper bound on the time of a step per body in any engine [s]; the slowest measured is Exudyn in
+`particlecar` with 1.4e-4. Work that is short by this bound is not measured beforehand."""
 _STEPS = 50
-_PATIENCE = 20.0  # longest that those may take [s]
+_PATIENCE = 20.0  # time limit for those steps [s]
 
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """What an engine made of a batch, and how long it took."""
+    """Motion that an engine made from a batch, and its times."""
 
     engine: str
     version: str
@@ -49,17 +49,17 @@ class Simulation:
     readback: Readback
     size: ModelSize
     contact_time: float
-    """Over which the engine spreads an impact [s]."""
+    """Duration of an impact in the engine [s]."""
     setup_s: float
-    """Loading the model [s]."""
+    """Time to load the model [s]."""
     rollout_s: float
-    """Simulating the whole batch [s]."""
+    """Wall time to simulate the whole batch [s]."""
     cpu_s: float
-    """Processor time of that [s]."""
+    """Processor time to simulate the whole batch [s]."""
 
     @property
     def busy_s(self) -> float:
-        """Time of the engine in all [s]."""
+        """Total time of the engine [s]."""
         return self.setup_s + self.rollout_s
 
 
@@ -94,30 +94,30 @@ def simulate(scene: Scene, batch: Batch, engine: str, settings: Settings) -> Sim
 
 
 def stopwatch(work: Callable[[], Made], *, often: bool) -> tuple[Made, Seconds, Seconds]:
-    """Give what work made last, and its wall and processor times [s], one entry a repeat.
+    """Return the last result of `work`, and its wall and processor times [s] per repeat.
 
     Args:
-        work: What is timed.
-        often: Whether short work is repeated, as one look at a clock says little of it.
+        work: Function to time.
+        often: Whether short work is repeated, since a single timing of it is unreliable.
     """
     walls: list[float] = []
     cpus: list[float] = []
     while not walls or (often and sum(walls) < _ENOUGH and len(walls) < _MOST_REPEATS):
         wall, cpu = time.perf_counter(), time.process_time()
-        made = work()
+        result = work()
         walls.append(time.perf_counter() - wall)
         cpus.append(time.process_time() - cpu)
-    return made, tuple(walls), tuple(cpus)
+    return result, tuple(walls), tuple(cpus)
 
 
 def checked(trajectory: Trajectory, batch: Batch) -> Trajectory:
-    """Hold what a rollout gave against what a `Run` promises.
+    """Check a rollout's trajectory against the contract of `Run`, and return it in standard form.
 
-    Frames from a failure on are NaN, whatever an adapter left in them; signs of quaternions go on
-    from the start's, whichever an engine gives.
+    Frames from a failure on become NaN, whatever an adapter left in them; signs of quaternions are
+    continuous from the start, whichever an engine gives.
 
     Raises:
-        ValueError: An array has another shape or type than it must, or failures are none.
+        ValueError: An array has the wrong shape or type, or the failures are invalid.
     """
     rows = (len(batch), batch.steps + 1, batch.position.shape[1])
     _check_array("gave", trajectory, "time", rows[1:2])
@@ -129,9 +129,9 @@ def checked(trajectory: Trajectory, batch: Batch) -> Trajectory:
         msg = f"the adapter gave failures {ends!r:.80}, not a Failure or None for each trajectory"
         raise ValueError(msg)
     whole = trajectory.cut_at_failures()
-    turned = rotation.continuous(whole.orientation, batch.orientation)
-    said = tuple(e and dataclasses.replace(e, reason=in_utf8(e.reason)) for e in whole.failures)
-    return dataclasses.replace(whole, orientation=turned, failures=said)
+    orientation = rotation.continuous(whole.orientation, batch.orientation)
+    failures = tuple(e and dataclasses.replace(e, reason=in_utf8(e.reason)) for e in whole.failures)
+    return dataclasses.replace(whole, orientation=orientation, failures=failures)
 
 
 def _says_when(end: object) -> bool:
@@ -141,26 +141,26 @@ def _says_when(end: object) -> bool:
 
 
 def _read_back(run: Run, batch: Batch) -> Readback:
-    """Read the native model back, and hold it against what a `Readback` is."""
-    found: object = run.readback(batch)
-    if not isinstance(found, Readback) or not isinstance(found.step, float | None):
-        raise TypeError(f"the adapter read back {found!r:.60}, not a Readback with a step or None")
+    """Read the native model back, and check types and shapes of the `Readback`."""
+    model: object = run.readback(batch)
+    if not isinstance(model, Readback) or not isinstance(model.step, float | None):
+        raise TypeError(f"the adapter read back {model!r:.60}, not a Readback with a step or None")
     bodies = batch.position.shape[1]
     shapes = {"mass": (bodies,), "inertia": (bodies, 3, 3), "com": (bodies, 3)}
     shapes |= {name: (bodies, size) for name, size in _TURNS_AND_RATES}
-    for name in {field.name for field in dataclasses.fields(found)} - {"step"}:
-        if name in shapes or getattr(found, name) is not None:
-            _check_array("read back", found, name, shapes.get(name))
-    return found
+    for name in {field.name for field in dataclasses.fields(model)} - {"step"}:
+        if name in shapes or getattr(model, name) is not None:
+            _check_array("read back", model, name, shapes.get(name))
+    return model
 
 
-def _check_array(did: str, source: object, name: str, shape: tuple[int, ...] | None) -> None:
-    """Raise ValueError unless it has an array of that name, type and shape; None: any shape."""
-    given = getattr(source, name, None)
-    array = given if isinstance(given, np.ndarray) else None
+def _check_array(verb: str, source: object, name: str, shape: tuple[int, ...] | None) -> None:
+    """Raise ValueError unless `source` has a float array of that name and shape (None: any)."""
+    value = getattr(source, name, None)
+    array = value if isinstance(value, np.ndarray) else None
     if array is None or array.dtype != float or shape not in (None, array.shape):
-        got = type(given) if array is None else f"{array.dtype} {array.shape}"
-        msg = f"the adapter {did} {name} as {got}, not as float64 {shape or ''}"
+        got = type(value) if array is None else f"{array.dtype} {array.shape}"
+        msg = f"the adapter {verb} {name} as {got}, not as float64 {shape or ''}"
         raise ValueError(msg)
 
 
@@ -180,31 +180,31 @@ class Work:
     engine: str
     settings: Settings
     steps: float
-    """Steps of all trajectories and runs together, in steps of the settings' length."""
+    """Total steps of all trajectories and runs, in steps of the settings' length."""
 
 
 def forewarnings(
     scene: Scene, start: Batch, work: Sequence[Work], *, workers: int | None
 ) -> list[str]:
-    """Measure what may be long, and give a line for each engine that takes minutes.
+    """Measure work that may be long, and return a line for each piece that takes minutes.
 
     Args:
-        scene: What is simulated.
+        scene: Scene to simulate.
         start: A batch of one.
-        work: What is to be done.
-        workers: Processes at a time; all cores when left out.
+        work: Work to be done.
+        workers: Number of parallel processes; all cores if None.
     """
-    doubtful = [one for one in work if one.steps * len(scene.bodies) * _EACH > _LONG]
+    doubtful = [item for item in work if item.steps * len(scene.bodies) * _EACH > _LONG]
     tasks = [
-        Task(_seconds_a_step, (scene, start, one.engine, one.settings), _PATIENCE)
-        for one in doubtful
+        Task(_seconds_a_step, (scene, start, item.engine, item.settings), _PATIENCE)
+        for item in doubtful
     ]
     answers = zip(doubtful, run_tasks(tasks, workers=workers), strict=True)
-    return [line for one, answer in answers if (line := _line(scene, one, answer))]
+    return [line for item, answer in answers if (line := _line(scene, item, answer))]
 
 
 def _seconds_a_step(scene: Scene, start: Batch, engine: str, settings: Settings) -> float:
-    """Time a few steps, however many there are in a frame of the scene [s]."""
+    """Measure the time of a step [s] over a few steps, independent of the scene's frame."""
     clock = Clock(frame=_STEPS * settings.step, steps=1)
     adapter = load_adapter(engine)
     isolate.begin()
@@ -215,14 +215,14 @@ def _seconds_a_step(scene: Scene, start: Batch, engine: str, settings: Settings)
         return (time.process_time() - begin) / _STEPS
 
 
-def _line(scene: Scene, work: Work, each: float | Crash) -> str:
-    """Announce what is long; what crashed or was refused is told by the run itself."""
-    if isinstance(each, Crash):
-        if not each.timed_out:
+def _line(scene: Scene, work: Work, seconds: float | Crash) -> str:
+    """Announce long work; the run itself reports crashes and refusals."""
+    if isinstance(seconds, Crash):
+        if not seconds.timed_out:
             return ""
         duration = f"at least {_duration(work.steps * _PATIENCE / (2 * _STEPS))}"
-    elif work.steps * each > _LONG:
-        duration = f"about {_duration(work.steps * each)}"
+    elif work.steps * seconds > _LONG:
+        duration = f"about {_duration(work.steps * seconds)}"
     else:
         return ""
     return (

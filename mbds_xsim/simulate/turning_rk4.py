@@ -1,4 +1,4 @@
-"""Runge–Kutta on coordinates of which some are rotations, for engines that give accelerations."""
+"""Runge–Kutta on coordinates that include rotations, for engines that give accelerations."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from mbds_xsim.base.arrays import Array, Index
 
 
 class TurningRK4:
-    """Classical Runge–Kutta, with rotations advanced on their group.
+    """Classical fourth-order Runge–Kutta, with rotations advanced on their group.
 
-    Within a step they are the start's times the exponential of an increment, and commutators make
-    up for the increments' turning (Munthe-Kaas 1998, BIT 38, 92, with the commutators reduced as in
-    Munthe-Kaas and Owren 1999, Phil. Trans. R. Soc. A 357, 957).
+    Within a step, a rotation is that at the start times the exponential of an increment, and
+    commutators correct for the turning of the increments (Munthe-Kaas 1998, BIT 38, 92, with the
+    commutators reduced as in Munthe-Kaas and Owren 1999, Phil. Trans. R. Soc. A 357, 957).
 
     Args:
         count: Number of velocity coordinates.
-        turns: Which three of them are each rotation's angular velocity, shape (rotation, 3).
-        side: 1 where a rotation's increments stand on the right of it, in its own axes, and −1
-            where they stand on the left, shape (rotation,).
+        turns: Indices of the three that are each rotation's angular velocity, shape (rotation, 3).
+        side: 1 if a rotation's increments stand on the right of it, in its own axes, and −1 if
+            they stand on the left, shape (rotation,).
     """
 
     def __init__(self, count: int, turns: Index, side: Array) -> None:
@@ -41,12 +41,12 @@ class TurningRK4:
         """Take a step.
 
         Args:
-            h: The step [s].
+            h: Length of the step [s].
             q: Coordinates, shape (…, coordinate).
             u: Their velocities, shape (…, velocity coordinate).
-            rate: Gives the accelerations at coordinates that are moved by an increment, and at
-                velocities.
-            moved: Moves coordinates by an increment.
+            rate: Function that returns the accelerations at coordinates moved by an increment, and
+                at velocities.
+            moved: Function that moves coordinates by an increment.
         """
         a1 = rate(q, np.zeros_like(u), u)
         u2 = u + 0.5 * h * a1
@@ -60,6 +60,6 @@ class TurningRK4:
         return moved(q, increment), u + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
 
     def _commutator(self, a: Array, b: Array) -> Array:
-        """a × b of each rotation, positive where increments stand on the right; 0 elsewhere."""
+        """Return a × b of each rotation, −a × b if increments stand on the left; 0 elsewhere."""
         i, j = self._next, self._after
         return self._sign * (a[..., i] * b[..., j] - a[..., j] * b[..., i])

@@ -1,1 +1,1 @@
-"""Studies, a folder each: what is measured, what it comes to, how it is presented."""
+"""Studies: code that measures, analyses and presents results, mostly one folder per study."""

@@ -1,4 +1,4 @@
-"""An audit as a report: each check's figure beside what is allowed, and what did not run."""
+"""Report of an audit: each check's figure next to its budget, and the checks that did not run."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from mbds_xsim.report.blocks import (
 from mbds_xsim.report.themed import GREY, INK
 
 _LEAST = 1e-6
-"""Smaller shares of a budget are drawn as this one."""
+"""Smallest share of a budget that is drawn; smaller ones are drawn as this one."""
 _COLUMNS = ("check", ">worst", ">budget", ">trajectory", ">frame", "where", "")
 
 
 def present(audited: Audited, command: str) -> Report:
-    """Say whether the trajectories hold."""
+    """Report whether the trajectories keep the budgets of all checks that ran."""
     return Report(
         title=audited.file,
         what=audited.verdict,
@@ -50,22 +50,22 @@ def _blocks(audited: Audited) -> Iterator[Block]:
     if judged:
         yield FigureGroup((_shares(judged),))
     yield Remarks(tuple(Remark("broken", reason, "fail") for reason in audited.reasons))
-    yield Remarks.of(_left_out(audited))
+    yield Remarks.of(_skipped_checks(audited))
 
 
 def _conclusion(audited: Audited) -> str:
-    held = sum(finding.budget is not None for finding in audited.findings)
+    count = sum(finding.budget is not None for finding in audited.findings)
     motions = f"{counted(audited.trajectories, 'trajectory')} of {audited.scene}"
     if audited.verdict == "pass":
-        return f"every check that ran holds ({held}, on {motions})"
+        return f"every check that ran holds ({count}, on {motions})"
     broken = ", ".join(f.check for f in audited.findings if not f.passed)
     return f"{counted(len(audited.reasons), 'check')} out of budget on {motions}: {broken}"
 
 
-def _left_out(audited: Audited) -> Iterator[tuple[str, str]]:
-    """Give checks that did not run, each reason once."""
-    left = sorted(audited.not_checked.items(), key=lambda pair: pair[1])
-    for reason, names in groupby(left, key=lambda pair: pair[1]):
+def _skipped_checks(audited: Audited) -> Iterator[tuple[str, str]]:
+    """List the checks that did not run, grouped by reason."""
+    pairs = sorted(audited.not_checked.items(), key=lambda pair: pair[1])
+    for reason, names in groupby(pairs, key=lambda pair: pair[1]):
         yield f"not checked: {', '.join(name for name, _ in names)}", reason
 
 
@@ -85,7 +85,7 @@ def _row(finding: FindingResult) -> tuple[Cell | str, ...]:
 
 
 def _shares(judged: list[FindingResult]) -> Figure:
-    """Draw how much of its budget each check takes."""
+    """Draw the share of its budget that each check uses."""
     shares = [max(f.figure / (f.budget or 1.0), _LEAST) for f in judged]
 
     def draw(figure: Any) -> None:
@@ -100,7 +100,7 @@ def _shares(judged: list[FindingResult]) -> Figure:
         axes.invert_yaxis()
         axes.set_xlabel("worst over budget; right of the line is broken (×)")
 
-    told = ", ".join(
+    summary = ", ".join(
         f"{f.check} {quantity.number(share)}" for f, share in zip(judged, shares, strict=True)
     )
-    return Figure(f"shares of the budgets: {told}", draw, (7.0, 0.9 + 0.26 * len(judged)))
+    return Figure(f"shares of the budgets: {summary}", draw, (7.0, 0.9 + 0.26 * len(judged)))

@@ -1,4 +1,4 @@
-"""What engines' own readers make of a model, and how far it moves otherwise than its file says."""
+"""Comparison of a model's file with engines' own readings of it, in data and in motion."""
 
 from __future__ import annotations
 
@@ -25,55 +25,55 @@ from mbds_xsim.scene.scene import Body, Clock, Inertia, Scene
 from mbds_xsim.simulate.registry import read_model, registered
 
 Loader = Callable[[Path, bool], ModelFacts]
-"""Takes the file and whether its base floats; raises `InputError` where the engine refuses it."""
+"""Function of a file and whether its base floats; raises `InputError` if the engine refuses it."""
 
 T = TypeVar("T", LinkFacts, JointFacts)
-_TIMEOUT = 300.0  # longest that a reader may take [s]
-_PATIENCE = 30.0  # the same of a motion
+_TIMEOUT = 300.0  # time limit of a reader [s]
+_PATIENCE = 30.0  # time limit of a motion [s]
 _SAME = 1e-6
-"""Deviation that rounding to single precision explains, over what is compared."""
+"""Relative deviation that rounding to single precision explains."""
 _CLOCK = Clock(frame=0.02, steps=50)
-_ROUNDED = 1e-6  # to single precision
-_STARTS = (1, 4, 7)  # of the medium interval
+_ROUNDED = 1e-6  # relative tolerance of masses and inertias in single precision
+_STARTS = (1, 4, 7)  # indices of medium starts
 _JOINT_FIELDS = ("damping", "friction", "stiffness", "armature")
 
 
 class Difference(msgspec.Struct, frozen=True):
-    """A field that a reader has otherwise."""
+    """A field that a reader reads differently from the file."""
 
     field: str
     of: Literal["links", "joints"]
     count: int
-    """Links or joints with another value."""
+    """Number of links or joints with another value."""
     among: int
-    """All those that the file has."""
+    """Number of links or joints that were compared."""
     first: str
-    """Name of the first of them."""
+    """Name of the first one with another value; empty for couplings."""
     read: str
-    """What the engine has there."""
+    """Value in the engine."""
     stated: str
-    """What the file says."""
+    """Value in the file."""
 
 
 class EngineReading(msgspec.Struct, frozen=True):
-    """What one engine makes of a file."""
+    """One engine's reading of a file."""
 
     engine: str
     refused: str
-    """Why it does not read the file, or ""."""
+    """Reason why the engine refuses the file, or ""."""
     differences: tuple[Difference, ...]
     moved_m: float | None = None
-    """RMS distance of the bodies after 1 s from where the file has them go [m]; None where what was
-    read has no motion, or none that is found in half a minute."""
+    """RMS distance of the bodies after 1 s between the motion as read and that of the file [m];
+    None if the file is refused, or if no motion is found within half a minute."""
 
     @property
     def alike(self) -> bool:
-        """Whether it reads what the file says."""
+        """Whether the engine reads the file without differences."""
         return not self.refused and not self.differences
 
 
 class Readings(msgspec.Struct, frozen=True, tag_field="schema", tag="mbds-xsim/readers/1"):
-    """What engines make of a file."""
+    """Readings of one file by several engines."""
 
     file: str
     format: str
@@ -86,49 +86,49 @@ class Readings(msgspec.Struct, frozen=True, tag_field="schema", tag="mbds-xsim/r
 def compare(
     path: Path, engines: Sequence[str], *, folder: Path | None = None, floating: bool = False
 ) -> Readings:
-    """Read a model, let engines read it, and list what they have otherwise.
+    """Read a model, let engines read it, and list the differences.
 
     Args:
-        path: Of the file.
-        engines: Names.
-        folder: That files named in the model must lie in.
-        floating: Whether a base that the file ties to nothing is free.
+        path: File of the model.
+        engines: Names of the engines.
+        folder: Folder that must hold all files named in the model; None: the model's own.
+        floating: Whether a base that the file attaches to nothing is free.
 
     Raises:
-        InputError: The file cannot be read as its format says.
+        InputError: The file cannot be read in its format, or an engine has no reader of its own.
     """
     imported = read_model(path, folder=folder, floating=floating)
-    return compared(imported, path, engines, floating=floating)
+    return compare_imported(imported, path, engines, floating=floating)
 
 
-def compared(
+def compare_imported(
     imported: Imported, path: Path, engines: Sequence[str], *, floating: bool = False
 ) -> Readings:
-    """Let engines read the file of a model that was imported, as in `compare`."""
+    """Compare an imported model with engines' readings of its file, as in `compare`."""
     answers = _engine_facts(path, engines, floating=floating)
     read = {engine: facts for engine, facts in answers.items() if isinstance(facts, ModelFacts)}
-    found = {engine: tuple(_differences(facts, imported)) for engine, facts in read.items()}
-    others = [engine for engine, differences in found.items() if differences]
-    motions = run_tasks([Task(moved, (imported, read[name]), _PATIENCE) for name in others])
+    by_engine = {engine: tuple(_differences(facts, imported)) for engine, facts in read.items()}
+    others = [engine for engine, differences in by_engine.items() if differences]
+    motions = run_tasks([Task(divergence, (imported, read[name]), _PATIENCE) for name in others])
     moves: dict[str, float | None] = dict.fromkeys(read, 0.0)
     for engine, motion in zip(others, motions, strict=True):
         moves[engine] = None if isinstance(motion, Crash) else motion
     readings = tuple(
-        EngineReading(engine, "", found[engine], moves[engine])
+        EngineReading(engine, "", by_engine[engine], moves[engine])
         if engine in read
         else EngineReading(engine, str(answers[engine]), ())
         for engine in answers
     )
-    said = imported.facts
+    stated = imported.facts
     return Readings(
-        imported.file, imported.format, floating, len(said.links), len(said.joints), readings
+        imported.file, imported.format, floating, len(stated.links), len(stated.joints), readings
     )
 
 
 def _engine_facts(
     path: Path, engines: Sequence[str], *, floating: bool = False
 ) -> dict[str, ModelFacts | str]:
-    """Let engines read a file with readers of their own; give what each has read, or why not."""
+    """Let engines read a file with their own readers; return each one's facts, or why it failed."""
     loaders = registered("mbds_xsim.model_loaders")
     for engine in engines:
         check_name("engine with a reader of its own", engine, sorted(loaders))
@@ -146,14 +146,14 @@ def _load(point: EntryPoint, path: Path, floating: bool) -> ModelFacts:
 
 
 def _differences(read: ModelFacts, imported: Imported) -> Iterator[Difference]:
-    said, length = imported.facts, imported.scene.length
-    links = _paired(said.links, read.links)
+    facts, length = imported.facts, imported.scene.length
+    links = _pair_by_name(facts.links, read.links)
     yield from _missing("links", links)
     yield from _field("links", "mass", links, lambda link: [link.mass])
     yield from _field("links", "centre of mass", links, lambda link: link.com, scale=length)
     yield from _field("links", "inertia", links, lambda link: link.inertia)
-    joints = _paired(said.joints, read.joints)
-    joints = [pair for pair in joints if pair[0].kind != "free"]  # to some readers it is none
+    joints = _pair_by_name(facts.joints, read.joints)
+    joints = [pair for pair in joints if pair[0].kind != "free"]  # some readers have no such joint
     yield from _missing("joints", joints)
     turning = [pair for pair in joints if pair[1] is not None]
     yield from _kinds(turning)
@@ -164,29 +164,29 @@ def _differences(read: ModelFacts, imported: Imported) -> Iterator[Difference]:
     yield from _field("joints", "limits", turning, lambda joint: joint.limits or ())
     limited = [pair for pair in turning if pair[0].limits]
     yield from _field("joints", "enforcement of limits", limited, lambda j: [float(j.enforced)])
-    if said.couplings > read.couplings:
-        count = said.couplings - read.couplings
-        yield Difference("coupling", "joints", count, said.couplings, "", "none", "follows another")
+    if facts.couplings > read.couplings:
+        lost = facts.couplings - read.couplings
+        yield Difference("coupling", "joints", lost, facts.couplings, "", "none", "follows another")
 
 
-def _paired(said: Sequence[T], read: Sequence[T]) -> list[tuple[T, T | None]]:
+def _pair_by_name(stated: Sequence[T], read: Sequence[T]) -> list[tuple[T, T | None]]:
     by_name = {item.name: item for item in read}
-    return [(item, by_name.get(item.name)) for item in said]
+    return [(item, by_name.get(item.name)) for item in stated]
 
 
 def _missing(
     of: Literal["links", "joints"], pairs: list[tuple[T, T | None]]
 ) -> Iterator[Difference]:
-    lost = [said.name for said, read in pairs if read is None]
+    lost = [item.name for item, read in pairs if read is None]
     if lost:
         yield Difference("existence", of, len(lost), len(pairs), lost[0], "nothing", "there")
 
 
 def _kinds(pairs: list[tuple[JointFacts, JointFacts | None]]) -> Iterator[Difference]:
-    found = [(a, b) for a, b in pairs if b is not None and a.kind != b.kind]
-    if found:
-        said, read = found[0]
-        yield Difference("kind", "joints", len(found), len(pairs), said.name, read.kind, said.kind)
+    wrong = [(a, b) for a, b in pairs if b is not None and a.kind != b.kind]
+    if wrong:
+        item, read = wrong[0]
+        yield Difference("kind", "joints", len(wrong), len(pairs), item.name, read.kind, item.kind)
 
 
 def _field(
@@ -197,30 +197,30 @@ def _field(
     *,
     scale: float = 0.0,
 ) -> Iterator[Difference]:
-    """Compare a field; `scale` is added to what the file says, for lengths from an origin."""
-    found = []
-    for said, read in pairs:
+    """Compare a field; `scale` widens the tolerance of positions, which depend on the origin."""
+    wrong = []
+    for item, read in pairs:
         if read is None:
             continue
-        ours, theirs = np.array(value(said)), np.array(value(read))
+        ours, theirs = np.array(value(item)), np.array(value(read))
         bound = _SAME * (scale + float(np.linalg.norm(ours)))
         if ours.shape != theirs.shape or np.linalg.norm(ours - theirs) > bound:
-            found.append((said.name, theirs, ours))
-    if found:
-        first, theirs, ours = found[0]
-        yield Difference(name, of, len(found), len(pairs), first, _shown(theirs), _shown(ours))
+            wrong.append((item.name, theirs, ours))
+    if wrong:
+        first, theirs, ours = wrong[0]
+        yield Difference(name, of, len(wrong), len(pairs), first, _format(theirs), _format(ours))
 
 
 def _single(name: str) -> Callable[[JointFacts], Sequence[float]]:
     return lambda joint: [getattr(joint, name)]
 
 
-def _shown(values: Array) -> str:
+def _format(values: Array) -> str:
     return " ".join(f"{value:.4g}" for value in values) or "none"
 
 
 def present(readings: Readings, command: str) -> Report:
-    """Say what each engine makes of a file."""
+    """Report how each engine reads a file."""
     wrong = [reading.engine for reading in readings.readings if not reading.alike]
     right = [reading.engine for reading in readings.readings if reading.alike]
     return Report(
@@ -258,37 +258,36 @@ def _rows(reading: EngineReading) -> Iterator[Row]:
     yield row_of((engine, "motion after 1 s", "", "", "", gone, ""))
 
 
-def moved(imported: Imported, read: ModelFacts) -> float | None:
-    """Solve the motion that the file says and the one that was read, from the same starts.
+def divergence(imported: Imported, read: ModelFacts) -> float | None:
+    """Compare the motion of a model as read with that of its file, from the same starts.
 
-    Masses, centres of mass, inertias, and places, axes, springs, dampers and rotors of joints are
-    taken as they were read; what was not read is as the file says.
+    Masses, centres of mass and inertias, and the joints' anchors, axes, damping, friction,
+    stiffness and armature are those that were read; everything else is as the file says.
 
     Returns:
-        RMS distance after 1 s [m] of the points of the bodies that the file has for their centres
-        of mass; None where the one that was read has no
-        motion: bodies of no inertia, say.
+        RMS distance after 1 s [m] of the points that are the bodies' centres of mass in the file;
+        None if one of the models has no motion, for example because bodies lack inertia.
     """
-    said = msgspec.structs.replace(imported.scene, clock=_CLOCK)
+    stated = msgspec.structs.replace(imported.scene, clock=_CLOCK)
     try:
-        other = _scene_of(said, imported, read)
-        points = Mechanism.of(said).com
-        ends = [_ends(scene, points) for scene in (said, other)]
+        other = _scene_of(stated, imported, read)
+        points = Mechanism.of(stated).com
+        ends = [_ends(scene, points) for scene in (stated, other)]
     except InputError:
         return None
     off = float(np.sqrt(np.mean(np.sum((ends[1] - ends[0]) ** 2, axis=-1))))
-    return off if np.isfinite(off) else None  # a solution that ends early
+    return off if np.isfinite(off) else None  # NaN if a solution ends early
 
 
 def _scene_of(scene: Scene, imported: Imported, read: ModelFacts) -> Scene:
     links = {link.name: link for link in read.links}
-    own: dict[str, list[LinkFacts]] = {}
-    other = set()
+    by_body: dict[str, list[LinkFacts]] = {}
+    deviating = set()
     for link in imported.facts.links:
-        found = links.get(link.name, link)
-        own.setdefault(link.body, []).append(found)
-        if not _alike(found, link):
-            other.add(link.body)
+        counterpart = links.get(link.name, link)
+        by_body.setdefault(link.body, []).append(counterpart)
+        if not _alike(counterpart, link):
+            deviating.add(link.body)
     joints = {joint.name: joint for joint in read.joints}
     placed = [
         msgspec.structs.replace(
@@ -301,17 +300,17 @@ def _scene_of(scene: Scene, imported: Imported, read: ModelFacts) -> Scene:
         else joint
         for joint in scene.joints
     ]
-    bodies = [_loaded(b, own[b.name]) if b.name in other else b for b in scene.bodies]
+    bodies = [_with_mass_of(b, by_body[b.name]) if b.name in deviating else b for b in scene.bodies]
     return msgspec.structs.replace(scene, bodies=tuple(bodies), joints=tuple(placed))
 
 
-def _alike(read: LinkFacts, said: LinkFacts) -> bool:
-    first, second = (np.array([link.mass, *link.com, *link.inertia]) for link in (read, said))
+def _alike(read: LinkFacts, stated: LinkFacts) -> bool:
+    first, second = (np.array([link.mass, *link.com, *link.inertia]) for link in (read, stated))
     return bool(np.allclose(first, second, rtol=_ROUNDED, atol=_ROUNDED * np.abs(second).max()))
 
 
-def _loaded(body: Body, links: list[LinkFacts]) -> Body:
-    """Give a body the sum of its links; where they weigh nothing it stays as it is."""
+def _with_mass_of(body: Body, links: list[LinkFacts]) -> Body:
+    """Give a body the summed inertia of its links; if their mass is zero it stays as it is."""
     mass = sum(link.mass for link in links)
     if not mass > 0:
         return body
@@ -332,14 +331,14 @@ def _loaded(body: Body, links: list[LinkFacts]) -> Body:
 
 
 def _ends(scene: Scene, points: Array) -> Array:
-    """Give where points of the bodies are at the end.
+    """Solve a scene and return the final positions of points of its bodies.
 
     Args:
-        scene: What moves.
-        points: A point of each body, in W at the reference pose [m], shape (body, 3).
+        scene: Scene to solve.
+        points: One point of each body, in W at the reference pose [m], shape (body, 3).
 
     Returns:
-        Their places [m], shape (start, body, 3).
+        Positions in W [m], shape (start, body, 3).
     """
     motion = solve(scene, draw_batch(scene, _STARTS), rtol=1e-9)
     mechanism = Mechanism.of(scene)

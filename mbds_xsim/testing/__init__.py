@@ -1,7 +1,7 @@
-"""What an adapter's author runs: the contract suite and the ladder of check cases.
+"""Tests for authors of adapters: the contract suite and the ladder of check cases.
 
-That of learned models is in `mbds_xsim.testing.models`, for it needs torch. The suites need pytest,
-the cases do not.
+The suite for learned models is in `mbds_xsim.testing.models`, because it needs torch. The suites
+need pytest, the cases do not.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import sys
 from typing import TYPE_CHECKING
 
 if "pytest" in sys.modules:
-    # Without it a failing assert in the shipped suites shows no values.
+    # Without this, a failing assert in the shipped suites shows no values.
     sys.modules["pytest"].register_assert_rewrite(
         "mbds_xsim.testing.contract",
         "mbds_xsim.testing.contact_contract",
@@ -29,7 +29,7 @@ __all__ = ["CASES", "AdapterContract", "Case", "measured_order"]
 
 
 def __getattr__(name: str) -> object:
-    """Load the suite where it is asked for: it takes pytest."""
+    """Load the suite only when it is asked for, because it needs pytest."""
     if name != "AdapterContract":
         msg = f"module {__name__!r} has no attribute {name!r}"
         raise AttributeError(msg)

@@ -1,4 +1,4 @@
-"""A small case: a scene and its exact motion, and the equations in one coordinate behind some."""
+"""Small cases: a scene with its exact motion, and solvers of equations in one coordinate."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class Case:
     verifies: str
     scene: Scene
     exact: Exact
-    """Times [s], shape (frame,), to positions [m], shape (frame, body, 3)."""
+    """Exact positions [m], shape (frame, body, 3), at times [s], shape (frame,)."""
     exact_orientation: Exact | None = None
-    """To orientations, shape (frame, body, 4), where the case is about them."""
+    """Exact orientations, shape (frame, body, 4); None if the case is not about them."""
 
 
 def case_of(
@@ -42,18 +42,18 @@ def case_of(
     clock: Clock = _CLOCK,
     **more: Any,
 ) -> Case:
-    """Make a case of bodies that joints hold; `more` are other fields of its scene."""
+    """Make a case of bodies connected by joints; `more` are other fields of its scene."""
     scene = Scene(name, tuple(bodies), length, joints=joints, clock=clock, **more)
     return Case(name, verifies, scene, exact, orientation)
 
 
 def even(name: str, mass: float, moment: float, at: Vector = NONE) -> Body:
-    """Make a body with moments alike about all axes."""
+    """Make a body with equal moments of inertia about all axes."""
     return Body(name, inertia=Inertia(mass, (moment,) * 3), position=at)
 
 
 def direction(angle: Array) -> Array:
-    """Give the directions at angles [rad] from −z towards x, shape (…, 3)."""
+    """Return the directions at angles [rad] from −z towards x, shape (…, 3)."""
     return np.stack([np.sin(angle), 0 * angle, -np.cos(angle)], axis=-1)
 
 
@@ -65,7 +65,7 @@ def swing(start: float, stiffness: float, time: Array) -> Array:
 def integrate(
     acceleration: Callable[[float], float], start: float, rate: float, time: Array
 ) -> Array:
-    """Solve an equation of one coordinate, whose acceleration depends on where it is."""
+    """Solve x'' = acceleration(x) in one coordinate, from a start and a rate."""
     return solve(lambda _, y: np.array([y[1], acceleration(y[0])]), [start, rate], time)[0]
 
 

@@ -1,7 +1,7 @@
 """The ladder of small cases with exact answers, from free fall to a closed loop.
 
-Each case says what it verifies. Answers are closed forms, or a textbook equation in one
-generalised coordinate solved to 1e-12, never an engine.
+Each case states what it verifies. Answers are closed forms, textbook equations solved to 1e-12, or
+in spatial chains and loops the reference's motion, but never an engine's.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def _tumbling() -> Case:
     moments = np.array(_BOX_INERTIA.moments)
 
     def rate(_: float, y: Array) -> Array:
-        q, w = y[:4], y[4:]  # w in the body
+        q, w = y[:4], y[4:]  # w in the body's frame
         turn = 0.5 * rotation.multiply(q, np.concatenate([[0.0], w]))
         return np.concatenate([turn, np.cross(moments * w, w) / moments])
 
@@ -81,7 +81,7 @@ _SHARES = {"first": 1.0, "second": -2.0, "third": 0.5}
 
 
 def _pushed() -> Case:
-    """Boxes alike, each with a force of its own; listed in another order than their forces."""
+    """Equal boxes, each with a force of its own; the forces are listed in another order."""
     return case_of(
         "pushed",
         "forces at the centres of mass of several bodies, held and switched",
@@ -166,7 +166,7 @@ def _slider() -> Case:
 
 
 def _spring() -> Case:
-    """Sphere on a damped spring along x, a slider keeping it there."""
+    """Sphere on a damped spring along x, kept there by a slider."""
     stiffness, damping, mass, start = 40.0, 0.8, 1.0, 0.1
     place = (1.0 + start, 0.0, 0.0)
 
@@ -203,8 +203,8 @@ def _flywheel() -> Case:
 def _spin_up_in_flight() -> Case:
     """A tumbling body spins its flywheel up and itself back, about an axle that turns with it.
 
-    With moments alike about all axes the axle turns steadily about the angular momentum, as both
-    did at first; about the axle the bodies turn as in the plane.
+    Moments are equal about all axes, so the axle turns steadily about the angular momentum, as
+    both bodies did at first; about the axle, the bodies turn as in the plane.
     """
     torque, carrier, wheel, mass = 1.0, 0.4, 0.1, 2.0
     axis, velocity, spin = (0.0, 0.6, 0.8), (1.0, -0.5, 2.0), (4.0, 1.0, -2.0)

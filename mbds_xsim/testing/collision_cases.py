@@ -1,7 +1,7 @@
-"""Bodies that collide with each other, with exact answers: balls in flight, balls on one frame.
+"""Cases of colliding bodies with exact answers: balls in flight, and balls on one frame.
 
-A collision of two even balls is central: Newton's restitution gives the normal impulse, Coulomb's
-friction the tangential one, which stops the slip or is μ times the normal one against it.
+A collision of two homogeneous balls is central. Newton's restitution gives the normal impulse,
+Coulomb's friction the tangential one: it stops the slip, or opposes it with μ times the normal one.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ class Flying:
 
     @property
     def moment(self) -> float:
-        """About any axis through its centre [kg·m²]."""
+        """Moment of inertia about any axis through its centre [kg·m²]."""
         return 0.4 * self.mass * RADIUS**2
 
 
 def balls(
-    given: Sequence[Flying],
+    starts: Sequence[Flying],
     friction: float = FRICTION,
     restitution: float = RESTITUTION,
     *,
@@ -57,18 +57,18 @@ def balls(
     gravity: Vector = _STILL,
     steps: int = 25,
 ) -> Scene:
-    """Make balls, named by their numbers, all of which may collide with each other."""
-    names = [f"ball {k}" for k in range(len(given))]
+    """Make balls, named by their numbers; any two of them may collide."""
+    names = [f"ball {k}" for k in range(len(starts))]
     bodies = (
         Body(
             name,
-            (Particle(one.place, one.mass, one.moment),),
-            velocity=one.velocity,
-            angular_velocity=one.spin,
+            (Particle(ball.place, ball.mass, ball.moment),),
+            velocity=ball.velocity,
+            angular_velocity=ball.spin,
         )
-        for name, one in zip(names, given, strict=True)
+        for name, ball in zip(names, starts, strict=True)
     )
-    spheres = (ContactSphere(n, one.place, RADIUS) for n, one in zip(names, given, strict=True))
+    spheres = (ContactSphere(n, ball.place, RADIUS) for n, ball in zip(names, starts, strict=True))
     pairs = tuple((a, b) for k, a in enumerate(names) for b in names[k + 1 :])
     return Scene(
         "balls",
@@ -96,20 +96,20 @@ TWO = {
         Flying((0.4, 0.0, 1.02), (-1.0, 0.0, 0.0), (3.0, 0.0, 2.0), mass=0.5),
     ),
 }
-"""Pairs of balls that meet: centrally, with so much slip that it lasts, with little."""
+"""Pairs of balls that meet centrally, with slip that lasts, and with slip that stops."""
 
 
-def collided(scene: Scene, given: Sequence[Flying]) -> tuple[Trajectory, float]:
-    """Give the exact motion of two balls without gravity, but for their turns, and when they meet.
+def collided(scene: Scene, starts: Sequence[Flying]) -> tuple[Trajectory, float]:
+    """Return the exact motion of two balls without gravity, and the time at which they meet [s].
 
     Orientations are NaN.
     """
     collisions = scene.collisions
     assert collisions is not None
     place, velocity, spin = (
-        np.array([getattr(one, key) for one in given]) for key in ("place", "velocity", "spin")
+        np.array([getattr(ball, key) for ball in starts]) for key in ("place", "velocity", "spin")
     )
-    mass, moment = (np.array([getattr(one, key) for one in given]) for key in ("mass", "moment"))
+    mass, moment = (np.array([getattr(ball, key) for ball in starts]) for key in ("mass", "moment"))
     apart, speed = place[0] - place[1], velocity[0] - velocity[1]
     # |apart + speed t| = 2 R
     half, square = float(apart @ speed), float(speed @ speed)
@@ -129,8 +129,8 @@ def collided(scene: Scene, given: Sequence[Flying]) -> tuple[Trajectory, float]:
     motion = Trajectory.empty(time, 1, 2)
     gained = np.where(after, signed / mass[:, None], 0.0)
     motion.velocity[0] = velocity + gained
-    left = np.maximum(time - touch, 0.0)[:, None, None]
-    motion.position[0] = place + time[:, None, None] * velocity + left * gained
+    since = np.maximum(time - touch, 0.0)[:, None, None]
+    motion.position[0] = place + time[:, None, None] * velocity + since * gained
     twist = RADIUS * np.cross(normal, impulse) / moment[:, None]
     motion.angular_velocity[0] = spin - np.where(after, twist, 0.0)
     return motion, float(touch)
@@ -141,7 +141,7 @@ _GATE = ("post", "arm")
 
 
 def cradle(restitution: float, *, angle: float = -0.6, steps: int = 60) -> Scene:
-    """Hang two equal balls from a frame that is fixed: one falls from an angle, one hangs still."""
+    """Hang two equal balls from a fixed frame: one falls from an angle, one hangs still."""
     top, names = 1.0, ("left", "right")
     places = [(-RADIUS, 0.0, top - _LENGTH), (RADIUS + 1e-9, 0.0, top - _LENGTH)]
     frame = Body("frame", inertia=Inertia(1.0, (0.1, 0.1, 0.1), com=(0.0, 0.0, top)))
@@ -164,7 +164,7 @@ def cradle(restitution: float, *, angle: float = -0.6, steps: int = 60) -> Scene
 
 
 def gate(restitution: float, *, rate: float = 3.0) -> Scene:
-    """Hinge an arm with a ball upright on a fixed post, whose own ball it swings against."""
+    """Hinge an arm with a ball upright on a fixed post; it swings against the post's own ball."""
     away = 0.8  # [rad]
     places = [(_LENGTH, 0.0, 0.0), (_LENGTH * math.cos(away), -_LENGTH * math.sin(away), 0.0)]
     still = Joint("still", "fixed", "world", "post", (0.0, 0.0, 0.0))
@@ -182,7 +182,7 @@ def gate(restitution: float, *, rate: float = 3.0) -> Scene:
 
 
 def swings(scene: Scene, motion: Trajectory) -> Array:
-    """How high the energy of each ball would let it swing [m], shape (frame, ball)."""
+    """Return how high each ball's energy would let it swing [m], shape (frame, ball)."""
     place, speed, spin = (
         values[0, :, 1:] for values in (motion.position, motion.velocity, motion.angular_velocity)
     )

@@ -1,4 +1,4 @@
-"""The part of the contract suite about bodies that collide; it skips engines that have none."""
+"""Part of the contract suite about colliding bodies; it skips engines without collisions."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ _REBOUNDS = (0.0, 0.5, 1.0)
 
 
 class CollisionContract:
-    """One test, one way in which collisions go wrong."""
+    """Tests of collisions, one for each way in which they go wrong."""
 
     @pytest.mark.parametrize("restitution", _REBOUNDS)
     @pytest.mark.parametrize("name", TWO)
     def test_balls_part_as_newton_and_coulomb_say(
         self, adapter: Adapter, name: str, restitution: float
     ) -> None:
-        """Within the budgets of restitution and friction, over the speed at which they meet."""
+        """Errors stay within the budgets of restitution and friction, times the approach speed."""
         scene = balls(TWO[name], restitution=restitution)
         motion = _simulate(adapter, scene)
         exact, touch = collided(scene, TWO[name])
-        mass = np.array([one.mass for one in TWO[name]])
+        mass = np.array([ball.mass for ball in TWO[name]])
         meet = float(np.linalg.norm(exact.velocity[0, 0, 0] - exact.velocity[0, 0, 1]))
         within = (scene.budget.restitution + scene.budget.friction) * meet + 1e-9
         off = motion.velocity[:, -1] - exact.velocity[:, -1]
@@ -55,8 +55,7 @@ class CollisionContract:
     def test_joined_bodies_collide_as_free_ones_do(
         self, adapter: Adapter, restitution: float
     ) -> None:
-        """Two pendulums on one frame, of which one falls on the other: both swing as high as is
-        left of the fall, (1 ∓ e)² / 4."""
+        """One of two pendulums falls on the other: they swing up to (1 ∓ e)² / 4 of its height."""
         scene = cradle(restitution)
         height = swings(scene, _simulate(adapter, scene))
         wanted = np.array([(1.0 - restitution) ** 2, (1.0 + restitution) ** 2]) / 4.0
@@ -73,7 +72,7 @@ class CollisionContract:
         assert rates == pytest.approx([3.0, -3.0 * restitution], abs=0.06)
 
     def test_what_is_no_pair_goes_through(self, adapter: Adapter) -> None:
-        """A third ball in the way of the first, which it may not touch."""
+        """The first ball passes through a third one in its way, which it may not touch."""
         left, right = TWO["head on"]
         three = balls([left, right, Flying((0.2, 0.0, 1.0))])
         assert three.collisions is not None
@@ -83,20 +82,20 @@ class CollisionContract:
         assert motion.velocity[0, -1, 0, 0] < 0.0  # the other two have met beyond it
 
     def test_collisions_read_back_as_the_scenes(self, adapter: Adapter) -> None:
-        """Coefficients of pairs, which engines mix from two, also beside a ground's."""
+        """Coefficients of pairs, which engines mix from two, are right, also with a ground."""
         for ground in (None, Ground(0.2, 0.5)):
             scene = balls(TWO["slides"], ground=ground)
             _skip_unable(adapter, scene)
             batch = draw_batch(scene, [0])
             settings = adapter.settings(scene, "matched")
             with adapter.open(scene, settings) as run:
-                found = run.readback(batch)
-                assert found.collision is not None
-                assert readback.compare(Mechanism.of(scene), batch, settings, found) == []
+                native = run.readback(batch)
+                assert native.collision is not None
+                assert readback.compare(Mechanism.of(scene), batch, settings, native) == []
                 assert run.size.contact_pairs == 1 + 2 * (ground is not None)
 
     def test_the_checks_pass_through_collisions_and_bounces(self, adapter: Adapter) -> None:
-        """Three balls that fall, collide and bounce, held to every check."""
+        """Three balls that fall, collide and bounce pass every check."""
         three = (
             Flying((0.0, 0.0, 0.3), (1.2, 0.05, 0.0), (0.0, 0.0, 9.0)),
             Flying((0.35, 0.02, 0.32), (-0.4, 0.0, 0.0), mass=2.0),
@@ -107,7 +106,7 @@ class CollisionContract:
         settings = adapter.settings(scene, "matched")
         method = adapter.methods[settings.method]
         scales = adapter.contact_scales(settings)
-        found = audit(
+        findings = audit(
             scene,
             draw_batch(scene, [0]),
             motion,
@@ -115,8 +114,8 @@ class CollisionContract:
             step=settings.step,
             contact_time=scales.time,
         )
-        assert {"collision restitution", "collision friction"} <= {one.check for one in found}
-        for one in found:
+        assert {"collision restitution", "collision friction"} <= {one.check for one in findings}
+        for one in findings:
             over = one.budget is not None and one.figure > one.budget + one.uncertainty
             assert not np.any(over), f"{one.check}: {one.figure}, {one.where}"
 

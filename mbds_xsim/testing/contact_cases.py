@@ -1,8 +1,8 @@
 """Cases on the ground with exact answers: sliding, rolling, impacts, rest, a driven car.
 
-Answers are Coulomb's friction, Newton's restitution and rigid bodies in closed form. What an
-engine may be off is derived from what it declares its contact to resolve (`ContactScales` of
-`mbds_xsim.simulate.adapter`): an impulse of the ground is late, or early, by one such time.
+Answers are closed forms of Coulomb's friction, Newton's restitution and rigid bodies. The allowed
+error follows from the resolution that an engine declares for its contact (`ContactScales` of
+`mbds_xsim.simulate.adapter`): an impulse of the ground may be late, or early, by one such time.
 """
 
 from __future__ import annotations
@@ -51,22 +51,21 @@ _STARTS = ((7.0, 0.0), (9.3, 0.4), (2.0, -1.5), (1.0, 2.5))
 
 @dataclass(frozen=True, eq=False)
 class ContactCase:
-    """A scene, its start and inputs, the exact motion, and how far an engine may be from it."""
+    """A scene, its start and inputs, the exact motion, and the allowed error."""
 
     verifies: str
     scene: Scene
     batch: Batch
     exact: Trajectory
-    """Fields that are not known are NaN."""
+    """Exact motion; fields that are not known are NaN."""
     drift: Array
-    """What a shift of the ground's impulses moves bodies by, over that shift [m/s], shape
-    (frame,)."""
+    """Displacement of bodies per time shift of the ground's impulses [m/s], shape (frame,)."""
     creep: Array
-    """The same for slip that friction does not stop, over that slip [s], shape (frame,)."""
+    """Displacement of bodies per slip that friction does not stop [s], shape (frame,)."""
 
     def allowed(self, scales: ContactScales) -> Array:
-        """Give the largest distance from the exact position [m], shape (frame,)."""
-        # What gravity does before the ground carries a sphere.
+        """Return the largest allowed distance from the exact position [m], shape (frame,)."""
+        # A sphere falls a little before the ground carries it.
         sink = _G * scales.time**2
         return _ROUNDING + sink + self.drift * scales.time + self.creep * scales.slip
 
@@ -100,7 +99,7 @@ def crate(
     ground: Ground | None = None,
     steps: int = 50,
 ) -> Scene:
-    """Make a cube with a sphere at each corner, turned about z [rad], its bottom at a height."""
+    """Make a cube with spheres at its corners, turned about z [rad], its bottom at a height [m]."""
     corners = np.array(list(product((-0.2, 0.2), repeat=3)))
     turn = (float(np.cos(tilt / 2)), 0.0, 0.0, float(np.sin(tilt / 2)))
     middle = (0.0, 0.0, height + 0.2 + RADIUS)
@@ -123,16 +122,16 @@ def crate(
 
 
 def gaps(scene: Scene, motion: Trajectory) -> Array:
-    """Heights of the spheres' lowest points [m], shape (trajectory, frame, sphere)."""
+    """Return the heights of the spheres' lowest points [m], shape (trajectory, frame, sphere)."""
     mechanism = Mechanism.of(scene)
     return spheres_of(mechanism, BodyStates.of(mechanism, motion)).gap
 
 
 def rolling() -> ContactCase:
-    """Balls that slide until they roll, forwards and backwards, in every direction, and aside.
+    """Make a case of balls that slide until they roll, in every direction, and with side spin.
 
-    From velocity v and spin ω the slip v − ω × R ẑ keeps its direction n: friction −μ m g n takes
-    (7/2) μ g of it a second, along a parabola, and what is left rolls straight on.
+    The slip v − ω × R ẑ of a ball with velocity v and spin ω keeps its direction n. Friction
+    −μ m g n reduces it by (7/2) μ g per second, along a parabola; then the ball rolls straight on.
     """
     scene = ball()
     velocity, spin = _rolling_starts()
@@ -140,8 +139,8 @@ def rolling() -> ContactCase:
     size = np.linalg.norm(slip, axis=-1, keepdims=True)
     way = np.divide(slip, size, out=np.zeros_like(slip), where=size > 1e-12)
     time = _frames(scene)
-    ended = size[:, None] / (3.5 * FRICTION * _G)
-    sliding = np.minimum(time[:, None], ended)
+    end = size[:, None] / (3.5 * FRICTION * _G)
+    sliding = np.minimum(time[:, None], end)
     decay, growth = FRICTION * _G * way, 2.5 * FRICTION * _G / RADIUS * np.cross([0, 0, 1.0], way)
     exact = Trajectory.empty(time, len(velocity), 1)
     exact.velocity[:, :, 0] = velocity[:, None] - decay[:, None] * sliding
@@ -157,13 +156,13 @@ def rolling() -> ContactCase:
         scene,
         _started(scene, velocity=velocity[:, None], angular_velocity=spin[:, None]),
         exact,
-        drift=FRICTION * _G * np.minimum(time, ended.max()),
+        drift=FRICTION * _G * np.minimum(time, end.max()),
         creep=np.full(len(time), 1e-3),
     )
 
 
 def sliding_crate() -> ContactCase:
-    """A crate that stands and is pushed slides v² / (2 μ g) far, and does not turn."""
+    """Make a case of a pushed crate that slides v² / (2 μ g) far, and does not turn."""
     scene, speed = crate(ground=Ground(FRICTION, 0.0)), 2.0
     along = np.array([[np.cos(heading), np.sin(heading), 0.0] for heading in _HEADINGS])
     time = _frames(scene)
@@ -184,7 +183,7 @@ def sliding_crate() -> ContactCase:
 
 
 def at_rest(scene: Scene) -> ContactCase:
-    """Leave what stands on the ground where it is."""
+    """Make a case of a scene at rest on the ground, which stays where it is."""
     batch = draw_batch(scene, [0], noise=False)
     time = _frames(scene)
     none = np.zeros(len(time))
@@ -192,7 +191,7 @@ def at_rest(scene: Scene) -> ContactCase:
 
 
 def laid_cubli(steps: int = 50) -> Scene:
-    """Put the scene simplecubli with four corners on the ground, its flywheels at rest."""
+    """Place the scene simplecubli with four corners on the ground, and its flywheels at rest."""
     cubli = load_scene("simplecubli")
     assert cubli.contacts
     down = min(sphere.center[2] - sphere.radius for sphere in cubli.contacts)
@@ -220,31 +219,31 @@ def laid_cubli(steps: int = 50) -> Scene:
 
 
 def bounces(restitution: float, height: float = 0.5, steps: int = 75) -> Scene:
-    """Make a ball that falls from a height."""
+    """Make a ball that falls from a height [m]."""
     return ball(height, ground=Ground(FRICTION, restitution), steps=steps)
 
 
 def rebound_heights(scene: Scene, time: Array) -> tuple[Array, Array]:
-    """Give the number of bounces before each time of a fall, and how high they let the ball go.
+    """Return the number of bounces before each time, and the height they let the ball reach [m].
 
-    From a height H the fall lasts √(2 H / g), the k-th flight 2 eᵏ √(2 H / g), to e²ᵏ H. After
-    all bounces of e < 1 the number is that of the flights that last 1 ms and more.
+    From a height H the fall lasts √(2 H / g), and the k-th flight 2 eᵏ √(2 H / g), up to e²ᵏ H.
+    For e < 1 a bounce is counted only if the flight before it rises for at least 1 ms.
     """
     assert scene.ground is not None
-    kept, height = scene.ground.restitution, float(scene.contacts[0].center[2]) - RADIUS
+    e, height = scene.ground.restitution, float(scene.contacts[0].center[2]) - RADIUS
     fall = np.sqrt(2 * height / _G)
-    most = 1000 if kept == 1.0 else int(np.log(1e-3 / fall) / np.log(max(kept, 1e-9))) + 1
-    impacts = fall * (1 + 2 * np.cumsum([0.0, *kept ** np.arange(1.0, most)]))
+    most = 1000 if e == 1.0 else int(np.log(1e-3 / fall) / np.log(max(e, 1e-9))) + 1
+    impacts = fall * (1 + 2 * np.cumsum([0.0, *e ** np.arange(1.0, most)]))
     number = np.searchsorted(impacts, time, side="right")
-    return number.astype(np.float64), np.asarray(height * kept ** (2.0 * number))
+    return number.astype(np.float64), np.asarray(height * e ** (2.0 * number))
 
 
 def driven_car() -> ContactCase:
-    """The car with wheels spinning in front and braked behind, and torques that change."""
+    """Make a case of the car with front wheels spinning, rear ones braked, and changing torques."""
     scene = msgspec.structs.replace(load_scene("particlecar"), clock=Clock(steps=60))
     torque = np.repeat(np.random.default_rng(0).uniform(-2.0, 2.0, (6, 2)), 10, axis=0)
     batch, exact = straight_run(scene, speed=5.0, rates=(40.0, 15.0), torque=torque)
-    # How left and right share an axle's load has no unique answer, and turns the car a little.
+    # The loads of left and right wheels have no unique answer, and turn the car a little.
     exact.position[..., 1] = exact.position[:, :, 1:] = np.nan
     return ContactCase(
         "hinge torques that roll and spin wheels",
@@ -257,7 +256,7 @@ def driven_car() -> ContactCase:
 
 
 def _rolling_starts() -> tuple[Array, Array]:
-    """Velocities and spins, each shape (row, 3): (speed, spin of rolling) in each direction."""
+    """Return velocities and spins, shape (row, 3): `_STARTS` in each direction, and two more."""
     rows = []
     for heading, (speed, share) in product(_HEADINGS, _STARTS):
         along = np.array([np.cos(heading), np.sin(heading), 0.0])
@@ -269,7 +268,7 @@ def _rolling_starts() -> tuple[Array, Array]:
 
 
 def _started(scene: Scene, **start: Any) -> Batch:
-    """Start as many rows as are given, with these fields in place of the scene's own."""
+    """Start as many rows as the fields have, which replace the scene's own."""
     rows = len(next(iter(start.values())))
     return dataclasses.replace(draw_batch(scene, range(rows), noise=False), **start)
 
@@ -294,4 +293,4 @@ CONTACT_CASES: Mapping[str, Callable[[], ContactCase]] = {
     "crate at rest": lambda: at_rest(crate(tilt=0.4)),
     "cubli at rest": lambda: at_rest(laid_cubli()),
 }
-"""Makers of the cases that are held against positions frame by frame."""
+"""Makers of the cases that are compared with exact positions frame by frame."""

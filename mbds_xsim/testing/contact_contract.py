@@ -1,7 +1,7 @@
-"""The part of the contract suite about the ground; it skips engines that have no contact.
+"""Part of the contract suite about the ground; it skips engines without contact.
 
-Contact is a claim of the matched settings, so they are what is measured. Careful steps are made
-coarser: what is allowed grows with them.
+Contact is a claim of the matched settings, so these are tested. Their careful steps are made
+coarser; the allowed error grows with them.
 """
 
 from __future__ import annotations
@@ -46,11 +46,11 @@ _SCENES = ("ballscroll", "balldrop", "particlecar", "simplecubli")
 
 
 class ContactContract:
-    """One test, one way in which contact goes wrong."""
+    """Tests of contact, one for each way in which it goes wrong."""
 
     @pytest.mark.parametrize("name", CONTACT_CASES)
     def test_on_the_ground_bodies_follow_the_answer(self, adapter: Adapter, name: str) -> None:
-        """Within what its contact time and slip, as declared, move bodies by."""
+        """Errors stay within the displacement that the declared contact time and slip allow."""
         case = CONTACT_CASES[name]()
         settings = _settings(adapter, case.scene)
         scales, motion = _simulate(adapter, case.scene, case.batch, settings)
@@ -63,7 +63,7 @@ class ContactContract:
         )
 
     def test_friction_stops_where_a_ball_rolls(self, adapter: Adapter) -> None:
-        """Momentum about the point of contact fixes the end, however friction got there."""
+        """Momentum about the contact point fixes the final motion, however friction got there."""
         case = CONTACT_CASES["slide to roll"]()
         settings = _settings(adapter, case.scene)
         scales, motion = _simulate(adapter, case.scene, case.batch, settings)
@@ -80,7 +80,7 @@ class ContactContract:
     def test_a_ball_bounces_as_high_as_its_restitution_says(
         self, adapter: Adapter, restitution: float
     ) -> None:
-        """Told from height and speed in flight: each impact may come one contact time late."""
+        """Height and speed in flight give the rebound; an impact may be one contact time late."""
         scene = bounces(restitution)
         settings = _settings(adapter, scene)
         scales, motion = _simulate(adapter, scene, draw_batch(scene, [0]), settings)
@@ -101,7 +101,7 @@ class ContactContract:
     def test_restitution_does_not_depend_on_the_speed(
         self, adapter: Adapter, restitution: float
     ) -> None:
-        """From a walk to a fall from a house; gravity acts on while the impact lasts."""
+        """Speeds go from a walk to a fall from a house; gravity also acts during the impact."""
         ground = Ground(0.43, restitution)
         for speed in (0.3, 1.0, 3.0, 8.0):
             drop = 0.0137 * speed  # touches down in the middle of a step
@@ -113,14 +113,14 @@ class ContactContract:
                 motion.velocity[0, 1, 0, 2],
             )
             impact = np.sqrt(speed**2 + 2 * _G * drop)
-            kept = np.sqrt(max(0.0, climb**2 + 2 * _G * height)) / impact
+            measured = np.sqrt(max(0.0, climb**2 + 2 * _G * height)) / impact
             within = scene.budget.restitution + _G * scales.time / speed
-            assert kept == pytest.approx(restitution, abs=within), f"at {speed} m/s"
+            assert measured == pytest.approx(restitution, abs=within), f"at {speed} m/s"
 
     def test_a_ball_that_is_pushed_down_comes_back_as_its_restitution_says(
         self, adapter: Adapter
     ) -> None:
-        """A held force of a hundred weights brings it down within a frame, from rest."""
+        """A held force of a hundred weights brings the ball down within a frame, from rest."""
         height, push = 0.15, 1000.0
         scene = ball(height, ground=Ground(0.43, 0.6), steps=1)
         scene = msgspec.structs.replace(scene, forces=(Force("ball", ((0.0, 0.0, -push),), 1),))
@@ -129,8 +129,8 @@ class ContactContract:
         top, climb = motion.position[0, 1, 0, 2] - PARTICLE_RADIUS, motion.velocity[0, 1, 0, 2]
         pull = push / Mechanism.of(scene).mass[0] + _G
         impact = np.sqrt(2 * pull * height)
-        kept = np.sqrt(max(0.0, climb**2 + 2 * pull * top)) / impact
-        assert kept == pytest.approx(
+        measured = np.sqrt(max(0.0, climb**2 + 2 * pull * top)) / impact
+        assert measured == pytest.approx(
             0.6, abs=scene.budget.restitution + pull * scales.time / impact
         )
 
@@ -148,25 +148,25 @@ class ContactContract:
     def test_the_native_contact_reads_back_as_the_scenes(
         self, adapter: Adapter, name: str, profile: Profile
     ) -> None:
-        """Radii and the coefficients of pairs, which engines mix from two."""
+        """Radii and the coefficients of pairs, which engines mix from two, are the scene's."""
         scene = load_scene(name)
         _settings(adapter, scene)
         batch, settings = draw_batch(scene, [0, 2]), settings_for(scene, adapter, profile)
         with adapter.open(scene, settings) as run:
             for start in (batch[[0]], batch[[1]]):
-                found = run.readback(start)
-                assert found.contact is not None
-                assert found.sphere is not None
-                assert readback.compare(Mechanism.of(scene), start, settings, found) == []
+                native = run.readback(start)
+                assert native.contact is not None
+                assert native.sphere is not None
+                assert readback.compare(Mechanism.of(scene), start, settings, native) == []
             assert run.size.contact_pairs == len(scene.contacts)
 
     @pytest.mark.parametrize("name", [*_SCENES, "slow ball"])
     def test_contacts_of_one_trajectory_are_forgotten_in_the_next(
         self, adapter: Adapter, name: str
     ) -> None:
-        """Same start, same bits: the first of three, the last of them, and alone.
+        """The same start gives the same bits: as the first of three, as the last, and alone.
 
-        Put back by a tenth of a radius, a ball may have its old points of contact still in reach.
+        A ball put back by a tenth of a radius may still have its old contact points in reach.
         """
         slow = ball(velocity=(0.01, 0.0, 0.0), spin=(0.0, 0.01 / PARTICLE_RADIUS, 0.0), steps=20)
         scene = slow if name == "slow ball" else load_scene(name)
@@ -183,23 +183,23 @@ class ContactContract:
 
     def test_spheres_touch_the_ground_and_nothing_else(self, adapter: Adapter) -> None:
         """A ball rolls through another one."""
-        one = ball(velocity=(2.0, 0.0, 0.0))
+        single = ball(velocity=(2.0, 0.0, 0.0))
         centre = (0.5, 0.0, PARTICLE_RADIUS)
         scene = msgspec.structs.replace(
-            one,
-            bodies=(*one.bodies, Body("still", (Particle(centre),))),
-            contacts=(*one.contacts, ContactSphere("still", centre, PARTICLE_RADIUS)),
+            single,
+            bodies=(*single.bodies, Body("still", (Particle(centre),))),
+            contacts=(*single.contacts, ContactSphere("still", centre, PARTICLE_RADIUS)),
         )
         settings = _settings(adapter, scene)
         scales, both = _simulate(adapter, scene, draw_batch(scene, [0]), settings)
-        _, alone = _simulate(adapter, one, draw_batch(one, [0]), settings)
-        # Engines that choose steps by what touches may round differently.
+        _, alone = _simulate(adapter, single, draw_batch(single, [0]), settings)
+        # Engines that choose their steps by contacts may round differently.
         np.testing.assert_allclose(both.position[:, :, 0], alone.position[:, :, 0], atol=1e-12)
         sink = 1e-9 + _G * scales.time**2
         np.testing.assert_allclose(both.position[0, :, 1], [centre] * 51, rtol=0, atol=sink)
 
     def test_a_thrown_cubli_flies_as_the_reference_until_it_lands(self, adapter: Adapter) -> None:
-        """Flywheels that torques spin up turn the frame back; their sum of spin stays."""
+        """Flywheels that torques spin up turn the frame back; the total angular momentum stays."""
         scene = load_scene("simplecubli")
         batch = draw_batch(scene, range(3), noise=False).truncated(30)
         exact = reference.solve(scene, batch, cache=False)
@@ -220,7 +220,7 @@ class ContactContract:
 
 
 def _settings(adapter: Adapter, scene: Scene, *, coarser: int = _COARSER) -> Settings:
-    """Give matched settings; skip the test where the engine cannot do the scene."""
+    """Return the matched settings; skip the test if the engine cannot simulate the scene."""
     careful = adapter.settings(scene, "matched")
     if adapter.refusals(scene, careful.method):
         pytest.skip(f"{adapter.name} {careful.method} cannot do {scene.name}")
@@ -228,7 +228,7 @@ def _settings(adapter: Adapter, scene: Scene, *, coarser: int = _COARSER) -> Set
         pytest.skip(f"{adapter.name} cannot hold {value}")
     stored = settings_for(scene, adapter, "matched")
     if stored != careful:
-        return stored  # no finer than it must be
+        return stored  # no finer than necessary
     if adapter.methods[careful.method].adaptive:
         return careful
     return Settings(careful.method, careful.step * coarser, careful.options)
@@ -246,7 +246,7 @@ def _simulate(
 
 
 def _spins(scene: Scene, motion: Trajectory, row: int) -> Array:
-    """Angular momentum of each body about the common centre of mass, shape (frame, body, 3)."""
+    """Return the bodies' angular momenta about the common centre of mass, (frame, body, 3)."""
     mechanism = Mechanism.of(scene)
     turn = rotation.matrix(mechanism.native_rotation(motion.orientation[row]))
     own = np.einsum(

@@ -48,17 +48,17 @@ from mbds_xsim.testing.ladder import (
 )
 
 _ORDER_MARGIN = 0.2
-# An adaptive method's error is about in proportion to its tolerance.
+# An adaptive method's error is roughly proportional to its tolerance.
 _PROPORTION = 0.8
 _NUMBER = re.compile(r"[-+]?\d+\.\d*(?:e[-+]?\d+)?")
 
 
 class AdapterContract(ContactContract, CollisionContract):
-    """One test, one way in which adapters go wrong."""
+    """Tests of an adapter, one for each way in which adapters go wrong."""
 
     @pytest.fixture
     def adapter(self) -> Adapter:
-        """Make the adapter; every subclass gives its own."""
+        """Make the adapter; every subclass overrides this."""
         msg = "give your suite a fixture `adapter` that makes your adapter"
         raise NotImplementedError(msg)
 
@@ -66,11 +66,10 @@ class AdapterContract(ContactContract, CollisionContract):
     def test_every_method_converges_to_the_answer_in_its_order(
         self, adapter: Adapter, case: Case
     ) -> None:
-        """Declared order within 0.2 on every case a method can run, or the answer itself.
+        """Each method meets the answer, or its declared order within 0.2, on each case it can run.
 
-        How far that can be met is a question of the method's precision.
-
-        An adaptive method's error follows its tolerance.
+        The method's precision limits how exactly the answer can be met. The error of an adaptive
+        method must follow its tolerance.
         """
         for method in adapter.methods.values():
             if adapter.refusals(case.scene, method.name):
@@ -85,7 +84,7 @@ class AdapterContract(ContactContract, CollisionContract):
             assert errors[-1] < 0.2, f"{method.name} on {case.name}: converges to a wrong answer"
 
     def test_declared_orders_are_not_beaten_everywhere(self, adapter: Adapter) -> None:
-        """A method that is better than it says on every telling case lies too."""
+        """A method that beats its declared order on every telling case is declared wrongly, too."""
         telling = [
             case for case in CASES if case.name in ("rod", "tumbling", "hinge", "parallelogram")
         ]
@@ -102,7 +101,7 @@ class AdapterContract(ContactContract, CollisionContract):
 
     @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
     def test_velocities_are_those_of_the_motion(self, adapter: Adapter, case: Case) -> None:
-        """In every frame, at the time that the method declares: places are held to the answer."""
+        """Velocities fit the positions in every frame, at the time that the method declares."""
         for method in _able(adapter, case.scene):
             batch, motion = _run(adapter, case, method)
             record = Record(case.scene, batch, motion, method, case.scene.clock.frame / _COARSE)
@@ -115,17 +114,17 @@ class AdapterContract(ContactContract, CollisionContract):
 
     @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
     def test_the_native_model_reads_back_as_the_scene(self, adapter: Adapter, case: Case) -> None:
-        """Mass, inertia, poses, velocities, gravity, step, axes, no damping."""
+        """Mass, inertia, poses, velocities, gravity, step, axes are right; no damping is added."""
         for method in _able(adapter, case.scene):
             batch, settings = draw_batch(case.scene, [0]), case_settings(adapter, case, method, 4)
             with adapter.open(case.scene, settings) as run:
-                found = run.readback(batch)
+                native = run.readback(batch)
 
             mechanism = Mechanism.of(case.scene)
-            assert readback.compare(mechanism, batch, settings, found, method) == []
+            assert readback.compare(mechanism, batch, settings, native, method) == []
 
     def test_frame_zero_is_the_start(self, adapter: Adapter) -> None:
-        """Shapes, order of bodies, units."""
+        """Frame 0 holds the start, in the right shapes, units and order of bodies."""
         for case in _able_cases(adapter):
             batch, trajectory = _run(adapter, case, _first(adapter, case))
 
@@ -135,14 +134,14 @@ class AdapterContract(ContactContract, CollisionContract):
             assert finding.passed.all(), f"{adapter.name} on {case.name}: {finding.line(0)}"
 
     def test_time_is_that_of_the_frames(self, adapter: Adapter) -> None:
-        """Frame k is at k · frame."""
+        """Frame k is at time k · frame."""
         for case in _able_cases(adapter)[:1]:
             _, trajectory = _run(adapter, case, _first(adapter, case))
 
             np.testing.assert_allclose(trajectory.time, np.arange(51) * 0.02, rtol=1e-12)
 
     def test_quaternions_are_unit_and_finite(self, adapter: Adapter) -> None:
-        """Orientation convention wxyz is caught by the tumbling case; this catches drift."""
+        """The tumbling case catches a wrong convention (not wxyz); this test catches drift."""
         for case in _able_cases(adapter):
             _, trajectory = _run(adapter, case, _first(adapter, case), _FINER)
 
@@ -151,7 +150,7 @@ class AdapterContract(ContactContract, CollisionContract):
             )
 
     def test_same_batch_same_bits(self, adapter: Adapter) -> None:
-        """Again in the same run, and in a run loaded afresh."""
+        """A batch repeats to the bit in the same run, and in a run loaded afresh."""
         case = _able_cases(adapter)[-1]
         settings = case_settings(adapter, case, _first(adapter, case), 4)
         batch = draw_batch(case.scene, [0, 1])
@@ -165,7 +164,7 @@ class AdapterContract(ContactContract, CollisionContract):
             np.testing.assert_array_equal(first.angular_velocity, other.angular_velocity)
 
     def test_trajectories_of_a_batch_do_not_touch_each_other(self, adapter: Adapter) -> None:
-        """The second of two is what it is alone; the arrays share no memory."""
+        """The second trajectory of two is the same as alone, and the arrays share no memory."""
         case = _able_cases(adapter)[-1]
         settings = case_settings(adapter, case, _first(adapter, case), 4)
         with adapter.open(case.scene, settings) as run:
@@ -191,7 +190,7 @@ class AdapterContract(ContactContract, CollisionContract):
         np.testing.assert_array_equal(alone.position, beside.position)
 
     def test_what_cannot_be_done_is_refused_with_the_reason(self, adapter: Adapter) -> None:
-        """Before the engine sees it."""
+        """Unsupported scenes are refused before the engine sees them."""
         refused = 0
         for case in CASES:
             for method in adapter.methods.values():
@@ -202,14 +201,14 @@ class AdapterContract(ContactContract, CollisionContract):
                 with pytest.raises(Unsupported) as caught:
                     adapter.open(case.scene, Settings(method.name, 0.02))
                 assert next(iter(refusals.values())) in str(caught.value)
-        for who, refuses in _refusing(adapter):
+        for name, refuses in _refusing(adapter):
             for feature, reason in refuses.items():
-                assert len(reason) > 10, f"{who} refuses {feature.value} without a reason"
+                assert len(reason) > 10, f"{name} refuses {feature.value} without a reason"
             on_ground = set(refuses) <= set(CONTACTS)
-            assert refused or on_ground, f"no case of the ladder needs what {who} refuses"
+            assert refused or on_ground, f"no case of the ladder needs what {name} refuses"
 
     def test_wrong_settings_are_refused_in_one_line(self, adapter: Adapter) -> None:
-        """Unknown method or option, a step that does not divide the frame."""
+        """Refused are an unknown method or option, and a step that does not divide the frame."""
         case = _able_cases(adapter)[0]
         method = _first(adapter, case).name
         with pytest.raises(UnknownName, match="no-such-method"):
@@ -221,7 +220,7 @@ class AdapterContract(ContactContract, CollisionContract):
                 adapter.open(case.scene, Settings(method, step))
 
     def test_presets_are_for_a_method_that_can_run_the_scene(self, adapter: Adapter) -> None:
-        """Both profiles, on every case the engine supports at all."""
+        """Both profiles fit every case that the engine supports at all."""
         for case in _able_cases(adapter):
             for profile in ("native", "matched"):
                 adapter.check(case.scene, adapter.settings(case.scene, profile))
@@ -229,7 +228,7 @@ class AdapterContract(ContactContract, CollisionContract):
     def test_a_sceptic_can_run_what_the_engine_was_given(
         self, adapter: Adapter, tmp_path: Path
     ) -> None:
-        """A script ends where the engine does, springs and all; other formats are XML."""
+        """A native script ends where the engine does, springs included; other formats are XML."""
         able = _able_cases(adapter)
         case = next((case for case in able if case.scene.springs), able[0])
         batch = draw_batch(case.scene, [0], noise=False, inputs=False)
@@ -242,15 +241,15 @@ class AdapterContract(ContactContract, CollisionContract):
             return
         (tmp_path / "script.py").write_text(text, "utf-8")
         script = [sys.executable, "script.py"]
-        ended = subprocess.run(script, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+        process = subprocess.run(script, cwd=tmp_path, capture_output=True, text=True, timeout=60)
 
-        assert ended.returncode == 0, ended.stderr
-        told = np.array([float(number) for number in _NUMBER.findall(ended.stdout)])
+        assert process.returncode == 0, process.stderr
+        numbers = np.array([float(number) for number in _NUMBER.findall(process.stdout)])
         for place in motion.position[0, -1].ravel():
-            assert np.abs(told - place).min(initial=np.inf) < EXACT, f"{place} is not in the end"
+            assert np.abs(numbers - place).min(initial=np.inf) < EXACT, f"{place} is not in the end"
 
     def test_the_version_has_a_number(self, adapter: Adapter) -> None:
-        """Results name the engine's version."""
+        """Results name the engine's version, so it must hold a number."""
         assert any(character.isdigit() for character in adapter.version())
 
     def test_it_pickles(self, adapter: Adapter) -> None:
@@ -258,7 +257,7 @@ class AdapterContract(ContactContract, CollisionContract):
         assert pickle.loads(pickle.dumps(adapter)).name == adapter.name
 
     def test_closing_twice_and_many_opens(self, adapter: Adapter) -> None:
-        """Engine memory has one owner, and it lets go."""
+        """Closing a run releases the engine's memory; closing it twice does no harm."""
         case = _able_cases(adapter)[0]
         settings = case_settings(adapter, case, _first(adapter, case), 1)
         for _ in range(40):
@@ -269,14 +268,14 @@ class AdapterContract(ContactContract, CollisionContract):
     def test_claims_are_complete(self, adapter: Adapter) -> None:
         """Names, features and methods are of the known kinds."""
         check_claims(adapter.methods, adapter.options, adapter.sweeps, adapter.cut)
-        for who, refuses in _refusing(adapter):
+        for name, refuses in _refusing(adapter):
             unknown = [feature for feature in refuses if not isinstance(feature, Feature)]
-            assert not unknown, f"{who} refuses what is no feature: {unknown}"
+            assert not unknown, f"{name} refuses what is no feature: {unknown}"
         assert adapter.coordinates in ("reduced", "maximal"), adapter.coordinates
 
 
 _COARSE, _FINER, _ = STEPS_PER_FRAME
-"""Steps a frame of motions that are there already, as orders are measured by them."""
+"""Steps per frame of motions that are cached already, because orders are measured with them."""
 
 
 def _run(
@@ -286,7 +285,7 @@ def _run(
 
 
 def _refusing(adapter: Adapter) -> Iterator[tuple[str, Mapping[Feature, str]]]:
-    """Give what the engine, and each of its methods, refuses."""
+    """Yield the refusals of the engine, and of each of its methods."""
     yield adapter.name, adapter.limits
     for method in adapter.methods.values():
         yield f"{adapter.name} {method.name}", method.refuses

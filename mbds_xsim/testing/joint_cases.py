@@ -16,7 +16,7 @@ from mbds_xsim.testing.case import NONE, Case, Exact, G, case_of, direction, eve
 UP: Vector = (0.0, 0.0, 1.0)
 WHEEL, _ARM = 0.1, 0.5
 CARRIER = 0.4 + 0.01 + 0.5 * _ARM**2
-"""Moments of inertia about the mount of `on_a_carrier`, the tip's among the carrier's [kg·m²]."""
+"""Moments of inertia about the mount of `on_a_carrier`; the tip is in the carrier's [kg·m²]."""
 _REDUCED = CARRIER * WHEEL / (CARRIER + WHEEL)
 
 
@@ -24,10 +24,10 @@ def on_a_carrier(name: str, verifies: str, turned: Exact, axle: Joint, **more: A
     """Make a case of a wheel on a carrier that turns about a mount; a tip on an arm shows it.
 
     Args:
-        name: Of the case.
-        verifies: What it is for.
-        turned: Times [s] to the angles by which the carrier has turned [rad].
-        axle: Joins the carrier and the wheel.
+        name: Name of the case.
+        verifies: Features that the case is for.
+        turned: Function from times [s] to the carrier's angles of rotation [rad].
+        axle: Joint between the carrier and the wheel.
         more: Other fields of the scene.
     """
 
@@ -56,7 +56,7 @@ def on_a_carrier(name: str, verifies: str, turned: Exact, axle: Joint, **more: A
 def settling(
     stiffness: float, damping: float, inertia: float, start: float, rate: float, time: Array
 ) -> Array:
-    """Solve I x'' = −k x − d x', which oscillates."""
+    """Solve I x'' = −k x − d x' for an underdamped oscillation."""
     decay = damping / (2.0 * inertia)
     omega = np.sqrt(stiffness / inertia - decay**2)
     swing = start * np.cos(omega * time) + (rate + decay * start) / omega * np.sin(omega * time)
@@ -64,7 +64,7 @@ def settling(
 
 
 def _sprung_hinge() -> Case:
-    """A wheel winds a spring up by more than half a turn, whose other end is on its free carrier.
+    """A wheel winds up a spring against its free carrier, by more than half a turn.
 
     The axle's parent is the wheel.
     """
@@ -72,7 +72,7 @@ def _sprung_hinge() -> Case:
 
     def turned(time: Array) -> Array:
         angle = rest + settling(stiffness, damping, _REDUCED, -rest, rate, time)
-        # No momentum but what the start has, which is the wheel's alone.
+        # The only momentum is the wheel's at the start.
         return WHEEL * (rate * time - angle) / (CARRIER + WHEEL)
 
     return on_a_carrier(
@@ -87,9 +87,9 @@ def _sprung_hinge() -> Case:
 
 
 def _sprung_slider() -> Case:
-    """A body on a sloping rail, sprung and damped, in part by a servo."""
+    """A body on a sloping rail with a spring and a damper, both partly a servo's."""
     stiffness, damping, rest, rate, mass = 40.0, 1.5, 0.2, 0.5, 2.0
-    # Springs of 10 and 30 N/m to these places are one of 40 N/m to 0.2 m.
+    # Springs of 10 and 30 N/m to these places act like one of 40 N/m to 0.2 m.
     own, servo = 0.5, Servo("rail", (0.1,), stiffness=30.0, damping=1.0)
     along = np.array([0.6, 0.0, -0.8])
     slack = rest + mass * G * 0.8 / stiffness
@@ -133,7 +133,7 @@ def _geared_axle() -> Case:
 def _geared_rail() -> Case:
     """A block on a sloping rail drives a rotor, and a pendulum hangs on it.
 
-    The pendulum's hinge has a rotor too; it starts with the least kinetic energy.
+    The pendulum's hinge has a rotor too. The start is the one of least kinetic energy.
     """
     block, bob, arm, rotor, rate = 2.0, 0.5, 0.4, 3.0, 0.7
     about = 0.02 + bob * arm**2
@@ -169,23 +169,23 @@ def _geared_rail() -> Case:
 
 
 def _led(inertia: float, joint: Joint, servo: Servo, time: Array) -> Array:
-    """Solve for the coordinate of a sprung and damped joint that a servo leads, frame by frame."""
+    """Solve for the coordinate of a sprung, damped joint that a servo leads, target by target."""
     whole, drag = joint.stiffness + servo.stiffness, joint.damping + servo.damping
-    found, start, rate = np.zeros_like(time), 0.0, 0.0
+    coordinate, start, rate = np.zeros_like(time), 0.0, 0.0
     span = servo.hold * Clock().frame
     for k, (target, speed) in enumerate(zip(servo.position, servo.velocity, strict=True)):
         pull = servo.stiffness * target + servo.damping * speed
         goal = (joint.stiffness * joint.rest + pull) / whole
         law, off, late = (whole, drag, inertia), start - goal, time - k * span
         later = late >= -1e-12
-        found[later] = goal + settling(*law, off, rate, late[later])
-        # The rate changes by the same equation.
+        coordinate[later] = goal + settling(*law, off, rate, late[later])
+        # The rate obeys the same equation.
         bend = -(whole * off + drag * rate) / inertia
         (start,), (rate,) = (
             goal + settling(*law, off, rate, np.array([span])),
             settling(*law, rate, bend, np.array([span])),
         )
-    return found
+    return coordinate
 
 
 _SPRUNG = {"stiffness": 2.0, "damping": 0.1, "rest": 0.4}
@@ -195,7 +195,7 @@ _LEADS = {"velocity": (0.3, 0.0), "stiffness": 30.0, "damping": 2.0, "hold": 25}
 def _servo() -> Case:
     """An arm in the plane that a servo leads to two targets, one after the other.
 
-    Its hinge has a spring and a damper besides, and is at rest elsewhere.
+    Its hinge also has a spring and a damper, with another rest angle.
     """
     mass, arm = 1.5, 0.4
     hub = Joint("hub", "hinge", "world", "arm", NONE, UP, **_SPRUNG)  # type: ignore[arg-type]
@@ -218,7 +218,7 @@ def _servo() -> Case:
 
 
 def _led_block() -> Case:
-    """The same of a block on a rail, which the joint joins to the world the other way round."""
+    """A servo leads a block on a rail; the joint goes from the block to the world."""
     along = np.array([0.6, 0.0, -0.8])
     rail = Joint("rail", "slider", "block", "world", NONE, tuple((-along).tolist()), **_SPRUNG)  # type: ignore[arg-type]
     servo = Servo("rail", (0.3, -0.2), **_LEADS)  # type: ignore[arg-type]
@@ -238,9 +238,9 @@ def _led_block() -> Case:
 
 
 def _planetary() -> Case:
-    """A motor on a free carrier turns a wheel, and by way of a gear another one.
+    """A motor on a free carrier turns a wheel, and through a gear another one.
 
-    Momentum of the whole about the mount stays 0, the motor's torque is on the first wheel alone.
+    The total momentum about the mount stays 0; the motor's torque acts on the first wheel alone.
     """
     torque, ratio, arm, mass = 0.7, -2.5, 0.5, 0.8
     first, second = 0.3, 0.05
@@ -283,7 +283,7 @@ def _planetary() -> Case:
 
 
 def _rack() -> Case:
-    """A rack slides down a slope, and winds a spring up by the drum that it follows."""
+    """A rack slides down a slope, and winds up a spring on the drum that it is coupled to."""
     mass, drum, radius, stiffness, rest, start, offset = 2.0, 0.02, 0.15, 3.0, 0.4, 0.2, 0.1
     along = np.array([0.6, 0.0, -0.8])
     inertia = drum + mass * radius**2
@@ -309,9 +309,9 @@ def _rack() -> Case:
 
 
 def _braked() -> Case:
-    """A wheel on a free carrier is braked by dry friction until both turn alike.
+    """A wheel on a free carrier is braked by dry friction until both turn together.
 
-    Nothing else acts about the mount: the momentum is the wheel's at the start.
+    Nothing else acts about the mount, so the momentum is the wheel's at the start.
     """
     friction, rate = 0.4, 5.0
 
@@ -331,15 +331,15 @@ def _braked() -> Case:
 def _dragged() -> Case:
     """A sprung block slides back and forth on a rail against dry friction, until it sticks.
 
-    Each half swing is about a point that friction shifts, by the same on the other way back; it
-    comes to rest at the first turn from which the spring cannot pull it.
+    Friction shifts the centre of each half swing, by the same amount either way. The block comes
+    to rest at the first turning point from which the spring cannot pull it.
     """
     stiffness, mass, friction, start = 60.0, 1.5, 4.0, 0.5
     omega, shift = np.sqrt(stiffness / mass), friction / stiffness
 
     def exact(time: Array) -> Array:
         half = np.floor(time * omega / np.pi)
-        # Amplitudes about the shifted points fall by two shifts, while they are more than nil.
+        # Amplitudes about the shifted points fall by two shifts each time, while positive.
         last = np.ceil((start / shift - 1.0) / 2.0)
         count = np.minimum(half, last)
         side = (-1.0) ** count

@@ -1,4 +1,4 @@
-"""How an adapter does on the cases of the ladder: errors, and the order in which they fall."""
+"""Accuracy of an adapter on the cases of the ladder: errors, and their order of convergence."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mbds_xsim.testing.case import Case
 
 STEPS_PER_FRAME = (4, 8, 16)
 EXACT = 1e-9
-"""Error below which a method has met the answer: there is no order left (RK4 on a parabola) [m]."""
+"""Error below which a method has met the answer, with no order left (RK4 on a parabola) [m]."""
 
 _TOLERANCES = (1e-5, 1e-7, 1e-9)
 
@@ -25,9 +25,9 @@ _TOLERANCES = (1e-5, 1e-7, 1e-9)
 def measured_order(
     adapter: Adapter, case: Case, method: str, steps_per_frame: tuple[int, ...] = STEPS_PER_FRAME
 ) -> tuple[float, list[float]]:
-    """Fit the order of convergence of a case's largest error, and give the errors [m or rad].
+    """Fit the order of convergence of a case's largest error, and return it with the errors [m].
 
-    That of an adaptive method is by its tolerance, not by its steps.
+    The order of an adaptive method is fitted over its tolerance, not over its steps.
     """
     finer: tuple[float, ...] = steps_per_frame
     if adapter.methods[method].adaptive:
@@ -45,21 +45,22 @@ def measured_order(
 def answer_known_to(
     case: Case, method: Method, steps_per_frame: int = STEPS_PER_FRAME[-1]
 ) -> float:
-    """Give the error below which a method has met a case's answer [m].
+    """Return the error below which a method has met a case's answer [m].
 
-    It cannot be told from what rounding adds up in the steps, of the farthest place that is met.
+    Such an error cannot be distinguished from rounding added up over the steps, for the
+    farthest place of the motion.
     """
     frames = np.arange(case.scene.clock.steps + 1.0)
     place = np.abs(case.exact(case.scene.clock.frame * frames)).max()
     steps = steps_per_frame * case.scene.clock.steps
-    return max(EXACT, rounding.stepped(method, steps) * max(case.scene.length, float(place)))
+    return max(EXACT, rounding.step_error(method, steps) * max(case.scene.length, float(place)))
 
 
 @functools.lru_cache(maxsize=256)
 def rolled(
     adapter: Adapter, case: Case, method: str, steps_per_frame: int, rtol: float | None = None
 ) -> tuple[Batch, Trajectory]:
-    """Give a case's first start and its motion, which tests share; an adaptive method's by rtol."""
+    """Return a case's first start and its motion, cached for tests; `rtol` if it is adaptive."""
     settings = case_settings(adapter, case, adapter.methods[method], steps_per_frame)
     if rtol is not None:
         settings = dataclasses.replace(settings, options={**settings.options, RTOL: rtol})
@@ -71,7 +72,7 @@ def rolled(
 
 
 def _error(case: Case, motion: Trajectory) -> float:
-    """Largest distance from the exact motion, or angle times the scene's length [m]."""
+    """Return the largest distance from the exact motion, or angle times the scene's length [m]."""
     error = np.abs(motion.position[0] - case.exact(motion.time)).max()
     if case.exact_orientation is not None:
         turn = rotation.multiply(
@@ -83,7 +84,7 @@ def _error(case: Case, motion: Trajectory) -> float:
 
 
 def case_settings(adapter: Adapter, case: Case, method: Method, steps_per_frame: int) -> Settings:
-    """Give the preset options of a method, at a number of steps a frame of the case."""
+    """Return a method's settings: its preset options, and a step that divides the case's frame."""
     preset = adapter.settings(case.scene, "matched")
     options = preset.options if preset.method == method.name else {}
     count = 1 if method.adaptive else steps_per_frame

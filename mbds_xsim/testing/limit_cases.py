@@ -14,9 +14,9 @@ from mbds_xsim.testing.joint_cases import CARRIER, UP, WHEEL, on_a_carrier, sett
 def _stopped() -> Case:
     """A wheel on a free carrier turns until it meets its stop, and takes the carrier along.
 
-    As of the brake, the momentum is the wheel's at the start.
+    As in the case of the brake, the momentum is the wheel's at the start.
     """
-    # A third of a step late whether a frame has 4 or 16 steps, as errors go by that share.
+    # A third into a step whether a frame has 4 or 16 steps, as errors depend on that share.
     rate, stop = 5.0, 5.0 * 277 / 600
 
     def turned(time: Array) -> Array:
@@ -31,7 +31,7 @@ def _stopped() -> Case:
 
 
 def _leaning() -> Case:
-    """A rod falls onto its stop, rests there, and is pulled away by a torque that comes late."""
+    """A rod falls onto its stop, rests there, and is later pulled away by a torque."""
     mass, arm, moment, stop, torque, hold = 1.2, 0.5, 0.05, -0.9, 9.0, 40
     about = moment + mass * arm**2
     clock = Clock(frame=0.02, steps=60)
@@ -59,15 +59,15 @@ def _leaning() -> Case:
 
 
 def _bouncing() -> Case:
-    """A block falls along a rail onto its stop, bounces at ever shorter times, and rests."""
-    start, stop, kept = 0.1, -0.3, 0.5
+    """A block falls along a rail onto its stop, bounces at ever shorter intervals, and rests."""
+    start, stop, restitution = 0.1, -0.3, 0.5
 
     def exact(time: Array) -> Array:
         fall = np.sqrt(2.0 * (start - stop) / G)
-        begins, speed = [fall], [kept * G * fall]
+        begins, speed = [fall], [restitution * G * fall]
         while speed[-1] > 1e-12:
             begins.append(begins[-1] + 2.0 * speed[-1] / G)
-            speed.append(kept * speed[-1])
+            speed.append(restitution * speed[-1])
         hop = np.searchsorted(begins, time, side="right") - 1
         since = time - np.array(begins)[hop]
         bouncing = stop + np.maximum(np.array(speed)[hop] * since - 0.5 * G * since**2, 0.0)
@@ -81,7 +81,7 @@ def _bouncing() -> Case:
         exact,
         Joint(
             "rail", "slider", "world", "block", NONE, UP, start=start, limits=(stop, 1.0),
-            restitution=kept,
+            restitution=restitution,
         ),
     )  # fmt: skip
 
@@ -91,11 +91,11 @@ STOP_CASES: tuple[Case, ...] = (_stopped(), _leaning(), _bouncing())
 
 _CART, _BLOCK = 2.0, 1.0
 _APART = _CART * _BLOCK / (_CART + _BLOCK)
-"""What a force between the two moves."""
+"""Reduced mass of the two [kg], for a force between them."""
 
 
 def _saturated() -> Case:
-    """Two servos want a wheel far faster either way than they can make it: their sum is constant.
+    """Two saturated servos drive a wheel in opposite senses: the sum of their torques is constant.
 
     The momentum of the wheel and its free carrier stays 0.
     """
@@ -118,13 +118,13 @@ def _saturated() -> Case:
 
 
 def _letting_go() -> Case:
-    """A servo pushes a block along a free cart as hard as it can, until it wants less.
+    """A servo pushes a block along a free cart at its limit, until it needs less force.
 
-    Where its spring and damper come to want less at a given time follows from how far the block has
-    got by then. Later another target, near the first one, is within what it can do.
+    The target is such that spring and damper need less from a given time on, because of the
+    distance covered by then. A later target, near the first one, is within the limit.
     """
     stiffness, damping, limit = 10.0, 4.0, 1.0
-    leaves = 277 / 600  # a third of a step late whether a frame has 4 or 16 steps
+    leaves = 277 / 600  # a third into a step whether a frame has 4 or 16 steps
     way, speed = 0.5 * limit / _APART * leaves**2, limit / _APART * leaves
     target = way + (limit + damping * speed) / stiffness
     hold, other = 40, target + 0.05
@@ -134,7 +134,7 @@ def _letting_go() -> Case:
         changes = hold * Clock().frame
         until = np.array([changes - leaves])
         (off,) = settling(*law, way - target, speed, until)
-        # The rate changes by the same equation.
+        # The rate obeys the same equation.
         bend = -(stiffness * (way - target) + damping * speed) / _APART
         (rate,) = settling(*law, speed, bend, until)
         late, last = np.maximum(time - leaves, 0.0), np.maximum(time - changes, 0.0)

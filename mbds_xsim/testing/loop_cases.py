@@ -1,7 +1,7 @@
 """Cases of loops and of chains in space.
 
-Loops in the plane have closed forms. Spatial chains and loops have none: theirs is this package's
-reference, whose own tests hold it to answers from outside.
+Loops in the plane have closed forms. Spatial chains and loops have none: their answers are those of
+this package's reference, which its own tests compare with independent answers.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def _parallelogram() -> Case:
 
 
 def _wedge() -> Case:
-    """A block slides down a slope on a carriage: three sliders, two bodies, one freedom."""
+    """A block slides down a slope on a carriage: three sliders, but one degree of freedom."""
     heavy, light = 3.0, 1.0
     place = (0.0, 0.0, 1.0)
 
@@ -114,7 +114,7 @@ def _vector(place: Array) -> Vector:
 
 
 def _chain_of_balls() -> Case:
-    """Unlike boxes thrown about their balls; the outer one turns by more than half a turn."""
+    """Different boxes thrown about their ball joints; the outer one turns by over half a turn."""
     return _referenced(
         "chain of balls",
         "ball joints in space, forces on what they carry",
@@ -125,7 +125,7 @@ def _chain_of_balls() -> Case:
         ],
         Joint("hook", "ball", "world", "inner", (0.1, 0.0, 0.0)),
         Joint("first", "ball", "inner", "middle", (0.5, 0.2, 0.0)),
-        # Against the tree's direction.
+        # Parent and child are against the tree's direction.
         Joint("second", "ball", "outer", "middle", (0.7, 0.3, 0.3)),
         forces=(
             Force("inner", ((3.0, 0.0, 1.0),)),
@@ -136,7 +136,7 @@ def _chain_of_balls() -> Case:
 
 
 def _ball_loop() -> Case:
-    """Two bodies that swing about the line of their hooks, and each about its own two balls."""
+    """Two bodies swing about the line of their hooks, and each about its own two balls."""
     return _referenced(
         "ball loop",
         "a loop in space closed by a ball at the world",
@@ -153,8 +153,8 @@ def _ball_loop() -> Case:
 def _hooke() -> Case:
     """Two shafts at an angle and a cross between them: four hinges through one point.
 
-    The last bearing closes the loop and drives it. Closed by a ball joint there the second shaft
-    would turn freely about the point.
+    The last bearing closes the loop and drives it. With a ball joint in its place, the second
+    shaft would turn freely about the point.
     """
     bend = 0.6
     out = (float(np.cos(bend)), 0.0, float(np.sin(bend)))
@@ -177,7 +177,7 @@ def _hooke() -> Case:
 
 
 def _linked() -> Case:
-    """One body on a ball tows another that flies."""
+    """One body on a ball joint tows another that flies."""
     ends, points = ("hung", "thrown"), ((0.3, 0.1, -0.2), (0.6, 0.2, -0.3))
     return _referenced(
         "linked",
@@ -194,7 +194,7 @@ def _linked() -> Case:
 def _brick(
     name: str, at: Vector, velocity: Vector | None = None, spin: Vector | None = None
 ) -> Body:
-    """Make a body with an inertia that is along no axis of its frame."""
+    """Make a body whose principal axes of inertia are along no axis of its frame."""
     inertia = Inertia(1.0 + abs(at[0]), (0.03, 0.05, 0.04), (0.01, -0.004, 0.006))
     return Body(name, inertia=inertia, position=at, velocity=velocity, angular_velocity=spin)
 
@@ -202,7 +202,7 @@ def _brick(
 def _referenced(
     name: str, verifies: str, bodies: Sequence[Body], *joints: Joint, **more: Any
 ) -> Case:
-    """Hold a scene against the reference, which knows it at its frames."""
+    """Make a case that is compared with the reference, known at the frames of the scene."""
 
     @functools.cache
     def solved() -> Trajectory:

@@ -1,6 +1,6 @@
 """The suite every learned model must pass: the model declares, the suite measures.
 
-Use it in a test file of your own, with a fixture that gives the name your model is registered by:
+Use it in a test file of your own, with a fixture that returns the registered name of your model:
 
     from mbds_xsim.testing.models import ModelContract
 
@@ -49,17 +49,17 @@ _AHEAD = 4
 _FRAMES = 30
 _TURN = 0.7  # rad, about the vertical
 _SHIFT = (0.3, -0.2, 0.0)  # lengths of the scene
-_SAME = {torch.float32: 5e-5, torch.float64: 1e-9}  # of what moved
-_LESSONS = 30  # steps
+_SAME = {torch.float32: 5e-5, torch.float64: 1e-9}  # over the largest displacement of a frame
+_LESSONS = 30  # training steps
 _HUGE = 1e30
 
 
 class ModelContract:
-    """One test, one way in which models go wrong."""
+    """Tests of a learned model, one for each way in which models go wrong."""
 
     @pytest.fixture
     def name(self) -> str:
-        """Name the model; every subclass does."""
+        """Name the model; every subclass overrides this."""
         msg = "give your suite a fixture `name` with the name that your model is registered by"
         raise NotImplementedError(msg)
 
@@ -71,14 +71,14 @@ class ModelContract:
         assert not any("\n" in words for words in refusals)
 
     def test_tracks_say_how_to_train(self, name: str) -> None:
-        """Hyper-parameters of one type, each with its recipe; or nothing to learn at all."""
+        """Hyper-parameters have one type, and each a recipe; or there is nothing to learn."""
         tracks = load_model(name).tracks
         assert len({type(settings) for settings in tracks.values()}) <= 1
         for track, settings in tracks.items():
             assert settings.recipe.rate > 0, f"{name}, {track}: no recipe"
 
     def test_rows_do_not_touch_each_other(self, name: str) -> None:
-        """Nor does one that is lost the others, and it is told by numbers that are none."""
+        """A row does not depend on the others, even if one of them is lost."""
         motions = _motions(name)
         model = _built(name, motions)
         together = rollout(model, motions, steps=_AHEAD)
@@ -97,7 +97,7 @@ class ModelContract:
         assert _off(others, together[1:], motions) < _SAME[model.dtype]
 
     def test_a_seed_makes_one_model_and_one_motion(self, name: str) -> None:
-        """To the last bit, whatever was drawn before."""
+        """Parameters and predictions agree to the last bit, whatever was drawn before."""
         motions = _motions(name)
         torch.rand(7)
         first, second = (_built(name, motions, seed=3) for _ in range(2))
@@ -107,7 +107,7 @@ class ModelContract:
 
     @pytest.mark.parametrize("symmetry", SYMMETRIES)
     def test_declared_symmetries_hold_and_no_others(self, name: str, symmetry: Symmetry) -> None:
-        """Before any training: what is built in, of a body that nothing holds."""
+        """Before any training, a body that nothing holds shows which symmetries are built in."""
         scene = next(case.scene for case in CASES if case.name == "tumbling")
         if refusal(name, Graph.of(scene)):
             pytest.skip(f"{name} cannot represent a free body")
@@ -125,7 +125,7 @@ class ModelContract:
     def test_it_is_read_back_from_its_file_with_all_it_needs(
         self, name: str, tmp_path: Path
     ) -> None:
-        """And predicts the same, to the last bit."""
+        """A model read back predicts the same, to the last bit."""
         motions = _motions(name)
         model, statistics = _built(name, motions, seed=3), Statistics.of(motions)
         settings = model.tracks.get(track_of(name))
@@ -135,7 +135,7 @@ class ModelContract:
         assert torch.equal(*(rollout(m, motions, steps=_AHEAD) for m in (model, again)))
 
     def test_it_learns(self, name: str) -> None:
-        """A loss that is a mean over the batch, with gradients, falls on windows kept aside."""
+        """The loss, a mean over the batch with gradients, falls on windows kept aside."""
         motions = _motions(name)
         model = _built(name, motions)
         if not model.tracks:
@@ -143,8 +143,8 @@ class ModelContract:
             return
         recipe = model.tracks[track_of(name)].recipe
         horizon = max(2, recipe.horizon)
-        kept = motions.draw(64, torch.Generator().manual_seed(7), horizon)
-        loss = model.loss(kept, torch.Generator().manual_seed(8))
+        windows = motions.draw(64, torch.Generator().manual_seed(7), horizon)
+        loss = model.loss(windows, torch.Generator().manual_seed(8))
         assert loss.shape == ()
         optimiser = torch.optim.Adam(model.parameters(), lr=1e-3)
         draws = torch.Generator().manual_seed(9)
@@ -152,7 +152,7 @@ class ModelContract:
             optimiser.zero_grad()
             model.loss(motions.draw(16, draws, horizon), draws).backward()  # type: ignore[no-untyped-call]
             optimiser.step()
-        assert model.loss(kept, torch.Generator().manual_seed(8)) < loss
+        assert model.loss(windows, torch.Generator().manual_seed(8)) < loss
 
 
 def _built(name: str, motions: Motions, seed: int = 0) -> LearnedModel:
@@ -161,10 +161,10 @@ def _built(name: str, motions: Motions, seed: int = 0) -> LearnedModel:
 
 
 def _motions(name: str, scene: Scene | None = None) -> Motions:
-    """The reference's, of the first scene that the model can represent."""
+    """Return the reference's motions of a scene, or of the first that the model can represent."""
     if scene is None:
         names = ("2pendulum", *PAPER_SCENES)
-        graphs = (Graph.of(load_scene(each)) for each in names)
+        graphs = (Graph.of(load_scene(candidate)) for candidate in names)
         scene = next(g.scene for g in graphs if not refusal(name, g))
     return motions_of(load_model(name), scene)
 
@@ -172,9 +172,9 @@ def _motions(name: str, scene: Scene | None = None) -> Motions:
 def motions_of(
     kind: type[LearnedModel], scene: Scene, *, rows: int = _ROWS, frames: int = _FRAMES
 ) -> Motions:
-    """Give the reference's motions of a scene's first starts, as a kind of model is given them.
+    """Return the reference's motions of a scene's first starts, as a kind of model gets them.
 
-    Random forces are among the known ones: what is left to learn is the scene.
+    Random forces are among the known inputs, so that only the scene is left to learn.
     """
     batch, points = draw_batch(scene, range(rows)).truncated(frames), Points.of(scene)
     truth, graph = solve(scene, batch), Graph.of(scene)
@@ -190,14 +190,14 @@ def motions_of(
         position=position,
         velocity=velocity,
         inputs=KnownInputs(
-            *(torch.from_numpy(each).to(kind.dtype) for each in (batch.force, batch.torque))
+            *(torch.from_numpy(array).to(kind.dtype) for array in (batch.force, batch.torque))
         ),
         body=torch.from_numpy(np.concatenate(states, axis=-1)) if kind.needs_bodies else None,
     )
 
 
 def _moved(motions: Motions, symmetry: Symmetry) -> Motions:
-    """The same motions elsewhere, or turned about the vertical."""
+    """Return the same motions shifted, or turned about the vertical."""
     length = motions.graph.length
     body = motions.body
     if body is not None:
@@ -234,6 +234,6 @@ def _quaternion(symmetry: Symmetry) -> np.ndarray:
 
 
 def _off(predicted: Tensor, wanted: Tensor, motions: Motions) -> float:
-    """Largest distance, over the largest displacement of a frame."""
+    """Return the largest distance, over the largest displacement of a frame."""
     moved = motions.position.diff(dim=1).norm(dim=-1).max()
     return float((predicted - wanted).norm(dim=-1).max() / moved)

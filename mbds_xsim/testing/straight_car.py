@@ -22,7 +22,7 @@ from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 
-_STILL = 1e-12  # slip that is none [m/s]
+_STILL = 1e-12  # largest slip that counts as none [m/s]
 _ENDS = np.array([1.0, -1.0])  # front, rear
 _AXLE = np.array([0.0, 1.0, 0.0])
 
@@ -34,13 +34,13 @@ def straight_run(
     rates: tuple[float, float],
     torque: Array | None = None,
 ) -> tuple[Batch, Trajectory]:
-    """Give a start of a car, and the exact motion from there.
+    """Return a start of a car, and the exact motion from there.
 
     Args:
         scene: A body on four equal wheels, hinged about y, symmetric about its middle.
-        speed: Along x at the start [m/s].
-        rates: Of the front and rear wheels [rad/s]; positive rolls forwards.
-        torque: On each front and each rear wheel, shape (step, 2) [N·m]; None: coasting.
+        speed: Speed along x at the start [m/s].
+        rates: Rates of the front and rear wheels [rad/s]; positive rolls forwards.
+        torque: Torque on each front and each rear wheel, shape (step, 2) [N·m]; None: coasting.
 
     Raises:
         SceneError: The scene is no such car, or an axle lifts off.
@@ -58,19 +58,19 @@ def straight_run(
 
 @dataclass(frozen=True, eq=False)
 class _Car:
-    """A state is (x, angle of the front and rear wheels) and the rates of these."""
+    """Car whose state is (x, angles of the front and rear wheels) and the rates of these."""
 
     mass: float
     inertia: float
-    """Of an axle's two wheels about their hinges."""
+    """Moment of inertia of an axle's two wheels about their hinges [kg·m²]."""
     radius: float
     weight: float
     friction: float
     lever: float
-    """How far the car's centre of mass is above the hubs [m]."""
+    """Height of the car's centre of mass above the hubs [m]."""
     wheelbase: float
     axle: NDArray[np.intp]
-    """0 for the bodies that turn with the front, 1 with the rear wheels, 2 for the chassis."""
+    """Axle of each body: 0 turns with the front wheels, 1 with the rear ones, 2 is the chassis."""
 
     @staticmethod
     def of(scene: Scene) -> _Car:
@@ -99,21 +99,21 @@ class _Car:
             axle=axle,
         )
 
-    def through_frame(self, state: Array, drive: Array, left: float) -> Array:
-        while left > 0.0:
+    def through_frame(self, state: Array, drive: Array, remaining: float) -> Array:
+        while remaining > 0.0:
             slip = state[3] - self.radius * state[4:]
             change = self._accelerations(np.where(np.abs(slip) <= _STILL, 0.0, slip), drive)
             growth = change[0] - self.radius * change[1:]
             stops = [-s / g for s, g in zip(slip, growth, strict=True) if abs(s) > _STILL > s * g]
-            t = min([left, *(stop for stop in stops if stop > 0.0)])
+            t = min([remaining, *(stop for stop in stops if stop > 0.0)])
             state = np.concatenate(
                 [state[:3] + t * (state[3:] + 0.5 * t * change), state[3:] + t * change]
             )
-            left -= t
+            remaining -= t
         return state
 
     def _accelerations(self, slip: Array, drive: Array) -> Array:
-        """Of x and of the front and rear wheels: the one way that Coulomb's law allows."""
+        """Return the accelerations of x and the wheels: the only ones Coulomb's law allows."""
         for ways in product(*((np.sign(s),) if s else (0.0, 1.0, -1.0) for s in slip)):
             way = np.array(ways)
             force, load = self._forces(way, drive)
@@ -129,7 +129,7 @@ class _Car:
         raise SceneError(msg)
 
     def _forces(self, way: Array, drive: Array) -> tuple[Array, Array]:
-        """Friction on the axles and their loads, slipping one way or the other or (0) rolling."""
+        """Return friction and loads of the axles, which slip one way or the other, or roll (0)."""
         shift = _ENDS / self.wheelbase
         # Loads are base + tilt · (sum of the friction forces).
         base = 0.5 * self.weight - shift * drive.sum()

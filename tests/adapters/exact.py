@@ -1,4 +1,4 @@
-"""What engines make of the paper's scenes with contact, held against their exact motion."""
+"""Motions of the paper's contact scenes in engines, compared with the exact ones."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Rollout = Callable[[Scene, Batch], Trajectory]
 
 @dataclass(frozen=True)
 class Runs:
-    """Rollouts in an engine, at settings by scene where some are finer than the matched ones."""
+    """Rollouts in an engine, at matched settings but for the scenes in `careful`."""
 
     engine: Adapter
     careful: dict[str, Settings]
@@ -46,7 +46,7 @@ class Runs:
         return motion
 
     def stepped(self, scene: Scene, substeps: int = 100, **options: float) -> Trajectory:
-        """Run one start with so many steps a frame, with the preset's options but for some."""
+        """Run one start at `substeps` steps a frame; `options` override the preset's."""
         preset = self.engine.settings(scene, "matched")
         step, used = scene.clock.frame / substeps, {**preset.options, **options}
         batch = draw_batch(scene, [0], noise=False)
@@ -66,7 +66,7 @@ def worst_gap(scene: Scene, motion: Trajectory) -> float:
 
 
 def ballscroll_followed(rollout: Rollout, *, noise: bool, within: float = 1e-3) -> Trajectory:
-    """Hold three starts against the exact motion: they neither hop nor sink."""
+    """Compare three starts with the exact motion: they neither hop nor sink."""
     scene = load_scene("ballscroll")
     batch = draw_batch(scene, range(3), noise=noise)
     exact, motion = reference.solve(scene, batch, cache=False), rollout(scene, batch)
@@ -81,9 +81,9 @@ def ballscroll_followed(rollout: Rollout, *, noise: bool, within: float = 1e-3) 
 def balldrop_followed(
     rollout: Rollout, starts: int, *, noise: bool, apex: float, flight: float = 1e-10
 ) -> Trajectory:
-    """Hold starts against the exact motion, and the height of the first rebound to `apex` of it.
+    """Compare starts with the exact motion, and the first rebound's height to a share `apex`.
 
-    Before the first impact places are held to `flight` [m].
+    Before the first impact, positions agree to `flight` [m].
     """
     scene = load_scene("balldrop")
     batch = draw_batch(scene, range(starts), noise=noise)
@@ -106,7 +106,7 @@ def balldrop_followed(
 
 
 def cubli_loses_energy(rollout: Rollout, starts: int, *, depth: float, rise: float) -> None:
-    """Without flywheel torques; the energy is compared where no corner touches."""
+    """Assert energy loss without flywheel torques, between frames in which no corner touches."""
     scene = load_scene("simplecubli")
     batch = draw_batch(scene, range(starts), noise=False, inputs=False)
     motion = rollout(scene, batch)
@@ -121,7 +121,7 @@ def cubli_loses_energy(rollout: Rollout, starts: int, *, depth: float, rise: flo
 
 
 def car_slips_on_the_ground(alone: Callable[[Scene], Trajectory], frames: int) -> None:
-    """Its wheels start at 100 rad/s and the car at rest: they slip at 20 m/s, none lifts off."""
+    """Assert that wheels at 100 rad/s slow down by slip under a car at rest, and none lifts off."""
     car = load_scene("particlecar")
     rates = HingeRate(tuple(j.name for j in car.joints), rate=(100.0, 100.0))
     clock = Clock(steps=frames)

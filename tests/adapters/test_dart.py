@@ -1,4 +1,4 @@
-"""DART's own ways, and exact answers on small scenes."""
+"""DART's peculiarities, and exact answers on small scenes."""
 
 import gc
 import math
@@ -89,7 +89,7 @@ def test_the_engine_holds_the_scene(name: str) -> None:
 
 
 def test_coordinates_are_what_the_engine_moves() -> None:
-    """Body states made from DART's coordinates agree with DART's own, in the midst of a motion."""
+    """Body states computed from DART's coordinates agree with DART's own during a motion."""
     scene = load_scene("2ladder")
     batch = draw_batch(scene, [2]).truncated(10)
     with ENGINE.open(scene, Settings(EULER, 0.001)) as run:
@@ -126,12 +126,12 @@ def test_the_listing_runs_by_itself() -> None:
     names: dict[str, Any] = {}
     exec(text, names)
     assert names["skeleton"].getMass() == pytest.approx(scene.particle_count)
-    seen = [names["bodies"][k].getShapeNode(0).getVisualAspect() for k in range(len(scene.bodies))]
-    assert all(aspect is not None for aspect in seen)
+    views = [names["bodies"][k].getShapeNode(0).getVisualAspect() for k in range(len(scene.bodies))]
+    assert all(aspect is not None for aspect in views)
 
 
 def _geared_wheel() -> tuple[Scene, float]:
-    """Turn a wheel with a rotor by a torque against a servo; give its angle after 1 s [rad]."""
+    """Return a wheel whose rotor a torque turns against a servo, and its angle after 1 s [rad]."""
     moment, armature, stiffness, torque = 0.2, 0.3, 20.0, 0.5
     scene = Scene(
         "wheel",
@@ -169,7 +169,7 @@ def test_a_listing_has_the_servo_and_the_rotor_too() -> None:
 
 
 def test_impulses_pass_implicit_dampers_by() -> None:
-    """Why rotors have stops of their own: a stopped slider would turn its arm wrong."""
+    """Rotors need stops of their own: a stopped slider would turn its arm wrongly."""
     rates = []
     for damping in (0.0, 5e3):
         world, skeleton = dartpy.simulation.World(), dartpy.dynamics.Skeleton()
@@ -193,7 +193,7 @@ def test_impulses_pass_implicit_dampers_by() -> None:
 
 
 def test_a_stop_turns_an_arm_by_its_inertia_and_its_rotor() -> None:
-    """No impulse acts about the pin, so that what the block loses and the arm gains are known."""
+    """No impulse acts about the pin, so the block's loss and the arm's gain are known."""
     mass, moment, arm, armature, rate = 1.0, 0.1, 0.5, 5.0, 0.2
     still = (0.0, 0.0, 0.0)
     scene = Scene(

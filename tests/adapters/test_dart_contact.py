@@ -109,24 +109,24 @@ def test_slow_rebounds_do_not_happen() -> None:
 
 
 def test_an_elastic_ball_gains_what_gravity_adds_in_the_step_of_an_impact() -> None:
-    """DART reflects the velocity after gravity's share of the step: V g h of energy a bounce."""
+    """DART reflects the velocity after the step's gravity, so a bounce gains the energy V g h."""
     gains = []
     for count in (50, 100):
         scene = ball(1.0, ground=Ground(MU, 1.0), steps=200)
         motion = rollout(scene, draw_batch(scene, [0]), careful(count))
         speed = motion.velocity[0, :, 0, 2]
         energy = 0.5 * speed**2 + G * (motion.position[0, :, 0, 2] - R)
-        # What semi-implicit Euler keeps in flight.
-        kept = energy - 0.5 * G * 0.02 / count * speed
+        # Semi-implicit Euler conserves this energy in flight.
+        conserved = energy - 0.5 * G * 0.02 / count * speed
         bounces = np.flatnonzero(np.diff(speed) > 0.5)
-        gains.append((kept[bounces[-1] + 1] - kept[0]) / len(bounces))
+        gains.append((conserved[bounces[-1] + 1] - conserved[0]) / len(bounces))
         assert gains[-1] == pytest.approx(math.sqrt(2 * G) * G * 0.02 / count, rel=0.1)
     assert gains[0] / gains[1] == pytest.approx(2.0, rel=0.05)
 
 
 @pytest.mark.parametrize("offset", [(0.1, 0.0, -0.2), (0.3, 0.1, -0.1), (0.0, 0.25, -0.05)])
 def test_an_eccentric_impact_is_newtons_and_coulombs(offset: Vector) -> None:
-    """One impact off the centre of mass; with much restitution its law may even give energy."""
+    """One impact off the centre of mass; at high restitution its law may even add energy."""
     height = 0.01 + 0.05 - offset[2]
     inertia = Inertia(2.0, (0.05, 0.08, 0.1), com=(0.0, 0.0, height))
     body = Body("brick", inertia=inertia, velocity=(0.4, 0.2, -3.0))
@@ -147,9 +147,9 @@ def test_an_eccentric_impact_is_newtons_and_coulombs(offset: Vector) -> None:
     impulse = newton_coulomb(yielding, before)
     motion = rollout(scene, draw_batch(scene, [0]), careful(400))
     np.testing.assert_allclose(motion.velocity[0, 1, 0], before + impulse / 2.0, rtol=0, atol=3e-3)
-    wanted = np.cross(arm, impulse) / [0.05, 0.08, 0.1]
-    # The brick turns after the impact, for half the frame: as Euler's equations have it.
-    assert np.linalg.norm(motion.angular_velocity[0, 1, 0] - wanted) < 0.1 * np.linalg.norm(wanted)
+    spin = np.cross(arm, impulse) / [0.05, 0.08, 0.1]
+    # The brick turns for half the frame after the impact, so its spin changes (Euler).
+    assert np.linalg.norm(motion.angular_velocity[0, 1, 0] - spin) < 0.1 * np.linalg.norm(spin)
 
 
 def newton_coulomb(yielding: Array, before: Array) -> Array:
@@ -174,7 +174,7 @@ def test_what_rests_stays_at_rest(scene: Scene, options: dict[str, str]) -> None
 
 
 def even_car(rate: float, torque: float, steps: int) -> Scene:
-    """Give the car equal wheels, and no noise."""
+    """Return the car without noise, all wheels at one rate and under one torque."""
     car = load_scene("particlecar")
     wheels = tuple(joint.name for joint in car.joints)
     return replaced(
@@ -195,7 +195,7 @@ def test_the_car_drives_at_a_hundred_radians_a_second() -> None:
 
 
 def test_a_car_that_takes_more_sweeps_than_darts_own_gets_them() -> None:
-    """With a hundred, contacts are left open by 3.2 mm/s in a step of this start."""
+    """A hundred sweeps leave a contact residual of 3.2 mm/s in a step of this start."""
     scene = load_scene("particlecar")
     motion = rollout(scene, draw_batch(scene, [296], seed=4242).truncated(180))
 
@@ -204,7 +204,7 @@ def test_a_car_that_takes_more_sweeps_than_darts_own_gets_them() -> None:
 
 
 def test_drawn_cars_converge_with_the_step() -> None:
-    """How the wheels share the weight must not depend on where the solver stops."""
+    """The wheels' shares of the weight must not depend on where the solver stops."""
     scene = load_scene("particlecar")
     batch = draw_batch(scene, [2], seed=1).truncated(50)
     ends = [rollout(scene, batch, careful(n)).position[0, -1, 0] for n in (10, 20, 40)]
@@ -215,15 +215,15 @@ def test_drawn_cars_converge_with_the_step() -> None:
 
 @pytest.mark.parametrize("ground", [Ground(0.0, E), Ground(MU, 0.5)], ids=["smooth", "rough"])
 def test_the_cubli_gains_no_energy_on_the_ground(ground: Ground) -> None:
-    """Newton's law itself gives energy where rough corners rebound almost elastically."""
+    """Newton's law itself adds energy where rough corners rebound almost elastically."""
     scene = replaced(load_scene("simplecubli"), ground=ground)
     batch = draw_batch(scene, range(2), seed=3, noise=False, inputs=False).truncated(100)
     motion = rollout(scene, batch, careful(80))
     energy = energy_of(Record(scene, batch, motion))
     free = gaps(scene, motion).min(axis=-1) > 0
     for row in range(len(batch)):
-        left = energy.total[row][free[row]]
-        rise = (left - np.minimum.accumulate(left)).max()
+        airborne = energy.total[row][free[row]]
+        rise = (airborne - np.minimum.accumulate(airborne)).max()
         assert rise < 1e-3 * energy.scale[row]
     assert gaps(scene, motion).min() > -0.02 * scene.length
 
@@ -235,8 +235,8 @@ def test_a_model_with_other_coefficients_is_told_from_the_scene() -> None:
         shapes = run._model.shapes  # type: ignore[attr-defined]
         shapes[0].getDynamicsAspect().setFrictionCoeff(0.3)
         shapes[1].getDynamicsAspect().setRestitutionCoeff(0.5)
-        found = compare(Mechanism.of(scene), batch, settings, run.readback(batch))
-    assert [line.partition(" of ")[0] for line in found] == ["friction", "restitution"]
+        differences = compare(Mechanism.of(scene), batch, settings, run.readback(batch))
+    assert [line.partition(" of ")[0] for line in differences] == ["friction", "restitution"]
 
 
 @pytest.mark.parametrize(
@@ -271,8 +271,8 @@ def test_a_contact_solver_that_fails_ends_the_trajectory() -> None:
 
 
 def test_what_dart_cannot_mean_is_refused() -> None:
-    for ground, what in ((Ground(5e-4, E), "friction"), (Ground(MU, 5e-4), "restitution")):
-        with pytest.raises(Unsupported, match=f"ground.{what}: got 0.0005"):
+    for ground, coefficient in ((Ground(5e-4, E), "friction"), (Ground(MU, 5e-4), "restitution")):
+        with pytest.raises(Unsupported, match=f"ground.{coefficient}: got 0.0005"):
             ENGINE.open(replaced(ball(), ground=ground), careful(20))
     lively = balls([Flying((0.0, 0.0, 1.0)), Flying((0.3, 0.0, 1.0))], ground=Ground(MU, 0.9))
     assert lively.collisions is not None
@@ -303,5 +303,5 @@ def test_the_listing_alone_gives_the_same_motion() -> None:
         expected, text = run.rollout(batch), run.native(batch)
     names: dict[str, Any] = {}
     exec(text, names)
-    got = names["skeleton"].getPositions()[3:]
-    np.testing.assert_allclose(got, expected.position[0, -1, 0], rtol=0, atol=1e-12)
+    position = names["skeleton"].getPositions()[3:]
+    np.testing.assert_allclose(position, expected.position[0, -1, 0], rtol=0, atol=1e-12)

@@ -1,4 +1,4 @@
-"""Drake: what the contract suite does not see."""
+"""Drake, in cases that the contract suite does not cover."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ENGINE = load_adapter("drake")
     ("method", "error"), [("runge_kutta5", 1e-11), ("semi-implicit-euler", 5e-4)]
 )
 def test_a_ball_joint_turns_through_every_pitch(method: str, error: float) -> None:
-    """Three times around about an axis along which roll and yaw are one at a quarter turn."""
+    """The top turns three times about y; at a quarter turn its roll and yaw axes coincide."""
     inertia = Inertia(1.0, (0.03, 0.05, 0.04))
     body = Body("top", inertia=inertia, position=(0.1, 0.0, 0.0), angular_velocity=(0.1, 20.0, 0.2))
     hook = Joint("hook", "ball", "world", "top", (0.0, 0.0, 0.0))
@@ -50,7 +50,7 @@ def test_what_a_spring_and_a_ground_must_be_is_told() -> None:
 
 
 def test_smaller_steps_bring_a_rolling_ball_nearer() -> None:
-    """Drake's default solver stops at a share of the momentum, and is further off with these."""
+    """Drake's default solver stops at a share of the momentum, and is worse at smaller steps."""
     scene = load_scene("ballscroll")
     batch = draw_batch(scene, [2], noise=False).truncated(60)
     exact = reference.solve(scene, batch)

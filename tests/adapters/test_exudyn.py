@@ -1,4 +1,4 @@
-"""Exudyn's own ways, and exact answers on small scenes."""
+"""Exudyn's peculiarities, and exact answers on small scenes."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def errors(
 
 
 def brick(name: str, com: tuple[float, float, float] = (0.0, 0.0, 0.0), **more: Any) -> Body:
-    """Lopsided: no principal axis along the body frame."""
+    """Make a lopsided brick: no principal axis lies along the body frame."""
     shape = Inertia(2.0, (0.05, 0.08, 0.1), (0.01, -0.005, 0.02), com)
     return Body(name, inertia=shape, **more)
 
@@ -71,15 +71,15 @@ def integrated(rate: Callable[[float, Array], Array], start: list[float], time: 
 
 
 def tumbling_error(method: str, substeps: int, spin: tuple[float, float, float]) -> float:
-    """Angle between the engine's and the exact orientation [rad], Euler's equations."""
+    """Largest angle between the engine's orientation and that of Euler's equations [rad]."""
     scene = one_body(brick("brick", angular_velocity=spin), gravity=(0.0, 0.0, 0.0))
     motion = roll(scene, method, substeps)
     inertia = Mechanism.of(scene).inertia[0]
 
     def rate(_: float, y: Array) -> Array:
         q, w = y[:4], y[4:]
-        turned = 0.5 * rotation.multiply(q, np.array([0.0, *w]))
-        return np.concatenate([turned, np.linalg.solve(inertia, -np.cross(w, inertia @ w))])
+        dq = 0.5 * rotation.multiply(q, np.array([0.0, *w]))
+        return np.concatenate([dq, np.linalg.solve(inertia, -np.cross(w, inertia @ w))])
 
     exact = integrated(rate, [1.0, 0.0, 0.0, 0.0, *spin], motion.time)[:4].T
     off = rotation.multiply(rotation.conjugate(exact), motion.orientation[0, :, 0])
@@ -184,8 +184,8 @@ def test_readback_sees_a_changed_model() -> None:
     for method in ("trapezoidal", "tree-RK44"):
         changed = Settings(method, settings.step)
         with ENGINE.open(heavier(scene), changed) as run:
-            found = compare(Mechanism.of(scene), batch, changed, run.readback(batch))
-        assert [line.split(" of ")[0] for line in found] == [
+            differences = compare(Mechanism.of(scene), batch, changed, run.readback(batch))
+        assert [line.split(" of ")[0] for line in differences] == [
             "mass [kg]",
             "inertia [kg·m²]",
             "gravity [m/s²]",
@@ -241,19 +241,19 @@ def test_a_joint_may_have_dry_friction_and_stops_at_once(method: str) -> None:
     scene = Scene("pushed", (cart,), 1.0, joints=(rail,), forces=(push,), clock=CLOCK)
     batch, settings = draw_batch(scene, [0]), Settings(method, 0.02 / 40)
     with ENGINE.open(scene, settings) as run:
-        told = compare(Mechanism.of(scene), batch, settings, run.readback(batch))
+        differences = compare(Mechanism.of(scene), batch, settings, run.readback(batch))
     motion = roll(scene, method, 40)
 
-    assert not told
+    assert not differences
     x = np.minimum(0.5 * (3.0 - 1.0) / 2.0 * motion.time**2, 0.25)
     np.testing.assert_allclose(motion.position[0, :, 0, 0], x, atol=1e-3)
 
 
 @pytest.mark.parametrize("method", IMPLICIT)
 def test_a_joint_leaves_its_stop_where_another_meets_one(method: str) -> None:
-    """An arm of 50 g a rod, its shoulder on its stop, which the elbow's impact throws off.
+    """The elbow's impact throws the shoulder of an arm with rods of 50 g off its stop.
 
-    All torques are far below 1 N·m, the error that Exudyn's solver lets pass by default.
+    All torques are far below 1 N·m, the error that Exudyn's solver accepts by default.
     """
     rod = Inertia(0.05, (1e-6, 4e-5, 4e-5))
     bodies = tuple(Body(n, inertia=rod, position=(x, 0, 0)) for n, x in _RODS)
@@ -273,11 +273,11 @@ def test_a_joint_leaves_its_stop_where_another_meets_one(method: str) -> None:
 
 
 def test_a_joint_at_a_centre_of_mass_is_that_of_any_point(monkeypatch: pytest.MonkeyPatch) -> None:
-    """There the engine is given the body's node, whose place takes no rotation to compute."""
+    """At a centre of mass the engine gets the body's node, whose position needs no rotation."""
     scene = load_scene("2ladder")
     scene = msgspec.structs.replace(scene, clock=CLOCK)
     by_nodes = roll(scene, "generalised-alpha", 4)
-    monkeypatch.setattr("mbds_xsim_adapters.exudyn.model._CENTRED", 0.0)
+    monkeypatch.setattr("mbds_xsim_adapters.exudyn.model._OFFSET", 0.0)
 
     by_points = roll(scene, "generalised-alpha", 4)
 

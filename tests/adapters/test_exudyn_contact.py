@@ -56,7 +56,7 @@ CAREFUL = {
     "simplecubli": careful(5, 12, step=0.02 / 32),
     "particlecar": careful(3, 6, slip_speed=1e-3, step=0.02 / 16),
 }
-"""Finer than matched, for the laws that contact keeps to."""
+"""Settings finer than the matched ones, for tests of the contact laws."""
 
 
 _RUNS = Runs(ENGINE, CAREFUL)
@@ -81,8 +81,8 @@ def test_balldrop_follows_the_exact_solution(noise: bool) -> None:
 @pytest.mark.parametrize("restitution", [0.3, 0.5, E, 1.0])
 @pytest.mark.parametrize("speed", [0.3, 1.0, 3.0, 8.0])
 def test_restitution_is_the_scenes_at_every_speed(restitution: float, speed: float) -> None:
-    """Told from the energy at the first frame after the impact, with the ball still in the air."""
-    # What gravity does within an impact of 4e-4 s.
+    """The energy at the first frame after the impact, still in flight, gives the rebound speed."""
+    # Gravity changes the speed during an impact of 4e-4 s.
     within = 1e-3 + G * 4e-4 / speed
     assert rebound(restitution, speed) == pytest.approx(restitution, abs=within)
 
@@ -103,22 +103,22 @@ def test_without_restitution_is_what_reads_back() -> None:
     scene = ball(ground=Ground(MU, 0.0))
     batch, settings = draw_batch(scene, [0]), ENGINE.settings(scene, "matched")
     with ENGINE.open(scene, settings) as run:
-        found = run.readback(batch)
-    assert readback.compare(Mechanism.of(scene), batch, settings, found) == []
+        native = run.readback(batch)
+    assert readback.compare(Mechanism.of(scene), batch, settings, native) == []
 
 
 def rebound(restitution: float, speed: float) -> float:
-    """Speed after an impact over that before it."""
+    """Return the speed after an impact over that before it."""
     scene = ball(0.01 * speed, (0.0, 0.0, -speed), ground=Ground(MU, restitution), steps=1)
     motion = alone(scene, STIFF)
     height, velocity = motion.position[0, 1, 0, 2] - R, motion.velocity[0, 1, 0, 2]
-    left = max(0.0, velocity**2 + 2 * G * height)
-    return math.sqrt(left / (speed**2 + 2 * G * 0.01 * speed))
+    squared = max(0.0, velocity**2 + 2 * G * height)
+    return math.sqrt(squared / (speed**2 + 2 * G * 0.01 * speed))
 
 
 @pytest.mark.parametrize("impact_steps", [6, 12, 24])
 def test_impacts_of_few_steps_still_give_the_restitution(impact_steps: int) -> None:
-    """At heights that spread the impact over the phases of a step."""
+    """Drop heights spread the impact over the phases of a step."""
     rebounds = []
     for k in range(8):
         drop = 0.03 + k / 8 * 3e-4
@@ -132,7 +132,7 @@ def test_impacts_of_few_steps_still_give_the_restitution(impact_steps: int) -> N
 
 @pytest.mark.parametrize("restitution", [0.05, 0.2, 0.5, E, 0.99])
 def test_laws_of_impact_give_what_they_are_asked_for(restitution: float) -> None:
-    """Integrated here from the law as Exudyn documents it."""
+    """The test integrates the law as Exudyn documents it."""
     value = impact.coefficient(restitution)
     damping = (
         1.5 * (1 - value) * (11 - value) / (1 + 9 * value)
@@ -150,11 +150,11 @@ def test_laws_of_impact_give_what_they_are_asked_for(restitution: float) -> None
     out = solve_ivp(rate, (0, 1e3), [1e-12, 1.0], "DOP853", events=leaves, rtol=1e-11, atol=1e-13)
 
     assert -out.y[1, -1] == pytest.approx(restitution, rel=1e-6)
-    assert impact.delivered(value) == pytest.approx(restitution, rel=1e-9)
+    assert impact.delivered_restitution(value) == pytest.approx(restitution, rel=1e-9)
 
 
 def test_balls_grip_and_roll_up_a_slope_as_the_closed_form_says() -> None:
-    """One that rolls, one with backspin, one that spins on the spot: all at preset settings."""
+    """One ball rolls, one has backspin, and one spins on the spot, all at preset settings."""
     slope, frames = 0.2, 25
     gravity = (-G * math.sin(slope), 0.0, -G * math.cos(slope))
     scene = ball(gravity=gravity, ground=Ground(MU, 0.0), steps=frames)
@@ -163,7 +163,7 @@ def test_balls_grip_and_roll_up_a_slope_as_the_closed_form_says() -> None:
     batch.velocity[:, 0, 0], batch.angular_velocity[:, 0, 1] = speed, spin
     motion = rollout(scene, batch)
 
-    # Friction takes the slip at a constant rate; what is left rolls.
+    # Friction reduces the slip at a constant rate; then the ball rolls.
     slip, push = speed - R * spin, MU * G * math.cos(slope)
     way = np.sign(slip)
     pull, end = G * math.sin(slope), slip / (3.5 * push * way + G * math.sin(slope))
@@ -171,9 +171,9 @@ def test_balls_grip_and_roll_up_a_slope_as_the_closed_form_says() -> None:
     slides = np.minimum(motion.time, end[:, None])
     rolls = motion.time - slides
     slowing = (pull + push * way)[:, None]
-    kept = speed[:, None] - slowing * slides
+    rolling = speed[:, None] - slowing * slides
     exact = speed[:, None] * slides - slowing * slides**2 / 2
-    exact += kept * rolls - 5 / 7 * pull * rolls**2 / 2
+    exact += rolling * rolls - 5 / 7 * pull * rolls**2 / 2
     assert np.abs(motion.position[:, :, 0, 0] - exact).max() < 1e-4
     assert np.abs(motion.position[0, :, 0, 0] - exact[0]).max() < 1e-5  # it creeps by no more
 
@@ -182,14 +182,14 @@ def test_what_is_read_back_is_the_engines_own() -> None:
     scene = ball()
     batch, settings = draw_batch(scene, [0]), ENGINE.settings(scene, "matched")
     with ENGINE.open(scene, settings) as run:
-        found = run.readback(batch)
+        native = run.readback(batch)
 
     other = replaced(
         scene,
         ground=Ground(0.185, 0.88),
         contacts=(ContactSphere("ball", (0.0, 0.0, R), 1.01 * R),),
     )
-    differences = readback.compare(Mechanism.of(other), batch, settings, found)
+    differences = readback.compare(Mechanism.of(other), batch, settings, native)
     assert [line.split()[0] for line in differences] == ["radius", "friction", "restitution"]
 
 
@@ -211,7 +211,7 @@ def test_the_car_drives_at_full_speed_without_hopping_or_clamps() -> None:
 
 
 def test_fine_steps_do_not_shake_a_car_whose_wheels_slip() -> None:
-    """Friction feeds its trembling the faster, the stiffer its springs; so it is damped as fast."""
+    """Stiffer contact springs let friction excite trembling faster, so damping must be faster."""
     car = load_scene("particlecar")
     batch = draw_batch(car, [1], noise=False).truncated(2)
     motion = rollout(car, batch, careful(5, 6, slip_speed=1e-3, step=0.02 / 200))
@@ -227,12 +227,12 @@ def test_the_native_text_alone_gives_the_same_motion() -> None:
         ours, text = run.rollout(batch), run.native(batch)
     names: dict[str, Any] = {}
     exec(text, names)
-    got = names["mbs"].systemData.GetODE2Coordinates()[0]
-    np.testing.assert_allclose(ours.position[0, -1, 0, 0], got, atol=1e-12)
+    coordinate = names["mbs"].systemData.GetODE2Coordinates()[0]
+    np.testing.assert_allclose(ours.position[0, -1, 0, 0], coordinate, atol=1e-12)
 
 
 def test_a_sphere_that_sinks_into_soft_ground_is_a_failure() -> None:
-    """From the far side of the triangle it would be pushed on down."""
+    """Once past the ground's triangle, a sphere would be pushed further down."""
     scene = ball(0.5, (0.0, 0.0, -20.0))
     motion = rollout(scene, draw_batch(scene, [0]), careful(2, 12))
 
@@ -240,7 +240,7 @@ def test_a_sphere_that_sinks_into_soft_ground_is_a_failure() -> None:
     assert failure is not None
     assert "in the ground" in failure.reason
     assert np.isnan(motion.position[0, failure.frame :]).all()
-    alone(scene, STIFF)  # here it bounces
+    alone(scene, STIFF)  # with stiff contact it bounces
 
 
 def test_only_contact_scenes_get_a_ground() -> None:

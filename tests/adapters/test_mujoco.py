@@ -1,4 +1,4 @@
-"""MuJoCo's own ways: what it is given, how loops close, what breaks, and exact answers."""
+"""MuJoCo's peculiarities: native models, closed loops, failures, and exact answers."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def four_bar(torques: tuple[Torque, ...] = ()) -> Scene:
 
 
 def linked(length: float | None = None) -> Scene:
-    """Hang two bodies that no joint holds by distance links."""
+    """Hang two bodies without joints by distance links."""
     return Scene(
         name="linked",
         bodies=(
@@ -102,7 +102,7 @@ def linked(length: float | None = None) -> Scene:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_random_trees_move_as_the_reference_does(seed: int) -> None:
-    """Body frames off the centres of mass, full inertias, joints either way, forces, torques."""
+    """Trees have offset body frames, full inertias, joints either way, forces and torques."""
     rng = np.random.default_rng(seed)
     kinds: tuple[Kind, ...] = ("free", "hinge", "ball", "slider", "fixed", "hinge", "ball")
     scene = changed(random_tree(rng, kinds), Clock(frame=0.02, steps=5))
@@ -120,9 +120,9 @@ def test_random_trees_move_as_the_reference_does(seed: int) -> None:
     settings = Settings("RK4", 0.001)
     with ENGINE.open(scene, settings) as run:
         motion = run.rollout(batch)
-        held = run.readback(batch)
+        native = run.readback(batch)
 
-    assert readback.compare(mechanism, batch, settings, held) == []
+    assert readback.compare(mechanism, batch, settings, native) == []
     exact = reference.solve(scene, batch, cache=False)
     np.testing.assert_allclose(motion.position, exact.position, rtol=0, atol=1e-8)
     np.testing.assert_allclose(motion.velocity, exact.velocity, rtol=0, atol=1e-7)
@@ -173,11 +173,11 @@ def test_a_loop_hinge_tells_its_axis() -> None:
     batch = draw_batch(scene, [0])
     settings = ENGINE.settings(scene, "matched")
     with ENGINE.open(scene, settings) as run:
-        held = run.readback(batch)
+        native = run.readback(batch)
         assert run.size.constraints == 6
-    assert held.joint_axis is not None
-    np.testing.assert_allclose(held.joint_axis, [[0.0, 1.0, 0.0]] * 4, atol=1e-12)
-    assert readback.compare(Mechanism.of(scene), batch, settings, held) == []
+    assert native.joint_axis is not None
+    np.testing.assert_allclose(native.joint_axis, [[0.0, 1.0, 0.0]] * 4, atol=1e-12)
+    assert readback.compare(Mechanism.of(scene), batch, settings, native) == []
 
 
 @pytest.mark.parametrize("length", [None, 0.7])
@@ -239,7 +239,7 @@ def test_matched_steps_follow_the_fastest_spring() -> None:
 
 
 def test_the_native_text_alone_gives_the_same_motion() -> None:
-    """Every digit of the model and of the start is in it."""
+    """The text holds every digit of the model and of the start."""
     scene = load_scene("2ladder")
     batch = draw_batch(changed(scene, scene.clock, sampling=()), [0], noise=False)
     batch = batch.truncated(5)
@@ -258,7 +258,7 @@ def test_the_native_text_alone_gives_the_same_motion() -> None:
 def test_a_blow_up_ends_its_trajectory_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """MuJoCo would put the state back to the reference pose, print, and write a file."""
+    """By itself, MuJoCo would reset the state to the reference pose, print, and write a file."""
     monkeypatch.chdir(tmp_path)
     scene = load_scene("2ladder")
     batch = draw_batch(scene, [0, 1])
@@ -334,7 +334,7 @@ def test_a_slider_loop_is_refused_with_the_reason() -> None:
 def test_budgets_are_met_at_the_step_that_the_documents_name(
     name: str, step: float, options: dict[str, str]
 ) -> None:
-    """One second of a low and a medium trajectory, with noise and inputs."""
+    """One second of a low and a medium trajectory meets the budgets, with noise and inputs."""
     scene = load_scene(name)
     batch = draw_batch(scene, [0, 1]).truncated(50)
     exact = reference.solve(scene, batch, cache=False)

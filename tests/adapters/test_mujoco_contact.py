@@ -48,7 +48,7 @@ CAREFUL = {
     "simplecubli": careful(50, 12),
     "particlecar": careful(10, 12),
 }
-"""Finer than matched, for the laws that contact keeps to."""
+"""Settings finer than the matched ones, for tests of the contact laws."""
 
 
 _RUNS = Runs(ENGINE, CAREFUL)
@@ -70,14 +70,14 @@ def test_balldrop_follows_the_exact_solution(noise: bool) -> None:
 @pytest.mark.parametrize("restitution", [0.0, 0.5, 0.9332, 1.0])
 @pytest.mark.parametrize("speed", [0.3, 1.0, 3.0, 8.0])
 def test_restitution_is_the_scenes_at_every_speed(restitution: float, speed: float) -> None:
-    """Told from the energy at the first frame after the impact, with the ball still in the air."""
+    """The energy at the first frame after the impact, still in flight, gives the rebound speed."""
     scene = ball(0.01 * speed, (0.0, 0.0, -speed), ground=Ground(MU, restitution), steps=1)
     motion = alone(scene)
 
     impact = math.sqrt(speed**2 + 2 * G * 0.01 * speed)
     height, velocity = motion.position[0, 1, 0, 2] - R, motion.velocity[0, 1, 0, 2]
     rebound = math.sqrt(max(0.0, velocity**2 + 2 * G * height))
-    # Gravity of one step of 1e-4 s is what an impact may miss.
+    # An impact may miss the gravity of one step of 1e-4 s.
     assert rebound / impact == pytest.approx(restitution, abs=2e-4 + G * 1e-4 / speed)
 
 
@@ -85,12 +85,12 @@ def test_what_is_read_back_is_the_engines_own() -> None:
     scene = ball()
     batch, settings = draw_batch(scene, [0]), ENGINE.settings(scene, "matched")
     with ENGINE.open(scene, settings) as run:
-        found = run.readback(batch)
+        native = run.readback(batch)
 
-    assert found.contact is not None
-    assert np.isnan(found.contact[:, 2]).all()  # MuJoCo has no restitution
+    assert native.contact is not None
+    assert np.isnan(native.contact[:, 2]).all()  # MuJoCo has no restitution
     other = msgspec.structs.replace(scene, ground=Ground(0.185, 0.88))
-    differences = readback.compare(Mechanism.of(other), batch, settings, found)
+    differences = readback.compare(Mechanism.of(other), batch, settings, native)
     assert [line.split()[0] for line in differences] == ["friction"]
 
 
@@ -105,7 +105,7 @@ def test_an_elastic_ball_keeps_its_energy_over_many_bounces() -> None:
 
 @pytest.mark.parametrize("speed", [0.3, 3.0, 8.0])
 def test_an_impact_of_several_steps_gives_the_restitution_in_the_mean(speed: float) -> None:
-    """Over heights that spread the impact over the phases of a step."""
+    """Drop heights spread the impact over the phases of a step."""
     rebounds = []
     for k in range(12):
         drop = 0.01 * speed + k / 12 * 1e-4 * speed
@@ -121,7 +121,7 @@ def test_an_impact_of_several_steps_gives_the_restitution_in_the_mean(speed: flo
 
 @pytest.mark.parametrize("impact_steps", [4, 12, 30])
 def test_laws_of_impact_give_what_they_are_asked_for(impact_steps: int) -> None:
-    """Followed here once more, in the textbook form of semi-implicit Euler."""
+    """The test follows the law in the textbook form of semi-implicit Euler."""
     law = impact_law(0.8, impact_steps)
     speeds = []
     for phase in np.linspace(0.0, 1.0, 500, endpoint=False):
@@ -143,20 +143,20 @@ def test_the_car_drives_at_full_speed_without_hopping_or_clamps() -> None:
 
 
 def test_a_car_whose_wheels_rattle_by_nanometres_is_not_recorded_as_in_flight() -> None:
-    """All four are 39 nm and more above the ground at frame 47, and slip throughout."""
+    """All four wheels are at least 39 nm above the ground at frame 47, and slip throughout."""
     scene = load_scene("particlecar")
     batch = draw_batch(scene, [190], seed=7001).truncated(50)
     settings = settings_for(scene, ENGINE, "matched")
     motion = rollout(scene, batch, settings)
 
-    found = audit(scene, batch, motion, ENGINE.methods[settings.method], step=settings.step)
+    findings = audit(scene, batch, motion, ENGINE.methods[settings.method], step=settings.step)
 
-    cone = next(finding for finding in found if finding.check == "cones")
+    cone = next(finding for finding in findings if finding.check == "cones")
     assert cone.figure[0] < 0.2 * scene.budget.balance
 
 
 def test_a_cars_loads_come_to_a_limit_where_contacts_leave_half_to_the_spring() -> None:
-    """Hard ones bear all or nothing, by rounding: the car then drives elsewhere at each step."""
+    """Hard contacts bear all or nothing by rounding, so the car's path depends on the step."""
     scene = load_scene("particlecar")
     batch = draw_batch(scene, [0, 4, 8]).truncated(50)
 
@@ -180,7 +180,7 @@ def test_a_cars_loads_come_to_a_limit_where_contacts_leave_half_to_the_spring() 
 
 
 def test_the_native_text_alone_gives_the_same_motion() -> None:
-    """It is the model of the finer steps; on the ground they are all that is taken."""
+    """The text has the model of the finer steps, which are the only steps on the ground."""
     scene = msgspec.structs.replace(load_scene("ballscroll"), sampling=(), noise=0.0)
     pushed = msgspec.structs.replace(scene.bodies[0], velocity=(4.0, 0.0, 0.0))
     scene = msgspec.structs.replace(scene, bodies=(pushed,))
@@ -196,7 +196,7 @@ def test_the_native_text_alone_gives_the_same_motion() -> None:
 
 
 def test_a_sphere_that_sinks_into_soft_ground_is_a_failure() -> None:
-    """MuJoCo's default contact lets a fast sphere in; its ground has no bottom."""
+    """MuJoCo's default contact lets a fast sphere sink in; its ground has no bottom."""
     scene = ball(0.5, (0.0, 0.0, -20.0))
     motion = rollout(scene, draw_batch(scene, [0]), ENGINE.settings(scene, "native"))
 
@@ -216,7 +216,7 @@ def test_only_contact_scenes_get_a_ground() -> None:
 
 
 def test_friction_of_bodies_so_heavy_that_the_solver_loses_it_is_refused() -> None:
-    """It finds none where μ² times what a sphere yields is below 1e-5 [1/kg]."""
+    """The solver finds no friction if μ² times a sphere's compliance is below 1e-5 [1/kg]."""
     scene, settings = ball(ground=Ground(0.1, 0.5)), ENGINE.settings(ball(), "matched")
     for mass, lost in ((3000.0, False), (5000.0, True)):
         body = Body("ball", (Particle((0.0, 0.0, R), mass, 0.4 * mass * R**2),))

@@ -1,4 +1,4 @@
-"""MuJoCo's savings: steps where joints turn fast, no spin where nothing turns a rod."""
+"""MuJoCo's savings: more steps only where joints turn fast, no spin if nothing turns a rod."""
 
 from __future__ import annotations
 
@@ -94,21 +94,21 @@ def test_a_model_without_spin_is_smaller_and_stands_for_the_scene() -> None:
     for spin in (True, False):
         with ENGINE.open(scene, Settings("RK4", 0.01, {"spin": spin})) as run:
             sizes.append(run.size.coordinates)
-            told = run.readback(batch)
+            native = run.readback(batch)
             settings = Settings("RK4", 0.01)
-            assert readback.compare(Mechanism.of(scene), batch, settings, told) == []
+            assert readback.compare(Mechanism.of(scene), batch, settings, native) == []
     assert sizes == [117, 81]
 
 
 @pytest.mark.parametrize("what", ["spins", "bends"])
 def test_what_spins_or_bends_too_far_is_simulated_with_spin(what: str) -> None:
-    """And the trajectory beside it is not."""
+    """The other trajectory of the batch keeps the model without spin."""
     scene = load_scene("2pendulum")
     batch = draw_batch(scene, [0, 3], noise=False).truncated(10)
     if what == "spins":
         axis = batch.position[1, 0] / np.linalg.norm(batch.position[1, 0])
         batch.angular_velocity[1, 0] += 2.0 * axis
-    else:  # the lower rod lies along the first axis of its Cardan joint, which so locks
+    else:  # the lower rod lies along the first axis of its Cardan joint, which locks
         down = np.array([0.0, 0.0, -0.5])
         aside = 0.5 * rotation.normal_to(idle_axes(scene)[1])[0]
         batch.position[1] = [down, down + aside]

@@ -1,4 +1,4 @@
-"""MuJoCo Warp: what the contract suite does not see."""
+"""MuJoCo Warp, in cases that the contract suite does not cover."""
 
 from __future__ import annotations
 
@@ -32,31 +32,31 @@ def test_what_is_read_back_are_the_numbers_of_the_kernels() -> None:
     scene = load_scene("workbench")
 
     with ENGINE.open(scene, ENGINE.settings(scene, "matched")) as run:
-        held = run.readback(draw_batch(scene, [0]))
+        native = run.readback(draw_batch(scene, [0]))
 
     mass = Mechanism.of(scene).mass
-    np.testing.assert_array_equal(held.mass, mass.astype(np.float32).astype(float))
-    assert (held.mass != mass).any()
+    np.testing.assert_array_equal(native.mass, mass.astype(np.float32).astype(float))
+    assert (native.mass != mass).any()
 
 
 def test_loops_are_closed_by_the_velocities_of_now() -> None:
-    """With those of the evaluation before they open by 0.36 mm."""
+    """With the velocities of the previous evaluation, loops would open by 0.36 mm."""
     (case,) = (case for case in CASES if case.name == "parallelogram")
     batch = draw_batch(case.scene, [0])
 
     with ENGINE.open(case.scene, Settings("RK4", case.scene.clock.frame)) as run:
         motion = run.rollout(batch)
 
-    (opened,) = gap.finding(Record(case.scene, batch, motion)).figure
-    assert opened < 5e-6
+    (opening,) = gap.finding(Record(case.scene, batch, motion)).figure
+    assert opening < 5e-6
 
 
 @pytest.mark.usefixtures("in_process")
 def test_data_in_single_precision_say_so_and_hold_what_they_say(run: CommandLine) -> None:
     made = run("generate", "2pendulum", "--engines", "mujoco-warp", "--trajectories", "3", *_OUT)
-    found = run("verify", "data/2pendulum")
-    held = run("audit", "data/2pendulum/mujoco-warp-matched.h5", "--scene", "2pendulum")
+    verify = run("verify", "data/2pendulum")
+    audit = run("audit", "data/2pendulum/mujoco-warp-matched.h5", "--scene", "2pendulum")
 
-    assert (made.code, found.code, held.code) == (0, 0, 0), (made.err, found.out, held.out)
-    assert "simulated again: the same bits" in found.out
-    assert "velocities at the frames, in single precision" in " ".join(held.out.split())
+    assert (made.code, verify.code, audit.code) == (0, 0, 0), (made.err, verify.out, audit.out)
+    assert "simulated again: the same bits" in verify.out
+    assert "velocities at the frames, in single precision" in " ".join(audit.out.split())

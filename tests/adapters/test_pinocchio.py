@@ -1,4 +1,4 @@
-"""Pinocchio: what the contract suite does not see."""
+"""Pinocchio, in cases that the contract suite does not cover."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ENGINE = load_adapter("pinocchio")
 
 
 def test_rows_that_say_the_same_do_not_pull_at_a_driven_four_bar() -> None:
-    """Its last hinge is closed by two points; 100 rounds at a softness of 1e-6 are 12 µm off."""
+    """Two points close the last hinge; 100 rounds at a softness of 1e-6 would be 12 µm off."""
     scene = load_scene("workbench")
     batch = draw_batch(scene, [2]).truncated(50)
 

@@ -1,4 +1,4 @@
-"""PyBullet's own ways: exact answers on small scenes, loops, splits, clamps and the listing."""
+"""PyBullet: exact answers on small scenes, loops, splits, clamps and the listing."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ NO_GRAVITY = (0.0, 0.0, 0.0)
 
 
 def body(name: str, at: tuple[float, float, float] = (0.0, 0.0, 0.0), **extra: Any) -> Body:
-    """One whose principal axes lie along none of W's, and whose mass is no round number."""
+    """Make a body with principal axes along none of W's, and a mass that is no round number."""
     full = Inertia(mass=1.3, moments=(0.03, 0.05, 0.06), products=(0.01, -0.004, 0.008), com=at)
     return Body(name, inertia=extra.pop("inertia", full), **extra)
 
@@ -54,7 +54,7 @@ def simulate(probe: Scene, substeps: int = 10, **options: float) -> Trajectory:
 
 
 def extrapolated(probe: Scene, substeps: int, **options: float) -> Trajectory:
-    """Take the first-order error out: what is left shows a wrong model at once."""
+    """Extrapolate the first-order error away, so that a wrong model shows at once."""
     coarse, fine = (simulate(probe, n, **options) for n in (substeps, 2 * substeps))
     assert coarse.failures == fine.failures == (None,)
     return Trajectory(
@@ -79,7 +79,7 @@ def test_a_constant_force_is_held_in_the_world_over_all_sub_steps(substeps: int)
     acceleration = np.array(force) / 1.3 + [0.0, 0.0, -9.81]
     exact = h * n * [1.0, 2.0, 0.0] + acceleration * h**2 * n * (n + 1) / 2
     np.testing.assert_allclose(motion.position[0, :, 0], exact, rtol=0, atol=1e-12)
-    # At the centre of mass, and turning with nothing: it leaves the rotation alone.
+    # The force acts at the centre of mass, fixed in W, and leaves the rotation alone.
     np.testing.assert_allclose(motion.orientation, free.orientation, rtol=0, atol=1e-12)
 
 
@@ -158,7 +158,7 @@ def test_a_spring_off_centre_turns_both_bodies() -> None:
 
 
 def test_a_fixed_loop_of_moving_bodies_holds() -> None:
-    """Two arms on ball joints, welded at their ends: a frame that swings about the line between."""
+    """Two arms on ball joints, welded at their ends, swing about the line between the joints."""
     probe = scene(
         body("a", (0.0, 0.2, -0.3)),
         body("b", (0.0, 0.8, -0.3)),
@@ -174,7 +174,7 @@ def test_a_fixed_loop_of_moving_bodies_holds() -> None:
 
 @pytest.mark.parametrize("start_rate", [0.0, 12.0])
 def test_ball_joints_in_line_make_a_hinge(start_rate: float) -> None:
-    """The same door, once on a hinge and once on two ball joints, one of which closes a loop."""
+    """The door hangs once on a hinge and once on two ball joints, one of which closes a loop."""
     door = body("door", (0.3, 0.1, 0.0), angular_velocity=(0.0, 0.0, start_rate))
     top, foot = (0.0, 0.0, 0.4), (0.0, 0.0, -0.4)
     hinged = scene(

@@ -36,7 +36,7 @@ CAREFUL = {
     "balldrop": careful(200),
     "simplecubli": careful(320, solver_iterations=50),
 }
-"""Finer than matched, for the laws that contact keeps to."""
+"""Settings finer than the matched ones, for tests of the contact laws."""
 
 
 _RUNS = Runs(ENGINE, CAREFUL)
@@ -44,7 +44,7 @@ simulate = Runs(ENGINE, {}).stepped
 
 
 def distance(one: Trajectory, other: Trajectory) -> Array:
-    """Between the first bodies [m], shape (trajectory, frame)."""
+    """Distance between the first bodies [m], shape (trajectory, frame)."""
     return np.asarray(np.linalg.norm(one.position - other.position, axis=-1)[..., 0])
 
 
@@ -64,7 +64,7 @@ def test_balldrop_follows_the_exact_solution(noise: bool) -> None:
 def test_restitution_does_not_depend_on_the_speed_of_impact(speed: float) -> None:
     scene = ball(height=1e-3 * speed, velocity=(0.0, 0.0, -speed), steps=1)
     weightless = msgspec.structs.replace(scene, gravity=STILL)
-    # What the overlap adds as it is pushed out is a step over a second of the speed.
+    # Pushing the overlap out adds a share of the speed: a step over a second.
     climb = simulate(weightless, 200).velocity[0, -1, 0, 2]
     assert climb == pytest.approx(E * speed, rel=2e-4, abs=1.1e-6 / 1e-4 * (speed < 0.02))
 
@@ -94,8 +94,8 @@ def _corner(arm: Array, velocity: Vector) -> Scene:
 
 
 def _impulse(arm: Array, velocity: Array) -> Array:
-    """Of Newton's restitution with Coulomb's friction on such a body, x and z [N·s]."""
-    turn = np.array([arm[1], -arm[0]])  # what unit spin about y gives the point
+    """Impulse of Newton's restitution with Coulomb's friction on `_corner`, x and z [N·s]."""
+    turn = np.array([arm[1], -arm[0]])  # velocity of the point at unit spin about y
     compliance = np.eye(2) + np.outer(turn, turn) / 0.02
     stick = np.linalg.solve(compliance, [-velocity[0], -(1 + E) * velocity[1]])
     if abs(stick[0]) <= MU * stick[1]:
@@ -145,7 +145,7 @@ def test_the_car_rolls_on_at_a_hundred_radians_a_second() -> None:
 
 
 def test_drawn_cars_converge_and_do_not_depend_on_the_solvers_sweeps() -> None:
-    """With contacts that begin at no gap, wheels that touch drop out by rounding: 0.4 m off."""
+    """If contacts began at zero gap, rounding would drop touching wheels: 0.4 m of error."""
     scene = load_scene("particlecar")
     batch = draw_batch(scene, [0, 4, 8]).truncated(100)
     motions = []

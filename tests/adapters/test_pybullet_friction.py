@@ -52,7 +52,7 @@ def aside(sweeps: int, steps: int = 1, *, turned: bool) -> Array:
 def test_friction_is_aside_as_bullets_rows_say_whatever_the_step_and_sweeps(
     sweeps: int, steps: int
 ) -> None:
-    """A particle's moment about y, ten times it about x: W is 3.5 along x and 1.25 along y."""
+    """The wheel's moment about x is ten times that about y: W is 3.5 along x, 1.25 along y."""
     leaning = np.arctan2(np.sin(HEADINGS) / 1.25, np.cos(HEADINGS) / 3.5)
     angle = aside(sweeps, steps, turned=False)
 
@@ -61,21 +61,21 @@ def test_friction_is_aside_as_bullets_rows_say_whatever_the_step_and_sweeps(
 
 
 def test_friction_opposes_the_slip_along_axes_where_a_wheel_yields_alike() -> None:
-    """The wheel yaws a little, within a frame."""
+    """The tolerance allows for the wheel's small yaw within a frame."""
     assert aside(20, turned=True).max() < 0.1
 
 
 @pytest.mark.parametrize("name", ["particlecar", "simplecubli"])
 def test_axes_are_where_both_rows_yield_alike(name: str) -> None:
-    """W here from the constraints of all joints, not from the tree's rates."""
+    """The test takes W from the constraints of all joints, not from the tree's rates."""
     scene = load_scene(name)
     mechanism, batch = Mechanism.of(scene), draw_batch(scene, [1])
     native = mechanism.native_rotation(batch.orientation[0])
     state = (batch.position[0], native, batch.velocity[0], batch.angular_velocity[0])
     spheres = np.arange(len(mechanism.sphere_body))
-    found = axes.Yielding(mechanism).alike(BodyStates(*state), spheres)
+    angles = axes.Yielding(mechanism).alike(BodyStates(*state), spheres)
 
-    for sphere, angle in zip(spheres.tolist(), found.tolist(), strict=True):
+    for sphere, angle in zip(spheres.tolist(), angles.tolist(), strict=True):
         w = _yielding(mechanism, state, sphere)
         sine, cosine = np.sin(angle), np.cos(angle)
         along = np.array([[cosine, sine], [-sine, cosine]])
@@ -110,7 +110,7 @@ def _yielding(mechanism: Mechanism, state: tuple[Array, ...], sphere: int) -> Ar
     z -= mechanism.sphere_radius[sphere]
     push = np.zeros((2, 6 * count))
     push[:, 6 * body : 6 * body + 6] = [[1, 0, 0, 0, z, -y], [0, 1, 0, -z, 0, x]]
-    held = dense_jacobian(constraint_rows(mechanism, *state), count)
-    borne = np.linalg.pinv(held @ inverse @ held.T)
-    left = inverse - inverse @ held.T @ borne @ held @ inverse
-    return np.asarray(push @ left @ push.T)
+    jacobian = dense_jacobian(constraint_rows(mechanism, *state), count)
+    borne = np.linalg.pinv(jacobian @ inverse @ jacobian.T)
+    mobility = inverse - inverse @ jacobian.T @ borne @ jacobian @ inverse
+    return np.asarray(push @ mobility @ push.T)

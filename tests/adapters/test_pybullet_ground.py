@@ -1,4 +1,4 @@
-"""The ground in Bullet: what the engine holds of it, what it keeps, cuts and refuses."""
+"""The ground in Bullet: its contact points, native defaults, failures and refusals."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ simulate = Runs(ENGINE, {}).stepped
 
 @pytest.mark.parametrize("profile", ["native", "matched"])
 def test_where_a_ball_touched_before_is_forgotten(profile: Any) -> None:
-    """Put back by a tenth of a radius, it would still have its old point in reach as a second."""
+    """A ball put back by a tenth of a radius would still have its old point as a second one."""
     scene = ball(velocity=(0.01, 0.0, 0.0), spin=(0.0, 0.01 / R, 0.0), steps=20)
     batch = draw_batch(scene, [0])
     settings = Settings(METHOD, 1e-3, ENGINE.settings(scene, profile).options)
@@ -53,7 +53,7 @@ def test_where_a_ball_touched_before_is_forgotten(profile: Any) -> None:
 
 @pytest.mark.parametrize("part", ["base", "link"])
 def test_a_sphere_off_the_centre_touches_where_it_is(part: str) -> None:
-    """On a free body and on one that hangs from a hinge, both with turned principal axes."""
+    """The sphere is on a free body or one on a hinge, both with turned principal axes."""
     odd = Inertia(1.0, (0.03, 0.05, 0.06), (0.01, -0.004, 0.008), com=(0.1, 0.0, 1.0))
     centre = (0.4, 0.3, 0.9)
     hinge = Joint("hinge", "hinge", "world", "a", (-0.3, 0.0, 0.6), axis=(0.0, 1.0, 0.0))
@@ -73,7 +73,7 @@ def test_a_sphere_off_the_centre_touches_where_it_is(part: str) -> None:
 
 
 def test_an_ordinary_user_gets_the_engines_own_contact() -> None:
-    """The native profile is a world in which nothing about contact but the pair was set."""
+    """The native profile sets nothing about contact but the pair's coefficients."""
     scene = ball(height=0.3, velocity=(2.0, 0.0, 0.0), ground=Ground(0.5, 0.5), steps=100)
     settings = ENGINE.settings(scene, "native")
     with ENGINE.open(scene, settings) as run:
@@ -138,9 +138,9 @@ def test_the_listing_runs_without_the_toolkit(tmp_path: Path) -> None:
     scene = load_scene("particlecar")
     batch = draw_batch(scene, [0], noise=False, inputs=False).truncated(20)
     scene = msgspec.structs.replace(scene, clock=Clock(steps=20))
-    # A listing does not turn the axes of friction, it says so.
+    # A listing only says that friction axes turn, so they are off here.
     with ENGINE.open(scene, Settings(METHOD, 1e-3, {"friction_axes": False})) as run:
-        run.rollout(batch)  # the listing starts afresh, whatever was before
+        run.rollout(batch)  # an earlier rollout must not change the listing
         end = run.rollout(batch).position[0, -1]
         (tmp_path / "model.py").write_text(run.native(batch))
     done = subprocess.run(

@@ -1,4 +1,4 @@
-"""A foot that a spring stamps on the ground: what foresees a touch must foresee the spring."""
+"""A foot that a spring stamps on the ground: predicted touchdowns must include the spring."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _DRAWN = 0.35  # [m]
 @pytest.mark.parametrize("stiffness", [500.0, 5000.0])
 @pytest.mark.parametrize("name", ["mujoco", "pybullet", "dart", "exudyn"])
 def test_an_impact_takes_what_restitution_leaves_out(name: str, stiffness: float) -> None:
-    """At up to 180 times the pull of gravity; two engines once blew up there."""
+    """The spring pulls up to 180 times as hard as gravity; two engines once blew up there."""
     adapter = load_adapter(name)
     leg = Joint("leg", "slider", "world", "ball", (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     leg = msgspec.structs.replace(leg, stiffness=stiffness, rest=-_DRAWN)
@@ -30,5 +30,5 @@ def test_an_impact_takes_what_restitution_leaves_out(name: str, stiffness: float
     energy += 0.5 * stiffness * (climbed + _DRAWN) ** 2
     assert motion.failures == (None,)
     assert energy.max() <= (1.0 + scene.budget.energy_first_order) * energy[0]
-    # What rests on the ground in the end, its spring still drawn.
+    # In the end the foot rests on the ground, its spring still drawn.
     assert 0.7 <= energy[-1] / energy[0] <= 0.75

@@ -83,11 +83,11 @@ def euler_reduced(model: Model, state: State, h: float, force: Array, torque: Ar
         assert link.joint is not None
         assert link.joint.kind == "ball"
         own, pull = state[3][:, link.body], angular[:, link.body]
-        held = np.zeros_like(own) if link.parent == WORLD_INDEX else state[3][:, link.parent]
+        base = np.zeros_like(own) if link.parent == WORLD_INDEX else state[3][:, link.parent]
         if link.parent != WORLD_INDEX:
             pull = pull - angular[:, link.parent]
         back = rotation.conjugate(state[1][:, link.body])
-        spin[:, k] += h * rotation.rotate(back, pull - np.cross(own, own - held))
+        spin[:, k] += h * rotation.rotate(back, pull - np.cross(own, own - base))
     turn = rotation.multiply(links.rotation, rotation.from_vector(h * spin))
     turn /= np.linalg.norm(turn, axis=-1, keepdims=True)
     end = to_bodies(
@@ -201,7 +201,7 @@ def four_bar() -> Scene:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Case:
-    """A scene with a batch and its motion, all but exact."""
+    """A scene with a batch and its nearly exact motion."""
 
     scene: Scene
     batch: Batch

@@ -1,4 +1,4 @@
-"""The check on the page for those who add one does what the page says."""
+"""The example check of docs/add-a-check.md does what the page says."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def _record(scene: Scene) -> Record:
 
 def test_the_example_finds_who_rises_too_high() -> None:
     (code,) = re.findall(r"^```python\n(.*?)^```$", _PAGE.read_text("utf-8"), re.M | re.S)
-    made: dict[str, Any] = {}
-    exec(code, made)
-    height, record = made["height"], _record(load_scene("balldrop"))
+    names: dict[str, Any] = {}
+    exec(code, names)
+    height, record = names["height"], _record(load_scene("balldrop"))
 
     finding = height.finding(record)
 

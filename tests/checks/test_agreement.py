@@ -66,8 +66,8 @@ def test_errors_are_read_at_instants() -> None:
 def test_the_agreement_time_is_the_first_crossing_of_one_per_cent() -> None:
     time = np.array([0.0, 0.1, 0.2, 0.3])
     error = np.array([[0, 0.01, 0.03, 0.0], [0, 0.01, 0.02, 0.02], [0, NAN, NAN, NAN]])
-    found = agreement.agreement_time(error, time, length=2.0)
-    assert found.tolist() == [pytest.approx(0.2), np.inf, pytest.approx(0.1)]
+    times = agreement.agreement_time(error, time, length=2.0)
+    assert times.tolist() == [pytest.approx(0.2), np.inf, pytest.approx(0.1)]
 
 
 def test_growth_excuses_only_what_it_explains() -> None:
@@ -141,13 +141,13 @@ def _pairs(seed: int, count: int = 40, *, noise: float = 1.0) -> tuple[Array, Ar
 
 
 def _p_value(one: Array, other: Array) -> float:
-    found = compare(one, other)
-    assert found is not None
-    return found.p_value
+    comparison = compare(one, other)
+    assert comparison is not None
+    return comparison.p_value
 
 
 def test_p_values_of_one_distribution_are_even() -> None:
-    """As they must be for a test to keep its level."""
+    """P-values must be evenly distributed for a test to keep its level."""
     values = np.sort([_p_value(*_pairs(seed, count=20)) for seed in range(200)])
 
     even = (np.arange(200) + 0.5) / 200
@@ -158,11 +158,11 @@ def test_p_values_of_one_distribution_are_even() -> None:
 @pytest.mark.parametrize("change", [(1.0, 0.7), (1.4, 0.0)], ids=["spread", "mean"])
 def test_two_distributions_are_told_apart(change: tuple[float, float]) -> None:
     one, other = _pairs(0, count=200)
-    found = compare(one, change[0] * other + (change[1], 0.0, 0.0))
+    comparison = compare(one, change[0] * other + (change[1], 0.0, 0.0))
 
-    assert found is not None
-    assert found.p_value < 0.01
-    assert 0.0 < found.distance < 0.5
+    assert comparison is not None
+    assert comparison.p_value < 0.01
+    assert 0.0 < comparison.distance < 0.5
 
 
 def test_distances_reach_from_zero_to_one() -> None:
@@ -184,9 +184,9 @@ def test_the_distance_is_that_of_its_definition() -> None:
         return float(np.mean([[np.linalg.norm((x - y) / pooled) for y in b] for x in a]))
 
     expected = 2 * mean(one, other) - mean(one, one) - mean(other, other)
-    found = compare(one, other)
-    assert found is not None
-    assert found.distance == pytest.approx(expected / (2 * mean(one, other)))
+    comparison = compare(one, other)
+    assert comparison is not None
+    assert comparison.distance == pytest.approx(expected / (2 * mean(one, other)))
 
 
 def test_the_same_seed_gives_the_same_p_value() -> None:
@@ -198,9 +198,9 @@ def test_the_same_seed_gives_the_same_p_value() -> None:
 def test_lost_trajectories_are_left_out() -> None:
     one, other = _pairs(3)
     one[:5], other[3:10] = np.nan, np.nan
-    found = compare(one, other)
-    assert found is not None
-    assert found.count == 30
+    comparison = compare(one, other)
+    assert comparison is not None
+    assert comparison.count == 30
     assert compare(one[:25], other[:25]) is None
 
 
@@ -234,10 +234,10 @@ def test_runs_that_agree_to_the_end_are_not_compared() -> None:
     assert compare_runs(scene, batch, [one, other]) == {}
 
     other.position[8:] += 0.5
-    found = compare_runs(scene, batch, [one, other])
-    assert list(found) == [(0, 1)]
-    assert found[0, 1].count == 20
-    assert found[0, 1].p_value < 0.05
+    comparisons = compare_runs(scene, batch, [one, other])
+    assert list(comparisons) == [(0, 1)]
+    assert comparisons[0, 1].count == 20
+    assert comparisons[0, 1].p_value < 0.05
     assert compare_runs(scene, batch[:19], [one[:19], other[:19]]) == {}
 
 

@@ -1,4 +1,4 @@
-"""What no contact explains shows, frame by frame or in the sum; what contact explains does not."""
+"""Forces that contact cannot explain show, in a frame or in the sum; others do not."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from mbds_xsim.testing.straight_car import straight_run
 
 @pytest.fixture(scope="module")
 def driven() -> tuple[Scene, Batch, Trajectory]:
-    """A car in closed form that slips at first, and rolls for the most of 2 s."""
+    """A car in closed form that slips at first, and rolls for most of 2 s."""
     scene = load_scene("particlecar")
     scene = msgspec.structs.replace(scene, noise=0.0, clock=Clock(scene.clock.frame, 100))
     torque = np.repeat([[2.0, -1.0], [-0.5, 2.0]], 50, axis=0)
@@ -36,7 +36,7 @@ def _both(scene: Scene, batch: Batch, motion: Trajectory) -> tuple[Finding, Find
 
 
 def _turned(motion: Trajectory, angle: float) -> Trajectory:
-    """Let the car head another way, as if seen by an observer who is turned."""
+    """Turn the motion about z, as a turned observer would see it."""
     turn = rotation.from_vector(np.array([0.0, 0.0, angle]))
     vectors = ("position", "velocity", "angular_velocity")
     changes: dict[str, Any] = {
@@ -58,10 +58,10 @@ def test_contact_explains_a_car_in_any_heading(
 
 
 def test_a_small_torque_on_an_axle_adds_up(driven: tuple[Scene, Batch, Trajectory]) -> None:
-    """0.01 N·m that the record keeps quiet about; all four axles together move the car."""
+    """The motion lacks 0.01 N·m on each axle; all four together would move the car."""
     scene, batch, motion = driven
-    kept = dataclasses.replace(batch, torque=batch.torque + 0.01)
-    each, drift = _both(scene, kept, motion)
+    stronger = dataclasses.replace(batch, torque=batch.torque + 0.01)
+    each, drift = _both(scene, stronger, motion)
 
     assert each.passed.all()
     assert not drift.passed.any()
@@ -82,7 +82,7 @@ def test_drag_shows_along_the_heading(driven: tuple[Scene, Batch, Trajectory]) -
 
 
 def test_what_friction_can_explain_does_not_show(driven: tuple[Scene, Batch, Trajectory]) -> None:
-    """A force across the wheels, which these would hold against."""
+    """Friction of the wheels could balance a force across them."""
     scene, batch, motion = driven
     force = batch.force.copy()
     force[:, 60, 0, 1] += 5.0
@@ -93,15 +93,15 @@ def test_what_friction_can_explain_does_not_show(driven: tuple[Scene, Batch, Tra
 
 
 def test_a_force_shows_in_flight() -> None:
-    """A force of a frame that nothing holds against, on a ball in the air."""
+    """Nothing balances a force of one frame on a ball in the air."""
     scene = load_scene("balldrop")
     scene = msgspec.structs.replace(scene, clock=Clock(scene.clock.frame, 60))
     batch = draw_batch(scene, range(2))
     motion = reference.solve(scene, batch, cache=False)
     force = batch.force.copy()
     force[:, 5, 0, 0] += 1.0
-    found = balance.finding(Record(scene, dataclasses.replace(batch, force=force), motion))
+    finding = balance.finding(Record(scene, dataclasses.replace(batch, force=force), motion))
 
-    assert (found.frame == 6).all()
-    assert found.figure == pytest.approx(1.0 / (19.0 * 9.81), rel=1e-6)
-    assert set(found.where) == {"impulse, disc"}
+    assert (finding.frame == 6).all()
+    assert finding.figure == pytest.approx(1.0 / (19.0 * 9.81), rel=1e-6)
+    assert set(finding.where) == {"impulse, disc"}

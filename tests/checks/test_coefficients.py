@@ -24,7 +24,7 @@ LEAPFROG = Method("Euler", "semi-implicit Euler", 1, velocity_lag=-0.5)
 
 
 def _found(case: Any, scene: Scene | None = None, batch: Batch | None = None) -> Finding:
-    """Hold a motion to another scene or inputs than those that made it."""
+    """Check a motion against a scene or inputs that may differ from its own."""
     return coefficients.finding(
         Record(scene or case.scene, batch or case.batch, case.exact, RK4, 2e-3)
     )
@@ -63,7 +63,7 @@ def test_inputs_of_another_frame_or_seed_show_by_name(pendulum: Any) -> None:
         finding = _found(pendulum, batch=batch)
         assert not finding.passed.any()
         assert all(where.startswith("inputs a frame") for where in finding.where)
-    # Of 40 steps, forces of another seed are as large as what they leave.
+    # Within 40 steps, forces of another seed are as large as the residuals they leave.
     other = draw_batch(pendulum.scene, range(len(force)), seed=77)
     foreign = dataclasses.replace(pendulum.batch, force=other.force[:, : force.shape[1]])
     assert not _found(pendulum, batch=foreign).passed.all()
@@ -125,7 +125,7 @@ def test_frames_after_a_failure_and_contact_are_left_out(pendulum: Any) -> None:
 
 
 def test_energy_that_nothing_exchanges_with_a_body_tells_nothing_of_its_mass() -> None:
-    """A wheel that turns alone, and loses a little by the method."""
+    """A wheel turns alone, and loses a little energy by the method's error."""
     joint = Joint("pin", "hinge", "world", "wheel", (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), rate=2.0)
     wheel = Body("wheel", inertia=Inertia(1.0, (0.1, 0.1, 0.1)))
     scene = Scene("alone", (wheel,), 1.0, joints=(joint,))
@@ -135,12 +135,12 @@ def test_energy_that_nothing_exchanges_with_a_body_tells_nothing_of_its_mass() -
     spin = motion.angular_velocity * slower
 
     slowing = dataclasses.replace(motion, angular_velocity=spin)
-    found = coefficients.finding(Record(scene, batch, slowing, RK4, 2e-3))
-    assert (found.figure < 0.1).all()
+    finding = coefficients.finding(Record(scene, batch, slowing, RK4, 2e-3))
+    assert (finding.figure < 0.1).all()
 
 
 def test_what_a_method_takes_late_of_gears_is_no_error_of_gravity() -> None:
-    """A wheel beside a spider, which exchange a hundred times as much as gravity gives."""
+    """Wheel and spider exchange a hundred times as much energy as gravity gives them."""
     hub, ring = Inertia(0.1, (4e-6,) * 3), Inertia(0.06, (0.025, 0.044, 0.025))
     bodies = (
         Body("hub", inertia=hub),
@@ -160,9 +160,9 @@ def test_what_a_method_takes_late_of_gears_is_no_error_of_gravity() -> None:
     chosen = Settings(method.name, 2e-4)
     motion = run(scene, batch, "dart", chosen).trajectory
 
-    found = coefficients.finding(Record(scene, batch, motion, method, chosen.step))
-    assert found.passed.all()
-    # The same of a method that claims to be exact.
+    finding = coefficients.finding(Record(scene, batch, motion, method, chosen.step))
+    assert finding.passed.all()
+    # A method that claims to be exact fails.
     assert not coefficients.finding(Record(scene, batch, motion, RK4, chosen.step)).passed.any()
 
 
@@ -186,7 +186,7 @@ def test_what_a_method_takes_late_of_rotors_and_dampers_is_no_error_of_masses(na
     light, heavy = _arm(0.04, 4e-5, (0.0, 0.0, 1.0)), _arm(1.0, 0.1, (0.0, 1.0, 0.0))
     assert moved(light, method, light).passed.all()
     assert moved(heavy, method, heavy).passed.all()
-    # The same of a method that claims to be exact, and what a scene says otherwise.
+    # A method that claims to be exact fails, and so does a scene with other gravity.
     assert not moved(light, RK4, light).passed.any()
     pull = msgspec.structs.replace(heavy, gravity=(0.0, 0.0, -1.01 * 9.81))
     assert not moved(heavy, method, pull).passed.any()

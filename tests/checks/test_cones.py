@@ -15,7 +15,7 @@ _EDGES = 361
 
 
 def _cones(draw: np.random.Generator, count: int, spheres: int) -> Cones:
-    """Some spheres that may stick, and some that slip, with arcs of any width."""
+    """Draw cones of spheres that may stick or that slip, with arcs of any width."""
     angle = draw.uniform(-np.pi, np.pi, (count, spheres))
     least = np.where(
         draw.random(angle.shape) < 0.5, np.cos(draw.uniform(0.0, 3.0, angle.shape)), -1.0
@@ -38,12 +38,12 @@ def test_the_nearest_impulse_is_the_best_sum_of_impulses_along_the_arc(seed: int
     draw = np.random.default_rng(seed)
     cones = _cones(draw, 4, 2)
     impulse = draw.normal(size=(4, 2, 3))
-    found = cones.nearest(impulse)
+    nearest = cones.nearest(impulse)
 
     edges, far = _edges(cones).reshape(8, _EDGES, 3), impulse.reshape(8, 3)
     least = [nnls(edges[k].T, far[k])[1] for k in range(8)]
-    assert np.linalg.norm(far - found.reshape(8, 3), axis=1) == pytest.approx(least, abs=5e-4)
-    assert cones.nearest(found) == pytest.approx(found, abs=1e-9)
+    assert np.linalg.norm(far - nearest.reshape(8, 3), axis=1) == pytest.approx(least, abs=5e-4)
+    assert cones.nearest(nearest) == pytest.approx(nearest, abs=1e-9)
 
 
 @settings(max_examples=10, deadline=None)
@@ -52,12 +52,12 @@ def test_what_is_left_over_is_the_least_that_can_be(seed: int) -> None:
     draw = np.random.default_rng(seed)
     cones = _cones(draw, 5, 3)
     columns, given_ = draw.normal(size=(5, 8, 3, 3)), draw.normal(size=(5, 8))
-    left = unexplained(columns, given_, cones)
+    residual = unexplained(columns, given_, cones)
 
     for k in range(5):
-        made = np.einsum("rsi,sei->rse", columns[k], _edges(cones)[k]).reshape(8, -1)
-        _, least = nnls(made, given_[k])
-        assert np.linalg.norm(left[k]) == pytest.approx(least, abs=5e-4)
+        pushes = np.einsum("rsi,sei->rse", columns[k], _edges(cones)[k]).reshape(8, -1)
+        _, least = nnls(pushes, given_[k])
+        assert np.linalg.norm(residual[k]) == pytest.approx(least, abs=5e-4)
 
 
 def test_nothing_that_is_allowed_is_left_over() -> None:
@@ -66,6 +66,6 @@ def test_nothing_that_is_allowed_is_left_over() -> None:
     columns = draw.normal(size=(50, 10, 4, 3))
     impulse = cones.nearest(draw.normal((0.0, 0.0, 1.0), size=(50, 4, 3)))
     gained = np.einsum("crsi,csi->cr", columns, impulse)
-    left = unexplained(columns, gained, cones)
+    residual = unexplained(columns, gained, cones)
 
-    assert np.linalg.norm(left, axis=1).max() < 1e-6 * np.linalg.norm(gained, axis=1).max()
+    assert np.linalg.norm(residual, axis=1).max() < 1e-6 * np.linalg.norm(gained, axis=1).max()

@@ -68,12 +68,12 @@ def runs(
 
 @pytest.mark.parametrize("stepper", METHODS)
 def test_a_right_model_converges_to_the_reference(pendulum: Any, runs: Any, stepper: str) -> None:
-    found = _found(pendulum, runs, stepper, _same)
-    assert [finding.check for finding in found] == [
+    findings = _found(pendulum, runs, stepper, _same)
+    assert [finding.check for finding in findings] == [
         "consistency of positions",
         "consistency of energy",
     ]
-    for finding in found:
+    for finding in findings:
         assert finding.passed.all()
         assert (np.isfinite(finding.series).sum(axis=1) >= 10).all()
 
@@ -83,7 +83,7 @@ def test_a_right_model_converges_to_the_reference(pendulum: Any, runs: Any, step
 def test_a_slightly_wrong_model_shows(
     pendulum: Any, runs: Any, stepper: str, change: Callable[[Scene], Scene]
 ) -> None:
-    """Gravity off by 0.1 %, one particle by 1 %: both within the accuracy budget."""
+    """Gravity is off by 0.1 % or one particle by 1 %, both within the accuracy budget."""
     for finding in _found(pendulum, runs, stepper, change):
         assert not finding.passed.any()
 
@@ -92,9 +92,9 @@ def _found(
     pendulum: Any, runs: Any, stepper: str, change: Callable[[Scene], Scene]
 ) -> list[Finding]:
     method = METHODS[stepper][0]
-    made = runs(stepper, change)
+    motions = runs(stepper, change)
     scene, batch, exact = pendulum.scene, pendulum.batch, pendulum.exact
-    return consistency(scene, batch, made, exact, method, resolution=1e-8)
+    return consistency(scene, batch, motions, exact, method, resolution=1e-8)
 
 
 def test_two_runs_pass_a_right_model_and_show_a_wrong_one(pendulum: Any, runs: Any) -> None:
@@ -121,7 +121,7 @@ def test_a_method_of_another_order_than_declared_does_not_pass(pendulum: Any, ru
 
 
 class _Constrained(Method):
-    """Its velocities carry constraint forces of first order."""
+    """Method whose velocities carry constraint forces of first order."""
 
     def velocity_order_for(self, scene: Scene) -> int:
         return self.order_for(scene) - 1
@@ -164,33 +164,33 @@ def test_times_of_large_growth_are_not_judged(pendulum: Any, runs: Any) -> None:
 
 
 def test_the_limit_of_a_series_in_the_step_is_found_within_its_uncertainty() -> None:
-    """Values 1 + h + 0.3 h², of which extrapolation leaves the square."""
+    """Extrapolation of the values 1 + h + 0.3 h² leaves an error from the square."""
 
     def at(h: float) -> Array:
         return np.full((1, 1, 1), 1.0 + h + 0.3 * h**2)
 
     floor = np.full((1, 1), 1e-12)
-    found = extrapolate([at(0.1), at(0.05), at(0.025)], 1, floor)
-    error = abs(found.limit[0, 0, 0] - 1.0)
-    assert error == pytest.approx(0.3 * 0.05 * 0.025)  # 0.3 · h · h/2 is what is left
-    assert 0.5 * error < found.uncertainty[0, 0] < 2 * error
-    assert found.asymptotic.all()
-    assert found.order[0, 0] == pytest.approx(1.0, abs=0.05)
+    estimate = extrapolate([at(0.1), at(0.05), at(0.025)], 1, floor)
+    error = abs(estimate.limit[0, 0, 0] - 1.0)
+    assert error == pytest.approx(0.3 * 0.05 * 0.025)  # 0.3 · h · h/2 is the remainder
+    assert 0.5 * error < estimate.uncertainty[0, 0] < 2 * error
+    assert estimate.asymptotic.all()
+    assert estimate.order[0, 0] == pytest.approx(1.0, abs=0.05)
 
 
 def test_faster_convergence_than_declared_is_no_fault() -> None:
-    """Values 1 + c h² + h⁴ declared of order 2: the two terms may cancel in a difference."""
+    """The two terms of 1 + c h² + h⁴, declared of order 2, may cancel in a difference."""
 
     def at(h: float, second: float) -> Array:
         return np.full((1, 1, 1), 1.0 + second * h**2 + h**4)
 
     for second in (0.0, 3e-4, -3e-4, -0.8e-3):
         runs = [at(h, second) for h in (0.1, 0.05, 0.025)]
-        found = extrapolate(runs, 2, np.full((1, 1), 1e-12))
-        assert found.asymptotic.all()
-        assert found.order[0, 0] > 2.25
-        error = abs(found.limit[0, 0, 0] - 1.0)
-        assert 0.1 * found.uncertainty[0, 0] < error < found.uncertainty[0, 0]
+        estimate = extrapolate(runs, 2, np.full((1, 1), 1e-12))
+        assert estimate.asymptotic.all()
+        assert estimate.order[0, 0] > 2.25
+        error = abs(estimate.limit[0, 0, 0] - 1.0)
+        assert 0.1 * estimate.uncertainty[0, 0] < error < estimate.uncertainty[0, 0]
 
 
 def test_a_wrong_model_shows_though_it_converges_faster_than_declared(
@@ -235,7 +235,7 @@ def test_short_motions_are_judged_from_their_first_frame(pendulum: Any, runs: An
 def _off(
     exact: Trajectory, errors: Sequence[float] | NDArray[Any], stops: int | None = None
 ) -> list[Trajectory]:
-    """Runs that are raised by so much at the end, and in proportion to time before [m]."""
+    """Return runs raised by `errors` at the end, and in proportion to time before [m]."""
     share = np.linspace(0.0, 1.0, len(exact.time))[None, :, None, None] * np.array([0.0, 0.0, 1.0])
     runs = [dataclasses.replace(exact, position=exact.position + e * share) for e in errors]
     if stops is not None:
@@ -293,7 +293,7 @@ def test_a_lower_order_than_declared_or_none_is_told_by_four_runs(
 
 
 def test_three_runs_refuse_no_order_where_joints_run_into_stops(pendulum: Any) -> None:
-    """Such errors fall in no regular way: the finer move may be the larger one."""
+    """Errors at stops fall irregularly: the change between finer runs may be the larger one."""
     joints = list(pendulum.scene.joints)
     hinge = Joint("pin", "hinge", "world", "stopped", (0, 0, 0), (1, 0, 0), limits=(-1.0, 1.0))
     body = Body("stopped", inertia=Inertia(1.0, (0.1,) * 3), position=(0.0, 0.0, -1.0))
@@ -302,35 +302,35 @@ def test_three_runs_refuse_no_order_where_joints_run_into_stops(pendulum: Any) -
     batch = draw_batch(scene, pendulum.batch.index.tolist())
     exact = solve(scene, batch, cache=False)
 
-    def found(errors: Sequence[float]) -> list[Finding]:
+    def findings(errors: Sequence[float]) -> list[Finding]:
         return consistency(scene, batch, _off(exact, errors), exact, METHODS["rk4"][0])
 
-    for finding in found((9e-4, 6e-4, 2e-5)):
+    for finding in findings((9e-4, 6e-4, 2e-5)):
         assert finding.passed.all()
         assert not finding.applies.any()
         assert "three runs do not tell how errors of bumps fall, order -0.95" in finding.note
-    for finding in found((9e-2, 8e-2, 7e-2)):
+    for finding in findings((9e-2, 8e-2, 7e-2)):
         assert not finding.passed.any()
-    for finding in found((0.0, 1e-3, -1e-3, 3e-3, -5e-3)):
+    for finding in findings((0.0, 1e-3, -1e-3, 3e-3, -5e-3)):
         assert "nowhere as high as declared" in finding.where[0]
 
 
 def test_an_impact_just_before_a_frame_shows_in_what_runs_differ_by_at_the_next() -> None:
-    """All runs are off alike at frame 12, and each by its own at the frames after."""
+    """All runs have the same error at frame 12, and different errors after it."""
     late = np.maximum(np.arange(25) - 12, 0)
     runs = [
         (1e-6 * (late >= 0) * (np.arange(25) >= 12) + h * late)[None, :, None] for h in (4, 2, 1)
     ]
     floor = np.full((1, 25), 1e-9)
 
-    found = extrapolate(runs, 1, floor, bumps=True)
+    estimate = extrapolate(runs, 1, floor, bumps=True)
 
-    assert (np.abs(found.limit[..., 0]) <= 3.0 * found.uncertainty)[0, :13].all()
-    assert (found.uncertainty[0, :12] <= 1e-8).all()
+    assert (np.abs(estimate.limit[..., 0]) <= 3.0 * estimate.uncertainty)[0, :13].all()
+    assert (estimate.uncertainty[0, :12] <= 1e-8).all()
 
 
 def test_runs_that_agree_on_a_wrong_instant_of_an_impact_are_known_to_a_step() -> None:
-    """A wheel that turns freely until its stop, which all runs pass by the same part of a step."""
+    """A wheel turns freely until its stop, which all runs pass by the same part of a step."""
     origin, axis = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
     pin = Joint("pin", "hinge", "world", "wheel", origin, axis, rate=1.0, limits=(-1.0, 0.307))
     wheel = Body("wheel", inertia=Inertia(1.0, (0.1, 0.1, 0.1), com=(0.5, 0.0, 0.0)))

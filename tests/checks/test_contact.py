@@ -51,7 +51,7 @@ def _slope(direction: str, steps: int = 60) -> Scene:
 def _exact(
     scene: Scene, drawn_from: Scene | None = None, rows: int = 3
 ) -> tuple[Batch, Trajectory]:
-    """Give the exact motion of a scene, from starts of another one if need be."""
+    """Return the exact motion of a scene, from the starts of `drawn_from` if given."""
     batch = draw_batch(drawn_from or scene, range(rows))
     return batch, reference.solve(scene, batch, cache=False)
 
@@ -90,7 +90,7 @@ def test_exact_motions_pass_every_check(scene: Scene) -> None:
 
 
 def test_hops_that_a_frame_sees_at_their_turns_alone_are_no_rest() -> None:
-    """At the top and at the bottom nothing moves up or down; the cubli hops so in MuJoCo."""
+    """At the top and bottom of a hop nothing moves up or down; MuJoCo's cubli hops like this."""
     scene = _short("ballscroll", 60)
     batch, motion = _exact(scene)
     hops = motion.position.copy()
@@ -141,7 +141,7 @@ def test_stronger_gravity_shows_in_the_friction_of_wheels_that_slip() -> None:
 
 
 def test_wheels_clamped_at_100_rad_s_show_on_the_ground() -> None:
-    """The car loses what friction should give the wheels."""
+    """The car loses momentum that friction should pass to the wheels."""
     scene, batch, motion = _driven(speed=20.4, rates=(97.0, 98.0))
     spin = motion.angular_velocity.copy()
     assert spin.max() > 100.5
@@ -154,7 +154,7 @@ def test_wheels_clamped_at_100_rad_s_show_on_the_ground() -> None:
 
 @pytest.mark.parametrize("taken", [0.185, 0.40, 0.46])
 def test_another_friction_shows_while_a_ball_slips(taken: float) -> None:
-    """0.43² = 0.185 is what an engine that multiplies coefficients makes of them."""
+    """An engine that multiplies coefficients has a friction of 0.43² = 0.185."""
     scene = _short("ballscroll", 60)
     findings = _faulty(scene, _with_ground(scene, friction=taken))
 
@@ -167,7 +167,7 @@ def test_another_friction_shows_while_a_ball_slips(taken: float) -> None:
     ("share", "part"), [(np.sqrt(0.5), "slip, ball"), (np.sqrt(2), "cone, ball")]
 )
 def test_a_pyramid_shows_at_45_degrees(share: float, part: str) -> None:
-    """There a pyramid is a cone of another size: an inscribed one smaller, a box larger."""
+    """At 45° a pyramid is a cone of another size: an inscribed one is smaller, a box larger."""
     scene = _slope("at 45°")
     findings = _faulty(scene, _with_ground(scene, friction=0.43 * float(share)))
 
@@ -178,7 +178,7 @@ def test_a_pyramid_shows_at_45_degrees(share: float, part: str) -> None:
 
 
 def test_what_a_springy_impact_gives_back_of_a_slip_is_no_slip() -> None:
-    """A ball that rolls bounces with 6 mm/s of slip, where friction could take 5 m/s."""
+    """A rolling ball bounces with 6 mm/s of slip, where friction could remove 5 m/s."""
     scene = _short("balldrop", 200)
     batch, motion = _exact(scene)
     aside = dataclasses.replace(motion, velocity=motion.velocity + np.array([6e-3, 0.0, 0.0]))
@@ -187,7 +187,7 @@ def test_what_a_springy_impact_gives_back_of_a_slip_is_no_slip() -> None:
 
 
 def test_friction_beside_the_slip_shows() -> None:
-    """A box of friction pulls along the diagonal, wherever in its quadrant the slip is."""
+    """Box friction pulls along the diagonal, whatever direction in its quadrant the slip has."""
     scene = _slope("at 20°", 10)
     batch, motion = _exact(scene)
     x, y = SLOPES["at 20°"]
@@ -219,9 +219,9 @@ def test_another_radius_shows_in_a_bounce(share: float) -> None:
     other = msgspec.structs.replace(sphere, radius=share * sphere.radius)
     findings = _faulty(scene, msgspec.structs.replace(scene, contacts=(other,)))
 
-    seen = findings["contact gap"].figure[~findings["contact gap"].passed]
-    assert len(seen) >= 2
-    assert seen == pytest.approx(0.05 * sphere.radius, rel=5e-3)
+    figures = findings["contact gap"].figure[~findings["contact gap"].passed]
+    assert len(figures) >= 2
+    assert figures == pytest.approx(0.05 * sphere.radius, rel=5e-3)
 
 
 @pytest.mark.parametrize("share", [0.9, 1.06])
@@ -248,7 +248,7 @@ def test_a_ball_that_sinks_penetrates() -> None:
 
 
 def test_a_ball_that_hops_shows() -> None:
-    """Hops of 2 mm, three frames each, as soft contacts with spin make them."""
+    """The ball makes hops of 2 mm, three frames each, as soft contacts with spin do."""
     scene = _short("ballscroll", 60)
     batch, motion = _exact(scene)
     phase = (motion.time % 0.04)[:, None]
@@ -263,7 +263,7 @@ def test_a_ball_that_hops_shows() -> None:
 
 
 def test_a_ball_that_the_ground_throws_up_at_the_start_shows() -> None:
-    """As engines do with what overlaps in them, but not in the scene."""
+    """Engines throw up spheres that overlap the ground in them, but not in the scene."""
     scene = _short("ballscroll", 10)
     batch = draw_batch(scene, range(3))
     velocity = batch.velocity + np.array([0.0, 0.0, 2.0])
@@ -295,11 +295,11 @@ def _bounced(scene: Scene, restitution: float) -> tuple[Batch, Trajectory]:
     for row in range(len(batch)):
         gap, climb = float(z[row, 0, 0, 2]) - sphere.radius, 0.0
         for frame in range(1, len(motion.time)):
-            left = scene.clock.frame
+            rest = scene.clock.frame
             hit = (climb + np.sqrt(climb**2 + 2 * 9.81 * gap)) / 9.81
-            if hit < left:
-                climb, left, gap = -restitution * (climb - 9.81 * hit), left - hit, 0.0
-            gap, climb = gap + climb * left - 0.5 * 9.81 * left**2, climb - 9.81 * left
+            if hit < rest:
+                climb, rest, gap = -restitution * (climb - 9.81 * hit), rest - hit, 0.0
+            gap, climb = gap + climb * rest - 0.5 * 9.81 * rest**2, climb - 9.81 * rest
             z[row, frame, 0, 2], v[row, frame, 0, 2] = gap + sphere.radius, climb
     unturned = np.broadcast_to(batch.orientation[:, None], motion.orientation.shape)
     return batch, dataclasses.replace(
@@ -337,7 +337,7 @@ def _rotated(turn: Array, axes: Array) -> Array:
 
 
 def _respun(scene: Scene, motion: Trajectory, change: Array) -> Trajectory:
-    """Add to the rates of the flywheels about their axes, shape (…, hinge) [rad/s]."""
+    """Add `change` to the flywheels' rates about their axes, shape (…, hinge) [rad/s]."""
     axes = np.stack([joint.axis for joint in Mechanism.of(scene).hinges])
     turned = Mechanism.of(scene).native_rotation(motion.orientation)[:, :, 1:]
     spin = motion.angular_velocity.copy()

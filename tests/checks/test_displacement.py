@@ -83,7 +83,7 @@ def judged(scene: Scene, motion: Trajectory) -> Finding:
 def test_no_course_of_contact_within_the_cone_is_blamed(
     seed: int, pushes: int, rough: float
 ) -> None:
-    """Whenever and however often the ground pushes between two frames, as long as it is near."""
+    """The ground may push at any time between two frames, as often as it likes, if it is near."""
     draw, frames = np.random.default_rng(seed), 12
     height, climb, totals = 0.0, 0.0, []
     for kick in rough * draw.uniform(0.0, 9.81 * FRAME, frames):
@@ -105,7 +105,7 @@ def test_no_course_of_contact_within_the_cone_is_blamed(
 
 @pytest.fixture(scope="module")
 def slides() -> tuple[Scene, Trajectory]:
-    """A ball that slides until it rolls: two thirds of a second of it."""
+    """A ball that slides until it rolls, for 0.6 s in all."""
     frames, parts = 30, 200
     up = np.full((frames, parts), MASS * 9.81 * FRAME / parts)
     times = (np.arange(parts) + 0.5) / parts * np.ones((frames, 1))
@@ -134,15 +134,15 @@ def late(motion: Trajectory) -> Trajectory:
 
 
 def repeated(motion: Trajectory, frame: int, until: int | None = None) -> Trajectory:
-    """From a frame on everything is a frame late, or stands still."""
+    """Record everything after `frame` a frame late, or let it stand still."""
     frames = np.arange(len(motion.time))
-    taken = np.where(frames > frame, frames - 1 if until is None else frame, frames)
+    picks = np.where(frames > frame, frames - 1 if until is None else frame, frames)
     names = ("position", "orientation", "velocity", "angular_velocity")
-    return dataclasses.replace(motion, **{name: getattr(motion, name)[:, taken] for name in names})
+    return dataclasses.replace(motion, **{name: getattr(motion, name)[:, picks] for name in names})
 
 
 def twisting(motion: Trajectory, rate: float = 0.1) -> Trajectory:
-    """The last body turns about its own axis beside what its rate says."""
+    """Twist the last body about its own axis, in addition to its recorded rate."""
     turn = rotation.from_vector(np.array([0.0, 0.0, rate]) * motion.time[:, None])
     facing = motion.orientation.copy()
     facing[:, :, -1] = rotation.multiply(facing[:, :, -1], turn)
@@ -206,7 +206,7 @@ def test_a_method_that_lags_as_it_declares_passes(pendulum: Any, simulate: Any) 
 
 
 def test_a_turn_that_changes_in_the_last_frame_is_not_blamed() -> None:
-    """A rod whose rate happens to change evenly over three frames, and in the last one does not."""
+    """A rod's rate changes evenly over three frames by chance, but not in the last one."""
     scene = load_scene("3ladder")
     batch, adapter = draw_batch(scene, [56], seed=1), load_adapter("exudyn")
     chosen = Settings("generalised-alpha", 0.004)
@@ -242,7 +242,7 @@ def test_frames_after_a_failure_are_left_out(pendulum: Any) -> None:
 
 
 def test_rounding_of_a_steady_turn_is_no_delay() -> None:
-    """Spins that grow in their last digits, of which the turns as recorded know nothing yet."""
+    """Spins grow in their last digits, which the recorded turns do not show yet."""
     joint = Joint("pin", "hinge", "world", "rod", (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), rate=0.5)
     inertia = Inertia(1.0, (0.1, 0.1, 0.1))
     scene = Scene("turning", (Body("rod", inertia=inertia),), 1.0, joints=(joint,), clock=Clock())
@@ -258,7 +258,7 @@ def test_rounding_of_a_steady_turn_is_no_delay() -> None:
 
 @pytest.mark.parametrize("stop", [0.3, 0.4, 0.5, 0.6])
 def test_a_joint_thrown_off_its_stop_within_a_frame_is_not_blamed(stop: float) -> None:
-    """An arm whose shoulder rests on its stop, until the elbow meets its own."""
+    """An arm's shoulder rests on its stop until the elbow meets its own."""
     rod = Inertia(0.05, (1e-6, 4e-5, 4e-5))
     bodies = tuple(Body(k, inertia=rod, position=(x, 0, 0)) for k, x in (("a", 0.05), ("b", 0.15)))
     axis = (0.0, -1.0, 0.0)
@@ -271,7 +271,7 @@ def test_a_joint_thrown_off_its_stop_within_a_frame_is_not_blamed(stop: float) -
     loose = tuple(msgspec.structs.replace(joint, limits=None) for joint in joints)
 
     assert judged(scene, motion).passed.all()
-    if stop == 0.5:  # its impact is where this cannot be seen at the ends of a frame
+    if stop == 0.5:  # the ends of the frame do not show this impact
         unaware = msgspec.structs.replace(scene, joints=loose)
         assert not judged(unaware, motion).passed.any()
 
@@ -298,7 +298,7 @@ def test_a_whip_within_a_frame_is_not_blamed() -> None:
 
 @pytest.mark.parametrize("blow", [0.1, 0.25, 0.5])
 def test_a_joint_that_falls_back_on_its_stop_within_a_frame_is_not_blamed(blow: float) -> None:
-    """A hammer throws a sledge up so that it is on top, and at rest, at the end of the frame."""
+    """A hammer throws a sledge up, which is at rest at its top at the end of the frame."""
     share, hit = 0.02, (2 + blow) * FRAME
     speed = 9.81 * FRAME * (1 - blow) * (1 + share) / share
     start, way = speed + 9.81 * hit, speed * hit + 0.5 * 9.81 * hit**2

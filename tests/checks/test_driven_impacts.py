@@ -1,4 +1,4 @@
-"""Impacts to which held forces drive balls within a frame: no check is alarmed by the truth."""
+"""Held forces drive balls into impacts within a frame: exact motions raise no alarm."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mbds_xsim.testing.contact_cases import ball
 
 _FRAME, _BACK = 0.02, 0.8
 _TOUCH = _FRAME / (1.0 + _BACK)
-"""From rest at a constant pull: then the rebound has come to a stop by the end of the frame [s]."""
+"""Time of impact from rest at a constant pull, whose rebound stops at the frame's end [s]."""
 
 
 def _on_ground(push: float) -> Scene:
@@ -45,9 +45,9 @@ def test_the_exact_motion_passes(scene: Scene) -> None:
     motion = solve(scene, batch, cache=False)
     method = load_adapter("mujoco").methods["RK4"]
 
-    found = audit(scene, batch, motion, method, step=1e-4, contact_time=1e-4)
+    findings = audit(scene, batch, motion, method, step=1e-4, contact_time=1e-4)
 
     assert motion.failures == (None,)
-    assert np.all([finding.passed.all() for finding in found]), [
-        finding.line(0) for finding in found if not finding.passed.all()
+    assert np.all([finding.passed.all() for finding in findings]), [
+        finding.line(0) for finding in findings if not finding.passed.all()
     ]

@@ -1,4 +1,4 @@
-"""What dry friction or links hold raises no alarm, though it moves by rounding or creeps."""
+"""Bodies held by dry friction or links raise no alarm, though they creep or move by rounding."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ RK4 = Method("RK4", "RK4", 4)
 
 
 def _failed(record: Record) -> list[str]:
-    return [found.check for found in audited(record) if not found.passed.all()]
+    return [finding.check for finding in audited(record) if not finding.passed.all()]
 
 
 def _exact(scene: Scene) -> Record:
@@ -25,7 +25,7 @@ def _exact(scene: Scene) -> Record:
 
 
 def test_an_arm_that_swings_on_a_shoulder_that_friction_holds() -> None:
-    """No step is without a kink that may be, so that nothing is told of places and velocities."""
+    """Every step may have a kink, so the checks say nothing of positions and velocities."""
     bodies = (
         Body("upper", inertia=Inertia(1.0, (0.1, 0.1, 0.01)), position=(0.0, 0.0, -0.5)),
         Body("fore", inertia=Inertia(0.2, (0.01, 0.01, 0.001)), position=(0.0, 0.0, -1.5)),
@@ -45,10 +45,10 @@ def test_a_block_that_soft_friction_lets_creep() -> None:
     scene = Scene("block", (body,), 1.0, joints=(rail,), clock=Clock(0.02, 50))
     batch, settings = draw_batch(scene, [0]), Settings("RK4", 1e-4)
 
-    done = simulate(scene, batch, "mujoco", settings)
-    record = Record(scene, batch, done.trajectory, RK4, settings.step)
+    simulated = simulate(scene, batch, "mujoco", settings)
+    record = Record(scene, batch, simulated.trajectory, RK4, settings.step)
 
-    assert 1e-9 < np.abs(done.trajectory.position[0, -1, 0, 2]) < 1e-6
+    assert 1e-9 < np.abs(simulated.trajectory.position[0, -1, 0, 2]) < 1e-6
     assert _failed(record) == []
     assert _failed(_exact(scene)) == []
 

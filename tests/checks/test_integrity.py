@@ -48,7 +48,7 @@ _STATE = ("position", "orientation", "velocity", "angular_velocity")
 
 @pytest.mark.parametrize("field", _STATE)
 def test_what_was_rounded_to_single_precision_fails(pendulum: Any, field: str) -> None:
-    """From frame 1 on, so that the start is the drawn one; in one trajectory of three."""
+    """One trajectory of three is rounded from frame 1 on, so that its start is the drawn one."""
     values = getattr(pendulum.exact, field).copy()
     values[1, 1:] = values[1, 1:].astype(np.float32)
     finding = precision.finding(
@@ -60,12 +60,12 @@ def test_what_was_rounded_to_single_precision_fails(pendulum: Any, field: str) -
     )
     assert finding.passed.tolist() == [True, False, True]
     assert finding.figure.tolist() == [0.0, 1.0, 0.0]
-    told = "(angular velocity rounded to 24 significant bits)"
-    assert finding.line(1).endswith(told.replace("angular velocity", field.replace("_", " ")))
+    ending = "(angular velocity rounded to 24 significant bits)"
+    assert finding.line(1).endswith(ending.replace("angular velocity", field.replace("_", " ")))
 
 
 def test_motion_that_is_exact_by_nature_is_not_rounded(pendulum: Any) -> None:
-    """All at rest; and a fall of 10 m/s² at 1/64 s, whose every height is a float32 number."""
+    """Bodies at rest pass, and a fall of 10 m/s² at 1/64 s, whose heights are float32 numbers."""
     still = {key: np.repeat(getattr(pendulum.exact, key)[:, :1], 65, axis=1) for key in _STATE}
     time = np.arange(65) / 64.0
     fall = {**still, "position": np.array(still["position"]).astype(np.float32).astype(float)}
@@ -77,8 +77,8 @@ def test_motion_that_is_exact_by_nature_is_not_rounded(pendulum: Any) -> None:
     scene = msgspec.structs.replace(pendulum.scene, clock=clock)
     batch = dataclasses.replace(pendulum.batch, position=fall["position"][:, 0])
     for motion in (still, fall):
-        found = dataclasses.replace(pendulum.exact, time=time, **motion)
-        assert precision.finding(Record(scene, batch, found)).figure.tolist() == [0.0] * 3
+        exact = dataclasses.replace(pendulum.exact, time=time, **motion)
+        assert precision.finding(Record(scene, batch, exact)).figure.tolist() == [0.0] * 3
 
 
 @pytest.mark.parametrize("field", ["position", "velocity", "angular_velocity"])
@@ -92,7 +92,7 @@ def test_another_start_than_the_drawn_one_fails(pendulum: Any, field: str) -> No
 
 
 def test_velocities_may_round_as_much_as_rates_at_an_arm_do(pendulum: Any) -> None:
-    """Tips of rods that spin fast have speeds of 1e6 m/s, from which slow centres are made."""
+    """Velocities of slow centres follow from tips of fast rods, at speeds of 1e6 m/s."""
     length = pendulum.scene.length
     spin = np.full_like(pendulum.batch.angular_velocity, 1e6)
     batch = dataclasses.replace(pendulum.batch, angular_velocity=spin)
@@ -109,8 +109,8 @@ def test_velocities_may_round_as_much_as_rates_at_an_arm_do(pendulum: Any) -> No
 
 
 def test_the_sign_of_a_quaternion_is_no_defect_but_its_order_is(pendulum: Any) -> None:
-    turned = dataclasses.replace(pendulum.exact, orientation=-pendulum.exact.orientation)
-    assert start.finding(Record(pendulum.scene, pendulum.batch, turned)).passed.all()
+    negated = dataclasses.replace(pendulum.exact, orientation=-pendulum.exact.orientation)
+    assert start.finding(Record(pendulum.scene, pendulum.batch, negated)).passed.all()
     swapped = dataclasses.replace(
         pendulum.exact, orientation=np.roll(pendulum.exact.orientation, -1, axis=-1)
     )

@@ -31,8 +31,8 @@ def test_what_a_damper_takes_of_a_swing_is_found_by_order_4(pace: float) -> None
     def off(steps: int) -> tuple[float, float]:
         time = np.linspace(0.0, 1.0, steps + 1)[None]
         path = Way.through(np.sin(pace * time), pace / steps * np.cos(pace * time))
-        taken = pace**2 * (0.5 + np.sin(2 * pace) / (4 * pace))
-        return abs(steps * path.square.sum() - taken), steps * path.vague.sum()
+        exact = pace**2 * (0.5 + np.sin(2 * pace) / (4 * pace))
+        return abs(steps * path.square.sum() - exact), steps * path.vague.sum()
 
     (coarse, vague), (fine, less) = off(40), off(80)
 
@@ -48,9 +48,9 @@ def test_of_a_joint_that_a_damper_stops_within_a_frame_it_is_known_that_little_i
     place = stretch * -np.expm1(-np.arange(2) / stretch)[None]
     path = Way.through(place, np.exp(-np.arange(2) / stretch)[None])
 
-    taken = -0.5 * stretch * np.expm1(-2 / stretch)
+    exact = -0.5 * stretch * np.expm1(-2 / stretch)
 
-    assert abs(path.square - taken) < path.vague
+    assert abs(path.square - exact) < path.vague
 
 
 @pytest.mark.parametrize("case", JOINT_CASES, ids=lambda case: case.name)
@@ -59,13 +59,13 @@ def test_the_exact_motion_balances_and_one_with_another_law_does_not(case: Case)
 
     finding = energy_balance.finding(record)
     assert finding.uncertainty is not None
-    # Dry friction may stop a joint inside a frame, and of its work there no more is known.
+    # Dry friction may stop a joint within a frame, in which its work is not known better.
     stops = finding.uncertainty.max() if record.mechanism.frictional else 0.0
     assert finding.figure.max() < max(1e-5, stops)
     # 5 % of the led block's stiffness are 8.4e-4 of its scale of energy.
     least = 5e-4 if case.name == "led block" else 1e-3
-    given = (key for joint in case.scene.joints for key in joint.added if getattr(joint, key))
-    for key in {*given} - {"rest"}:
+    laws = (key for joint in case.scene.joints for key in joint.added if getattr(joint, key))
+    for key in {*laws} - {"rest"}:
         joints = (
             msgspec.structs.replace(joint, **{key: 1.05 * getattr(joint, key)})
             for joint in case.scene.joints
@@ -103,8 +103,8 @@ def test_a_spring_stores_what_whole_turns_put_into_it() -> None:
 def test_a_joint_to_the_world_with_a_load_takes_momentum() -> None:
     for case in JOINT_CASES:
         mechanism = Mechanism.of(case.scene)
-        held = any(
+        loaded = any(
             -1 in (joint.parent, joint.child) and joint.is_loaded for joint in mechanism.joints
         )
 
-        assert bool(balances_of(mechanism)) is not held
+        assert bool(balances_of(mechanism)) is not loaded

@@ -88,15 +88,15 @@ def halves(request: Any, pendulum: Any, simulate: Any) -> tuple[str, Trajectory,
 def test_frames_half_a_step_late_show(
     pendulum: Any, halves: tuple[str, Trajectory, Trajectory], late: str
 ) -> None:
-    """Recorded at half steps of the same motion, in positions alone, velocities alone or both."""
+    """Frames are half a step late in positions alone, in velocities alone, or in both."""
     stepper, on_time, delayed = halves
     method, count = METHODS[stepper], 10
     names = {
         "position": ("position", "orientation"),
         "velocity": ("velocity", "angular_velocity"),
     }
-    taken = names.get(late) or (*names["position"], *names["velocity"])
-    motion = dataclasses.replace(on_time, **{name: getattr(delayed, name) for name in taken})
+    fields = names.get(late) or (*names["position"], *names["velocity"])
+    motion = dataclasses.replace(on_time, **{name: getattr(delayed, name) for name in fields})
     half = dataclasses.replace(method, velocity_lag=method.velocity_lag / 2)
     speeds, lag = _both(_record(pendulum, motion, half, count))
 
@@ -113,10 +113,10 @@ def test_velocities_of_another_body_or_in_another_frame_show(tumbling: Any) -> N
     exact = tumbling.exact
     swapped = dataclasses.replace(exact, velocity=exact.velocity[:, :, ::-1])
     back = rotation.conjugate(exact.orientation)
-    turned = dataclasses.replace(
+    local = dataclasses.replace(
         exact, angular_velocity=rotation.rotate(back, exact.angular_velocity)
     )
-    for broken in (swapped, turned):
+    for broken in (swapped, local):
         speeds, _ = _both(_record(tumbling, broken, METHODS["rk4"], 10))
         assert not speeds.passed.any()
         assert (speeds.figure > 0.01).all()
@@ -146,17 +146,17 @@ def _wheel(rate: float) -> Scene:
 
 @pytest.mark.parametrize("turns", [0.05, 0.3, 3.0])
 def test_what_frames_do_not_resolve_is_no_mismatch(turns: float) -> None:
-    """A wheel that turns by a part of a turn, or many, in each frame."""
+    """A wheel makes a part of a turn, or several turns, in each frame."""
     rate = turns * 2 * np.pi / 0.02
     scene = _wheel(rate)
     angle = rate * 0.02 * np.arange(11)
     out = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=-1)
     along = np.stack([-np.sin(angle), np.cos(angle), 0 * angle], axis=-1)
-    turned = np.stack([np.cos(angle / 2), 0 * angle, 0 * angle, np.sin(angle / 2)], axis=-1)
+    facing = np.stack([np.cos(angle / 2), 0 * angle, 0 * angle, np.sin(angle / 2)], axis=-1)
     motion = Trajectory(
         np.arange(11) * np.float64(0.02),
         0.1 * out[None, :, None],
-        turned[None, :, None],
+        facing[None, :, None],
         0.1 * rate * along[None, :, None],
         np.broadcast_to([0.0, 0.0, rate], (1, 11, 1, 3)),
         (None,),
@@ -170,7 +170,7 @@ def test_what_frames_do_not_resolve_is_no_mismatch(turns: float) -> None:
     )
     speeds, lag = _both(Record(scene, draw_batch(scene, [0]), late, METHODS["rk4"], 0.02 / 1e3))
 
-    # A frame late: seen where frames resolve the turn at all.
+    # A delay of a frame shows where frames resolve the turn at all.
     assert (speeds.passed & lag.passed).all() == (turns > 1)
 
 
@@ -178,7 +178,7 @@ def test_what_frames_do_not_resolve_is_no_mismatch(turns: float) -> None:
     ("name", "frame"), [("2pendulum", 0.5), ("2ladder", 0.1), ("3ladder", 0.3)]
 )
 def test_frames_too_far_apart_to_show_the_motion_raise_no_alarm(name: str, frame: float) -> None:
-    """What two formulas add is alike by chance in some of these frames, and tells nothing there."""
+    """In some of these frames two formulas agree by chance, which proves nothing."""
     scene = msgspec.structs.replace(load_scene(name), clock=Clock(frame, int(6.0 / frame)))
     batch = draw_batch(scene, range(6), noise=False)
     exact = reference.solve(scene, batch, cache=False)
@@ -189,7 +189,7 @@ def test_frames_too_far_apart_to_show_the_motion_raise_no_alarm(name: str, frame
 
 
 def test_a_body_is_resolved_no_better_than_those_it_hangs_with() -> None:
-    """At frame 113 the quintic happens to add little for the first link, and errs all the same."""
+    """At frame 113 the quintic's correction of the first link is small by chance, yet wrong."""
     scene = load_scene("6pendulum")
     scene = msgspec.structs.replace(scene, clock=Clock(scene.clock.frame, 116))
     batch = draw_batch(scene, [2], seed=9007)
@@ -228,7 +228,7 @@ def test_a_motion_without_acceleration_has_no_lag() -> None:
 
 @pytest.mark.parametrize("frames", [1, 2])
 def test_frames_that_follow_rest_are_held_to_the_speed_they_reach(frames: int) -> None:
-    """A stone that is let go: where each step looked at begins, it stands."""
+    """A stone is let go, and each step that the check looks at begins at rest."""
     body = Body("stone", inertia=Inertia(1.0, (0.1, 0.1, 0.1)), position=(0.0, 0.0, 1.0))
     scene = Scene("stone", (body,), 1.0, clock=Clock(0.02, frames))
     batch = draw_batch(scene, [0])
@@ -262,7 +262,7 @@ def test_rates_that_change_by_rounding_alone_have_no_lag() -> None:
 
 
 def test_a_link_without_moments_of_inertia_turns_as_exactly_as_any() -> None:
-    """A pendulum of a link that is a point of mass, and a rod."""
+    """The pendulum consists of a point-mass link and a rod."""
     hollow, rod = Inertia(1.0, (1e-34,) * 3), Inertia(0.5, (0.01, 0.01, 0.001))
     bodies = tuple(
         Body(name, inertia=inertia, position=(place, 0.0, 0.0))
@@ -297,7 +297,7 @@ def test_frames_after_a_failure_are_left_out(pendulum: Any) -> None:
 
 
 def test_only_flights_are_looked_at_where_there_is_contact() -> None:
-    """A sphere dropped from 1.1 m that bounces at 0.1 m, and one that lies."""
+    """One sphere drops from 1.1 m and bounces at 0.1 m; another lies on the ground."""
     fall = np.sqrt(2 / 9.81)
     scene = Scene(
         name="bouncing",
@@ -328,7 +328,7 @@ def test_only_flights_are_looked_at_where_there_is_contact() -> None:
 
 
 _TOLD = {("exudyn", "leaning rod", "generalised-alpha", 5e-3, "displacement")}
-"""No false alarm: after the impact the rod rests to 10 nm, with velocities of 5 mm/s."""
+"""True alarms: after the impact the rod rests to 10 nm, but with velocities of 5 mm/s."""
 
 
 @pytest.mark.slow
@@ -342,14 +342,14 @@ def test_no_engine_raises_a_false_alarm(adapter: Adapter, case: Exact) -> None:
                 motion = run(case.scene, batch, adapter.name, Settings(name, step)).trajectory
                 record = Record(case.scene, batch, motion, method, step)
                 for check in (kinematics, velocity_lag, displacement):
-                    found = check.finding(record)
-                    told = (adapter.name, case.name, name, step, found.check) in _TOLD
-                    assert found.passed.all() != told, (name, step, found.line(0), found.frame)
+                    result = check.finding(record)
+                    due = (adapter.name, case.name, name, step, result.check) in _TOLD
+                    assert result.passed.all() != due, (name, step, result.line(0), result.frame)
 
 
 @pytest.mark.parametrize("name", ["ball loop", "Hooke's joint"])
 def test_only_impulses_of_loops_explain_another_start(name: str) -> None:
-    """What closing the loops by impulses makes of the start's velocities, at 5 ms, and more."""
+    """Impulses that close loops at steps of 5 ms explain a start's velocities; others do not."""
     scene = next(case.scene for case in CASES if case.name == name)
     batch = draw_batch(scene, [0])
     motion = reference.solve(scene, batch)
@@ -363,7 +363,7 @@ def test_only_impulses_of_loops_explain_another_start(name: str) -> None:
     closed, loose = (reference.accelerations(each, start, *load) for each in (mechanism, tree))
 
     def figure(late: float, times: float) -> Any:
-        """Of a start whose velocities lack impulses of some time, or are too large."""
+        """Check a start whose velocities lack impulses of `late` [s], or are `times` as large."""
         velocity, spin = motion.velocity.copy(), motion.angular_velocity.copy()
         velocity[:, 0] = times * velocity[:, 0] - late * (closed[0] - loose[0])
         spin[:, 0] = times * spin[:, 0] - late * (closed[1] - loose[1])
@@ -382,6 +382,6 @@ def test_a_closed_mechanism_that_blew_up_at_once_has_figures_of_nothing() -> Non
     lost = (Failure(1, "a body's speed passes all bounds"),)
     motion = dataclasses.replace(reference.solve(scene, batch), failures=lost).cut_at_failures()
 
-    found = kinematics(Record(scene, batch, motion, METHODS["rk4"], 5e-3))
+    finding = kinematics(Record(scene, batch, motion, METHODS["rk4"], 5e-3))
 
-    assert found is None or not np.isfinite(found.figure).any()
+    assert finding is None or not np.isfinite(finding.figure).any()

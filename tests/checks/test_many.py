@@ -52,7 +52,7 @@ def frames(motion: Trajectory, steps: int) -> Trajectory:
 
 
 def assert_alike(one: Finding, other: Finding) -> None:
-    """To a millionth of the figure or of what is allowed, as `verify` compares stored figures."""
+    """Compare to a millionth of the figure or its budget, as `verify` does with stored figures."""
     assert other.check == one.check
     allowed = 1.0 if one.budget is None else one.budget
     size = np.fmax(np.fmax.reduce(np.abs(one.series), axis=1), allowed)[:, None]

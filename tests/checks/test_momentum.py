@@ -53,7 +53,7 @@ def test_two_pivots_on_parallel_axes_leave_nothing(linkage: Any) -> None:
 
 @pytest.mark.parametrize(("wrong", "share"), [("gravity", 1e-3), ("force", 0.05)])
 def test_another_gravity_or_other_forces_show(pendulum: Any, wrong: str, share: float) -> None:
-    """Held to 9.80 m/s², or forces 5 % larger, and 40 frames."""
+    """The check assumes 9.82 m/s², or forces that are 5 % larger, for 40 frames."""
     scene, batch = pendulum.scene, pendulum.batch
     if wrong == "gravity":
         scene = msgspec.structs.replace(scene, gravity=(0.0, 0.0, -9.81 * (1 + share)))
@@ -142,8 +142,8 @@ def _pull(x: float) -> SpringDamper:
     ],
 )
 def test_what_supports_leave(scene: Scene, left: list[str]) -> None:
-    found = balances_of(Mechanism.of(scene))
-    assert [f"{each.name.split()[0]} {len(each.directions)}" for each in found] == left
+    balances = balances_of(Mechanism.of(scene))
+    assert [f"{each.name.split()[0]} {len(each.directions)}" for each in balances] == left
 
 
 def test_pendulums_have_their_anchor_and_ladders_the_line_of_two() -> None:
@@ -156,7 +156,7 @@ def test_pendulums_have_their_anchor_and_ladders_the_line_of_two() -> None:
 
 
 def test_driven_hinges_to_the_world_count_and_others_do_not() -> None:
-    """Wheel on a carrier, both driven about z: angles in closed form."""
+    """A wheel on a carrier, both driven about z, has angles in closed form."""
     bodies = (Body("carrier", inertia=BALL), Body("wheel", inertia=BALL))
     scene = Scene(
         name="drive",
@@ -184,8 +184,8 @@ def test_driven_hinges_to_the_world_count_and_others_do_not() -> None:
     )
     finding = momentum.finding(Record(scene, batch, motion, RK4, 1e-3))
     assert finding.figure[0] < 1e-13
-    turned = dataclasses.replace(batch, torque=-batch.torque)
-    wrong = momentum.finding(Record(scene, turned, motion, RK4, 1e-3))
+    opposite = dataclasses.replace(batch, torque=-batch.torque)
+    wrong = momentum.finding(Record(scene, opposite, motion, RK4, 1e-3))
     assert not wrong.passed.any()
 
 

@@ -1,4 +1,4 @@
-"""Runs at other steps go as far as there is anything to hold them against."""
+"""Runs at other steps end with the reference that they are compared with."""
 
 from __future__ import annotations
 

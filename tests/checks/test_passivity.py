@@ -1,4 +1,4 @@
-"""Impacts beside the centre of mass: two laws for them, and one that may add energy."""
+"""Impacts off the centre of mass: two laws for them, one of which may add energy."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from scipy.optimize import brentq
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.checks import Finding, Record
 from mbds_xsim.checks.eccentric import (
+    ImpactEvidence,
     Pool,
-    Shown,
     eccentric_friction,
     eccentric_restitution,
     impact_coefficients,
@@ -33,7 +33,7 @@ from mbds_xsim.simulate.timed import simulate
 
 RK4 = load_adapter("mujoco").methods["RK4"]
 OFFSET, RADIUS, MOMENT, GRAVITY = np.array([0.2, -0.1]), 0.02, 0.02, 9.81
-PART = 1e-3  # of the time unit of a spring, in steps
+PART = 1e-3  # step over the time unit of a spring
 
 
 def _club(friction: float = 0.43, restitution: float = 0.9332) -> Scene:
@@ -62,7 +62,7 @@ def _club(friction: float = 0.43, restitution: float = 0.9332) -> Scene:
 
 @dataclasses.dataclass(frozen=True)
 class _State:
-    """Of planar motion: place and velocity (x, z), angle and rate about y."""
+    """State of planar motion: place and velocity (x, z), angle and rate about y."""
 
     place: Array
     velocity: Array
@@ -77,7 +77,7 @@ class _State:
 
     @property
     def lever(self) -> Array:
-        """From the centre of mass to the sphere's lowest point."""
+        """Vector from the centre of mass to the sphere's lowest point."""
         c, s = np.cos(self.angle), np.sin(self.angle)
         return np.array([[c, s], [-s, c]]) @ OFFSET - [0.0, RADIUS]
 
@@ -87,7 +87,7 @@ class _State:
 
     @property
     def speed(self) -> Array:
-        """Of the lowest point."""
+        """Velocity of the lowest point."""
         x, z = self.lever
         return np.asarray(self.velocity + self.rate * np.array([z, -x]))
 
@@ -128,14 +128,14 @@ Law = Callable[[_State, float, float], _State]
 
 
 def _frame_later(state: _State, law: Law, friction: float, restitution: float) -> _State:
-    left = 0.02
-    while left > 0.0:
-        times = np.linspace(1e-9, left, 20)
+    rest = 0.02
+    while rest > 0.0:
+        times = np.linspace(1e-9, rest, 20)
         below = [t for t in times if state.later(t).gap < 0.0]
         if not below:
-            return state.later(left)
+            return state.later(rest)
         hit = brentq(lambda t, s=state: s.later(t).gap, 1e-12, below[0], xtol=1e-15)
-        state, left = law(state.later(hit), friction, restitution), left - hit
+        state, rest = law(state.later(hit), friction, restitution), rest - hit
     return state
 
 
@@ -203,10 +203,10 @@ def test_less_restitution_or_no_friction_adds_nothing(ground: tuple[float, float
 @pytest.mark.parametrize("delivered", [1.0, 1.1])
 def test_more_than_the_law_adds_is_not_explained(delivered: float) -> None:
     unexplained, whole = _figures(_record(delivered=delivered))
-    made = whole > 1e-3
+    rises = whole > 1e-3
 
-    assert made.sum() >= 20
-    assert (unexplained[made] > 1e-3).all()
+    assert rises.sum() >= 20
+    assert (unexplained[rises] > 1e-3).all()
 
 
 @pytest.mark.parametrize(("law", "known"), [(_State.hit, 1e-6), (_State.press, 5e-3)])
@@ -248,7 +248,7 @@ def test_another_friction_of_eccentric_impacts_shows(law: Law, taken: float) -> 
 
 @pytest.mark.parametrize("law", [_State.hit, _State.press])
 def test_impacts_together_tell_a_coefficient_that_none_of_them_tells(law: Law) -> None:
-    """0.033 of restitution, or a sixth of friction, are within the budgets of a single impact."""
+    """A single impact's budgets allow errors of 0.033 in restitution or of a sixth in friction."""
     bounced = _bounced(law, restitution=0.90)
     records = _bounced(law), bounced, _bounced(law, friction=0.37)
     sound, lively, rough = map(impact_coefficients.finding, records)
@@ -271,7 +271,7 @@ def test_few_impacts_tell_no_coefficient(lawful: Record) -> None:
 def test_an_impact_that_a_law_cannot_follow_is_left_out() -> None:
     restitution, ones = np.full((2, 9), 0.001), np.ones((2, 9))
     restitution[1, 4] = np.nan
-    pool = Pool.of(Shown(restitution, ones, 0.0 * ones, ones))
+    pool = Pool.of(ImpactEvidence(restitution, ones, 0.0 * ones, ones))
 
     assert pool is not None
     assert pool.impacts == 8
@@ -283,7 +283,7 @@ def _eccentric(record: Record) -> tuple[Finding, Finding]:
 
 
 def test_a_sphere_that_sinks_further_than_its_contact_lasts_shows(lawful: Record) -> None:
-    """What is 2 mm larger in the scene than in the motion meets the ground 2 mm below it."""
+    """A sphere that is 2 mm larger in the scene than in the motion hits 2 mm below the ground."""
     (sphere,) = lawful.scene.contacts
     other = msgspec.structs.replace(sphere, radius=RADIUS + 2e-3)
     larger = dataclasses.replace(
@@ -310,7 +310,7 @@ def test_impacts_are_taken_apart_exactly(lawful: Record) -> None:
 
 
 def test_beside_dry_friction_and_stops_that_may_act_no_impact_is_taken_apart() -> None:
-    """Motions without contact, that are followed to it, know neither."""
+    """The contact-free motions that lead to an impact know neither friction nor stops."""
     pytest.importorskip("mujoco")
     scene = msgspec.structs.replace(load_scene("simplecubli"), clock=Clock(0.02, 60))
     batch = draw_batch(scene, range(3), noise=False)

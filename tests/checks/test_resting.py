@@ -30,7 +30,7 @@ def _box(corners: list[tuple[float, float]] = CORNERS, **parts: Any) -> Scene:
 
 
 def _lying(scene: Scene, *, creep: float = 0.0, sink: float = 0.0) -> Record:
-    """Lie still, or move at a constant velocity along x or down [m/s]."""
+    """Record a box that lies still, or moves at a constant velocity along x or down [m/s]."""
     batch = draw_batch(scene, range(1))
     time = np.linspace(0.0, 1.0, 51)
     moved = time[:, None] * np.array([creep, 0.0, -sink])

@@ -42,9 +42,9 @@ def test_a_stop_that_is_narrower_was_passed(case: Case) -> None:
     )
     narrow = msgspec.structs.replace(case.scene, joints=tuple(joints))
 
-    found = past_limits.finding(Record(narrow, record.batch, record.trajectory))
-    assert found.figure.max() > 0.02
-    assert not found.passed.any()
+    finding = past_limits.finding(Record(narrow, record.batch, record.trajectory))
+    assert finding.figure.max() > 0.02
+    assert not finding.passed.any()
 
 
 def test_a_stop_that_gives_energy_is_seen() -> None:
@@ -57,5 +57,5 @@ def test_a_stop_that_gives_energy_is_seen() -> None:
     velocity[:, hit:, :, 2] += 4.0 * np.sqrt(2 * 9.81 * fall)
     thrown = dataclasses.replace(record.trajectory, velocity=velocity)
 
-    found = stop_passivity.finding(Record(case.scene, record.batch, thrown))
-    assert not found.passed.any()
+    finding = stop_passivity.finding(Record(case.scene, record.batch, thrown))
+    assert not finding.passed.any()

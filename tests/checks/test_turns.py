@@ -1,4 +1,4 @@
-"""Turns count beside lengths: a part of a micrometre that turns wrong moves nothing far."""
+"""Turns count as well as lengths: a micrometre-sized part that turns wrongly moves little."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ def test_a_tiny_part_that_turns_wrong_fails_though_nothing_is_far_off() -> None:
     turned = truth.orientation.copy()
     wrong = rotation.from_vector(np.array([0.0, 0.32, 0.0]))
     turned[:, 10:, 1] = rotation.multiply(wrong, turned[:, 10:, 1])
-    found = dataclasses.replace(truth, orientation=turned)
+    motion = dataclasses.replace(truth, orientation=turned)
 
-    error = particle_error(Mechanism.of(scene), found, truth)
+    error = particle_error(Mechanism.of(scene), motion, truth)
     lengths = error_findings(scene, batch, error, truth, growth)
-    turns = turn_finding(scene, found, truth, growth)
+    turns = turn_finding(scene, motion, truth, growth)
 
     assert all(finding.passed.all() for finding in lengths)
     assert not turns.passed.any()
@@ -44,4 +44,4 @@ def test_a_tiny_part_that_turns_wrong_fails_though_nothing_is_far_off() -> None:
     assert turns.where == ("grain",)
     assert turn_finding(scene, truth, truth, growth).figure[0] < 1e-7
     growth[:, 10:] = 200.0  # chaos, which is not judged
-    assert turn_finding(scene, found, truth, growth).figure[0] < 1e-7
+    assert turn_finding(scene, motion, truth, growth).figure[0] < 1e-7

@@ -1,4 +1,4 @@
-"""Whatever is typed or stands in a file: one clear line, exit code 2, nothing written."""
+"""Bad words and bad files give one clear line, exit code 2, and no written file."""
 
 from __future__ import annotations
 

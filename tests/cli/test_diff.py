@@ -1,4 +1,4 @@
-"""Two results compared: what is worse, what is only other, and what cannot be compared."""
+"""Comparison of two results: worse, merely different, and not comparable."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ def _validation() -> Json:
     return json.loads(_KEPT.read_text())
 
 
-def _engine(told: Json, name: str) -> Json:
-    return next(engine for engine in told["engines"] if engine["engine"] == name)
+def _engine(result: Json, name: str) -> Json:
+    return next(engine for engine in result["engines"] if engine["engine"] == name)
 
 
-def _finding(told: Json, engine: str, check: str) -> Json:
-    return next(f for f in _engine(told, engine)["findings"] if f["check"] == check)
+def _finding(result: Json, engine: str, check: str) -> Json:
+    return next(f for f in _engine(result, engine)["findings"] if f["check"] == check)
 
 
 def _tradeoff() -> Json:
@@ -68,26 +68,26 @@ _RESULTS = {
 
 @pytest.fixture
 def compare(run: CommandLine, here: Path) -> CommandLine:
-    """Compare a result with an edited copy of it; give what ended and the JSON."""
+    """Return a function that compares a result with an edited copy: its outcome and the JSON."""
 
-    def call(told: Json, edit: Edit, *words: str) -> tuple[Any, Json]:
-        other = copy.deepcopy(told)
+    def call(result: Json, edit: Edit, *words: str) -> tuple[Any, Json]:
+        other = copy.deepcopy(result)
         edit(other)
-        (here / "old.json").write_text(json.dumps(told))
+        (here / "old.json").write_text(json.dumps(result))
         (here / "new.json").write_text(json.dumps(other))
         ended = run("diff", "old.json", "new.json", "--json", "diff.json", *words)
-        made = here / "diff.json"
-        return ended, json.loads(made.read_text()) if made.exists() else {}
+        output = here / "diff.json"
+        return ended, json.loads(output.read_text()) if output.exists() else {}
 
     return call
 
 
 @pytest.mark.parametrize("kind", _RESULTS)
 def test_a_result_is_the_same_as_itself(compare: CommandLine, kind: str) -> None:
-    ended, told = compare(_RESULTS[kind](), lambda _: None)
+    ended, result = compare(_RESULTS[kind](), lambda _: None)
 
-    assert (ended.code, told["verdict"]) == (0, "same")
-    (scene,) = told["scenes"]
+    assert (ended.code, result["verdict"]) == (0, "same")
+    (scene,) = result["scenes"]
     assert scene["entries"] == []
     assert scene["unchanged"] > 0
 
@@ -96,22 +96,22 @@ def test_every_schema_is_tried() -> None:
     assert {make()["schema"] for make in _RESULTS.values()} == set(READERS)
 
 
-def _failed(told: Json) -> None:
-    _engine(told, "mujoco")["verdict"] = "fail"
-    _engine(told, "mujoco")["reasons"] = ["gap: 0.2 mm, allowed 0.1 mm (rung)"]
-    _finding(told, "mujoco", "gap")["passed"] = False
+def _failed(result: Json) -> None:
+    _engine(result, "mujoco")["verdict"] = "fail"
+    _engine(result, "mujoco")["reasons"] = ["gap: 0.2 mm, allowed 0.1 mm (rung)"]
+    _finding(result, "mujoco", "gap")["passed"] = False
 
 
 def test_a_pass_that_fails_is_worse(compare: CommandLine) -> None:
-    ended, told = compare(_validation(), _failed)
+    ended, result = compare(_validation(), _failed)
 
     assert ended.code == 1
-    assert told["verdict"] == "worse"
-    assert told["scenes"][0]["worse"] == [
+    assert result["verdict"] == "worse"
+    assert result["scenes"][0]["worse"] == [
         "mujoco matched: pass → fail",
         "mujoco matched: gap no longer keeps its budget",
     ]
-    (entry,) = told["scenes"][0]["entries"]
+    (entry,) = result["scenes"][0]["entries"]
     assert entry["reasons_new"] == ["gap: 0.2 mm, allowed 0.1 mm (rung)"]
     assert "WORSE" in ended.out
 
@@ -120,69 +120,69 @@ def test_a_fail_that_passes_is_better(compare: CommandLine) -> None:
     bad = _validation()
     _failed(bad)
 
-    def repaired(told: Json) -> None:
-        told["engines"] = _validation()["engines"]
+    def repaired(result: Json) -> None:
+        result["engines"] = _validation()["engines"]
 
-    ended, told = compare(bad, repaired)
+    ended, result = compare(bad, repaired)
 
-    assert (ended.code, told["verdict"]) == (0, "changed")
-    assert told["scenes"][0]["better"] == [
+    assert (ended.code, result["verdict"]) == (0, "changed")
+    assert result["scenes"][0]["better"] == [
         "mujoco matched: fail → pass",
         "mujoco matched: gap keeps its budget now",
     ]
-    assert told["scenes"][0]["entries"][0]["reasons_gone"]
+    assert result["scenes"][0]["entries"][0]["reasons_gone"]
 
 
 def test_a_budget_lost_is_worse_where_the_verdict_is_not(compare: CommandLine) -> None:
     bad = _validation()
     _failed(bad)
 
-    def another(told: Json) -> None:
-        _finding(told, "mujoco", "energy")["passed"] = False
+    def another(result: Json) -> None:
+        _finding(result, "mujoco", "energy")["passed"] = False
 
-    ended, told = compare(bad, another)
+    ended, result = compare(bad, another)
 
     assert ended.code == 1
-    assert told["scenes"][0]["worse"] == ["mujoco matched: energy no longer keeps its budget"]
+    assert result["scenes"][0]["worse"] == ["mujoco matched: energy no longer keeps its budget"]
 
 
 @pytest.mark.parametrize(("part", "shown"), [(0.9e-6, False), (1.1e-6, True)])
 def test_figures_of_physics_are_compared_closely(
     compare: CommandLine, part: float, shown: bool
 ) -> None:
-    def other(told: Json) -> None:
-        error = _finding(told, "dart", "error at 1 s")
-        error["figure"] += part * error["budget"]  # which is larger than the figure
-        _finding(told, "dart", "start")["figure"] *= 7  # rounding, far below what is allowed
+    def other(result: Json) -> None:
+        error = _finding(result, "dart", "error at 1 s")
+        error["figure"] += part * error["budget"]  # the budget is larger than the figure
+        _finding(result, "dart", "start")["figure"] *= 7  # rounding, far below what is allowed
 
-    ended, told = compare(_validation(), other)
+    ended, result = compare(_validation(), other)
 
     assert ended.code == 0
-    changed = [figure for entry in told["scenes"][0]["entries"] for figure in entry["figures"]]
+    changed = [figure for entry in result["scenes"][0]["entries"] for figure in entry["figures"]]
     assert [figure["what"] for figure in changed] == (["error at 1 s"] if shown else [])
-    assert told["verdict"] == ("changed" if shown else "same")
+    assert result["verdict"] == ("changed" if shown else "same")
 
 
 @pytest.mark.parametrize(("factor", "shown"), [(1.4, False), (1.6, True), (0.5, True)])
 def test_times_are_apart_and_never_worse(compare: CommandLine, factor: float, shown: bool) -> None:
-    def slower(told: Json) -> None:
-        _engine(told, "exudyn")["wall_per_simulated_s"] *= factor
+    def slower(result: Json) -> None:
+        _engine(result, "exudyn")["wall_per_simulated_s"] *= factor
 
-    ended, told = compare(_validation(), slower)
+    ended, result = compare(_validation(), slower)
 
-    assert (ended.code, told["verdict"]) == (0, "same")
-    times = [time for entry in told["scenes"][0]["entries"] for time in entry["timings"]]
+    assert (ended.code, result["verdict"]) == (0, "same")
+    times = [time for entry in result["scenes"][0]["entries"] for time in entry["timings"]]
     assert [time["ratio"] for time in times] == ([pytest.approx(factor)] if shown else [])
 
 
 def test_figures_that_are_missing_now_are_told(compare: CommandLine) -> None:
-    def gone(told: Json) -> None:
-        _finding(told, "dart", "energy")["figure"] = None
-        _engine(told, "dart")["agreement_time_s"] = 0.5
+    def gone(result: Json) -> None:
+        _finding(result, "dart", "energy")["figure"] = None
+        _engine(result, "dart")["agreement_time_s"] = 0.5
 
-    _, told = compare(_validation(), gone)
+    _, result = compare(_validation(), gone)
 
-    (entry,) = told["scenes"][0]["entries"]
+    (entry,) = result["scenes"][0]["entries"]
     assert [(figure["what"], figure["ratio"]) for figure in entry["figures"]] == [
         ("energy", None),
         ("agreement time", None),
@@ -193,23 +193,23 @@ def test_reasons_with_other_numbers_are_the_same_reasons(compare: CommandLine) -
     bad = _validation()
     _failed(bad)
 
-    def moved(told: Json) -> None:
-        _engine(told, "mujoco")["reasons"] = ["gap: 340 µm, allowed 0.1 mm (side)"]
+    def moved(result: Json) -> None:
+        _engine(result, "mujoco")["reasons"] = ["gap: 340 µm, allowed 0.1 mm (side)"]
 
-    _, told = compare(bad, moved)
+    _, result = compare(bad, moved)
 
-    assert told["scenes"][0]["entries"] == []
+    assert result["scenes"][0]["entries"] == []
 
 
 def test_settings_versions_and_starts_are_told(compare: CommandLine) -> None:
-    def other(told: Json) -> None:
-        _engine(told, "mujoco").update(version="5.0.0", step_s=0.004)
-        told["versions"]["mujoco"] = "5.0.0"
-        told["seed"] = 2
+    def other(result: Json) -> None:
+        _engine(result, "mujoco").update(version="5.0.0", step_s=0.004)
+        result["versions"]["mujoco"] = "5.0.0"
+        result["seed"] = 2
 
-    ended, told = compare(_validation(), other)
+    ended, result = compare(_validation(), other)
 
-    (scene,) = told["scenes"]
+    (scene,) = result["scenes"]
     assert [change["what"] for change in scene["entries"][0]["settings"]] == ["version", "step [s]"]
     assert scene["circumstances"] == [{"what": "mujoco", "old": "4.0.0", "new": "5.0.0"}]
     assert scene["sample"] == [{"what": "seed", "old": 1, "new": 2}]
@@ -220,27 +220,27 @@ def test_settings_versions_and_starts_are_told(compare: CommandLine) -> None:
 def test_an_engine_left_out_is_worse_than_one_not_asked(
     compare: CommandLine, left_out: dict[str, str], code: int
 ) -> None:
-    def without(told: Json) -> None:
-        told["engines"] = [e for e in told["engines"] if e["engine"] != "mujoco"]
-        told["left_out"] = left_out
+    def without(result: Json) -> None:
+        result["engines"] = [e for e in result["engines"] if e["engine"] != "mujoco"]
+        result["left_out"] = left_out
 
-    ended, told = compare(_validation(), without)
+    ended, result = compare(_validation(), without)
 
     assert ended.code == code
     why = left_out.get("mujoco", "")
-    assert told["scenes"][0]["only_old"] == [
+    assert result["scenes"][0]["only_old"] == [
         {"name": "mujoco matched", "verdict": "pass", "why": why}
     ]
 
 
 def test_a_point_of_a_curve_over_budget_is_worse(compare: CommandLine) -> None:
-    def worse(told: Json) -> None:
-        told["curves"][0]["points"][1].update(broken=["error at 1 s"], error_m=5e-3)
+    def worse(result: Json) -> None:
+        result["curves"][0]["points"][1].update(broken=["error at 1 s"], error_m=5e-3)
 
-    ended, told = compare(_tradeoff(), worse)
+    ended, result = compare(_tradeoff(), worse)
 
     assert ended.code == 1
-    assert told["scenes"][0]["worse"] == [
+    assert result["scenes"][0]["worse"] == [
         "mujoco RK4: keeps all budgets → keeps them at no step",
         "mujoco RK4, 0.01 s: all budgets kept → over budget",
         "mujoco RK4, 0.01 s: error at 1 s no longer keeps its budget",
@@ -248,40 +248,40 @@ def test_a_point_of_a_curve_over_budget_is_worse(compare: CommandLine) -> None:
 
 
 def test_a_point_too_slow_is_not_worse(compare: CommandLine) -> None:
-    def slow(told: Json) -> None:
-        told["curves"][0]["points"][0].update(kind="too slow", broken=[], error_m=None)
+    def slow(result: Json) -> None:
+        result["curves"][0]["points"][0].update(kind="too slow", broken=[], error_m=None)
 
-    ended, told = compare(_tradeoff(), slow)
+    ended, result = compare(_tradeoff(), slow)
 
-    assert (ended.code, told["verdict"]) == (0, "changed")
+    assert (ended.code, result["verdict"]) == (0, "changed")
 
 
 def test_a_curve_that_is_gone_is_one_line(compare: CommandLine) -> None:
-    _, told = compare(_tradeoff(), lambda study: study["curves"].pop())
+    _, result = compare(_tradeoff(), lambda study: study["curves"].pop())
 
-    assert [one["name"] for one in told["scenes"][0]["only_old"]] == ["mujoco Euler"]
+    assert [one["name"] for one in result["scenes"][0]["only_old"]] == ["mujoco Euler"]
 
 
 def test_matched_settings_that_fail_are_worse(compare: CommandLine) -> None:
-    def worse(told: Json) -> None:
-        told["engines"][0].update(
+    def worse(result: Json) -> None:
+        result["engines"][0].update(
             meets_budget=False, reasons=["gap: 1 mm"], cpu_per_simulated_s=None
         )
 
-    ended, told = compare(_match(), worse)
+    ended, result = compare(_match(), worse)
 
     assert ended.code == 1
-    assert told["scenes"][0]["worse"] == ["mujoco: keeps all budgets → over budget"]
+    assert result["scenes"][0]["worse"] == ["mujoco: keeps all budgets → over budget"]
 
 
 def test_a_cell_that_is_stable_no_more_is_worse(compare: CommandLine) -> None:
-    def worse(told: Json) -> None:
-        told["panels"][0]["cells"][0][0].update(outcome="blows up", broke_s=0.3)
+    def worse(data: Json) -> None:
+        data["panels"][0]["cells"][0][0].update(outcome="blows up", broke_s=0.3)
 
-    ended, told = compare(_stability(), worse)
+    ended, data = compare(_stability(), worse)
 
     assert ended.code == 1
-    assert told["scenes"][0]["worse"] == ["mujoco RK4, spin 10.0 rad/s, 0.01 s: stable → blows up"]
+    assert data["scenes"][0]["worse"] == ["mujoco RK4, spin 10.0 rad/s, 0.01 s: stable → blows up"]
 
 
 def test_lists_are_compared_scene_by_scene(run: CommandLine, here: Path) -> None:
@@ -337,14 +337,14 @@ _FILES: dict[str, tuple[bytes, str]] = {
 
 @pytest.mark.parametrize("kind", _FILES)
 def test_bad_files_are_one_line(run: CommandLine, here: Path, kind: str) -> None:
-    content, said = _FILES[kind]
+    content, message = _FILES[kind]
     if content:
         (here / "new.json").write_bytes(content)
 
     ended = run("diff", str(_KEPT), "new.json", "--json", "diff.json")
 
     assert ended.code == 2
-    assert said in ended.err
+    assert message in ended.err
     assert ended.err.count("\n") == 1
     assert not (here / "diff.json").exists()
 
@@ -359,10 +359,10 @@ def test_what_has_no_end_is_not_read_to_it(run: CommandLine) -> None:
 
 
 def test_a_scene_of_other_physics_is_refused(compare: CommandLine) -> None:
-    told = _match() | {"fingerprint": "a" * 16}
+    result = _match() | {"fingerprint": "a" * 16}
 
-    other, _ = compare(told, lambda new: new.update(fingerprint="b" * 16))
-    unknown, _ = compare(told, lambda new: new.update(fingerprint=""))
+    other, _ = compare(result, lambda new: new.update(fingerprint="b" * 16))
+    unknown, _ = compare(result, lambda new: new.update(fingerprint=""))
 
     assert other.code == 2
     assert "pair is not the same scene in both files: fingerprint is aaaa" in other.err
@@ -372,16 +372,16 @@ def test_a_scene_of_other_physics_is_refused(compare: CommandLine) -> None:
 @pytest.mark.parametrize(
     ("edit", "said"),
     [
-        (lambda told: told.update(scene="2ladder"), "is about 3ladder and new.json about 2ladder"),
-        (lambda told: told.update(length_m=2.0), "not the same scene in both files: length [m]"),
-        (lambda told: told["engines"].append(told["engines"][0]), "has 'dart matched' twice"),
-        (lambda told: told["engines"][0].update(step_s="x"), "$.engines[0].step_s"),
+        (lambda data: data.update(scene="2ladder"), "is about 3ladder and new.json about 2ladder"),
+        (lambda data: data.update(length_m=2.0), "not the same scene in both files: length [m]"),
+        (lambda data: data["engines"].append(data["engines"][0]), "has 'dart matched' twice"),
+        (lambda data: data["engines"][0].update(step_s="x"), "$.engines[0].step_s"),
     ],
 )
 def test_other_scenes_are_refused(compare: CommandLine, edit: Edit, said: str) -> None:
-    ended, told = compare(_validation(), edit)
+    ended, data = compare(_validation(), edit)
 
-    assert (ended.code, told) == (2, {})
+    assert (ended.code, data) == (2, {})
     assert said in ended.err
     assert ended.err.count("\n") == 1
 
@@ -399,10 +399,10 @@ def test_results_of_any_command_are_compared(compare: CommandLine) -> None:
         new["cases"][1].update(verdict="fail", reasons=["gap: 1 mm, allowed 0.1 mm"], gap_m=1e-3)
         del new["cases"][2]
 
-    ended, told = compare(_audit(), edit)
+    ended, result = compare(_audit(), edit)
 
-    (scene,) = told["scenes"]
-    assert (ended.code, scene["scene"], told["verdict"]) == (1, "3ladder", "worse")
+    (scene,) = result["scenes"]
+    assert (ended.code, scene["scene"], result["verdict"]) == (1, "3ladder", "worse")
     (entry,) = scene["entries"]
     assert entry["name"] == "cases trajectory 1"
     assert entry["figures"] == [
@@ -415,13 +415,13 @@ def test_results_of_any_command_are_compared(compare: CommandLine) -> None:
 
 def test_flags_are_words_and_only_times_are_in_seconds(compare: CommandLine) -> None:
     record = {"passed": True, "closed": True, "bytes": 1000, "wall_s": 1.0}
-    told = {"schema": "mbds-xsim/audit/1", "cases": [record]}
+    result = {"schema": "mbds-xsim/audit/1", "cases": [record]}
 
-    _, made = compare(
-        told, lambda new: new["cases"][0].update(passed=False, bytes=5000, wall_s=9.0)
+    _, diff = compare(
+        result, lambda new: new["cases"][0].update(passed=False, bytes=5000, wall_s=9.0)
     )
 
-    (entry,) = made["scenes"][0]["entries"]
+    (entry,) = diff["scenes"][0]["entries"]
     assert entry["settings"] == [{"what": "passed", "old": True, "new": False}]
     assert entry["figures"] == []
     assert {one["what"]: one["unit"] for one in entry["timings"]} == {"bytes": "1", "wall_s": "s"}

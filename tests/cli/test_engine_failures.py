@@ -1,4 +1,4 @@
-"""An engine that crashes, hangs or raises is told with the reason; the others' results stay."""
+"""An engine that crashes, hangs or raises is reported with the reason; the others' results stay."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ _BOB = bob("length = 1.0", "clock = { steps = 10 }")
 
 @pytest.fixture
 def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
-    """Install some of the faulty engines, and lose patience with those that hang."""
+    """Install some of the faulty engines, and soon end those that hang."""
     monkeypatch.setattr(campaign, "Task", _impatient)
-    # One run an engine tells enough.
+    # One run of each engine is enough.
     monkeypatch.setattr(refinement, "other_steps", lambda *_: [])
     monkeypatch.setattr(campaign, "other_steps", lambda *_: [])
     monkeypatch.setattr(campaign, "_CHUNKS", 1)
@@ -62,11 +62,11 @@ def test_each_fault_is_told_and_the_sound_engine_keeps_its_result(
 
     ended = run("validate", "bob.toml", "--engines", chosen, "--json", "out.json", "--workers", "4")
 
-    told = json.loads((here / "out.json").read_text())
-    rows = {row["engine"]: row for row in told["engines"]}
+    result = json.loads((here / "out.json").read_text())
+    rows = {row["engine"]: row for row in result["engines"]}
     assert ended.code == 1
     assert "Traceback" not in ended.out + ended.err
-    assert told["verdict"] == "fail"
+    assert result["verdict"] == "fail"
     assert rows["mujoco"]["failures"] == []
     assert rows["mujoco"]["error_max_m"] < 1e-6
     expected = {
@@ -128,9 +128,9 @@ def test_data_of_sound_engines_are_made_beside_hopeless_ones(
         "--limit", "30",
     )  # fmt: skip
 
-    told = json.loads((here / "told.json").read_text())
-    counts = {count["variant"]: count for count in told["variants"]}
-    left_out = told["left_out"]
+    result = json.loads((here / "told.json").read_text())
+    counts = {count["variant"]: count for count in result["variants"]}
+    left_out = result["left_out"]
     assert ended.code == 1
     assert counts["mujoco-matched"]["published"] == 6
     assert counts["raising-matched"]["rejected_by"] == {"ended early": 6}

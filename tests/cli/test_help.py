@@ -1,4 +1,4 @@
-"""The command line explains itself: chapters, whole sentences, names that were meant, shells."""
+"""The command line explains itself: chapters, sentences, suggested names, shells."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whatever a scene calls itself is text: in terminals, logs, Markdown, CSV, cards and pages."""
+"""Names in a scene are plain text: in terminals, logs, Markdown, CSV, cards and pages."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from tests.command_line import CommandLine
 
 _REPORTS = Path(__file__).parents[2] / "reports"
 _EVIL = '[red]a[/x] $\\bad$ \x1b[31m\x9b2J\u202e | `b` <script>alert(1)</script> ![i](u) & "c"'
-_NAME = _EVIL.replace("\x1b", "").replace("\x9b", "")  # which names may not have
+_NAME = _EVIL.replace("\x1b", "").replace("\x9b", "")  # names may not have these
 _SCENE = Scene(
     name=f"=cmd() {_NAME}",
     description=f"{_EVIL}\n# big\n\n| --- | --- |",

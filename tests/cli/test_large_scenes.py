@@ -1,8 +1,8 @@
 """A scene of ten times as many bodies takes ten times the work to show, not a hundred times.
 
 Times are measured by `benchmarks/large_scenes.py`. Here work is counted, which is the same on every
-machine: calls of functions, and the memory that arrays take. What goes through all pairs of bodies
-makes more of either.
+machine: calls of functions, and the memory that arrays take. Work on all pairs of bodies
+increases both.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def test_a_scene_is_shown_with_work_in_proportion_to_its_bodies(
 ) -> None:
     for bodies in (251, 501, 1001):
         save_scene(make(bodies), here / f"{bodies}.toml")
-        run("show", f"{bodies}.toml")  # what is imported once is no part of it
+        run("show", f"{bodies}.toml")  # one-time imports do not count
 
     few, many = (_calls(run, f"{bodies}.toml") for bodies in (251, 1001))
     memory = [_memory(run, f"{bodies}.toml") for bodies in (501, 1001)]
@@ -41,7 +41,7 @@ def test_a_scene_is_shown_with_work_in_proportion_to_its_bodies(
 
 
 def _calls(run: CommandLine, file: str) -> int:
-    """Count the calls of functions that showing a scene takes."""
+    """Count the function calls that showing a scene takes."""
     count = 0
 
     def called(_frame: object, event: str, _argument: object) -> None:
@@ -57,7 +57,7 @@ def _calls(run: CommandLine, file: str) -> int:
 
 
 def _memory(run: CommandLine, file: str) -> int:
-    """Give the most memory that is taken at a time [B]."""
+    """Return the peak memory of showing a scene [B]."""
     tracemalloc.start()
     try:
         assert run("show", file).code == 0

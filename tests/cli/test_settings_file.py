@@ -61,21 +61,21 @@ def test_the_file_says_on_how_many_starts_they_were_tried(written: Path) -> None
 def test_every_command_takes_the_settings_that_match_has_written(
     written: Path, run: CommandLine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (found,) = read_settings(written)[1].values()
-    seen: list[tuple[Scene, list[Contender]]] = []
+    (matched,) = read_settings(written)[1].values()
+    choices: list[tuple[Scene, list[Contender]]] = []
     settle = Choice.contenders
 
-    def ended(choice: Choice, scene: Scene) -> NoReturn:
-        seen.append((scene, settle(choice, scene)[0]))
+    def noted(choice: Choice, scene: Scene) -> NoReturn:
+        choices.append((scene, settle(choice, scene)[0]))
         raise InputError("enough")
 
-    monkeypatch.setattr(Choice, "contenders", ended)
+    monkeypatch.setattr(Choice, "contenders", noted)
     for name, words in _COMMANDS.items():
-        seen.clear()
+        choices.clear()
         assert run(*words, "--settings", "found.toml").err == "mbds-xsim: enough\n", name
-        ((scene, (contender,)),) = seen
+        ((scene, (contender,)),) = choices
         assert contender.engine == "mujoco"
-        assert contender.settings == found.settings(scene)
+        assert contender.settings == matched.settings(scene)
 
 
 def test_studies_with_scenes_of_their_own_take_no_file(here: Path, run: CommandLine) -> None:
@@ -99,7 +99,7 @@ steps_per_frame = 20
 def test_settings_of_another_name_are_a_variant_beside_the_others(
     here: Path, run: CommandLine
 ) -> None:
-    """Published as they are, paired with the others: no budget is expected of them."""
+    """Data of the variant are paired with the others and uncertified: no budget is expected."""
     (here / "undamped.toml").write_text(_UNDAMPED)
     words = ("--trajectories", "4", "--out", "data", "--engines", "pybullet")
     made = run("generate", "1pendulum", "--settings", "native,undamped.toml", *words)
@@ -119,12 +119,12 @@ def test_a_variant_has_the_engines_of_its_file_alone(here: Path) -> None:
     (here / "undamped.toml").write_text(_UNDAMPED)
     scene = load_scene("1pendulum")
 
-    found, _ = Choice.parse(profiles="undamped.toml").contenders(scene)
-    assert [(c.engine, c.profile) for c in found] == [("pybullet", "undamped")]
+    contenders, _ = Choice.parse(profiles="undamped.toml").contenders(scene)
+    assert [(c.engine, c.profile) for c in contenders] == [("pybullet", "undamped")]
 
     choice = Choice.parse(engines="mujoco,pybullet", profiles=["native", "undamped.toml"])
-    found, _ = choice.contenders(scene)
-    assert [(c.engine, c.profile) for c in found] == [
+    contenders, _ = choice.contenders(scene)
+    assert [(c.engine, c.profile) for c in contenders] == [
         ("mujoco", "native"),
         ("pybullet", "native"),
         ("pybullet", "undamped"),

@@ -1,4 +1,4 @@
-"""What a scene is, what an engine is given, what there is."""
+"""The commands `show`, `engines` and `scenes`, and the models that engines are given."""
 
 from __future__ import annotations
 
@@ -58,22 +58,22 @@ def test_mujocos_file_gives_the_same_motion_in_mujoco_alone(run: CommandLine, he
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     bodies = [model.body(body.name).id for body in sideways.bodies]
-    seen = []
+    positions = []
     for _ in range(11):
         mujoco.mj_forward(model, data)
-        seen.append(data.xipos[bodies].copy())
+        positions.append(data.xipos[bodies].copy())
         mujoco.mj_step(model, data, round(sideways.clock.frame / model.opt.timestep))
 
     ours = simulate(sideways, draw_batch(sideways, [0]), "mujoco", settings).trajectory
-    np.testing.assert_allclose(seen, ours.position[0, :11], atol=1e-14)
-    assert np.abs(seen[10] - seen[0]).max() > 0.01
+    np.testing.assert_allclose(positions, ours.position[0, :11], atol=1e-14)
+    assert np.abs(positions[10] - positions[0]).max() > 0.01
 
 
 def test_what_an_engine_is_given_starts_as_a_trajectory_does(run: CommandLine) -> None:
     scene = registry.load_scene("3pendulum")
     adapter = registry.load_adapter("mujoco")
-    with adapter.open(scene, settings_for(scene, adapter, "matched")) as opened:
-        expected = opened.native(draw_batch(scene, [2]))
+    with adapter.open(scene, settings_for(scene, adapter, "matched")) as engine_run:
+        expected = engine_run.native(draw_batch(scene, [2]))
 
     started = run("show", "3pendulum", "--native", "mujoco", "--start", "2").out.strip()
 
@@ -93,8 +93,8 @@ def test_a_listing_names_every_body_joint_and_mass(
 
     scene = registry.load_scene(name)
     assert ended.code == 0, ended.err
-    for told in [body.name for body in scene.bodies] + [joint.name for joint in scene.joints]:
-        assert repr(told) in ended.out
+    for part in [body.name for body in scene.bodies] + [joint.name for joint in scene.joints]:
+        assert repr(part) in ended.out
     numbers = {float(text) for text in re.findall(r"(?<![\w.])\d+\.\d+(?:e-?\d+)?", ended.out)}
     for mass in Mechanism.of(scene).mass:
         assert np.isclose(mass, list(numbers), rtol=1e-12).any(), mass

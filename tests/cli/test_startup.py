@@ -1,4 +1,4 @@
-"""What is slow to import is imported by the commands that need it, when they run."""
+"""Slow packages are imported only by the commands that need them, when they run."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_studies_of_engines_begin_without_torch_and_optimisers() -> None:
 
 
 def test_the_process_of_an_engine_does_without_scipy(adapter: Adapter) -> None:
-    """A validation starts dozens of them, and scipy takes longer to import than an engine."""
+    """A validation starts dozens of processes, and scipy takes longer to import than an engine."""
     load = f"registry.load_adapter({adapter.name!r})"
 
     assert "scipy" not in _loaded(f"from mbds_xsim.simulate import registry, timed; {load}")
@@ -74,8 +74,8 @@ def test_an_interruption_of_the_imports_is_told_in_a_line(
         timeout=60,
     )
 
-    told = (ended.returncode, ended.stdout, ended.stderr)
-    assert told == (130, "", "mbds-xsim: interrupted\n")
+    outcome = (ended.returncode, ended.stdout, ended.stderr)
+    assert outcome == (130, "", "mbds-xsim: interrupted\n")
 
 
 def test_an_interruption_while_an_object_is_freed_is_not_lost() -> None:
@@ -114,6 +114,6 @@ with contextlib.suppress(SystemExit):
 
 
 def _loaded(program: str) -> set[str]:
-    told = f"{program}\nimport sys\nprint(*sys.modules, file=sys.stderr)"
-    done = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=True)
+    code = f"{program}\nimport sys\nprint(*sys.modules, file=sys.stderr)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     return set(done.stderr.split())

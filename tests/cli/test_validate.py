@@ -1,4 +1,4 @@
-"""The main command from words to table, JSON and page."""
+"""The main command, `validate`, from words to table, JSON and page."""
 
 from __future__ import annotations
 
@@ -34,23 +34,23 @@ CommandLine = Callable[..., Any]
 def test_the_program_validates_in_all_engines(program: CommandLine, here: Path) -> None:
     ended = program("validate", "2pendulum", "--json", "new/v.json", "--html", "new/v.html")
 
-    told = _decoded((here / "new/v.json").read_text())
+    validation = _decoded((here / "new/v.json").read_text())
     page = (here / "new/v.html").read_text()
-    assert ended.code == (1 if told.verdict == "fail" else 0), ended.err
-    # On a slow machine the progress is told once a minute, and nothing else.
+    assert ended.code == (1 if validation.verdict == "fail" else 0), ended.err
+    # On a slow machine progress is reported once a minute, and nothing else.
     assert all(" left " in line for line in ended.err.splitlines())
-    assert [row.engine for row in told.engines] == registry.engine_names()
-    assert told.command == "mbds-xsim validate 2pendulum"
-    for row in told.engines:
+    assert [row.engine for row in validation.engines] == registry.engine_names()
+    assert validation.command == "mbds-xsim validate 2pendulum"
+    for row in validation.engines:
         assert row.failures == ()
         assert row.error_1s_m is not None
         assert row.error_1s_m < 1e-3
-        (early,) = (found for found in row.findings if found.check == "error at 1 s")
-        fast = [index % 3 == 2 for index in told.trajectories]  # chaotic, so not judged by it
+        (early,) = (finding for finding in row.findings if finding.check == "error at 1 s")
+        fast = [index % 3 == 2 for index in validation.trajectories]  # chaotic, so not judged by it
         assert [figure is None for figure in early.figures] == fast
         assert row.version in page
         assert row.engine in ended.out
-    assert told.verdict.upper() in ended.out
+    assert validation.verdict.upper() in ended.out
     assert sorted(os.listdir(here / "new")) == ["v.html", "v.json"]
 
 
@@ -65,35 +65,35 @@ def test_a_short_scene_says_when_engines_are_furthest_apart(
     how = ("--engines", "mujoco", "--settings", "native", "--trajectories", "1")
     ended = run("validate", "short.toml", "--json", "-", *how)
 
-    told = _decoded(ended.out)
-    assert told.matrix_s == pytest.approx(0.15)
+    validation = _decoded(ended.out)
+    assert validation.matrix_s == pytest.approx(0.15)
     assert "furthest apart at 0.15 s are" in " ".join(ended.err.split())
 
 
 @pytest.fixture
 def validate(run: CommandLine, in_process: None, here: Path) -> Callable[..., Validation]:
-    """Give what `validate` says in JSON of a bob on a string, with more words."""
+    """Return a function that validates a bob on a string, with more words, from the JSON."""
     del in_process
     (here / "bob.toml").write_text(_BOB)
 
     def call(*words: str) -> Validation:
         ended = run("validate", "bob.toml", "--json", "-", *words)
-        told = _decoded(ended.out)
-        assert ended.code == (1 if told.verdict == "fail" else 0)
-        assert f"{told.verdict.upper()} " in ended.err
-        return told
+        validation = _decoded(ended.out)
+        assert ended.code == (1 if validation.verdict == "fail" else 0)
+        assert f"{validation.verdict.upper()} " in ended.err
+        return validation
 
     return call
 
 
 def test_both_profiles_stand_side_by_side(validate: Callable[..., Validation]) -> None:
-    told = validate("--engines", "mujoco, dart", "--settings", "matched,native")
+    validation = validate("--engines", "mujoco, dart", "--settings", "matched,native")
 
-    rows = [(row.engine, row.profile) for row in told.engines]
+    rows = [(row.engine, row.profile) for row in validation.engines]
     assert sorted(rows) == [(e, p) for e in ("dart", "mujoco") for p in ("matched", "native")]
-    assert len({row.engine: 0 for row in told.engines}) == 2
-    assert told.names == (*(f"{e} {p}" for e, p in rows), "reference")
-    assert len(told.matrix_m) == 5
+    assert len({row.engine: 0 for row in validation.engines}) == 2
+    assert validation.names == (*(f"{e} {p}" for e, p in rows), "reference")
+    assert len(validation.matrix_m) == 5
 
 
 def test_what_a_check_saw_besides_is_told(validate: Callable[..., Validation]) -> None:
@@ -122,9 +122,9 @@ def test_seed_noise_and_trajectories_change_what_is_drawn(
     assert error("--no-noise") != plain
     assert error("--seed", "1") != plain
     assert error("--no-inputs") == plain  # a bob has no drawn inputs
-    told = validate("--engines", "mujoco", "--trajectories", "2", "--seed", str(10**30))
-    assert told.trajectories == (0, 1, 2, 3, 4, 5)
-    assert told.seed == 10**30
+    validation = validate("--engines", "mujoco", "--trajectories", "2", "--seed", str(10**30))
+    assert validation.trajectories == (0, 1, 2, 3, 4, 5)
+    assert validation.seed == 10**30
 
 
 def test_a_stored_reference_is_used_unless_told_otherwise(
@@ -146,10 +146,10 @@ def test_an_engine_that_misses_a_budget_is_exit_code_1(
 ) -> None:
     (here / "bob.toml").write_text(f"{_BOB}\n[budget]\nerror_1s = 1e-15\n")
 
-    told = validate("--engines", "mujoco")
+    validation = validate("--engines", "mujoco")
 
-    assert told.verdict == "fail"
-    assert any(reason.startswith("error at 1 s: ") for reason in told.engines[0].reasons)
+    assert validation.verdict == "fail"
+    assert any(reason.startswith("error at 1 s: ") for reason in validation.engines[0].reasons)
 
 
 @pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM], ids=lambda by: by.name)
@@ -181,14 +181,14 @@ def test_an_interrupted_run_leaves_nothing_behind(
 
 
 def _living(session: int) -> list[Path]:
-    """Processes of a session; one that is dead may wait for its parent to notice."""
-    found = []
+    """Return live processes of a session; a dead one may wait for its parent to notice."""
+    processes = []
     for status in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError):
             state, _, _, own_session = status.read_text().rpartition(")")[2].split()[:4]
             if own_session == str(session) and state != "Z":
-                found.append(status)
-    return found
+                processes.append(status)
+    return processes
 
 
 @pytest.mark.parametrize(
@@ -204,12 +204,12 @@ def test_the_page_of_the_json_names_every_key_and_no_other(kind: type[msgspec.St
 
 
 def _decoded(text: str) -> Validation:
-    """Read the JSON against its types, every key and no other there."""
-    told = msgspec.json.decode(text, type=Validation)
-    assert told.schema == SCHEMA
+    """Decode the JSON by its types; all of their keys are there, and no other."""
+    validation = msgspec.json.decode(text, type=Validation)
+    assert validation.schema == SCHEMA
     assert list(json.loads(text)) == list(Validation.__struct_fields__)
-    assert json.loads(msgspec.json.encode(told)) == json.loads(text)
-    return told
+    assert json.loads(msgspec.json.encode(validation)) == json.loads(text)
+    return validation
 
 
 def test_what_is_written_on_a_model_says_what_of_it_is_simulated(
@@ -223,6 +223,6 @@ def test_what_is_written_on_a_model_says_what_of_it_is_simulated(
     how = ("--engines", "mujoco", "--method", "RK4", "--step", "0.01")
     run("validate", "arm.xml", *how, "--markdown", "v.md")
 
-    told = (here / "v.md").read_text()
-    assert "What of the model is simulated" in told
-    assert "there is no fluid" in told
+    page = (here / "v.md").read_text()
+    assert "What of the model is simulated" in page
+    assert "there is no fluid" in page

@@ -27,7 +27,7 @@ Make = Callable[..., Generated]
 
 
 class Silence(Silent):
-    """Counts what it is told."""
+    """Progress sink that counts and keeps notices."""
 
     def __init__(self) -> None:
         self.total = self.done = self.rejected = 0
@@ -90,7 +90,7 @@ def few(make: Make, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def contents(folder: Path) -> dict[str, str]:
-    """Checksums of all data files and of what describes them, by name."""
+    """Return checksums of all data files, cards and metadata, keyed by path."""
     return {
         str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in sorted(folder.rglob("*"))

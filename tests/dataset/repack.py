@@ -12,7 +12,7 @@ import numpy as np
 __all__ = ["ELSEWHERE", "LAYOUTS", "OTHER_TYPES", "Layout", "repack"]
 
 Layout = Callable[[Any, str, Any, Path], None]
-"""Puts a dataset into a file: the file, the name, the dataset as it was, the old file."""
+"""Function that writes a dataset into a file: (file, name, old dataset, old file)."""
 
 _COMPACT = 60_000  # bytes that an object's header may hold
 
@@ -88,10 +88,10 @@ LAYOUTS: dict[str, Layout] = {
     "compact": _compact,
     "virtual": _virtual,
 }
-"""All that can be read right."""
+"""Layouts that are read correctly."""
 
 ELSEWHERE: dict[str, Layout] = {"external": _external, "linked": _linked}
-"""Values that are in another file, which checksums and copies miss."""
+"""Layouts with values in another file, which checksums and copies miss."""
 
 OTHER_TYPES: dict[str, Layout] = {
     "big-endian": _cast(lambda dtype: dtype.newbyteorder(">")),

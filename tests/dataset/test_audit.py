@@ -41,9 +41,9 @@ def _run(scene: Scene) -> tuple[Batch, Trajectory]:
 
 def _arrays(scene: Scene, batch: Batch, motion: Trajectory) -> Arrays:
     position, velocity = Points.of(scene).motion(motion)
-    found: Arrays = {"time": motion.time, "position": position, "velocity": velocity}
-    found |= {f"body/{key}": getattr(motion, key) for key in STATES}
-    return found | {"input/force": batch.force, "input/torque": batch.torque}
+    arrays: Arrays = {"time": motion.time, "position": position, "velocity": velocity}
+    arrays |= {f"body/{key}": getattr(motion, key) for key in STATES}
+    return arrays | {"input/force": batch.force, "input/torque": batch.torque}
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,7 @@ def swing(rod: Scene) -> Arrays:
 
 @pytest.fixture(scope="module")
 def drop() -> tuple[Scene, Arrays]:
-    """A disc of 19 particles in a plane, which tell how it turned."""
+    """A disc of 19 particles in a plane, which determine its rotation."""
     scene = load_scene("balldrop")
     return scene, _arrays(scene, *_run(scene))
 
@@ -63,9 +63,9 @@ Audit = Callable[..., Audited]
 
 @pytest.fixture
 def audited(tmp_path: Path) -> Audit:
-    def run(scene: Scene, arrays: Arrays, told: Provenance = NAMED) -> Audited:
+    def run(scene: Scene, arrays: Arrays, provenance: Provenance = NAMED) -> Audited:
         np.savez(tmp_path / "it.npz", **arrays)  # type: ignore[arg-type]
-        return audit_file(tmp_path / "it.npz", scene, told)
+        return audit_file(tmp_path / "it.npz", scene, provenance)
 
     return run
 
@@ -74,29 +74,29 @@ def _only(arrays: Arrays, *names: str) -> Arrays:
     return {name: arrays[name] for name in ("time", *names)}
 
 
-def _checks(found: Audited) -> set[str]:
-    return {finding.check for finding in found.findings}
+def _checks(result: Audited) -> set[str]:
+    return {finding.check for finding in result.findings}
 
 
-def _failed(found: Audited) -> set[str]:
-    return {finding.check for finding in found.findings if not finding.passed}
+def _failed(result: Audited) -> set[str]:
+    return {finding.check for finding in result.findings if not finding.passed}
 
 
 def test_all_checks_run_on_states_of_bodies(rod: Scene, swing: Arrays, audited: Audit) -> None:
-    found = audited(rod, swing)
-    assert found.reasons == ()
+    result = audited(rod, swing)
+    assert result.reasons == ()
     assert {"finite", "start", "gap", "kinematics", "energy", "force", "particles"} <= _checks(
-        found
+        result
     )
-    assert "error growth-weighted" in _checks(found)
-    assert set(found.not_checked) == {"error at 1 s"}  # it lasts a fifth of a second
+    assert "error growth-weighted" in _checks(result)
+    assert set(result.not_checked) == {"error at 1 s"}  # it lasts a fifth of a second
 
 
 def test_float32_is_no_fault(rod: Scene, swing: Arrays, audited: Audit) -> None:
     coarse = {name: values.astype(np.float32) for name, values in swing.items()}
-    found = audited(rod, coarse)
-    assert found.verdict == "pass"
-    assert any(line.startswith("rounding") for line in found.taken)
+    result = audited(rod, coarse)
+    assert result.verdict == "pass"
+    assert any(line.startswith("rounding") for line in result.taken)
 
 
 @pytest.mark.parametrize(
@@ -119,15 +119,15 @@ def test_planted_faults_are_found(
     swing: Arrays,
     audited: Audit,
 ) -> None:
-    found = audited(rod, swing | {name: fault(swing[name])})
-    assert sees <= _failed(found)
+    result = audited(rod, swing | {name: fault(swing[name])})
+    assert sees <= _failed(result)
 
 
 def test_an_unnamed_start_is_the_files_own(rod: Scene, swing: Arrays, audited: Audit) -> None:
-    found = audited(rod, swing, Provenance())
-    assert found.verdict == "pass"
-    assert {"start", "error at 1 s", "error growth-weighted"} == set(found.not_checked)
-    assert "forces: those of the file" in found.taken
+    result = audited(rod, swing, Provenance())
+    assert result.verdict == "pass"
+    assert {"start", "error at 1 s", "error growth-weighted"} == set(result.not_checked)
+    assert "forces: those of the file" in result.taken
 
 
 def test_an_order_that_friction_in_joints_lowers_is_told(audited: Audit) -> None:
@@ -135,50 +135,50 @@ def test_an_order_that_friction_in_joints_lowers_is_told(audited: Audit) -> None
     scene = msgspec.structs.replace(brake, clock=Clock(steps=5))
     batch, motion = _run(scene)
     arrays = _only(_arrays(scene, batch, motion), *(f"body/{key}" for key in STATES))
-    found = audited(scene, arrays, Provenance(method_order=4))
+    result = audited(scene, arrays, Provenance(method_order=4))
     assert (
         "method: of order 4, judged as of order 1 (forces have kinks), velocities at the frames"
-        in found.taken
+        in result.taken
     )
-    (energy,) = (one for one in found.findings if one.check == "energy")
+    (energy,) = (one for one in result.findings if one.check == "energy")
     assert energy.budget == scene.budget.energy_first_order
 
 
 def test_forces_that_are_not_told_are_missed(rod: Scene, swing: Arrays, audited: Audit) -> None:
     """Noise that acted but is not in the file must not pass as physics."""
     states = _only(swing, *(f"body/{key}" for key in STATES))
-    found = audited(rod, states, Provenance())
-    assert "forces: none but what the scene lists" in found.taken
-    energy = {finding.check: finding.figure for finding in found.findings}["energy"]
-    told = audited(rod, swing, Provenance())
-    assert energy > 100 * {one.check: one.figure for one in told.findings}["energy"]
+    without = audited(rod, states, Provenance())
+    assert "forces: none but what the scene lists" in without.taken
+    energy = {finding.check: finding.figure for finding in without.findings}["energy"]
+    complete = audited(rod, swing, Provenance())
+    assert energy > 100 * {one.check: one.figure for one in complete.findings}["energy"]
 
 
 def test_positions_alone_leave_velocities_unchecked(
     rod: Scene, swing: Arrays, audited: Audit
 ) -> None:
-    found = audited(rod, _only(swing, "body/position", "body/orientation"))
-    assert found.verdict == "pass"
-    assert found.not_checked["energy"] == "no velocities"
-    assert {"finite", "start", "gap"} <= _checks(found)
-    assert not {"energy", "kinematics", "momentum"} & _checks(found)
+    result = audited(rod, _only(swing, "body/position", "body/orientation"))
+    assert result.verdict == "pass"
+    assert result.not_checked["energy"] == "no velocities"
+    assert {"finite", "start", "gap"} <= _checks(result)
+    assert not {"energy", "kinematics", "momentum"} & _checks(result)
 
 
 def test_particles_of_a_rod_tell_its_length(rod: Scene, swing: Arrays, audited: Audit) -> None:
-    found = audited(rod, _only(swing, "position"))
-    assert found.verdict == "pass"
-    assert {"rigidity", "start", "error growth-weighted"} == _checks(found)
-    assert "do not tell how" in found.not_checked["energy"]
+    result = audited(rod, _only(swing, "position"))
+    assert result.verdict == "pass"
+    assert {"rigidity", "start", "error growth-weighted"} == _checks(result)
+    assert "do not tell how" in result.not_checked["energy"]
     longer = audited(rod, _only(swing | {"position": 1.01 * swing["position"]}, "position"))
     assert {"rigidity", "start"} <= _failed(longer)
 
 
 def test_particles_of_a_disc_tell_all(drop: tuple[Scene, Arrays], audited: Audit) -> None:
     scene, arrays = drop
-    found = audited(scene, _only(arrays, "position", "velocity"))
-    assert found.reasons == ()
-    assert {"start", "energy", "friction", "restitution", "rigidity"} <= _checks(found)
-    assert any("fitted" in line for line in found.taken)
+    result = audited(scene, _only(arrays, "position", "velocity"))
+    assert result.reasons == ()
+    assert {"start", "energy", "friction", "restitution", "rigidity"} <= _checks(result)
+    assert any("fitted" in line for line in result.taken)
     fit = recover(scene, arrays["position"], arrays["velocity"])
     for key in STATES[:1] + STATES[2:]:
         np.testing.assert_allclose(getattr(fit, key), arrays[f"body/{key}"], atol=1e-9)
@@ -187,7 +187,7 @@ def test_particles_of_a_disc_tell_all(drop: tuple[Scene, Arrays], audited: Audit
 
 
 def test_rounding_does_not_excuse_another_start(drop: tuple[Scene, Arrays], audited: Audit) -> None:
-    """In float32: moved by a tenth of a millimetre, and sheared by as little."""
+    """A float32 start that is moved by a tenth of a millimetre, or sheared as little, fails."""
     scene, arrays = drop
     points = arrays["position"].astype(np.float32)
     assert "start" not in _failed(audited(scene, {"time": arrays["time"], "position": points}))
@@ -199,35 +199,35 @@ def test_rounding_does_not_excuse_another_start(drop: tuple[Scene, Arrays], audi
 def test_a_learned_models_wobble_is_seen(drop: tuple[Scene, Arrays], audited: Audit) -> None:
     scene, arrays = drop
     shake = np.random.default_rng(0).normal(scale=1e-3, size=arrays["position"].shape)
-    found = audited(scene, _only(arrays | {"position": arrays["position"] + shake}, "position"))
-    assert "rigidity" in _failed(found)
+    result = audited(scene, _only(arrays | {"position": arrays["position"] + shake}, "position"))
+    assert "rigidity" in _failed(result)
 
 
 def test_files_of_each_kind_say_the_same(
     rod: Scene, swing: Arrays, tmp_path: Path, audited: Audit
 ) -> None:
     one = {name: values if name == "time" else values[0] for name, values in swing.items()}
-    told = Provenance(index=INDEX[:1], seed=7)
-    wanted = audited(rod, one, told)
+    provenance = Provenance(index=INDEX[:1], seed=7)
+    expected = audited(rod, one, provenance)
     _write_csv(tmp_path / "it.csv", rod, one)
     with h5py.File(tmp_path / "it.h5", "w") as file:
         for name, values in one.items():
             file[name] = values
     for name in ("it.csv", "it.h5"):
-        found = audit_file(tmp_path / name, rod, told)
-        assert found.findings == wanted.findings
+        result = audit_file(tmp_path / name, rod, provenance)
+        assert result.findings == expected.findings
 
 
 def test_times_may_be_rounded(rod: Scene, swing: Arrays, tmp_path: Path, audited: Audit) -> None:
-    """As of a long recording in single precision, or of thousandths of a second in CSV."""
+    """Long float32 recordings, and milliseconds in CSV, have rounded times."""
     late = swing | {"time": (swing["time"] + 100.0).astype(np.float32)}
     assert audited(rod, late).verdict == "pass"
     scene = msgspec.structs.replace(rod, clock=Clock(frame=1 / 60, steps=12))
     exact = _arrays(scene, *_run(scene))
     one = {name: values if name == "time" else values[0] for name, values in exact.items()}
     _write_csv(tmp_path / "it.csv", scene, one | {"time": one["time"].round(3)})
-    found = audit_file(tmp_path / "it.csv", scene, Provenance(index=INDEX[:1], seed=7))
-    assert (found.verdict, found.frame_s) == ("pass", 1 / 60)
+    result = audit_file(tmp_path / "it.csv", scene, Provenance(index=INDEX[:1], seed=7))
+    assert (result.verdict, result.frame_s) == ("pass", 1 / 60)
 
 
 def test_rounding_hides_no_missing_frame(rod: Scene, swing: Arrays, tmp_path: Path) -> None:
@@ -340,9 +340,9 @@ def test_numbers_of_starts_must_fit(rod: Scene, swing: Arrays, audited: Audit) -
 
 def test_a_data_set_can_be_audited_too(whole: Path) -> None:
     shard = whole / "1pendulum" / "mujoco-matched" / "0000000016.h5"
-    found = audit_file(shard, None, Provenance())
-    assert (found.verdict, found.trajectories) == ("pass", 16)
-    assert any("seed 0, index 16 … 31" in line for line in found.taken)
+    result = audit_file(shard, None, Provenance())
+    assert (result.verdict, result.trajectories) == ("pass", 16)
+    assert any("seed 0, index 16 … 31" in line for line in result.taken)
 
 
 def test_what_is_no_trajectory_at_all_is_one_line(tmp_path: Path) -> None:

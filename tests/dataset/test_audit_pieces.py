@@ -21,9 +21,9 @@ from mbds_xsim.scene.state import STATES
 def test_pieces_of_a_file_are_as_the_whole(
     form: str, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whatever is held in memory at a time."""
+    """The result does not depend on the number of trajectories in memory."""
     path = whole / "1pendulum" / "mujoco-matched" / "0000000016.h5"
-    told = Provenance(index=tuple(range(16, 32)), seed=0, method_order=4, step_s=0.005)
+    provenance = Provenance(index=tuple(range(16, 32)), seed=0, method_order=4, step_s=0.005)
     scene = load_dataset(path).scene
     if form != "h5":
         with h5py.File(path) as file:
@@ -33,10 +33,10 @@ def test_pieces_of_a_file_are_as_the_whole(
             arrays = {name: np.asfortranarray(values) for name, values in arrays.items()}
         path = tmp_path / "it.npz"
         (np.savez_compressed if form == "compressed" else np.savez)(path, **arrays)
-    at_once = audit_file(path, scene, told)
-    # Of fewer trajectories than are compared with the reference.
+    at_once = audit_file(path, scene, provenance)
+    # Pieces have fewer trajectories than are compared with the reference.
     monkeypatch.setattr(foreign, "_AT_ONCE", 2 * 11)
-    pieces = audit_file(path, scene, told)
+    pieces = audit_file(path, scene, provenance)
     assert [len(finding.figures) for finding in pieces.findings] == [
         len(finding.figures) for finding in at_once.findings
     ]
@@ -46,7 +46,7 @@ def test_pieces_of_a_file_are_as_the_whole(
         np.testing.assert_allclose(figures, others, rtol=1e-9)
         assert one.figure == pytest.approx(other.figure, rel=1e-9)
         assert one.trajectory == other.trajectory or abs(one.figure) < 1e-15  # rounding
-        assert one.note == ""  # a piece's would not be true of all
+        assert one.note == ""  # a note on a piece need not hold for all
     assert any(finding.note for finding in at_once.findings)
     assert pieces.taken == at_once.taken
     assert (pieces.trajectories, pieces.verdict) == (16, at_once.verdict)
@@ -62,11 +62,11 @@ def test_a_bad_trajectory_is_found_in_any_piece(
     arrays["body/position"][5, 4] += 0.01
     np.savez(tmp_path / "it.npz", **arrays)
     monkeypatch.setattr(foreign, "_AT_ONCE", 7 * 11)
-    told = Provenance(index=tuple(range(16, 32)), seed=0)
-    found = audit_file(tmp_path / "it.npz", rod, told)
-    assert found.verdict == "fail"
-    assert any(line.startswith("gap") and "trajectory 21" in line for line in found.reasons)
+    provenance = Provenance(index=tuple(range(16, 32)), seed=0)
+    result = audit_file(tmp_path / "it.npz", rod, provenance)
+    assert result.verdict == "fail"
+    assert any(line.startswith("gap") and "trajectory 21" in line for line in result.reasons)
     arrays["body/position"][6, 4] = np.nan
     np.savez(tmp_path / "it.npz", **arrays)
     with pytest.raises(InputError, match="in trajectory 6, frame 4"):
-        audit_file(tmp_path / "it.npz", rod, told)
+        audit_file(tmp_path / "it.npz", rod, provenance)

@@ -1,4 +1,4 @@
-"""What `generate` writes beside the data: a card for people, metadata for machines."""
+"""Texts that `generate` writes with the data: a card for people, metadata for machines."""
 
 from __future__ import annotations
 
@@ -35,22 +35,22 @@ def metadata(two: Path) -> dict[str, Any]:
 
 
 def _rows(metadata: dict[str, Any], name: str) -> list[dict[str, Any]]:
-    (found,) = (records for records in metadata["recordSet"] if records["@id"] == name)
-    return [{key.split("/")[1]: value for key, value in row.items()} for row in found["data"]]
+    (record_set,) = (records for records in metadata["recordSet"] if records["@id"] == name)
+    return [{key.split("/")[1]: value for key, value in row.items()} for row in record_set["data"]]
 
 
 def test_the_card_tells_what_each_file_is(two: Path) -> None:
     text = (two / CARD).read_text("utf-8")
     for profile, certified in (("matched", "certified"), ("native", "uncertified")):
-        told = load_dataset(two / f"mujoco-{profile}.h5").attributes
+        attributes = load_dataset(two / f"mujoco-{profile}.h5").attributes
         row = next(
             line for line in text.splitlines() if line.startswith(f"| `mujoco-{profile}.h5` | muj")
         )
         cells = [cell.strip() for cell in row.strip("|").split("|")]
         assert cells[1:] == [
-            f"mujoco {told['engine_version']}",
-            told["method"],
-            f"{told['step_s']:.6g}",
+            f"mujoco {attributes['engine_version']}",
+            attributes["method"],
+            f"{attributes['step_s']:.6g}",
             certified,
             *("6", "6", "0"),
         ]
@@ -59,7 +59,7 @@ def test_the_card_tells_what_each_file_is(two: Path) -> None:
 
 
 def test_data_that_no_engine_made_are_told_apart(make: Make, tmp_path: Path) -> None:
-    """Gated all the same: the reference keeps every budget of the rod."""
+    """Data of the reference pass the same gate: it keeps every budget of the rod."""
     made = make(tmp_path, engines="mujoco,reference", trajectories=FEW)
     text = " ".join((tmp_path / "1pendulum" / CARD).read_text("utf-8").split())
     data = load_dataset(tmp_path / "1pendulum" / "reference-matched.h5")
@@ -99,18 +99,18 @@ def test_what_a_publisher_added_stays(make: Make, tmp_path: Path) -> None:
     card, metadata = tmp_path / "1pendulum" / CARD, tmp_path / "1pendulum" / CROISSANT
     card.write_text(card.read_text("utf-8") + "\nAsk the rod's owner.\n", "utf-8")
     license_ = "https://example.org/license"
-    found = json.loads(metadata.read_text("utf-8"))
-    metadata.write_text(json.dumps(found | {"license": license_, "name": "mine"}), "utf-8")
+    original = json.loads(metadata.read_text("utf-8"))
+    metadata.write_text(json.dumps(original | {"license": license_, "name": "mine"}), "utf-8")
 
     make(tmp_path, trajectories=FEW)
     assert card.read_text("utf-8").endswith("\nAsk the rod's owner.\n")
-    assert json.loads(metadata.read_text("utf-8")) == found | {"license": license_}
+    assert json.loads(metadata.read_text("utf-8")) == original | {"license": license_}
 
-    make(tmp_path, trajectories=FEW + 1)  # other data: their card, and still that licence
+    make(tmp_path, trajectories=FEW + 1)  # other data: a new card, and still that licence
     assert "owner" not in card.read_text("utf-8")
     assert "7 of 7 are published" in card.read_text("utf-8")
     changed = json.loads(metadata.read_text("utf-8"))
-    assert (changed["license"], changed["distribution"] == found["distribution"]) == (
+    assert (changed["license"], changed["distribution"] == original["distribution"]) == (
         license_,
         False,
     )
@@ -166,16 +166,16 @@ def test_metadata_are_croissant(metadata: dict[str, Any]) -> None:
 
 
 def test_metadata_list_the_files(two: Path, metadata: dict[str, Any]) -> None:
-    found = set()
+    files = set()
     for node in metadata["distribution"]:
         if node["@type"] == "cr:FileSet":
-            found |= set(two.glob(node["includes"]))
+            files |= set(two.glob(node["includes"]))
             continue
         content = (two / node["contentUrl"]).read_bytes()
         assert node["sha256"] == hashlib.sha256(content).hexdigest()
         assert node["contentSize"] == f"{len(content)} B"
-        found.add(two / node["contentUrl"])
-    assert found == set(two.rglob("*.h5"))
+        files.add(two / node["contentUrl"])
+    assert files == set(two.rglob("*.h5"))
 
 
 def test_metadata_list_arrays_and_counts(two: Path, metadata: dict[str, Any]) -> None:
@@ -195,7 +195,7 @@ def test_metadata_list_arrays_and_counts(two: Path, metadata: dict[str, Any]) ->
 
 
 def test_the_same_data_have_the_same_card(make: Make, two: Path, tmp_path: Path) -> None:
-    """Made in two runs, the second of which extends the first."""
+    """The same card results from two runs, the second of which extends the first."""
     make(tmp_path, settings="native", trajectories=FEW - 2)
     make(tmp_path, settings="matched", trajectories=FEW)
     make(tmp_path, settings="native", trajectories=FEW)

@@ -42,7 +42,7 @@ def test_workers_of_a_cluster_make_the_same_data_and_one_may_die(
     assert _made(farm, rod, tmp_path / "two") == contents(whole)
 
     class Murder(Silence):
-        """Kills a worker as soon as there is something to lose."""
+        """Progress sink that kills a worker as soon as there are data to lose."""
 
         def made(self, done: int, rejected: int) -> None:
             super().made(done, rejected)

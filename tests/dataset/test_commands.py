@@ -1,4 +1,4 @@
-"""`mbds-xsim generate` and `verify`: what they print, and how they end."""
+"""`mbds-xsim generate`, `verify` and others: their output and their exit codes."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ def test_generate_tells_what_came_of_it(made: Ended, folder: Path) -> None:
     assert (made.returncode, made.stderr) == (0, "")
     assert "1pendulum/mujoco-native.h5" in made.stdout
     assert "8 trajectories made in" in made.stdout
-    told = json.loads((folder / "counts.json").read_text())
-    assert [row["published"] for row in told["variants"]] == [4, 4]
+    counts = json.loads((folder / "counts.json").read_text())
+    assert [row["published"] for row in counts["variants"]] == [4, 4]
     facts = json.loads((folder / "data/1pendulum/mujoco-matched" / LOG).read_text())
     assert facts["count"] == 4
     assert facts["simulate_s"] > 0

@@ -1,4 +1,4 @@
-"""An engine that ends its process: the trajectories that do it are found, and the others made."""
+"""An engine that ends its process: its fatal trajectories are found, the others are made."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def fork(
     del workers
     answers = []
     for place, task in enumerate(tasks):
-        pickle.dumps((task.function, task.arguments))  # as what goes elsewhere must
+        pickle.dumps((task.function, task.arguments))  # tasks of other processes must be picklable
         child = os.fork()
         if child == 0:
             task.function(*task.arguments)

@@ -54,7 +54,7 @@ def test_columns_are_checks_of_the_page_about_checks() -> None:
 
 
 def test_columns_of_an_audit_are_explained() -> None:
-    """Every array with its first column, every fact, every form of export's loss."""
+    """The page explains every array with its first column, and every fact."""
     page = (PAGE.parent / "data-commands.md").read_text("utf-8")
     table = page[page.index("| array |") : page.index("`time` and one of")]
     for group in groups(load_scene("particlecar")):

@@ -1,4 +1,4 @@
-"""The bytes of a data file: what h5py reads of them, and from where they are written."""
+"""Bytes of a data file: h5py reads them, and they are written without copies."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ def test_the_library_reads_what_was_given() -> None:
     with h5py.File(io.BytesIO(b"".join(encode(DATASETS, {"seed": 3})))) as file:
         assert file.attrs["seed"] == 3
         for name, given in DATASETS.items():
-            found = file[name]
-            text = h5py.check_string_dtype(found.dtype) is not None
-            stored = found.asstr()[()] if text else found[()]
+            dataset = file[name]
+            text = h5py.check_string_dtype(dataset.dtype) is not None
+            stored = dataset.asstr()[()] if text else dataset[()]
             rounded = given if text else given.astype(FIELDS[name].dtype)
             assert stored.dtype == (object if text else rounded.dtype)
             assert np.array_equal(stored, rounded)

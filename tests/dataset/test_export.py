@@ -61,18 +61,18 @@ def test_what_is_not_carried_is_said(whole: Path, data: Dataset, tmp_path: Path)
 
 @pytest.mark.parametrize("form", ["npz", "csv"])
 def test_an_export_can_be_audited(form: Form, whole: Path, data: Dataset, tmp_path: Path) -> None:
-    """With the figures of the data set, and the start and inputs that it names."""
+    """The figures, the start and the inputs are those of the data set."""
     folder = _exported(whole, tmp_path, form, [16])
     scene = read_scene(folder / "scene.toml")
     assert scene == data.scene
-    found = audit_file(
+    result = audit_file(
         folder / f"0000000016.{form}", scene if form == "csv" else None, Provenance()
     )
-    assert (found.verdict, found.trajectories) == ("pass", 1)
-    assert "start and inputs: those of seed 0, index 16, with noise" in found.taken
+    assert (result.verdict, result.trajectories) == ("pass", 1)
+    assert "start and inputs: those of seed 0, index 16, with noise" in result.taken
     row = data.index.tolist().index(16)
     stored = dict(zip(data["check/name"], np.asarray(data["check/figure"])[row], strict=True))
-    figures = {finding.check: finding.figure for finding in found.findings}
+    figures = {finding.check: finding.figure for finding in result.findings}
     for check in ("start", "gap", "energy", "momentum"):
         assert figures[check] == pytest.approx(stored[check], rel=1e-6), check
 
@@ -83,13 +83,13 @@ def test_csv_files_hold_the_same_bits(whole: Path, data: Dataset, tmp_path: Path
         "0000000000.csv",
         "0000000036.csv",
     ]
-    (found,) = read_foreign(folder / "0000000036.csv", data.scene)
+    (source,) = read_foreign(folder / "0000000036.csv", data.scene)
     row = data.index.tolist().index(36)
     for name in (*MOTION, "body/angular_velocity", "input/force"):
         stored = np.asarray(data[name][row], dtype=np.float64)
-        read = found.arrays[name][0].astype(np.asarray(data[name]).dtype)
+        read = source.arrays[name][0].astype(np.asarray(data[name]).dtype)
         np.testing.assert_array_equal(read, stored)
-    assert found.said["seed"] == 0
+    assert source.facts["seed"] == 0
 
 
 @pytest.mark.parametrize("form", ["npz", "csv"])

@@ -1,4 +1,4 @@
-"""Killed at any instant, on a full disk, twice at once: what is there is whole, and goes on."""
+"""Killed at any instant, on a full disk, twice at once: files stay whole, and runs go on."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ KILLED = 9
 
 
 def _in_a_child(work: Callable[[], object]) -> int:
-    """Run something in a copy of this process and give its exit code."""
+    """Run a function in a copy of this process and return its exit code."""
     child = os.fork()
     if child == 0:
         try:
@@ -68,8 +68,8 @@ def _die_at(call: int, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 _STEPS = 3 * 4 + 4 * 3
-"""Three shards of write, rename, flush, log; two joined files, the card and the metadata of write,
-rename, flush."""
+"""Steps of three shards (write, rename, flush, log) and of two joined files, the card and the
+metadata (write, rename, flush)."""
 _QUICK = (0, 1, 3, 14, 19)
 
 
@@ -84,10 +84,10 @@ def test_killed_at_any_step_it_goes_on(
         _die_at(call, patch)
         assert _in_a_child(lambda: make(tmp_path)) == KILLED
     finished = contents(tmp_path)
-    assert finished.items() <= contents(whole).items()  # nothing half-made under its name
+    assert finished.items() <= contents(whole).items()  # no half-made file has its final name
     made = make(tmp_path).made
     shards = sum("mujoco-matched/" in name for name in finished)
-    assert made == TRAJECTORIES - min(16 * shards, TRAJECTORIES)  # nothing made twice
+    assert made == TRAJECTORIES - min(16 * shards, TRAJECTORIES)  # no trajectory is made twice
     assert contents(tmp_path) == contents(whole)
     assert not list(tmp_path.rglob("*.part"))
 
@@ -158,7 +158,7 @@ def test_what_a_killed_writer_leaves_goes_with_the_run(tmp_path: Path) -> None:
 
 
 def _last_words(running: subprocess.Popen[str]) -> str:
-    """What a program says to its end; where it hangs, the line that it hangs at is shown."""
+    """Return a program's error output, which shows the line at which it hangs, if it does."""
     try:
         return running.communicate(timeout=120)[1]
     except subprocess.TimeoutExpired:
@@ -167,7 +167,7 @@ def _last_words(running: subprocess.Popen[str]) -> str:
 
 
 def _killed_at_random(program: _Program, out: Path, rng: random.Random, within: float) -> bool:
-    """Kill a run, or its workers, at some instant after it began; whether it was still running."""
+    """Kill a run, or its workers, at some instant; return whether it was still running."""
     running = program.start(out)
     while running.poll() is None and not out.exists():
         time.sleep(0.005)
@@ -178,7 +178,7 @@ def _killed_at_random(program: _Program, out: Path, rng: random.Random, within: 
     victims = [running.pid] if rng.random() < 0.5 else workers or [running.pid]
     for victim in victims:
         _kill(victim)
-    if running.pid not in victims:  # it finds that its workers died, and makes good for it
+    if running.pid not in victims:  # it notices that its workers died, and recovers
         assert running.wait(timeout=600) == 0
     running.communicate()
     for path in out.rglob("0*.h5"):
@@ -210,7 +210,7 @@ def test_killed_at_12_random_instants(
         for _ in range(4):
             if _killed_at_random(program, out, rng, within):
                 kills += 1
-            else:  # it was done before: this machine is faster, so strike sooner
+            else:  # it had finished: this machine is faster, so strike sooner
                 within *= 0.8
         make(out)
         assert contents(out) == contents(whole)
@@ -261,7 +261,7 @@ def test_a_full_disk_is_one_line_and_what_is_finished_stays(
 
 
 def test_a_file_too_large_for_the_system_is_one_line(make: Make, tmp_path: Path) -> None:
-    """What a quota does, without a disk of its own."""
+    """A limit of the file size acts like a quota, without a disk of its own."""
 
     def work() -> None:
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
@@ -322,7 +322,7 @@ def test_another_s_shard_is_named_and_left_alone(
 
 @pytest.mark.parametrize("other", ["mujoco", "exudyn"])
 def test_a_folder_of_another_seed(other: str, make: Make, tmp_path: Path) -> None:
-    """Of the same engine, and of one that is to be paired with it."""
+    """Another seed is refused for the same engine and for one to be paired with it."""
     make(tmp_path, trajectories=3)
     with pytest.raises(InputError, match=r"its seed is 0, now asked for is 1; name another --out"):
         make(tmp_path, trajectories=3, seed=1, engines=other)

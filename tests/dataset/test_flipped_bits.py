@@ -1,4 +1,4 @@
-"""Every bit of a data file that matters is seen to be flipped."""
+"""Every flipped bit that matters in a data file is detected."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ _CHECKS: dict[str, Callable[[Path], Any]] = {
 
 
 def _everything(path: Path) -> dict[str, Any]:
-    """All that can be read from a file."""
+    """Return all that can be read from a file."""
     if path.suffix == ".md":
         return {"text": path.read_bytes()}
     if path.suffix == ".json":
         return dict(json.loads(path.read_bytes()))
-    found: dict[str, Any] = {}
+    content: dict[str, Any] = {}
     with h5py.File(path, "r") as file:
 
         def visit(name: str, item: Any) -> None:
-            found[name] = {key: np.asarray(value).tolist() for key, value in item.attrs.items()}
+            content[name] = {key: np.asarray(value).tolist() for key, value in item.attrs.items()}
             if isinstance(item, h5py.Dataset):
-                found[f"{name} values"] = (str(item.dtype), item.shape, item[()].tobytes())
+                content[f"{name} values"] = (str(item.dtype), item.shape, item[()].tobytes())
 
         visit("/", file)
         file.visititems(visit)
-    return found
+    return content
 
 
 Flip = tuple[int, int]
@@ -52,32 +52,32 @@ Flip = tuple[int, int]
 def _verdicts(
     path: Path, check: Callable[[Path], Any], whole: dict[str, Any], flips: list[Flip]
 ) -> list[int]:
-    """Judge files with one bit flipped in a copy of this process, which the damage may end.
+    """Judge files with one flipped bit, in a copy of this process, which the damage may end.
 
-    What ends it is found; a new copy goes on behind it.
+    A flip that ends it counts as found; a new copy goes on with the next flip.
     """
-    found: list[int] = []
+    verdicts: list[int] = []
     content = path.read_bytes()
-    while len(found) < len(flips):
-        heard, told = os.pipe()
+    while len(verdicts) < len(flips):
+        read_end, write_end = os.pipe()
         child = os.fork()
         if child == 0:
             try:
-                for place, bit in flips[len(found) :]:
+                for place, bit in flips[len(verdicts) :]:
                     damaged = bytearray(content)
                     damaged[place] ^= 1 << bit
                     path.write_bytes(damaged)
-                    os.write(told, bytes([_verdict(path, check, whole)]))
+                    os.write(write_end, bytes([_verdict(path, check, whole)]))
                 os._exit(0)
             finally:
                 os._exit(1)
-        os.close(told)
-        with open(heard, "rb") as answers:
-            found.extend(answers.read())
+        os.close(write_end)
+        with open(read_end, "rb") as answers:
+            verdicts.extend(answers.read())
         if os.waitpid(child, 0)[1]:
-            found.append(_FOUND)
+            verdicts.append(_FOUND)
     path.write_bytes(content)
-    return found
+    return verdicts
 
 
 def _verdict(path: Path, check: Callable[[Path], Any], whole: dict[str, Any]) -> int:
@@ -95,17 +95,17 @@ def _flipped(
     whole, size = _everything(path), path.stat().st_size
     rng = np.random.default_rng(seed)
     flips = [(int(place), int(rng.integers(8))) for place in rng.integers(size, size=count)]
-    found: dict[int, list[int]] = {_FOUND: [], _HARMLESS: [], _MISSED: []}
+    places: dict[int, list[int]] = {_FOUND: [], _HARMLESS: [], _MISSED: []}
     for (place, _), verdict in zip(flips, _verdicts(path, check, whole, flips), strict=True):
-        found[verdict].append(place)
-    return found
+        places[verdict].append(place)
+    return places
 
 
 @pytest.mark.parametrize("name", list(_CHECKS))
 def test_flipped_bits_are_found_or_harmless(name: str, copy: Path) -> None:
-    found = _flipped(copy / name, _CHECKS[name], 20, 1)
-    assert found[_MISSED] == []
-    assert len(found[_FOUND]) >= 2
+    places = _flipped(copy / name, _CHECKS[name], 20, 1)
+    assert places[_MISSED] == []
+    assert len(places[_FOUND]) >= 2
 
 
 @pytest.fixture(scope="module")
@@ -122,8 +122,8 @@ def large(make: Make, tmp_path_factory: pytest.TempPathFactory) -> Path:
     [(SHARD, 170), (FILE, 30), (JOINT, 30), (TEXTS[0], 200), (TEXTS[1], 140)],
 )
 def test_200_flipped_bits(name: str, at_least: int, large: Path, tmp_path: Path) -> None:
-    """Of each kind of file; in shards most bytes are numbers."""
+    """Bits are flipped in each kind of file; in shards most bytes are numbers."""
     shutil.copytree(large, tmp_path, dirs_exist_ok=True)
-    found = _flipped(tmp_path / name, _CHECKS[name], 200, 2)
-    assert found[_MISSED] == []
-    assert len(found[_FOUND]) >= at_least
+    places = _flipped(tmp_path / name, _CHECKS[name], 200, 2)
+    assert places[_MISSED] == []
+    assert len(places[_FOUND]) >= at_least

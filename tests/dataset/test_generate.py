@@ -1,4 +1,4 @@
-"""What is published: what passes, the same whoever makes it, and paired over engines."""
+"""Published data: they pass, are the same whoever makes them, and are paired over engines."""
 
 from __future__ import annotations
 
@@ -157,10 +157,10 @@ def test_one_start_an_interval_makes_copies_of_the_fourth(
 
 def test_files_say_how_they_were_made(rod: Scene, whole: Path) -> None:
     with h5py.File(whole / FILE) as file:
-        told = dict(file.attrs)
-        assert told["scene"] == write_scene(rod, defaults=True)
-        assert (told["engine"], told["certification"]) == ("mujoco", "certified")
-        assert (told["method"], told["seed"], told["count"]) == ("RK4", 0, TRAJECTORIES)
+        facts = dict(file.attrs)
+        assert facts["scene"] == write_scene(rod, defaults=True)
+        assert (facts["engine"], facts["certification"]) == ("mujoco", "certified")
+        assert (facts["method"], facts["seed"], facts["count"]) == ("RK4", 0, TRAJECTORIES)
         for name in ("position", "velocity", "input/force"):
             assert file[name].attrs["unit"]
         assert file["check/name"].asstr()[()].tolist() == list(COLUMNS)
@@ -184,14 +184,14 @@ def test_figures_are_those_of_the_checks(rod: Scene, whole: Path) -> None:
     with h5py.File(whole / FILE) as file:
         for finding in audit(rod, batch, trajectory, method, step=settings.step):
             column = list(COLUMNS).index(finding.check)
-            stored = file["check/figure"][3:5, column]  # of kernels, which round otherwise
+            stored = file["check/figure"][3:5, column]  # from kernels, which round differently
             assert np.allclose(stored, finding.figure, rtol=1e-7, atol=1e-13)
             allowed = (finding.budget or 0.0) + finding.uncertainty
             assert np.allclose(file["check/allowed"][3:5, column], allowed, rtol=1e-9, atol=1e-13)
 
 
 def _spoil(index: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let a body jump by 1 mm in one trajectory, as no check can miss."""
+    """Let a body jump by 1 mm in one trajectory, which no check can miss."""
 
     def spoilt(*arguments: object) -> Simulation:
         done = simulate(*arguments)  # type: ignore[arg-type]
@@ -223,10 +223,10 @@ def test_what_fails_is_kept_aside_with_its_reason(
         assert file["index"][()].tolist() == [23]
         assert file.attrs["seed"] == 0
         reason = file["reason"].asstr()[0]
-        # From frame 5 on it is as large, but for rounding.
-        told = re.match(r"gap: 0.00173 m, allowed 0.0001 \(joint joint1\), frame (\d+); ", reason)
-        assert told is not None
-        assert int(told[1]) >= 5
+        # From frame 5 on it is equally large, up to rounding.
+        match = re.match(r"gap: 0.00173 m, allowed 0.0001 \(joint joint1\), frame (\d+); ", reason)
+        assert match is not None
+        assert int(match[1]) >= 5
     with h5py.File(tmp_path / "1pendulum/joint.h5") as file:
         assert np.flatnonzero(~file["valid_in_all"][()]).tolist() == [23]
 
@@ -237,9 +237,9 @@ def test_what_its_engine_calls_a_failure_is_never_published(
 ) -> None:
     def failing(*arguments: object) -> Simulation:
         done = simulate(*arguments)  # type: ignore[arg-type]
-        told = (None, Failure(5, "constraint solver: no convergence"), None)
+        failures = (None, Failure(5, "constraint solver: no convergence"), None)
         return dataclasses.replace(
-            done, trajectory=dataclasses.replace(done.trajectory, failures=told)
+            done, trajectory=dataclasses.replace(done.trajectory, failures=failures)
         )
 
     monkeypatch.setattr(shard, "simulate", failing)  # all its numbers are finite
@@ -251,7 +251,7 @@ def test_what_its_engine_calls_a_failure_is_never_published(
 def test_a_pull_that_only_a_vanishing_step_shows_rejects_its_shard(
     first: int, rod: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """2e-5 of the weight, at all steps alike; in the audit sample, and where one stands for all."""
+    """A pull of 2e-5 of the weight, in the audit sample and where one trajectory stands for all."""
     (contender,), _ = Choice.parse(engines="mujoco").contenders(rod)
     item = Item(Variant(rod, contender, 0, True), first, 6)
 

@@ -1,4 +1,4 @@
-"""`mbds-xsim inspect`: what it counts, and that its picture shows the motion."""
+"""`mbds-xsim inspect`: its counts, and a picture that shows the motion."""
 
 from __future__ import annotations
 
@@ -26,29 +26,29 @@ SET = "1pendulum/mujoco-matched"
 
 
 def test_counts_and_figures_are_those_of_the_files(whole: Path) -> None:
-    (found,) = summaries(whole)
+    (summary,) = summaries(whole)
     data = load_dataset(whole / f"{SET}.h5")
-    assert (found.drawn, found.published, found.rejected, found.shards) == (40, 40, 0, 3)
-    for part, counts in found.counts.items():
+    assert (summary.drawn, summary.published, summary.rejected, summary.shards) == (40, 40, 0, 3)
+    for part, counts in summary.counts.items():
         rows = data.rows_of(part)
         assert sum(counts.values()) == len(rows)
         assert counts["medium"] == int((data.index[rows] % 3 == 1).sum())
-    energy = next(figure for figure in found.figures if figure.check == "energy")
+    energy = next(figure for figure in summary.figures if figure.check == "energy")
     column = list(data["check/name"]).index("energy")
     figures = np.asarray(data["check/figure"])[:, column]
     assert (energy.smallest, energy.largest) == (figures.min(), figures.max())
     assert energy.trajectories == 40
     assert energy.largest <= (energy.allowed or 0)
-    sampled = next(figure for figure in found.figures if figure.check == "error growth-weighted")
+    sampled = next(figure for figure in summary.figures if figure.check == "error growth-weighted")
     assert sampled.trajectories == 3
     size = sum(path.stat().st_size for path in whole.rglob("*.h5") if path.name != "joint.h5")
-    assert found.bytes == size
+    assert summary.bytes == size
 
 
 def test_a_shard_has_no_split(whole: Path) -> None:
-    (found,) = summaries(whole / SET / "0000000016.h5")
-    assert (found.kind, found.drawn, found.shards) == ("shard", 16, 1)
-    assert found.counts == {"all": {"low": 5, "medium": 6, "high": 5}}
+    (summary,) = summaries(whole / SET / "0000000016.h5")
+    assert (summary.kind, summary.drawn, summary.shards) == ("shard", 16, 1)
+    assert summary.counts == {"all": {"low": 5, "medium": 6, "high": 5}}
 
 
 def test_rejected_ones_are_counted_by_reason(make: Make, tmp_path: Path) -> None:
@@ -60,9 +60,9 @@ def test_rejected_ones_are_counted_by_reason(make: Make, tmp_path: Path) -> None
         scene, budget=strict, clock=msgspec.structs.replace(scene.clock, steps=10)
     )
     make(tmp_path, scene=scene, trajectories=3)
-    (found,) = summaries(tmp_path)
-    assert (found.published, found.rejected) == (0, 3)
-    assert found.rejected_by == {"energy": 3}
+    (summary,) = summaries(tmp_path)
+    assert (summary.published, summary.rejected) == (0, 3)
+    assert summary.rejected_by == {"energy": 3}
     (aside,) = summaries(tmp_path / "rejected" / SET / "0000000000.h5")
     assert (aside.kind, aside.rejected_by) == ("rejected", {"energy": 3})
     with pytest.raises(InputError, match="has no trajectories to draw"):
@@ -78,7 +78,7 @@ def test_the_summary_can_be_read(whole: Path) -> None:
 
 
 def test_the_picture_shows_the_paths(whole: Path, tmp_path: Path) -> None:
-    """What is coloured in a panel has the colour of its interval."""
+    """Everything coloured in a panel has the colour of its interval."""
     from matplotlib.colors import to_rgb
     from matplotlib.image import imread
 

@@ -29,7 +29,7 @@ NAMES = ("position", "velocity", "body/orientation", "input/force", "check/figur
 
 @pytest.fixture
 def copy(few: Path, tmp_path: Path) -> Path:
-    """A copy whose shard lies under another name, for its repacked self."""
+    """A copy whose shard is renamed, so that a repacked one can take its place."""
     folder = Path(shutil.copytree(few, tmp_path / "copy"))
     (folder / SHARD).rename(tmp_path / "old.h5")
     return folder
@@ -103,7 +103,7 @@ def test_a_virtual_dataset_without_its_file_is_refused(copy: Path, tmp_path: Pat
 
 
 def test_values_that_were_never_written_are_not_made_up(copy: Path, tmp_path: Path) -> None:
-    """HDF5 reads them as zeros; the checksum is not theirs."""
+    """HDF5 reads them as zeros, which do not match the checksum."""
     repack(
         tmp_path / "old.h5",
         copy / SHARD,

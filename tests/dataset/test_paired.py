@@ -19,7 +19,7 @@ NAMES = ("mujoco-matched", "mujoco-native")
 
 @pytest.fixture(scope="module")
 def folder(make: Make, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Data of two settings: engines differ no more than that for a reader."""
+    """Data of two settings, which differ for a reader as two engines do."""
     out = tmp_path_factory.mktemp("paired")
     make(out, trajectories=COUNT, settings="matched,native")
     return out / "1pendulum"
@@ -27,7 +27,7 @@ def folder(make: Make, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def files(folder: Path) -> list[Dataset]:
-    """Open both."""
+    """Open both data sets."""
     return [load_dataset(folder / f"{name}.h5") for name in NAMES]
 
 

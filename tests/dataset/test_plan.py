@@ -38,8 +38,8 @@ class Silence(Silent):
         del done
         self.total, self.names = total, list[str]()
 
-    def advance(self, what: str) -> None:
-        self.names.append(str(what))
+    def advance(self, work: str) -> None:
+        self.names.append(str(work))
 
 
 @pytest.fixture(scope="module")
@@ -56,18 +56,18 @@ def measured(variant: Variant) -> ShardCost:
 def test_bytes_are_those_that_generate_writes(
     variant: Variant, measured: ShardCost, make: Make, tmp_path: Path
 ) -> None:
-    """700 trajectories in their shards, foretold from shards of 1 and 6."""
+    """The size of 700 trajectories is extrapolated from shards of 1 and 6."""
     make(tmp_path, trajectories=700)
-    told = estimate(variant, measured, 700, audit_s=0.0, workers=1)
+    cost = estimate(variant, measured, 700, audit_s=0.0, workers=1)
     real = sum(path.stat().st_size for path in tmp_path.rglob("*.h5") if path.name != "joint.h5")
-    assert told.shards == len(list(variant.items(700)))
-    assert told.bytes == pytest.approx(real, rel=0.03)
+    assert cost.shards == len(list(variant.items(700)))
+    assert cost.bytes == pytest.approx(real, rel=0.03)
 
 
 def test_what_is_measured_can_be(measured: ShardCost) -> None:
     assert measured.published == 12
     assert measured.trajectory_s > 0
-    # Not how long: a pause of the process, as for its garbage, may fall into any of the runs.
+    # The time is not checked: a pause, as for garbage collection, may fall into any of the runs.
     assert measured.audit_s is not None
     assert sum(measured.shares.values()) == pytest.approx(1.0)
     assert measured.shares["simulate_s"] > 0
@@ -75,13 +75,13 @@ def test_what_is_measured_can_be(measured: ShardCost) -> None:
 
 def test_costs_add_up_at_any_size(variant: Variant) -> None:
     for count in (1, 300, 301, 15_001, 4_000_000_000):
-        told = estimate(variant, KNOWN, count, audit_s=7.0, workers=8)
+        cost = estimate(variant, KNOWN, count, audit_s=7.0, workers=8)
         shards = variant.shard_count(count)
         seconds = 3.0 * shards + 0.5 * count + 7.0 * -(-count // 15_000)
-        assert told.shards == shards
-        assert told.core_hours == pytest.approx(seconds / 3600)
-        assert told.wall_hours == pytest.approx(seconds / 3600 / min(8, shards))
-        assert told.bytes == pytest.approx(1000 * shards + 109 * count)
+        assert cost.shards == shards
+        assert cost.core_hours == pytest.approx(seconds / 3600)
+        assert cost.wall_hours == pytest.approx(seconds / 3600 / min(8, shards))
+        assert cost.bytes == pytest.approx(1000 * shards + 109 * count)
 
 
 @pytest.mark.parametrize("name", ["5pendulum", "3ladder", "8000pendulum"])
@@ -100,32 +100,32 @@ def test_few_trajectories_are_work_for_many_processes(name: str) -> None:
 
 
 def test_plan_measures_every_engine_apart(rod: Scene) -> None:
-    heard = Silence()
+    progress = Silence()
     choice = Choice.parse(engines="mujoco", profiles="matched,native")
-    found = plan(rod, choice, 10_000_000_000, Conduct(4, meter=heard), sample=2)
-    assert [one.variant for one in found.estimates] == ["mujoco-matched", "mujoco-native"]
-    assert heard.names == ["mujoco-matched", "mujoco-native"]
-    first, second = (one.measured for one in found.estimates)
+    costs = plan(rod, choice, 10_000_000_000, Conduct(4, meter=progress), sample=2)
+    assert [one.variant for one in costs.estimates] == ["mujoco-matched", "mujoco-native"]
+    assert progress.names == ["mujoco-matched", "mujoco-native"]
+    first, second = (one.measured for one in costs.estimates)
     assert first is not None
     assert second is not None
     assert first.audit_s is not None
     assert second.audit_s is None  # the reference is the same for both
-    assert all(one.core_hours is not None and one.core_hours > 0 for one in found.estimates)
+    assert all(one.core_hours is not None and one.core_hours > 0 for one in costs.estimates)
 
 
 def test_a_crash_is_told_not_extrapolated(variant: Variant) -> None:
-    told = estimate(variant, Crash("the process ended by signal 11"), 5, audit_s=0.0, workers=2)
-    assert (told.core_hours, told.bytes, told.measured) == (None, None, None)
+    cost = estimate(variant, Crash("the process ended by signal 11"), 5, audit_s=0.0, workers=2)
+    assert (cost.core_hours, cost.bytes, cost.measured) == (None, None, None)
     stream = io.StringIO()
-    print_blocks(plan_blocks(CostPlan("rod", 5, 2, (told,), {})), Console(file=stream, width=120))
+    print_blocks(plan_blocks(CostPlan("rod", 5, 2, (cost,), {})), Console(file=stream, width=120))
     assert "✗ mujoco-matched: the process ended by signal 11" in stream.getvalue()
 
 
 def test_the_table_shows_sizes_people_know(variant: Variant) -> None:
-    told = estimate(variant, KNOWN, 4_000_000_000, audit_s=0.0, workers=1)
+    cost = estimate(variant, KNOWN, 4_000_000_000, audit_s=0.0, workers=1)
     stream = io.StringIO()
-    found = CostPlan("rod", 4_000_000_000, 1, (told,), {"dart": "no"})
-    print_blocks(plan_blocks(found), Console(file=stream, width=120))
+    costs = CostPlan("rod", 4_000_000_000, 1, (cost,), {"dart": "no"})
+    print_blocks(plan_blocks(costs), Console(file=stream, width=120))
     text = stream.getvalue()
     for words in (
         "4 000 000 000 trajectories",
@@ -135,7 +135,7 @@ def test_the_table_shows_sizes_people_know(variant: Variant) -> None:
         "dart left out",
     ):
         assert words in text
-    small = replace(told, wall_hours=0.5, bytes=2500.0)
+    small = replace(cost, wall_hours=0.5, bytes=2500.0)
     stream = io.StringIO()
     print_blocks(plan_blocks(CostPlan("rod", 5, 1, (small,), {})), Console(file=stream, width=120))
     assert "30 min" in stream.getvalue()

@@ -103,7 +103,7 @@ INNER = st.one_of(
 @settings(max_examples=60, deadline=None)
 @given(key=KEYS | st.tuples(KEYS, INNER) | st.tuples(KEYS, INNER, INNER))
 def test_a_series_is_indexed_as_an_array(key: Any, data: Dataset) -> None:
-    """Whatever numpy gives, or an IndexError where it raises one."""
+    """Indexing gives what numpy gives, and raises an IndexError where numpy does."""
     array = np.asarray(data.position)
     try:
         wanted = array[key]
@@ -132,7 +132,7 @@ def test_windows_are_the_frames_of_their_place(data: Dataset) -> None:
     numbers = rng.integers(len(windows), size=200)
     position, velocity = windows.take(numbers)
     rows, frames = windows.where(numbers)
-    assert len(np.unique(rows // 16)) == 3  # of all shards
+    assert len(np.unique(rows // 16)) == 3  # from all shards
     for k, (row, frame) in enumerate(zip(rows, frames, strict=True)):
         assert np.array_equal(position[k], data.position[row][frame : frame + 6])
         assert np.array_equal(velocity[k], data.velocity[row][frame : frame + 6])
@@ -218,7 +218,7 @@ def test_files_that_were_cut_off(name: str, make: Make, tmp_path: Path) -> None:
     make(tmp_path, trajectories=6)
     whole = (tmp_path / name).read_bytes()
     for size in range(0, len(whole), 1024):
-        (tmp_path / name).unlink()  # what is mapped of it must not change
+        (tmp_path / name).unlink()  # mapped values must not change
         (tmp_path / name).write_bytes(whole[:size])
         with pytest.raises(InputError, match=rf"{Path(name).name} cannot be read as HDF5 \("):
             mbds_xsim.load_dataset(tmp_path / FILE).check()
@@ -228,7 +228,7 @@ def test_files_that_were_cut_off(name: str, make: Make, tmp_path: Path) -> None:
     "text", [b"\x89HDF\r\n", b"OHDR", b"GCOL", b"mujoco-matched/0000000000.h5"]
 )
 def test_damage_is_told_in_one_line(text: bytes, make: Make, tmp_path: Path) -> None:
-    """HDF5 raises errors of several kinds for it; bytes that are no text are not even its own."""
+    """HDF5 raises several kinds of errors for damage; Python raises those for invalid text."""
     make(tmp_path, trajectories=6)
     whole = (tmp_path / FILE).read_bytes()
     assert text in whole

@@ -1,4 +1,4 @@
-"""Whatever is changed in a file, by accident or with its checksums made to fit, is found."""
+"""Every change of a file is found, by accident or with its checksums made to fit."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_a_file_is_looked_at_with_its_shards(few: Path) -> None:
 def test_data_of_the_reference_are_sound_where_friction_stops_joints(
     make: Make, tmp_path: Path
 ) -> None:
-    """They keep the budgets of its own order, not of the first that fixed steps have there."""
+    """Such data keep the budgets of the reference's order, not of the first of fixed steps."""
     (brake,) = (case.scene for case in JOINT_CASES if case.name == "brake")
     draw = HingeRate(("axle",), rate=(0.0, 1.0))
     scene = msgspec.structs.replace(brake, clock=Clock(steps=10), sampling=(draw,))
@@ -198,13 +198,13 @@ def test_a_change_with_fitting_checksums_is_found(change: Change, says: str, cop
     import re
 
     _rewrite(copy / SHARD, change)
-    found = recheck(copy / SHARD, "shard", 3).problems
-    assert any(re.match(says, problem) for problem in found), found
+    problems = recheck(copy / SHARD, "shard", 3).problems
+    assert any(re.match(says, problem) for problem in problems), problems
 
 
 @pytest.mark.parametrize("version", [0, CHECKS - 1, CHECKS + 1])
 def test_figures_of_another_version_of_the_checks_are_not_blamed(version: int, copy: Path) -> None:
-    """They may differ from those of today; what fails today is told all the same."""
+    """Stored figures may differ from today's; what fails today is reported all the same."""
     figure = _set("check/figure", (2, list(COLUMNS).index("gap")), 1e-3)
     for change in (figure, _tell("checks_version", version)):
         _rewrite(copy / SHARD, change)
@@ -271,13 +271,13 @@ _SINGLE = "published trajectory 0 fails: .*precision: .*rounded to 24 significan
 def test_forged_states_with_fitting_figures_are_found(
     change: Callable[[dict[str, Any]], None], alone: str, again: str, copy: Path
 ) -> None:
-    """From the numbers alone where they tell, and where the engine is here in any case."""
+    """Some forgeries are found from the numbers alone, all of them by simulating again."""
     import re
 
     _forge(copy / SHARD, change)
-    found = recheck(copy / SHARD, "shard").problems
-    assert any(re.match(alone, problem) for problem in found) if alone else not found, found
-    more = [each for each in recheck(copy / SHARD, "shard", 3).problems if each not in found]
+    faults = recheck(copy / SHARD, "shard").problems
+    assert any(re.match(alone, problem) for problem in faults) if alone else not faults, faults
+    more = [each for each in recheck(copy / SHARD, "shard", 3).problems if each not in faults]
     assert any(re.search(again, problem) for problem in more), more
 
 
@@ -286,11 +286,11 @@ def test_nobody_can_foresee_what_is_simulated_again(
 ) -> None:
     chosen: list[list[int]] = []
 
-    def told(scene: Scene, batch: Batch, engine: str, settings: Settings) -> Simulation:
+    def noted(scene: Scene, batch: Batch, engine: str, settings: Settings) -> Simulation:
         chosen.append(batch.index.tolist())
         return simulate(scene, batch, engine, settings)
 
-    monkeypatch.setattr("mbds_xsim.dataset.reaudit.simulate", told)
+    monkeypatch.setattr("mbds_xsim.dataset.reaudit.simulate", noted)
     verified = [_verify(few / SHARD) for _ in range(8)]
     assert len({tuple(rows) for rows in chosen}) > 1
     assert all(len(set(rows)) == 3 for rows in chosen)
@@ -376,8 +376,8 @@ def test_texts_must_agree_with_the_data(
 def test_a_publisher_may_add_to_the_texts(copy: Path) -> None:
     card, metadata = (copy / name for name in TEXTS)
     card.write_text(card.read_text("utf-8") + "\n## Licence\n\nCC BY 4.0\n", "utf-8")
-    told = {**json.loads(metadata.read_text("utf-8")), "license": "CC-BY-4.0"}
-    metadata.write_text(json.dumps(told), "utf-8")
+    extended = {**json.loads(metadata.read_text("utf-8")), "license": "CC-BY-4.0"}
+    metadata.write_text(json.dumps(extended), "utf-8")
     assert _verify(copy).sound
 
 

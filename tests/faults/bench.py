@@ -32,7 +32,7 @@ _SETTINGS: dict[tuple[str, str], tuple[str, int, dict[str, Any]]] = {
     ("workbench", "pybullet"): ("semi-implicit-euler", 20, {}),
     ("workbench with stops", "pybullet"): ("semi-implicit-euler", 40, {"erp": 1e-3}),
     ("workbench", "dart"): ("semi-implicit-euler", 20, {"error_reduction": 0.8}),
-    # What a Jacobian that is kept leaves shows beside the small difference that a step makes.
+    # Errors of a kept Jacobian would hide the small difference that a step makes.
     ("workbench", "exudyn"): ("generalised-alpha", 16, {"modified_newton": False}),
     ("ballscroll with another ball", "mujoco"): ("RK4", 8, {"impact_steps": 1}),
     ("ballscroll with another ball", "pybullet"): (
@@ -76,7 +76,7 @@ _SETTINGS: dict[tuple[str, str], tuple[str, int, dict[str, Any]]] = {
 
 @functools.cache
 def _quick(name: str, engine: str) -> Matched:
-    """Give settings that are quick, or those stored for the scene that it was made from."""
+    """Return quick settings, or the matched ones of the scene that this one was made from."""
     for known in (name, name := name.partition(" with ")[0]):
         if (known, engine) in _SETTINGS:
             return Matched(*_SETTINGS[known, engine])
@@ -102,8 +102,8 @@ def checked(
     frames: int | None = None,
 ) -> Validation:
     """Validate a scene with a fault in one engine, on its motion alone or its native model too."""
-    given = {name: _quick(scene, name) for name in engines if name in able(scene)}
-    choice = Choice(tuple(given), given={"matched": given})
+    matched = {name: _quick(scene, name) for name in engines if name in able(scene)}
+    choice = Choice(tuple(matched), settings={"matched": matched})
     with planted(fault.change if fault else None, engine):
         return validate_with_evidence(
             scene_of(scene, frames), choice=choice, conduct=HERE, readback=readback
@@ -111,7 +111,7 @@ def checked(
 
 
 def told(scene: str, fault: Fault, engine: str) -> list[str]:
-    """Give what reading the native model back tells; a frame of motion is enough for it."""
+    """Return the differences that read-back reports; one frame of motion is enough for it."""
     validation = checked(scene, fault, engine, engines=(engine,), readback=True, frames=1)
     reasons = (reason.partition("read-back: ") for reason in validation.engines[0].reasons)
-    return [what for before, _, what in reasons if not before]
+    return [message for before, _, message in reasons if not before]

@@ -20,17 +20,15 @@ from .planting import Change
 Figure = Callable[[Any], Any]
 
 
-def options(**given: float | str) -> Change:
+def options(**values: float | str) -> Change:
     """Set options of an adapter."""
-    return Change(
-        settings=lambda kept: dataclasses.replace(kept, options={**kept.options, **given})
-    )
+    return Change(settings=lambda old: dataclasses.replace(old, options={**old.options, **values}))
 
 
 def changed(**changes: Figure) -> Figure:
-    """Change fields of a scene, or of a table of it, each by what gives it out of the right one."""
-    return lambda kept: msgspec.structs.replace(
-        kept, **{key: change(getattr(kept, key)) for key, change in changes.items()}
+    """Change fields of a scene or of one of its tables, each by a function of the right value."""
+    return lambda old: msgspec.structs.replace(
+        old, **{key: change(getattr(old, key)) for key, change in changes.items()}
     )
 
 
@@ -40,7 +38,7 @@ def gravity(value: float) -> Change:
 
 
 def tilted(degrees: float) -> Change:
-    """Tilt gravity about y, as a ground does that is not level."""
+    """Tilt gravity about y, as on ground that is not level."""
     c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
 
     def turned(pull: Any) -> Any:
@@ -69,9 +67,9 @@ def part(group: str, name: str, change: Figure, told: str) -> Change:
 
     Args:
         group: The scene's field that lists such parts.
-        name: Of the part, or of its body; empty: all of them.
-        change: Gives the part out of the right one.
-        told: As in `Change`.
+        name: Name of the part or of its body; empty for all of them.
+        change: Function of the right part that returns the wrong one.
+        told: See `Change`.
     """
 
     def each(parts: Any) -> Any:
@@ -98,8 +96,8 @@ def radius(change: Figure) -> Change:
 def particles(name: str, told: str, **changes: Figure) -> Change:
     """Change figures of each particle of a body."""
 
-    def each(kept: Any) -> Any:
-        return tuple(map(changed(**changes), kept))
+    def each(old: Any) -> Any:
+        return tuple(map(changed(**changes), old))
 
     return part("bodies", name, changed(particles=each), told)
 
@@ -112,11 +110,11 @@ def heavier(name: str, share: float) -> Change:
 def stouter(name: str, share: float) -> Change:
     """Give a body more inertia, by a share of its largest moment, and no more mass."""
 
-    def more(kept: Any) -> Any:
-        places = np.array([particle.position for particle in kept])
+    def more(old: Any) -> Any:
+        places = np.array([particle.position for particle in old])
         spread = np.sum((places - places.mean(axis=0)) ** 2, axis=0)
         added = share * float(spread.sum() - spread.min()) / len(places)
-        return tuple(changed(inertia=lambda inertia: inertia + added)(one) for one in kept)
+        return tuple(changed(inertia=lambda inertia: inertia + added)(one) for one in old)
 
     return part("bodies", name, changed(particles=more), "inertia")
 
@@ -151,12 +149,12 @@ def times(*shares: float) -> Callable[[Array], Array]:
 
 
 def force(change: Callable[[Array], Array]) -> Change:
-    """Push bodies otherwise."""
+    """Change the forces on bodies."""
     return Change(inputs=lambda batch: dataclasses.replace(batch, force=change(batch.force)))
 
 
 def torque(change: Callable[[Array], Array]) -> Change:
-    """Drive hinges otherwise."""
+    """Change the torques of hinges."""
     return Change(inputs=lambda batch: dataclasses.replace(batch, torque=change(batch.torque)))
 
 
@@ -170,10 +168,10 @@ def without_inputs(frame: int) -> Change:
     """Leave the inputs of a frame out."""
 
     def changed(batch: Batch) -> Batch:
-        given: dict[str, Any] = {"force": batch.force.copy(), "torque": batch.torque.copy()}
-        for values in given.values():
-            values[:, frame : frame + 1] = 0.0  # nothing of a start alone
-        return dataclasses.replace(batch, **given)
+        inputs: dict[str, Any] = {"force": batch.force.copy(), "torque": batch.torque.copy()}
+        for values in inputs.values():
+            values[:, frame : frame + 1] = 0.0  # a slice: a start alone has no frames
+        return dataclasses.replace(batch, **inputs)
 
     return Change(inputs=changed)
 
@@ -183,15 +181,15 @@ def early(values: Array) -> Array:
     return np.concatenate([values[:, 1:], values[:, -1:]], axis=1)
 
 
-def kicked(given: Array) -> Array:
+def kicked(forces: Array) -> Array:
     """Push a ball of 1 kg up for a frame by twice its weight [N], so that it hops."""
-    pushed = given.copy()
+    pushed = forces.copy()
     pushed[:, 10:11, 0, 2] += 2.0 * 9.81
     return pushed
 
 
 def in_body_frames(batch: Batch) -> Batch:
-    """Take forces in W for forces in the frames that bodies start with."""
+    """Treat forces in W as forces in the frames that bodies start with."""
     turned = rotation.rotate(batch.orientation[:, None], batch.force)
     return dataclasses.replace(batch, force=turned)
 
@@ -202,7 +200,7 @@ def swapped_start(batch: Batch) -> Batch:
 
 
 def started(**by: float) -> Change:
-    """Start a little otherwise than drawn."""
+    """Start slightly off the drawn start."""
     return Change(
         inputs=lambda batch: dataclasses.replace(
             batch, **{key: getattr(batch, key) + value for key, value in by.items()}

@@ -1,4 +1,4 @@
-"""All the faults: what users and adapters get wrong, each where it can be seen."""
+"""All faults of users and adapters, each in a scene in which it shows."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ def _as(value: Any) -> to.Figure:
 
 
 def _more(by: float) -> to.Figure:
-    return lambda kept: kept + by
+    return lambda value: value + by
 
 
 def change_of(name: str) -> Change:
-    """Give the change of a fault."""
+    """Return the change of the named fault."""
     return next(fault.change for fault in FAULTS if fault.name == name)
 
 
@@ -78,7 +78,7 @@ SMOOTH = (
         Change(native=native.no_reaction), odd=True),
     _fault("inputs a frame late", "3pendulum", _ALL, _LIMIT, Change(inputs=to.late_inputs)),
     _fault("gravity 9.80", "3pendulum", _ALL, _LIMIT, to.gravity(9.80)),
-    # What is left of their own inertia only keeps the rods' regular.
+    # A thousandth of the particles' inertia keeps the rods' matrices regular.
     _fault("particles free instead of welded", "3pendulum", _ALL, _LIMIT,
         to.particles("", "inertia [kg·m²] of link1", inertia=to.scaled(1e-3)), odd=True),
     _fault("one particle 1 % heavier", "3pendulum", _ALL, _LIMIT, to.heavier("link2", 0.01)),

@@ -1,4 +1,4 @@
-"""Faults inside an adapter, where no scene, settings or recording could bring them about."""
+"""Faults inside adapters, which no scene, settings or recording could cause."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ __all__ = [
 ]  # fmt: skip
 
 _OFFSET = [0.0, 0.0, 0.05]
-"""[m]"""
+"""Offset of forces from centres of mass [m]."""
 _DAMPING = 0.01
-"""[N·m·s]"""
+"""Damping of joints [N·m·s]."""
 _DART_DAMPING = """
 for joint in joints.values():
     for k in range(joint.getNumDofs()):
@@ -40,9 +40,9 @@ for joint in joints.values():
 
 
 _WHEEL, _SLIPPERY = 1, 0.40
-"""A body with one sphere, the first of all, and its friction."""
+"""Body that has only the first of all spheres, and its friction."""
 _ROLLING = 0.1
-"""Of rolling resistance: a lever of the normal force [m]."""
+"""Rolling resistance as a lever of the normal force [m]."""
 
 
 def motors_left_on(_engine: str) -> AbstractContextManager[object]:
@@ -56,12 +56,12 @@ def joint_damping(engine: str) -> AbstractContextManager[object]:
 
 
 def axle_damping(engine: str) -> AbstractContextManager[object]:
-    """Let axles have a tenth of it."""
+    """Let every axle have a tenth of that of `joint_damping`."""
     return {"mujoco": _damped_mujoco, "dart": _damped_dart}[engine](_DAMPING / 10.0)
 
 
 def force_off_center(engine: str) -> AbstractContextManager[object]:
-    """Push bodies beside their centres of mass."""
+    """Push bodies off their centres of mass."""
     return {"pybullet": _pybullet, "dart": _dart, "exudyn": _exudyn}[engine]()
 
 
@@ -91,13 +91,13 @@ def _pybullet() -> AbstractContextManager[object]:
 
 def _dart() -> AbstractContextManager[object]:
     def move(self: Any, _force: Any, _torque: Any) -> None:
-        self.forces = [(_beside(put), value) for put, value in self.forces]
+        self.forces = [(_beside(apply), value) for apply, value in self.forces]
 
     return _with_more(_adapter("dart.stepping").FrameLoads, "hold", move)
 
 
-def _beside(put: Any) -> Any:
-    return lambda force: put(force, _OFFSET)
+def _beside(apply: Any) -> Any:
+    return lambda force: apply(force, _OFFSET)
 
 
 def _exudyn() -> AbstractContextManager[object]:
@@ -133,7 +133,7 @@ def _damped_dart(damping: float) -> AbstractContextManager[object]:
     adapter = _adapter("dart.run")
     listing = adapter.build_listing
     return mock.patch.object(
-        adapter, "build_listing", lambda *given: listing(*given) + _DART_DAMPING.format(damping)
+        adapter, "build_listing", lambda *args: listing(*args) + _DART_DAMPING.format(damping)
     )
 
 
@@ -155,8 +155,8 @@ def _one_sided_mujoco() -> AbstractContextManager[object]:
 def _one_sided_pybullet() -> AbstractContextManager[object]:
     """Take the reaction back from the parent."""
 
-    def take_back(self: Any, _force: Any, torque: Any, told: Any) -> None:
-        state = self._model.states(told)
+    def take_back(self: Any, _force: Any, torque: Any, reading: Any) -> None:
+        state = self._model.states(reading)
         for hinge, value in zip(self._hinges, torque, strict=True):
             if hinge.parent != WORLD_INDEX and value:
                 back = value * rotation.rotate(state.native[hinge.parent], hinge.axis)
@@ -171,7 +171,7 @@ def _one_sided_dart() -> AbstractContextManager[object]:
     hold = loads.hold
 
     def hold_one_sided(self: Any, force: Any, torque: Any) -> None:
-        # What clears a torque of the step before is a force, be it none.
+        # Only a force, however small, clears the torque of the previous step.
         hold(self, np.where(force == 0.0, np.finfo(float).tiny, force), torque)
         for hinge, value in zip(self._model.mechanism.hinges, torque, strict=True):
             if hinge.parent != WORLD_INDEX:
@@ -203,7 +203,7 @@ def _one_sided_pinocchio() -> AbstractContextManager[object]:
 
 
 def _one_sided_drake() -> AbstractContextManager[object]:
-    """Take torques for those of loops, which Drake has on bodies, and leave the parent out."""
+    """Treat all torques as loops' torques, which Drake applies to bodies, without the parent."""
 
     def replace(self: Any, *_: Any) -> None:
         self._driven, self._driven_at = [], []
@@ -214,12 +214,12 @@ def _one_sided_drake() -> AbstractContextManager[object]:
 
 
 def _with_more(place: Any, name: str, more: Callable[..., None]) -> AbstractContextManager[object]:
-    """Let a function or method go on when it has done its own."""
+    """Let a function or method call `more` when it has finished."""
     own = getattr(place, name)
 
-    def both(*given: Any) -> None:
-        own(*given)
-        more(*given)
+    def both(*args: Any) -> None:
+        own(*args)
+        more(*args)
 
     return mock.patch.object(place, name, both)
 
@@ -234,7 +234,7 @@ def friction_box(engine: str) -> AbstractContextManager[object]:
 
 
 def speed_limit(engine: str) -> AbstractContextManager[object]:
-    """Leave the limit of joint rates in PyBullet, set the same in DART."""
+    """Keep the limit of joint rates in PyBullet, or set the same one in DART."""
     return {"pybullet": _slow_pybullet, "dart": _slow_dart}[engine]()
 
 
@@ -287,7 +287,7 @@ def _dart_box() -> AbstractContextManager[object]:
     adapter = _adapter("dart")
     statements = adapter.contact_statements
     return mock.patch.object(
-        adapter, "contact_statements", lambda *given: statements(*given[:-1], "dantzig")
+        adapter, "contact_statements", lambda *args: statements(*args[:-1], "dantzig")
     )
 
 
@@ -298,4 +298,4 @@ def _slow_pybullet() -> AbstractContextManager[object]:
 def _slow_dart() -> AbstractContextManager[object]:
     adapter = _adapter("dart.run")
     listing = adapter.build_listing
-    return mock.patch.object(adapter, "build_listing", lambda *given: listing(*given) + _DART_LIMIT)
+    return mock.patch.object(adapter, "build_listing", lambda *args: listing(*args) + _DART_LIMIT)

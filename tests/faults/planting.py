@@ -1,4 +1,4 @@
-"""A fault, and how it gets into one engine while all the others stay as they are."""
+"""Faults, and how they are planted in one engine while all others stay sound."""
 
 from __future__ import annotations
 
@@ -46,21 +46,21 @@ def _same_motion(_scene: Scene, _batch: Batch, _step: float, motion: Trajectory)
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """What is otherwise than it should be: what reaches an engine, or what comes back from it."""
+    """A change of the inputs that reach an engine, of its adapter, or of its recorded motion."""
 
     model: Callable[[Scene], Scene] = _same_model
     settings: Callable[[Settings], Settings] = _same_settings
     inputs: Callable[[Batch], Batch] = _same_inputs
     motion: Callable[[Scene, Batch, float, Trajectory], Trajectory] = _same_motion
-    """Of the true scene, the true batch, the step [s] and the true recording."""
+    """Recording, given the true scene, the true batch, the step [s] and the true recording."""
     native: Callable[[str], AbstractContextManager[object]] = contextlib.nullcontext
-    """What is changed in the adapter of an engine itself while it runs."""
+    """Context that changes the adapter of the named engine while it runs."""
     told: str = ""
-    """How the line of the read-back that tells it begins; empty where no engine knows."""
+    """Start of the read-back's line that reports it; empty if no engine can."""
 
     @property
     def only_recorded(self) -> bool:
-        """Whether the engine does what it does without the change."""
+        """Whether the engine itself runs as it would without the change."""
         changes = (self.model, self.settings, self.inputs, self.native)
         return changes == (_same_model, _same_settings, _same_inputs, contextlib.nullcontext)
 
@@ -71,16 +71,16 @@ class Fault:
 
     name: str
     scene: str
-    """Where it can be seen at all."""
+    """Name of a scene in which the fault can show."""
     engines: tuple[str, ...]
-    """Into which it is planted, one at a time."""
+    """Engines into which it is planted, one at a time."""
     checks: tuple[str, ...]
-    """Those it is for: one of them must fail."""
+    """Checks meant for the fault, of which one must fail."""
     change: Change
     untold: tuple[str, ...] = ()
-    """Engines that cannot tell it."""
+    """Engines whose read-back cannot report it."""
     odd: bool = False
-    """Large enough for the vote of the engines to name the one that has it."""
+    """Whether it is large enough for the engines' vote to name the faulty one."""
     unseen: Mapping[str, str] = field(default_factory=dict)
     """Engines in whose motion no check sees it, with the reason."""
 
@@ -89,7 +89,7 @@ class Fault:
 def planted(change: Change | None, engine: str) -> Iterator[None]:
     """Plant a change into the simulations that a validation in this process makes.
 
-    What does not depend on it is simulated, solved and judged only once.
+    Everything that does not depend on it is simulated, solved and judged only once.
     """
 
     def run(scene: Scene, batch: Batch, name: str, settings: Settings) -> Simulation:
@@ -113,7 +113,7 @@ _AUDITED: dict[_Key, ReferenceResult] = {}
 
 
 def share(folder: Path) -> None:
-    """Let all workers of a run of tests simulate what is sound only once."""
+    """Let all workers of a test run share the simulations of sound engines."""
     global _SHARED
     _SHARED = folder
 
@@ -122,7 +122,7 @@ _SHARED: Path | None = None
 
 
 def _drawn(scene: Scene, batch: Batch) -> _Key:
-    """Tell what is simulated from all else; the starts follow from the scene and their numbers."""
+    """Return a key of the trajectories; starts follow from the scene and their indices."""
     return scene, batch.index.tobytes(), batch.force.tobytes()
 
 
@@ -156,7 +156,7 @@ def _audited(scene: Scene, batch: Batch, reference: ReferenceOutcome) -> Referen
 
 
 def _judged(outcome: Outcome, reference: ReferenceOutcome, *, native: bool) -> Judged:
-    """Judge what stays as it is once; simulations are never made twice, so they tell."""
+    """Judge every outcome once; simulations are never repeated, so their ids identify it."""
     key = (outcome.scene, outcome.contender.engine, native, *map(id, outcome.parts))
     if key not in _ROWS:
         _ROWS[key] = judge(outcome, reference, native=native)

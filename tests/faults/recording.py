@@ -1,4 +1,4 @@
-"""Changes of what is recorded: the engine is right, and its motion is written down wrong."""
+"""Changes of the recording: the engine is right, and its motion is recorded wrongly."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ Frames = NDArray[np.intp]
 
 _FIELDS = ("position", "orientation", "velocity", "angular_velocity")
 _FRAME = 6
-"""The frame that is recorded wrong where only one is."""
+"""Frame that faults of a single frame record wrongly."""
 _TWIST = 0.1  # [rad/s]
 _FASTEST = 100.0  # [rad/s]
 
 
 def each(field: str, change: Callable[[Array, Trajectory], Array]) -> Change:
-    """Record one field otherwise; the start stays as it was drawn."""
+    """Change the recording of one field; the start stays as it was drawn."""
 
     def record(_scene: Scene, _batch: Batch, _step: float, motion: Trajectory) -> Trajectory:
-        kept = getattr(motion, field)
-        changed = np.concatenate([kept[:, :1], change(kept, motion)[:, 1:]], axis=1)
+        values = getattr(motion, field)
+        changed = np.concatenate([values[:, :1], change(values, motion)[:, 1:]], axis=1)
         fields: dict[str, Any] = {field: changed}
         return dataclasses.replace(motion, **fields)
 
@@ -41,7 +41,7 @@ def each(field: str, change: Callable[[Array, Trajectory], Array]) -> Change:
 
 
 def frames(pick: Callable[[Frames], Frames], fields: tuple[str, ...] = _FIELDS) -> Change:
-    """Record other frames than those that are due."""
+    """Record other frames in place of those that are due."""
 
     def record(_scene: Scene, _batch: Batch, _step: float, motion: Trajectory) -> Trajectory:
         due = pick(np.arange(len(motion.time)))
@@ -74,20 +74,20 @@ def dropped(due: Frames) -> Frames:
 
 
 def spin_in_body_frames(spin: Array, motion: Trajectory) -> Array:
-    """Give angular velocities in the bodies' own frames."""
+    """Record angular velocities in the bodies' own frames."""
     return rotation.rotate(rotation.conjugate(motion.orientation), spin)
 
 
 def beside_centres(position: Array, motion: Trajectory) -> Array:
-    """Give places of points 1 mm from the centres of mass along the bodies' z-axes."""
+    """Record positions of points 1 mm from the centres of mass along the bodies' z-axes."""
     return position + rotation.rotate(motion.orientation, np.array([0.0, 0.0, 1e-3]))
 
 
 def differences(velocity: Array, motion: Trajectory) -> Array:
-    """Give velocities as differences of places, as a converter makes them that has none."""
-    found = velocity.copy()
-    found[:, 1:] = np.diff(motion.position, axis=1) / (motion.time[1] - motion.time[0])
-    return found
+    """Record differences of positions as velocities, as converters without velocities do."""
+    rates = velocity.copy()
+    rates[:, 1:] = np.diff(motion.position, axis=1) / (motion.time[1] - motion.time[0])
+    return rates
 
 
 def smoothed(position: Array, _: Trajectory) -> Array:
@@ -105,12 +105,12 @@ def interpolated(values: Array, _: Trajectory) -> Array:
 
 
 def drifting(position: Array, motion: Trajectory) -> Array:
-    """Let places drift at 0.5 m/s."""
+    """Let positions drift at 0.5 m/s."""
     return position + 0.5 * motion.time[:, None, None] * np.array([1.0, 0.0, 0.0])
 
 
 def shaken(position: Array, _: Trajectory) -> Array:
-    """Shake places by 1 mm."""
+    """Shake positions by 1 mm."""
     moved = position.copy()
     moved[..., :2] += np.random.default_rng(1).normal(0.0, 1e-3, (*position.shape[:2], 1, 2))
     return moved
@@ -129,7 +129,7 @@ def aside(velocity: Array, _: Trajectory) -> Array:
 
 
 def twisting(facing: Array, motion: Trajectory) -> Array:
-    """Twist the last body about itself, beside its rate."""
+    """Twist the last body about itself, in addition to its rate."""
     turn = rotation.from_vector(np.array([0.0, 0.0, _TWIST]) * motion.time[:, None])
     twisted = facing.copy()
     twisted[:, :, -1] = rotation.multiply(facing[:, :, -1], turn)
@@ -137,26 +137,26 @@ def twisting(facing: Array, motion: Trajectory) -> Array:
 
 
 def held_in_the_world(facing: Array, _: Trajectory) -> Array:
-    """Keep the last body facing as it started, whatever it hangs on turns."""
-    held = facing.copy()
-    held[:, :, -1] = facing[:, :1, -1]
-    return held
+    """Keep the last body's initial orientation, however its carrier turns."""
+    fixed = facing.copy()
+    fixed[:, :, -1] = facing[:, :1, -1]
+    return fixed
 
 
 def told_to_twist(spin: Array, motion: Trajectory) -> Array:
-    """Give the last body the rate of a twist that it has not."""
-    told = spin.copy()
-    told[:, :, -1] += rotation.rotate(motion.orientation[:, :, -1], np.array([0.0, 0.0, _TWIST]))
-    return told
+    """Give the last body the rate of a twist that it does not perform."""
+    rate = spin.copy()
+    rate[:, :, -1] += rotation.rotate(motion.orientation[:, :, -1], np.array([0.0, 0.0, _TWIST]))
+    return rate
 
 
 def in_single_precision(_: Scene, __: Batch, ___: float, motion: Trajectory) -> Trajectory:
-    """Round all numbers after the start."""
-    kept = {name: getattr(motion, name).copy() for name in _FIELDS}
-    for values in kept.values():
+    """Round all numbers after the start to single precision."""
+    rounded = {name: getattr(motion, name).copy() for name in _FIELDS}
+    for values in rounded.values():
         values[:, 1:] = values[:, 1:].astype(np.float32)
-    kept["orientation"] /= rotation.norm(kept["orientation"])[..., None]
-    return dataclasses.replace(motion, **kept)
+    rounded["orientation"] /= rotation.norm(rounded["orientation"])[..., None]
+    return dataclasses.replace(motion, **rounded)
 
 
 def swapped_recording(_: Scene, __: Batch, ___: float, motion: Trajectory) -> Trajectory:
@@ -211,5 +211,5 @@ def _pulls(scene: Scene, batch: Batch, motion: Trajectory) -> tuple[Array, Array
         motion.velocity,
         motion.angular_velocity,
     )
-    held = np.minimum(np.arange(len(motion.time)), batch.steps - 1)
-    return accelerations(mechanism, states, batch.force[:, held], batch.torque[:, held])
+    due = np.minimum(np.arange(len(motion.time)), batch.steps - 1)
+    return accelerations(mechanism, states, batch.force[:, due], batch.torque[:, due])

@@ -39,7 +39,7 @@ SCENES = {
     "simplecubli in flight": 18,
     "simplecubli set down": 15,
 }
-"""Recorded frames: a second, or what is enough for the faults that are planted there."""
+"""Number of recorded frames: a second, or enough for the faults planted in the scene."""
 
 _NONE = (0.0, 0.0)
 _SPUN = (_NONE, _NONE, (150.0, 160.0))
@@ -47,7 +47,7 @@ _SPUN = (_NONE, _NONE, (150.0, 160.0))
 
 @functools.cache
 def scene_of(name: str, frames: int | None = None) -> Scene:
-    """Load a scene and cut it short, if need be shorter than usual."""
+    """Load a scene, change it as its name says, and cut it to `frames` or its usual length."""
     scene = registry.load_scene(name.split()[0])
     clock = msgspec.structs.replace(scene.clock, steps=frames or SCENES[name])
     scene = msgspec.structs.replace(scene, clock=clock)
@@ -74,7 +74,7 @@ def _across(scene: Scene) -> Scene:
 
 
 def _colliding(scene: Scene) -> Scene:
-    """Throw the ball at another one, beside its middle, high above where the ground was."""
+    """Throw the ball at another one, off its middle, without ground and gravity."""
     ball, sphere = scene.bodies[0], scene.contacts[0]
     x, y, z = sphere.center
     other = msgspec.structs.replace(sphere, body="other", center=(x + 0.5, y + 0.02, z))
@@ -105,7 +105,7 @@ def _fast(scene: Scene) -> Scene:
 
 
 def _set_down(scene: Scene) -> Scene:
-    """Let a cube stand on four corners, on ground that soon stops it where it does not."""
+    """Set a cube down on four corners, on ground whose low restitution soon stops rebounds."""
     assert scene.ground is not None
     drop = min(sphere.center[2] - sphere.radius for sphere in scene.contacts)
     throw = Throw("frame", displacement=(_NONE, _NONE, (-drop, -drop)))
@@ -131,7 +131,7 @@ def _driven(scene: Scene) -> Scene:
 
 
 def _geared(scene: Scene) -> Scene:
-    """Give two hinges of the arm rotors, which DART has not beside loops."""
+    """Give two hinges of the arm rotors, which DART cannot have in scenes with loops."""
     joints = (
         msgspec.structs.replace(j, armature=0.05) if j.name in ("shoulder", "elbow") else j
         for j in scene.joints
@@ -140,7 +140,7 @@ def _geared(scene: Scene) -> Scene:
 
 
 def _coupled(scene: Scene) -> Scene:
-    """Let the arm's rotor follow its elbow, by a coupling that DART and Exudyn have not."""
+    """Let the arm's rotor follow its elbow by a coupling, which DART and Exudyn cannot have."""
     draws = (draw for draw in scene.sampling if not isinstance(draw, HingeRate))
     coupling = Coupling("rotor axle", "elbow", ratio=3.0)
     return msgspec.structs.replace(scene, sampling=tuple(draws), couplings=(coupling,))
@@ -154,7 +154,7 @@ def _braked(scene: Scene) -> Scene:
 
 
 _LIMITS = {"elbow": (-1.0, 0.25), "rail": (-0.06, -0.03)}
-"""Within reach of the sprung workbench."""
+"""Limits within reach of the sprung workbench."""
 
 
 def _stopped(scene: Scene, restitution: float = 0.0) -> Scene:
@@ -166,7 +166,7 @@ def _stopped(scene: Scene, restitution: float = 0.0) -> Scene:
 
 
 def _rebounding(scene: Scene) -> Scene:
-    """Let these stops give half of a speed back, which MuJoCo's alone can."""
+    """Let these stops give half of a speed back, which only MuJoCo's stops can."""
     return _stopped(scene, 0.5)
 
 

@@ -64,7 +64,7 @@ def test_the_motion_shows_a_fault(fault: Fault, faulty: str) -> None:
     validation = checked(fault.scene, fault, faulty)
 
     assert [row.engine for row in validation.engines if row.verdict == "fail"] == [faulty]
-    failed = {found.check for found in _row(validation, faulty).findings if not found.passed}
+    failed = {finding.check for finding in _row(validation, faulty).findings if not finding.passed}
     assert failed & set(fault.checks), failed
     named = validation.odd_one_out
     assert named == f"{faulty} matched" or (named is None and not fault.odd)
@@ -79,7 +79,7 @@ def test_reading_the_model_back_tells_a_fault(fault: Fault, faulty: str) -> None
 
 @pytest.mark.parametrize(("fault", "faulty"), _UNSEEN)
 def test_what_is_said_to_be_unseen_is(fault: Fault, faulty: str) -> None:
-    """Once a check sees it, it belongs to those that must be seen."""
+    """A fault that a check sees belongs to those that must be seen."""
     assert checked(fault.scene, fault, faulty).verdict == "pass"
 
 

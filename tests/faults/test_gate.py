@@ -30,7 +30,7 @@ from .planting import Change, Faulty
 
 pytestmark = pytest.mark.slow
 
-_ROWS = range(20, 26)  # none of the audit sample
+_ROWS = range(20, 26)  # outside the audit sample
 _DROPPED = 70
 _Claim = Callable[[Scene, Batch], tuple[Scene, Batch]]
 
@@ -58,7 +58,7 @@ CLAIMS: dict[str, _Claim] = {
     "gravity 1 % strong": _gravity(1.01),
     "a body 1 % heavier": lambda scene, batch: (heavier("link3", -0.01).model(scene), batch),
 }
-"""What a scene says of a motion that was made otherwise."""
+"""False claims of scenes and batches about motions."""
 
 
 @pytest.fixture(scope="module")
@@ -73,8 +73,8 @@ def pendulum() -> tuple[Scene, Batch, Making, Trajectory, Trajectory]:
     force[:, _DROPPED] = 0.0
     lacking = dataclasses.replace(batch, force=force)
     whole, less = (
-        simulate(scene, given, "pybullet", contender.settings).trajectory
-        for given in (batch, lacking)
+        simulate(scene, inputs, "pybullet", contender.settings).trajectory
+        for inputs in (batch, lacking)
     )
     return scene, batch, Making.of(contender), whole, less
 
@@ -124,8 +124,8 @@ def _other_noise(batch: Batch) -> Batch:
     return _another_seed(load_scene("simplecubli"), batch)[1]
 
 
-def _first_hinge_off(given: Array) -> Array:
-    return np.concatenate([np.zeros_like(given[..., :1]), given[..., 1:]], axis=-1)
+def _first_hinge_off(torques: Array) -> Array:
+    return np.concatenate([np.zeros_like(torques[..., :1]), torques[..., 1:]], axis=-1)
 
 
 @pytest.mark.parametrize(

@@ -37,7 +37,7 @@ CASES = {
     "plugin": 20,
     "dask": 5,
 }
-"""Cases of each campaign by default: how quick a case is decides how many there are."""
+"""Default number of cases of each campaign; those with quick cases have more."""
 
 _SECONDS = 60
 _BYTES = 4 * 2**30
@@ -58,7 +58,7 @@ class Ended:
 
 
 def cases_of(name: str) -> int:
-    """Number of cases of a campaign in this run."""
+    """Return the number of cases of a campaign in this run."""
     return -(-_ALL * CASES[name] // sum(CASES.values()))
 
 
@@ -68,7 +68,7 @@ def fuzz(
     """Make a test a campaign: each case within limits, as many as `cases_of` says.
 
     Args:
-        name: Of the campaign, in `CASES`.
+        name: Name of the campaign in `CASES`.
         drawn: Strategies of the test's arguments; the others are fixtures of a module or session.
     """
     settings = hypothesis.settings(
@@ -91,7 +91,7 @@ def fuzz(
 
 
 def refused(work: Callable[[], object]) -> str:
-    """Do something with bad input; gives the one line that refuses it, or "" where it is used."""
+    """Work on bad input; return the one line that refuses it, or "" if it is accepted."""
     try:
         work()
     except InputError as error:
@@ -102,7 +102,7 @@ def refused(work: Callable[[], object]) -> str:
 
 
 def run_command(*words: str | Path) -> Ended:
-    """Run a command line in this process; what it does not catch is the test's failure."""
+    """Run a command line in this process; an exception that escapes fails the test."""
     with (
         tempfile.TemporaryFile("w+") as out,
         tempfile.TemporaryFile("w+") as err,
@@ -122,7 +122,7 @@ def run_command(*words: str | Path) -> Ended:
 
 @contextmanager
 def _limits() -> Iterator[None]:
-    """End what takes too long; let what asks for too much memory have none."""
+    """Limit the time and the memory of a case."""
     before = resource.getrlimit(resource.RLIMIT_AS)
     resource.setrlimit(resource.RLIMIT_AS, (_address_space() + _BYTES, before[1]))
     handler = signal.signal(signal.SIGALRM, _too_long)

@@ -23,15 +23,15 @@ def test_there_are_as_many_cases_as_promised() -> None:
 
 @pytest.mark.parametrize("name", CASES)
 def test_a_campaign_has_its_cases(name: str) -> None:
-    seen: list[int] = []
+    numbers: list[int] = []
 
     @fuzz(name, number=st.integers())
     def test(number: int) -> None:
-        seen.append(number)
+        numbers.append(number)
 
     test()
 
-    assert len(seen) == cases_of(name)
+    assert len(numbers) == cases_of(name)
 
 
 def test_a_case_that_hangs_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:

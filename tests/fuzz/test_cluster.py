@@ -36,7 +36,7 @@ _LATEST = len(_TASKS) - 2 if cases_of("dask") > len(_FAULTS) else 0  # after the
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Lose patience soon with a cluster without workers."""
+    """Give up soon on a cluster without workers."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(cluster, "_GRACE", 1.0)
         yield tmp_path_factory.mktemp("clusters")

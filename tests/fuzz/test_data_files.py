@@ -43,7 +43,7 @@ def _sound(folder: Path) -> bytes:
 
 @st.composite
 def _damaged(draw: st.DrawFn, whole: bytes) -> bytes:
-    """Bytes of a file, some overwritten, or its end cut off."""
+    """Draw the bytes of a file, some overwritten, or its end cut off."""
     changed = bytearray(whole[: draw(st.one_of(st.just(len(whole)), st.integers(0, len(whole))))])
     for place in draw(st.lists(st.integers(0, max(0, len(changed) - 1)), max_size=8)):
         changed[place : place + 1] = bytes([draw(st.integers(0, 255))])
@@ -52,7 +52,7 @@ def _damaged(draw: st.DrawFn, whole: bytes) -> bytes:
 
 @st.composite
 def _rewritten(draw: st.DrawFn, whole: bytes) -> bytes:
-    """A sound HDF5 file in which an attribute or a dataset is another, or gone."""
+    """Draw a sound HDF5 file in which an attribute or a dataset is changed or gone."""
     file = io.BytesIO(whole)
     with h5py.File(file, "r+") as data:
         names: list[str] = []
@@ -95,8 +95,8 @@ def test_no_data_file_makes_more_than_a_line(
             np.asarray(data[name])
         data.check()
 
-    told = refused(used)
-    assert "\n" not in told
+    line = refused(used)
+    assert "\n" not in line
     run_command("inspect", path)
 
 

@@ -54,7 +54,7 @@ def _bytes_changed(draw: st.DrawFn, path: Path) -> None:
 
 @st.composite
 def _pickle_changed(draw: st.DrawFn, path: Path) -> None:
-    """What the archive's checksums do not tell."""
+    """Change bytes of the pickle, which the archive's checksums do not reveal."""
     most = 10**5
 
     def change(content: bytes) -> bytes:
@@ -124,11 +124,11 @@ def test_no_file_of_a_model_makes_more_than_a_line(
     path.parent.mkdir(exist_ok=True)
     path.write_bytes(_sound(folder, model))
     drawn.draw(way(path))
-    told = refused(lambda: read_model(path))
+    line = refused(lambda: read_model(path))
     assert refused(lambda: read_identity(path))  # it is no checkpoint
     again = refused(lambda: trained_in([path]))
-    assert "\n" not in told + again
-    if told:
+    assert "\n" not in line + again
+    if line:
         ended = run_command("tradeoff", "2pendulum", "--models", path)
         assert ended.code == 2
         assert path.name in ended.err

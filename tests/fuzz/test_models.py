@@ -1,4 +1,4 @@
-"""Campaign: models with anything in them are read, or refused in one line that is no accident."""
+"""Campaign: models with anything in them are read, or refused in one deliberate line."""
 
 from __future__ import annotations
 

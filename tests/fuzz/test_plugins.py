@@ -1,4 +1,4 @@
-"""Campaign: adapters of other packages that go wrong in anything that is asked of them."""
+"""Campaign: adapters of other packages that go wrong in any of their duties."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ _PLACES = [
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Carry tasks out in this process, and keep references where no one else does."""
+    """Carry tasks out in this process, and keep references in a folder of their own."""
     folder = tmp_path_factory.mktemp("plugins")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("MBDS_XSIM_CACHE", str(folder / "cache"))
@@ -109,38 +109,38 @@ def test_a_faulty_adapter_is_named_and_the_sound_one_has_its_result(
         registry._answer.cache_clear()
         listed = {row.engine: row for row in engine_rows()}
         choice = Choice.parse()
-        told, _ = validate_with_evidence(_SCENE, choice=choice, conduct=Conduct(1))
-        made = generate(
+        validation, _ = validate_with_evidence(_SCENE, choice=choice, conduct=Conduct(1))
+        data = generate(
             Request((_SCENE,), choice, 3, out), workers=1, progress=Silent(), carry_out=_carried_out
         )
         curves, untried = curves_of(_SCENE, choice.engines)
 
-    rows = {row.engine: row for row in told.engines}
+    rows = {row.engine: row for row in validation.engines}
     assert listed["mujoco"].fault == ""
     assert rows["mujoco"].verdict == "pass"
-    assert {count.variant: count.published for count in made.variants}["mujoco-matched"] == 3
-    assert "hostile" in rows.keys() | told.left_out.keys()
+    assert {count.variant: count.published for count in data.variants}["mujoco-matched"] == 3
+    assert "hostile" in rows.keys() | validation.left_out.keys()
     usable = listed["hostile"].fault == "" and "hostile" in rows
-    assert usable or "\n" not in listed["hostile"].fault + told.left_out["hostile"]
+    assert usable or "\n" not in listed["hostile"].fault + validation.left_out["hostile"]
     assert usable == any(curve.engine == "hostile" for curve in curves) or untried
     if kind in ("run", "motion", "readback", "size") and not _allowed(kind, name, what):
         assert rows["hostile"].verdict == "fail", rows["hostile"]
         assert all("\n" not in reason for reason in rows["hostile"].reasons)
 
 
-def _allowed(kind: str, name: str, what: object) -> bool:
-    """Some engines cannot read all back; what nobody asks for may be anything, or is empty."""
+def _allowed(kind: str, name: str, value: object) -> bool:
+    """Return whether an odd value is legitimate: unused, empty, or a missing read-back."""
     unasked = ("close", "contact", "sphere", "damping")
     absent = ("joint_axis", "spring", "law", "armature", "friction", "limits", "drive", "coupling")
-    unused = name in unasked and not isinstance(what, BaseException)
-    empty = name in absent and isinstance(what, np.ndarray) and not what.size
-    return unused or empty or (kind == "readback" and what is None)
+    unused = name in unasked and not isinstance(value, BaseException)
+    empty = name in absent and isinstance(value, np.ndarray) and not value.size
+    return unused or empty or (kind == "readback" and value is None)
 
 
 def _carried_out(
     tasks: Sequence[Task], *, started: Call | None = None, finished: Call | None = None, **_: Any
 ) -> list[Any]:
-    """Do as processes of their own would."""
+    """Carry out tasks here as processes of their own would."""
     answers = []
     for number, task in enumerate(tasks):
         if started is not None:
@@ -163,27 +163,27 @@ def _done(task: Task) -> Any:
             return Crash(f"the process crashed with {type(error).__name__}")
 
 
-def _hostile(kind: str, name: str, what: object) -> type:
-    """A sound adapter but for one thing: it raises there, or gives something odd."""
+def _hostile(kind: str, name: str, value: object) -> type:
+    """Make an adapter that is sound but for one thing: there it raises or returns an odd value."""
 
     def gives(*_: object) -> object:
-        if isinstance(what, BaseException):
-            raise what
-        return what
+        if isinstance(value, BaseException):
+            raise value
+        return value
 
     def load(self: Any, scene: Any, settings: Any) -> Run:
         run = _SOUND.load(self, scene, settings)
         if kind == "run":
             setattr(run, name, gives)
         elif kind == "size":
-            run.size = what  # type: ignore[assignment]
+            run.size = value  # type: ignore[assignment]
         elif kind in ("motion", "readback"):
-            _spoil(run, kind, **{name: what})
+            _spoil(run, kind, **{name: value})
         return run
 
     body: dict[str, Any] = {"name": "hostile", "load": load}
     if kind == "claim":
-        body[name] = property(gives) if isinstance(what, BaseException) else what
+        body[name] = property(gives) if isinstance(value, BaseException) else value
     elif kind == "asked":
         body[name] = gives
     return type("Hostile", (_SOUND,), body)

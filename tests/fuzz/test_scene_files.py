@@ -75,19 +75,19 @@ def changed(draw: st.DrawFn) -> dict[str, Any]:
     data["clock"] = {"frame": 0.02, "steps": 3}
     for _ in range(draw(st.integers(1, 4))):
         *above, key = draw(st.sampled_from(_places(data)[1:]))
-        held = _at(data, above)
+        container = _at(data, above)
         match draw(st.sampled_from(["set", "set", "set", "drop", "twice", "add", "swap"])):
             case "set":
-                held[key] = draw(_NUMBER_OR_OTHER)
+                container[key] = draw(_NUMBER_OR_OTHER)
             case "drop":
-                del held[key]
-            case "twice" if isinstance(held, list):
-                held.append(copy.deepcopy(held[key]))
-            case "add" if isinstance(held, dict):
-                held[draw(_TEXTS)] = draw(_VALUES)
+                del container[key]
+            case "twice" if isinstance(container, list):
+                container.append(copy.deepcopy(container[key]))
+            case "add" if isinstance(container, dict):
+                container[draw(_TEXTS)] = draw(_VALUES)
             case "swap":
                 other = draw(st.sampled_from(_places(data)[1:]))
-                held[key] = copy.deepcopy(_at(data, other))
+                container[key] = copy.deepcopy(_at(data, other))
             case _:
                 continue
     return data

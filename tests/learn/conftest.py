@@ -1,4 +1,4 @@
-"""Small motions that are made of formulas, and data sets of few trajectories."""
+"""Small motions given by formulas, and data sets of few trajectories."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -103,8 +103,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def group(made: Path) -> TrainingGroup:
-    (found,) = groups([made])
-    return found
+    (training_group,) = groups([made])
+    return training_group
 
 
 @pytest.fixture

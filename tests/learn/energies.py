@@ -1,4 +1,4 @@
-"""What the tests of LGNN and HGNN share: an untrained energy, states, the Runge-Kutta method."""
+"""Shared parts of the LGNN and HGNN tests: an untrained energy, states, a Runge-Kutta method."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class TrueEnergy(nn.Module):
 
 
 def random_energy(scene: Scene | str, width: int = 5, seed: int = 3) -> EnergyNetwork:
-    """An energy as its random parameters make it; embeddings are shaken so that kinds differ."""
+    """Return an untrained energy; all parameters are shaken so that kinds differ."""
     torch.manual_seed(seed)
     scene = load_scene(scene) if isinstance(scene, str) else scene
     energy = EnergyNetwork(Mechanics(scene), EnergyShape(width=width)).double()
@@ -63,7 +63,7 @@ def nodes(mechanics: Mechanics, bodies: BodyStates) -> tuple[Tensor, Tensor]:
 
 
 def total_energy(dynamics: NodeDynamics, q: Tensor, x: Tensor) -> Tensor:
-    """Of a Lagrangian q̇ · ∂L/∂q̇ − L, or H [J], shape (batch,)."""
+    """Return the energy q̇ · ∂L/∂q̇ − L of a Lagrangian, or H [J], shape (batch,)."""
     v = dynamics.velocity(x)
     kinetic, potential = dynamics.energy.kinetic(v), dynamics.energy.potential(q)
     if isinstance(dynamics, Hamiltonian):
@@ -73,7 +73,7 @@ def total_energy(dynamics: NodeDynamics, q: Tensor, x: Tensor) -> Tensor:
 
 
 def acceleration(dynamics: NodeDynamics, q: Tensor, v: Tensor, *inputs: Tensor) -> Tensor:
-    """Accelerations of the nodes [m/s²]; of a Hamiltonian M⁻¹ ṗ at p = M v: q̈ where H is true."""
+    """Return node accelerations [m/s²]; of a Hamiltonian M⁻¹ ṗ at p = M v (q̈ if H is true)."""
     return dynamics.velocity(dynamics.derivative(q, dynamics.conjugate(v), KnownInputs(*inputs))[1])
 
 

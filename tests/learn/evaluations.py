@@ -1,4 +1,4 @@
-"""Evaluations made up: errors of models of three engines, where each is at home and elsewhere."""
+"""Made-up evaluations: errors of models of three engines, at home and on other engines."""
 
 from __future__ import annotations
 
@@ -60,8 +60,8 @@ def evaluation(error: Callable[[str, str, int], Array], floor: float) -> Evaluat
     return Evaluation(test, (1, FRAMES), figures, oracles)
 
 
-def measured_gaps(board: Evaluation) -> list[Gap]:
-    return list(gaps_of(Draws(board)))
+def measured_gaps(evaluated: Evaluation) -> list[Gap]:
+    return list(gaps_of(Draws(evaluated)))
 
 
 def shifted(training: str, engine: str, seed: int) -> Array:

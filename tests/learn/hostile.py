@@ -30,12 +30,12 @@ REDUCE = b"R"
 
 
 def model_file(path: Path, name: str = "gns") -> dict[str, Any]:
-    """Write a sound file of an untrained model; gives what it holds."""
+    """Write a sound file of an untrained model; return its content."""
     statistics = Statistics.of_nothing()
     model = build(name, Graph.of(load_scene("2pendulum")), statistics, track="lite")
     save_model(path, model, name, model.tracks["lite"], statistics, **FACTS)
-    found: dict[str, Any] = torch.load(path, weights_only=True)
-    return found
+    content: dict[str, Any] = torch.load(path, weights_only=True)
+    return content
 
 
 def with_pickle(path: Path, change: Callable[[bytes], bytes]) -> None:

@@ -1,4 +1,4 @@
-"""Mechanisms that HGNN and LGNN must hold beyond the project's own scenes."""
+"""Mechanisms that HGNN and LGNN must handle beyond the project's own scenes."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ BALL = Inertia(1.0, (0.1, 0.1, 0.1))
 
 
 def scene_of(name: str) -> Scene:
-    """One of these, or of the project's."""
-    made = {"every_joint": every_joint, "linked": linked, "four-bar": four_bar}
-    return made[name]() if name in made else load_scene(name)
+    """Return one of these scenes, or one of the project's."""
+    makers = {"every_joint": every_joint, "linked": linked, "four-bar": four_bar}
+    return makers[name]() if name in makers else load_scene(name)
 
 
 def every_joint() -> Scene:
@@ -44,7 +44,7 @@ def every_joint() -> Scene:
 
 
 def linked() -> Scene:
-    """Bodies on oblique arms, so that points at joints are so but for rounding; links, springs."""
+    """Bodies on oblique arms, whose points at joints are exact up to rounding; links, springs."""
     return Scene(
         "linked",
         (
@@ -84,7 +84,7 @@ def linked() -> Scene:
 
 
 def four_bar() -> Scene:
-    """The driven crank-rocker of the docs: a plane loop, whose hinges say more than is needed."""
-    found = re.search(r"^`four-bar.toml`:\n\n```toml\n(.*?)^```$", _PAGE.read_text(), re.M | re.S)
-    assert found is not None
-    return msgspec.toml.decode(found[1], type=Scene)
+    """The driven crank-rocker of the docs: a plane loop with redundant hinges."""
+    match = re.search(r"^`four-bar.toml`:\n\n```toml\n(.*?)^```$", _PAGE.read_text(), re.M | re.S)
+    assert match is not None
+    return msgspec.toml.decode(match[1], type=Scene)

@@ -1,4 +1,4 @@
-"""Models that are not trained, as files; and how far models are off."""
+"""Untrained models as files, and errors of models."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["squared_error", "untrained"]
 def untrained(
     folder: Path, scene: str, training: str = "mujoco", seed: int = 0, variant: str = "native"
 ) -> Path:
-    """Write a small GNS where training would put it, with what training took."""
+    """Write a small GNS where training would put it, with the facts of a training."""
     statistics = Statistics.of_nothing()
     settings = GNSSettings(width=8, steps=1)
     with torch.random.fork_rng():

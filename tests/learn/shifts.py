@@ -1,4 +1,4 @@
-"""Data of two engines, and models of all trainings, not much trained."""
+"""Data of two engines, and barely trained models of all trainings."""
 
 from __future__ import annotations
 

@@ -109,9 +109,9 @@ def test_a_model_that_fails_on_a_scene_cannot_represent_it(
 ) -> None:
     graph, folder, here = Graph.of(load_scene("2pendulum")), tmp_path / "fails", Path.cwd()
     with installed(folder, {"fails": _FAILS}, models={"fails": "fails:Fails"}):
-        told = refusal("fails", graph)
-    assert told.startswith("fails:Fails fails on scene '2pendulum': KeyError: ")
-    assert "\n" not in told
+        message = refusal("fails", graph)
+    assert message.startswith("fails:Fails fails on scene '2pendulum': KeyError: ")
+    assert "\n" not in message
     assert Path.cwd() == here
     assert capsys.readouterr() == ("", "hello\n")
     sys.modules.pop("fails", None)

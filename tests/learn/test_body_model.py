@@ -1,4 +1,4 @@
-"""Models of bodies: what they begin from, what they keep, and what they learn of an impact."""
+"""Models of bodies: their starts, the lengths that they keep, and learned impacts."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from mbds_xsim.testing.models import motions_of
 
 from .models import squared_error
 
-_KNOWN = ["gns+", "sgnn+"]  # whose smooth motion is known
+_KNOWN = ["gns+", "sgnn+"]  # models that know smooth motion
 _MODELS = [*_KNOWN, "hgnn+", "lgnn+", "nerd"]
 
 
@@ -42,7 +42,7 @@ def _built(name: str, motions: Motions) -> BodyModel:
 
 
 def test_predictions_keep_all_lengths_whatever_a_network_adds(name: str) -> None:
-    """A chain's rods, to a part in a million of its length, from noise for corrections."""
+    """Rods keep their lengths to a millionth of the chain's, with noise for corrections."""
     motions = motions_of(load_model(name), load_scene("3pendulum"))
     model = _built(name, motions)
     with torch.no_grad():
@@ -54,7 +54,7 @@ def test_predictions_keep_all_lengths_whatever_a_network_adds(name: str) -> None
 
 @pytest.mark.parametrize("name", _KNOWN)
 def test_what_is_smooth_is_known_before_any_training(name: str) -> None:
-    """Without a correction a whipping chain is 0.2 mm a metre off after ten frames, no more."""
+    """Without a correction a whipping chain is at most 0.2 mm per metre off after ten frames."""
     motions = motions_of(load_model(name), load_scene("3pendulum"))
     model = _built(name, motions)
     with torch.no_grad():
@@ -66,13 +66,13 @@ def test_what_is_smooth_is_known_before_any_training(name: str) -> None:
 
 @pytest.mark.parametrize("scene", ["3pendulum", "simplecubli"])
 def test_bodies_are_found_in_their_nodes(scene: str) -> None:
-    """Poses and twists, whether a body is one rod that never spins or has three axes."""
+    """Poses and twists are recovered for one rod that never spins and for bodies of three axes."""
     motions = motions_of(load_model("lgnn+"), load_scene(scene))
     model = _built("lgnn+", motions)
     assert isinstance(model, ImpulseModel)
     state = model.begin(motions.sample(torch.arange(len(motions)), HISTORY - 1, 1).start)
-    found = model.nodes.bodies(*model.nodes.placed(state), state, 0.0)
-    torch.testing.assert_close(found, state, rtol=0.0, atol=1e-9)
+    recovered = model.nodes.bodies(*model.nodes.placed(state), state, 0.0)
+    torch.testing.assert_close(recovered, state, rtol=0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("followed", [0.0, 0.02])
@@ -83,18 +83,18 @@ def test_a_turn_is_found_whatever_of_it_the_spin_tells(followed: float) -> None:
     state = model.begin(motions.sample(torch.arange(len(motions)), HISTORY - 1, 1).start)
     turn = torch.tensor([0.0, 0.0, 0.0, 0.7, -0.9, 0.4], dtype=torch.float64)
     turned = model.rigid.moved(state, turn.expand(len(state), 1, 6))
-    found = model.nodes.bodies(*model.nodes.placed(turned), state, followed)
-    same = (found[..., Q] * turned[..., Q]).sum(-1).abs()  # q and -q are one turn
+    recovered = model.nodes.bodies(*model.nodes.placed(turned), state, followed)
+    same = (recovered[..., Q] * turned[..., Q]).sum(-1).abs()  # q and -q are one turn
     torch.testing.assert_close(same, torch.ones_like(same), rtol=0.0, atol=1e-12)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*_KNOWN, "lgnn+"])
 def test_impacts_are_learned_in_seconds(name: str) -> None:
-    """A disc that is dropped: after its bounces, less than a tenth of what flight alone errs by."""
+    """After a dropped disc has bounced, the error is less than a tenth of that of flight alone."""
     scene = load_scene("balldrop")
     motions = motions_of(load_model(name), scene, rows=60, frames=50)
-    # What gns+ is before training; lgnn+ does not know gravity then.
+    # Untrained gns+ is pure flight; untrained lgnn+ does not know gravity.
     flight = squared_error(_built("gns+", motions), motions)[:, -1].median()
     model = _built(name, motions)
     validation = motions[:8]
@@ -105,7 +105,7 @@ def test_impacts_are_learned_in_seconds(name: str) -> None:
 
 
 def test_a_track_is_the_one_asked_for_or_the_profiles_or_the_models_own() -> None:
-    """A model of one track needs none to be named."""
+    """A model with one track needs no track to be named."""
     assert track_of("gns+", None, "lite") == "native+"
     assert track_of("gns", None, "lite") == "lite"
     assert track_of("gns", "paper", "lite") == "paper"
@@ -132,7 +132,7 @@ def test_what_rolls_fast_is_followed_in_few_steps() -> None:
 
 @pytest.mark.parametrize("name", ["hgnn+", "lgnn+"])
 def test_a_wheel_turns_about_a_centre_of_mass_that_the_world_holds(name: str) -> None:
-    """Its centre is a fixed node; a steady spin is followed exactly, as that of a free body is."""
+    """The wheel's centre is a fixed node; a steady spin is followed exactly, as of a free body."""
     wheel = Scene(
         "wheel",
         (Body("wheel", inertia=Inertia(1.0, (0.15, 0.2, 0.15))),),
@@ -167,7 +167,7 @@ def test_learned_energies_begin_without_a_force(name: str, seed: int) -> None:
 
 @pytest.mark.parametrize("name", ["hgnn+", "lgnn+"])
 def test_learned_energies_are_followed_to_fourth_order(name: str) -> None:
-    """A cube with three driven wheels, whose centres are tips of the cube's."""
+    """A cube with three driven wheels, whose centres are also tips of the cube."""
     motions = motions_of(load_model(name), load_scene("simplecubli"))
     model = _built(name, motions)
     assert isinstance(model, ImpulseModel)

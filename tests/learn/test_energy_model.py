@@ -44,7 +44,7 @@ def untrained(name: str, motions: Motions) -> EnergyModel:
 
 @pytest.mark.parametrize("name", list(DYNAMICS))
 def test_the_true_energy_predicts_frames(data: Data, name: str) -> None:
-    """Closer than any formula by far; what is left is the engine's error and the noise."""
+    """The energy is far closer than any formula; the rest is the engine's error and the noise."""
     motions = motions_of(data, "train")
     model = untrained(name, motions)
     model.register_module("dynamics", DYNAMICS[name](TrueEnergy(model.mechanics)))
@@ -67,7 +67,7 @@ def test_a_start_is_what_was_published(data: Data, name: str) -> None:
 
 @pytest.mark.parametrize("scene", ["workbench", "linked", "every_joint"])
 def test_a_start_is_where_the_bodies_are(scene: str) -> None:
-    """Also of bodies whose frames are turned at the reference pose, and of nodes off centres."""
+    """Frames of bodies may be turned at the reference pose, and nodes may be off centres."""
     graph = Graph.of(scene_of(scene))
     model = build("lgnn", graph, Statistics.of_nothing(), track="lite")
     assert isinstance(model, EnergyModel)
@@ -96,7 +96,7 @@ def test_violent_windows_have_no_say_and_slow_ones_as_much_as_fast_ones(data: Da
     assert floor is not None
 
     def loss(size: float, floor: float | None) -> float:
-        """Of windows that all miss by so much in units of second differences."""
+        """Return the loss of windows that all miss by `size` second differences."""
         model.floor = floor
         off = size * float(model.spread)
         state = model.advance(model.begin(sample.start), sample.inputs.at(0))
@@ -180,18 +180,18 @@ def test_a_row_that_has_no_numbers_leaves_the_others(data: Data, name: str) -> N
 
 @pytest.mark.parametrize("name", list(DYNAMICS))
 def test_starts_from_places_have_the_velocities_of_the_motion(data: Data, name: str) -> None:
-    """And take none that are given: those of the data are made to lie."""
+    """Such starts do not use the velocities of the data, which are falsified here."""
     motions = motions_of(data, "train")
     model = untrained(name, motions)
     rows = torch.arange(len(motions))
-    given = model.begin(motions.sample(rows, torch.full_like(rows, HISTORY - 1), 1).start)
+    exact = model.begin(motions.sample(rows, torch.full_like(rows, HISTORY - 1), 1).start)
     assert motions.body is not None
     motions.body[..., 7:] = 1e3
-    found = from_places(model, motions)
-    speed = model.velocities(given).norm(dim=-1).amax(1)
-    off = (model.velocities(found) - model.velocities(given)).norm(dim=-1).amax(1)
+    estimated = from_places(model, motions)
+    speed = model.velocities(exact).norm(dim=-1).amax(1)
+    off = (model.velocities(estimated) - model.velocities(exact)).norm(dim=-1).amax(1)
     assert float((off / speed).median()) < 0.01
-    assert (model.positions(found) - model.positions(given)).abs().max() < 1e-9
+    assert (model.positions(estimated) - model.positions(exact)).abs().max() < 1e-9
 
 
 def test_rollouts_of_the_benchmark_start_where_they_are_told_to(

@@ -125,14 +125,14 @@ def test_an_interaction_is_that_of_the_paper() -> None:
 def test_every_interaction_updates_the_edges_with_weights_of_its_own() -> None:
     graph = Graph.of(load_scene("6pendulum"))
     model = _gns(graph)
-    seen: list[tuple[Tensor, Tensor]] = []
+    updates: list[tuple[Tensor, Tensor]] = []
     for layer in model.interactions:
-        layer.register_forward_hook(lambda _, given, found: seen.append((given[1], found[1])))
+        layer.register_forward_hook(lambda _, old, new: updates.append((old[1], new[1])))
     model.predict(_history(graph), _inputs(graph))
-    assert len(seen) == SMALL.steps
-    for before, after in seen:
+    assert len(updates) == SMALL.steps
+    for before, after in updates:
         assert (after - before).abs().max() > 0.1
-    for (_, after), (before, _) in itertools.pairwise(seen):
+    for (_, after), (before, _) in itertools.pairwise(updates):
         assert after is before
     first, second = (layer.state_dict() for layer in list(model.interactions)[:2])
     assert all(not torch.equal(first[k], second[k]) for k in first if "ends" in k)

@@ -83,15 +83,15 @@ def test_an_engine_that_published_nothing_is_left_out(
     data = tmp_path / "data"
     shutil.copytree(made, data)
     _publish_nothing(data, monkeypatch)
-    (found,) = groups([data])
-    assert list(found.files) == list(ENGINES.split(","))
-    assert found.left_out == {"exudyn": "none of 40 trajectories drawn passed its checks"}
-    request = dataclasses.replace(ask(on="each"), groups=[found])
+    (group,) = groups([data])
+    assert list(group.files) == list(ENGINES.split(","))
+    assert group.left_out == {"exudyn": "none of 40 trajectories drawn passed its checks"}
+    request = dataclasses.replace(ask(on="each"), groups=[group])
     assert {run.training for run in planned(request).runs} == set(ENGINES.split(","))
-    assert planned(request).left_out == {f"{found.name}/exudyn": found.left_out["exudyn"]}
+    assert planned(request).left_out == {f"{group.name}/exudyn": group.left_out["exudyn"]}
     paired = load_paired(data, "2pendulum")
     assert [domain.engine for domain in paired.domains] == list(ENGINES.split(","))
-    assert paired.left_out == {"exudyn-native": found.left_out["exudyn"]}
+    assert paired.left_out == {"exudyn-native": group.left_out["exudyn"]}
 
     for engine in ENGINES.split(","):
         (data / "2pendulum" / f"{engine}-native.h5").unlink()
@@ -109,8 +109,8 @@ def _publish_nothing(data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         done = simulate(*arguments)
         lost = (Failure(0, "lost"),) * len(done.trajectory.position)
         nothing = np.full_like(done.trajectory.position, np.nan)
-        found = dataclasses.replace(done.trajectory, position=nothing, failures=lost)
-        return dataclasses.replace(done, trajectory=found)
+        trajectory = dataclasses.replace(done.trajectory, position=nothing, failures=lost)
+        return dataclasses.replace(done, trajectory=trajectory)
 
     monkeypatch.setattr(shard, "simulate", lose)
     scene = msgspec.structs.replace(load_scene("2pendulum"), clock=Clock(steps=12))
@@ -146,8 +146,8 @@ def test_the_name_of_a_scene_names_no_other_folder(group: TrainingGroup, ask: As
 
 
 def test_leave_one_out_leaves_it_out(group: TrainingGroup) -> None:
-    found = shares_of(group, "leave-one-out,mujoco,all")
-    assert found == {
+    shares = shares_of(group, "leave-one-out,mujoco,all")
+    assert shares == {
         "not-mujoco": Share(("pybullet",)),
         "not-pybullet": Share(("mujoco",)),
         "mujoco": Share(("mujoco",)),
@@ -156,13 +156,13 @@ def test_leave_one_out_leaves_it_out(group: TrainingGroup) -> None:
 
 
 def test_an_interval_has_its_starts_of_one_engine_alone(group: TrainingGroup) -> None:
-    found = shares_of(group, "by-interval")
-    assert list(found) == [f"{e}-{i}" for e in ("mujoco", "pybullet") for i in INTERVALS]
+    shares = shares_of(group, "by-interval")
+    assert list(shares) == [f"{e}-{i}" for e in ("mujoco", "pybullet") for i in INTERVALS]
     assert shares_of(group, "mujoco-low") == {"mujoco-low": Share(("mujoco",), "low")}
     for place, interval in enumerate(INTERVALS):
         for split in ("train", "validation"):
             whole = mixed(group, Share(("mujoco",)), split)
-            part = mixed(group, found[f"mujoco-{interval}"], split)
+            part = mixed(group, shares[f"mujoco-{interval}"], split)
             assert part.index.tolist() == [n for n in whole.index.tolist() if n % 3 == place]
             row = whole.index.tolist().index(part.index[0])
             assert torch.equal(part.position[0], whole.position[row])

@@ -1,4 +1,4 @@
-"""HGNN: constraints at both levels; its energy along a rollout stands beside LGNN's."""
+"""HGNN: constraints at both levels; test_lgnn.py has its energy along a rollout."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .mechanisms import scene_of
 
 @pytest.mark.parametrize("name", ["6pendulum", "3ladder", "four-bar", "bricard", "linked"])
 def test_rates_keep_the_constraints(name: str) -> None:
-    """A q̇ = 0 and d/dt (A M⁻¹ p) = 0, whatever the energy and the forces."""
+    """Rates keep A q̇ = 0 and d/dt (A M⁻¹ p) = 0, whatever the energy and the forces."""
     energy = random_energy(scene_of(name))
     mechanics, model = energy.mechanics, Hamiltonian(energy)
     q, v = drawn_states(mechanics)

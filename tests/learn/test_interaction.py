@@ -24,7 +24,7 @@ def _found(error: Callable[[str, str, int], Array]) -> tuple[Interaction, ...]:
 
 
 def _product(training: str, engine: str, away: float, spread: float, seed: int = 0) -> Array:
-    """Luck of the training times how hard the engine's data are, and more away from home."""
+    """Return errors: luck of the training × hardness of the engine's data × loss away from home."""
     rng = np.random.default_rng([ord(training), ord(engine), seed])
     noise = np.exp(spread * rng.standard_normal((COUNT, 1)))
     loss = 1.0 if training == engine else away
@@ -32,13 +32,13 @@ def _product(training: str, engine: str, away: float, spread: float, seed: int =
 
 
 def test_luck_of_trainings_and_hard_engines_are_no_loss() -> None:
-    found = _found(lambda i, j, _: _product(i, j, 1.0, 0.0))
-    assert [(each.first, each.second) for each in found] == [
+    interactions = _found(lambda i, j, _: _product(i, j, 1.0, 0.0))
+    assert [(each.first, each.second) for each in interactions] == [
         ("a-native", "b-native"),
         ("a-native", "c-native"),
         ("b-native", "c-native"),
     ]
-    for each in found:
+    for each in interactions:
         assert each.value == pytest.approx((1.0, 1.0))
         assert each.low == pytest.approx((1.0, 1.0))
         assert each.seeds == 3
@@ -46,9 +46,9 @@ def test_luck_of_trainings_and_hard_engines_are_no_loss() -> None:
 
 @pytest.mark.parametrize("away", [4.0, 0.25])
 def test_what_is_lost_away_from_home_is_told_whatever_else_is_so(away: float) -> None:
-    """It is measured on both ways, so that the geometric mean of the two losses is left."""
-    found = _found(lambda i, j, seed: _product(i, j, away, 0.3, seed))
-    for each in found:
+    """The loss is measured both ways, which leaves the geometric mean of the two losses."""
+    interactions = _found(lambda i, j, seed: _product(i, j, away, 0.3, seed))
+    for each in interactions:
         assert each.value[0] == pytest.approx(away, rel=0.5)
         low, high = each.low[0], each.high[0]
         assert low is not None
@@ -58,12 +58,12 @@ def test_what_is_lost_away_from_home_is_told_whatever_else_is_so(away: float) ->
 
 
 def test_of_many_pairs_without_a_loss_hardly_one_is_told() -> None:
-    """By chance one in twenty of 95 % intervals would be without 1; the rule takes that back."""
-    told = [
+    """By chance one 95 % interval in twenty would not contain 1; the rule corrects for that."""
+    losses = [
         any(resolved for each in _found(_chance(number)) for resolved in each.resolved)
         for number in range(20)
     ]
-    assert sum(told) <= 6  # of twenty studies of three pairs
+    assert sum(losses) <= 6  # of twenty studies of three pairs
 
 
 def _chance(number: int) -> Callable[[str, str, int], Array]:
@@ -71,9 +71,9 @@ def _chance(number: int) -> Callable[[str, str, int], Array]:
 
 
 def test_perfect_models_have_no_interaction() -> None:
-    found = _found(lambda *_: np.zeros((COUNT, FRAMES)))
-    assert all(each.value == (None, None) and each.resolved == (False, False) for each in found)
-    (answer,) = answers_of_interactions(found, 0, 1)
+    pairs = _found(lambda *_: np.zeros((COUNT, FRAMES)))
+    assert all(each.value == (None, None) and each.resolved == (False, False) for each in pairs)
+    (answer,) = answers_of_interactions(pairs, 0, 1)
     assert answer.answer == "At t = 1 on native data gns has errors of 0"
 
 
@@ -93,12 +93,12 @@ def test_the_answer_names_the_pair_that_loses_most() -> None:
 
 
 def test_settings_of_one_engine_are_compared_too_but_not_both_at_once() -> None:
-    """Undamped beside native is one change; another engine's undamped data beside it are two."""
-    board = evaluation(lambda i, j, seed: _product(i, j, 4.0, 0.1, seed), floor=0.0)
+    """Native against undamped is one change; against another engine's undamped data it is two."""
+    study = evaluation(lambda i, j, seed: _product(i, j, 4.0, 0.1, seed), floor=0.0)
     names = {"a-native": "a-native", "b-native": "a-undamped", "c-native": "c-undamped"}
     domains = tuple(
         dataclasses.replace(d, engine=names[d.name][0], variant=names[d.name][2:])
-        for d in board.test.domains
+        for d in study.test.domains
     )
     figures = {
         (
@@ -110,19 +110,19 @@ def test_settings_of_one_engine_are_compared_too_but_not_both_at_once() -> None:
             ),
             names[test],
         ): each
-        for (run, test), each in board.figures.items()
+        for (run, test), each in study.figures.items()
     }
-    board = dataclasses.replace(
-        board, test=dataclasses.replace(board.test, domains=domains), figures=figures, oracles={}
+    study = dataclasses.replace(
+        study, test=dataclasses.replace(study.test, domains=domains), figures=figures, oracles={}
     )
 
-    found = interactions_of(Draws(board))
+    interactions = interactions_of(Draws(study))
 
-    assert [(each.first, each.second) for each in found] == [
+    assert [(each.first, each.second) for each in interactions] == [
         ("a-native", "a-undamped"),
         ("a-undamped", "c-undamped"),
     ]
-    assert [answer.question for answer in answers_of_interactions(found, 0, 1)] == [
+    assert [answer.question for answer in answers_of_interactions(interactions, 0, 1)] == [
         "What does a change of engine cost on undamped data?",
         "What does a change of settings cost in a?",
     ]

@@ -67,7 +67,7 @@ def test_the_mass_matrix_is_positive_whatever_the_parameters() -> None:
 def test_what_distances_that_nothing_changes_store_moves_nothing(
     name: str, dynamics: type[Lagrangian | Hamiltonian]
 ) -> None:
-    """So that it is left out of the energy; without springs all distances are such."""
+    """The energy leaves constant distances out; without springs all distances are constant."""
     energy = random_energy(name)
     assert energy.of_place.of_distances is None
     model = dynamics(energy)
@@ -88,7 +88,7 @@ def test_what_distances_that_nothing_changes_store_moves_nothing(
 def test_a_learned_energy_is_kept(
     name: str, steps: int, kind: type[Lagrangian | Hamiltonian]
 ) -> None:
-    """Of fourth order, as the method: what is lost is the integrator's."""
+    """The drift is of fourth order like the method: it comes from the integrator alone."""
     energy = random_energy(name)
     model = kind(energy)
     q, v = drawn_states(energy.mechanics, 3)
@@ -130,7 +130,7 @@ def test_drag_only_takes_energy() -> None:
 def test_accelerations_follow_the_parameters(
     name: str, dynamics: type[Lagrangian | Hamiltonian]
 ) -> None:
-    """Their gradient is what moving the parameters changes, also where rows are redundant."""
+    """The gradient by parameters equals central differences, also with redundant rows."""
     energy = random_energy(scene_of(name))
     model, inputs = dynamics(energy), no_inputs(energy.mechanics, 2)
     q, v = drawn_states(energy.mechanics, 2)
@@ -176,7 +176,7 @@ def test_energy_falls_by_the_power_of_drag(name: str) -> None:
 
 def test_springs_are_told_apart_by_their_laws_and_not_by_their_ends() -> None:
     def potential(springs: tuple[tuple[str, str, float], ...]) -> Tensor:
-        """Of three like bodies, the middle one nearer to the first."""
+        """Return that of three like bodies, the middle one nearer to the first."""
         place = {"a": (0.0, 0.0, 0.0), "b": (1.0, 0.1, 0.0), "c": (2.5, 0.0, 0.3)}
         scene = Scene(
             "three",

@@ -130,7 +130,7 @@ def rate_of(kind: str, energy: TrueEnergy, force: Tensor, torque: Tensor, state:
 @pytest.mark.parametrize("kind", ["lgnn", "hgnn"])
 @pytest.mark.parametrize("name", LOOPS)
 def test_loops_move_as_the_reference(name: str, kind: str) -> None:
-    """Which of redundant rows is needed changes on the way; of fourth order, as the method."""
+    """The needed ones of redundant rows change on the way; the order stays the method's fourth."""
     scene = scene_of(name)
     steps = min(120, scene.clock.steps)
     start = draw_batch(scene, [0], noise=False).truncated(steps)
@@ -183,13 +183,13 @@ class Dense:
 
 
 def held(root: Tensor, load: Tensor, rows: Tensor, bias: Tensor, redundant: int = 0) -> Tensor:
-    """Accelerations of a mass matrix that is one and the square of a root."""
+    """Return accelerations with the mass matrix 1 + root · rootᵀ."""
     mass = root @ root.mT + torch.eye(root.shape[-1], dtype=root.dtype)
     return constrained(Dense(mass), load, cast(Jacobian, Dense(rows)), bias, redundant)
 
 
 def test_gradients_go_through_redundant_rows() -> None:
-    """By the mass matrix and the loads, where constraints are met; along these rows all agree."""
+    """Values and gradients by mass matrix and loads are the same as without redundant rows."""
     generator = torch.Generator().manual_seed(5)
 
     def draw(*shape: int) -> Tensor:
@@ -286,7 +286,7 @@ def test_the_gradient_of_constrained_accelerations_is_right() -> None:
 
 @pytest.mark.parametrize("name", ["6pendulum", "every_joint"])
 def test_the_gradient_of_the_projection_is_right(name: str) -> None:
-    """Of what joints take away, by loose states: nodes are some hundredth of a rod off."""
+    """The gradient is checked at loose states, whose nodes are about a hundredth of a rod off."""
     scene, bodies = states_of(name)
     mechanics = Mechanics(scene)
     q, v = (part[:1] for part in nodes(mechanics, bodies))

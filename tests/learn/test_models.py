@@ -1,4 +1,4 @@
-"""Every model goes through the same training; files of models are what they say."""
+"""Every model goes through the same training; files of models hold what they state."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The page of the paper's tables has every cell, and in it what the stored studies have."""
+"""The page of the paper's tables has every cell, with the figures of the stored studies."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ def test_a_cell_is_the_mean_at_home_of_the_study_with_most_steps(
     (line,) = [line for line in first.splitlines() if line.startswith("| 6pendulum | LGNN")]
 
     study = json.loads(gzip.decompress((_REPORTS / "lite/6pendulum.json.gz").read_bytes()))
-    found = [
+    errors = [
         cell["mse"][study["frames"].index(1)]
         for cell in study["cells"]
         if (cell["model"], cell["interval"]) == ("lgnn", "all") and cell["training"] == cell["test"]
     ]
-    assert float(line.strip("| ").split(" | ")[-1]) == pytest.approx(np.mean(found), rel=0.05)
+    assert float(line.strip("| ").split(" | ")[-1]) == pytest.approx(np.mean(errors), rel=0.05)

@@ -66,8 +66,8 @@ def test_energy_error_of_a_lifted_ball(fall: Motions) -> None:
     kinetic = 0.5 * weight / 9.81 * rate**2
     scale = kinetic.max(axis=1) + weight * np.ptp(height, axis=1)
     scale = np.maximum(scale, 1e-3 * weight * fall.graph.length)
-    found = measure(fall, predicted).energy[:, 2:]
-    np.testing.assert_allclose(found, np.broadcast_to((weight * 0.01 / scale)[:, None], (4, 3)))
+    energy = measure(fall, predicted).energy[:, 2:]
+    np.testing.assert_allclose(energy, np.broadcast_to((weight * 0.01 / scale)[:, None], (4, 3)))
 
 
 def test_rigid_pairs_of_a_pendulum_are_its_rods() -> None:
@@ -115,10 +115,10 @@ def test_a_body_of_one_particle_has_no_constraint_gap(fall: Motions, analytic: A
 def test_one_step_error_of_constant_velocity_is_the_second_difference(fall: Motions) -> None:
     nothing: object = None
     model = ConstantVelocity(fall.graph, nothing, None)  # type: ignore[arg-type]
-    found = one_step_error(model, fall, frames=8, stride=2)
+    error = one_step_error(model, fall, frames=8, stride=2)
     size = torch.linspace(0.5, 1.0, 4, dtype=torch.float64).numpy()
     step = size * 9.81 * fall.graph.frame_s**2
-    np.testing.assert_allclose(found, step**2, rtol=1e-6)
+    np.testing.assert_allclose(error, step**2, rtol=1e-6)
 
 
 def test_valid_time_is_that_of_the_last_frame_before_the_error_is_too_large() -> None:

@@ -43,41 +43,41 @@ def untrained(name: str, motions: Motions) -> PointModel:
 def test_a_model_that_is_right_is_shown_later_windows(analytic: Analytic) -> None:
     motions = analytic("6pendulum", falling)
     model = trivial("constant_acceleration", motions)
-    found = pushed(model, motions.sample(ROWS, LAST, 3))
+    later = pushed(model, motions.sample(ROWS, LAST, 3))
     expected = motions.sample(ROWS, LAST + torch.tensor([2, 1, 0, 0]), 1)
-    assert torch.allclose(found.start.history, expected.start.history, rtol=0, atol=1e-14)
-    assert torch.equal(found.position, expected.position)
+    assert torch.allclose(later.start.history, expected.start.history, rtol=0, atol=1e-14)
+    assert torch.equal(later.position, expected.position)
 
 
 def test_the_inputs_are_those_of_the_frame_to_come(analytic: Analytic) -> None:
     motions = analytic("6pendulum", falling)
     motions.inputs.force[:] = torch.arange(19.0)[:, None, None]
-    found = pushed(trivial("hold", motions), motions.sample(ROWS, LAST, 3))
-    assert found.inputs.at(0).force[:, 0, 0].tolist() == [7.0, 10.0, 12.0, 7.0]
+    later = pushed(trivial("hold", motions), motions.sample(ROWS, LAST, 3))
+    assert later.inputs.at(0).force[:, 0, 0].tolist() == [7.0, 10.0, 12.0, 7.0]
 
 
 def test_what_a_wrong_model_is_to_do_leads_back_to_the_truth(analytic: Analytic) -> None:
     motions = analytic("6pendulum", falling)
     sample = motions.sample(ROWS, LAST, 2)
-    found = pushed(trivial("hold", motions), sample)
-    assert torch.equal(found.start.history[:2, -1], sample.start.history[:2, -1])  # it held still
-    assert torch.equal(found.position[:2, 0], sample.position[:2, 1])
-    assert torch.equal(found.position[2:, 0], sample.position[2:, 0])
+    later = pushed(trivial("hold", motions), sample)
+    assert torch.equal(later.start.history[:2, -1], sample.start.history[:2, -1])  # it held still
+    assert torch.equal(later.position[:2, 0], sample.position[:2, 1])
+    assert torch.equal(later.position[2:, 0], sample.position[2:, 0])
 
 
 def test_with_one_frame_to_come_windows_stay_as_they_are(analytic: Analytic) -> None:
     motions = analytic("6pendulum", falling)
     sample = motions.sample(ROWS, LAST, 1)
-    found = pushed(trivial("hold", motions), sample)
-    assert torch.equal(found.start.history, sample.start.history)
-    assert torch.equal(found.position, sample.position)
+    later = pushed(trivial("hold", motions), sample)
+    assert torch.equal(later.start.history, sample.start.history)
+    assert torch.equal(later.position, sample.position)
 
 
 @pytest.mark.parametrize("name", MODELS)
 def test_a_batch_of_one_window_is_a_true_one(analytic: Analytic, name: str) -> None:
     motions = analytic("6pendulum", falling)
-    found = pushed(untrained(name, motions), motions.sample(ROWS[:1], LAST[:1], 4))
-    assert torch.equal(found.start.history, motions.sample(ROWS[:1], LAST[:1], 1).start.history)
+    later = pushed(untrained(name, motions), motions.sample(ROWS[:1], LAST[:1], 4))
+    assert torch.equal(later.start.history, motions.sample(ROWS[:1], LAST[:1], 1).start.history)
 
 
 @pytest.mark.parametrize("name", MODELS)

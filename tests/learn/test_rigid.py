@@ -1,4 +1,4 @@
-"""Smooth motion of rigid bodies in torch: joints, order, flight; what joints let through."""
+"""Smooth motion of rigid bodies in torch: joints, order, flight, and motions that joints allow."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def _rolled(graph: Graph, batch: Batch, substeps: int) -> Tensor:
 
 
 def _dense(hold: JointHold) -> Tensor:
-    """The Jacobian by the twists of all bodies, shape (batch, row, 6 · body)."""
+    """Return the Jacobian by the twists of all bodies, shape (batch, row, 6 · body)."""
     ends, count = hold.rows.ends, len(hold.rows)
     whole = hold.jacobian.new_zeros(len(hold.jacobian), count, hold.rows.body_count + 1, 6)
     whole[:, torch.arange(len(ends)) % count, ends] = hold.jacobian
@@ -61,7 +61,7 @@ _JOINTED = ["rod", "slider", "flywheel", "parallelogram", "ball loop", "linked",
 
 @pytest.mark.parametrize("name", _JOINTED)
 def test_rows_are_those_of_the_scene(name: str) -> None:
-    """Residuals and Jacobians of bodies anywhere, in every form that rows have."""
+    """Residuals and Jacobians agree for bodies anywhere and for every form of row."""
     graph = Graph.of(_case(name))
     state = torch.from_numpy(np.random.default_rng(3).normal(size=(4, graph.body_count, 13)))
     state[..., 3:7] /= state[..., 3:7].norm(dim=-1, keepdim=True)
@@ -86,7 +86,7 @@ def test_smooth_motion_is_of_second_order(name: str) -> None:
 
 
 def test_a_flying_body_is_exact() -> None:
-    """Whatever the step is, in its plane."""
+    """Planar flight is exact whatever the step is."""
     graph = Graph.of(load_scene("balldrop"))
     batch, truth = _solved(graph.scene)
     there = _states(graph, truth)[:, _FRAMES]
@@ -95,7 +95,7 @@ def test_a_flying_body_is_exact() -> None:
 
 @pytest.mark.parametrize("name", ["rod", "slider", "flywheel", "chain of balls", "welded"])
 def test_motions_of_links_are_those_that_joints_allow(name: str) -> None:
-    """They open no joint, and every motion that joints allow is one of them."""
+    """Motions of links open no joint, and every motion that joints allow is one of them."""
     graph = Graph.of(_case(name))
     _, truth = _solved(graph.scene)
     state = _states(graph, truth)[:, 3]
@@ -111,7 +111,7 @@ def test_motions_of_links_are_those_that_joints_allow(name: str) -> None:
 
 
 def test_joints_take_the_least_of_a_change() -> None:
-    """What they leave opens nothing; what they take is at right angles to it, by mass."""
+    """The change that is left opens no joint; the part taken is mass-orthogonal to it."""
     graph = Graph.of(_case("parallelogram"))
     _, truth = _solved(graph.scene)
     state, bodies = _states(graph, truth)[:, 2], BodyMechanics(graph)
@@ -125,6 +125,6 @@ def test_joints_take_the_least_of_a_change() -> None:
 
 
 def test_springs_in_joints_are_refused_in_a_line() -> None:
-    """With what is allowed, and what else could be taken."""
+    """The line says what is allowed and which model to take instead."""
     with pytest.raises(Unsupported, match=r"joint 'axle': got a spring.*none: .*take gns"):
         BodyMechanics(Graph.of(_case("sprung hinge")))

@@ -1,4 +1,4 @@
-"""SGNN: what it commutes with, what it must not, and that it learns."""
+"""SGNN: symmetries that it has, symmetries that it must not have, and learning."""
 
 from __future__ import annotations
 
@@ -66,14 +66,14 @@ class Case:
 
 
 def twin(model: SGNN, graph: Graph) -> SGNN:
-    """Another model with the same weights."""
+    """Return another model with the same weights."""
     other = SGNN(graph, statistics(), model.settings).to(model.up.dtype)
     other.load_state_dict(model.state_dict())
     return other
 
 
 def statistics() -> Statistics:
-    """Plausible, and with means that only gravity may keep."""
+    """Return plausible statistics, with means that only gravity may keep."""
     mean = torch.tensor([0.1, -0.2, 0.3], dtype=torch.float64)
     spread = torch.tensor([1.0, 0.8, 1.3], dtype=torch.float64)
     return Statistics(
@@ -111,7 +111,7 @@ def turn(axis: str, angle: float, dtype: torch.dtype = torch.float64) -> Tensor:
 
 
 def unlike(one: Tensor, other: Tensor) -> float:
-    """Largest difference beside the largest entry."""
+    """Return the largest difference relative to the largest entry."""
     return float((one - other).abs().max() / other.abs().max())
 
 
@@ -169,7 +169,7 @@ def test_torque_is_felt_and_its_sense(scene: str) -> None:
 
 
 def test_numbering_changes_nothing(graph: Graph, settings: SGNNSettings) -> None:
-    """Renumbers particles among themselves, bodies and edges, below the inputs."""
+    """Particles, bodies and edges are renumbered, below the inputs."""
     network = case_of(graph, settings).model.network
     order, edges = torch.randperm(graph.node_count), torch.randperm(graph.edge_count)
     number = torch.argsort(order)
@@ -217,7 +217,7 @@ def test_gradient_reaches_every_parameter() -> None:
 
 
 def sample_of(case: Case) -> Sample:
-    """Of one frame to come, anything."""
+    """Return a random sample of one frame to come."""
     frames = case.history[:, -1:] + STEP * torch.randn_like(case.history[:, -1:])
     velocity = torch.zeros_like(frames)
     inputs = KnownInputs(case.inputs.force[:, None], case.inputs.torque[:, None])
@@ -263,12 +263,12 @@ def gaps(points: Tensor) -> Tensor:
 def test_projection_never_mirrors() -> None:
     shape = torch.randn(50, 6, 3, dtype=torch.float64)
     owner = torch.zeros(6, dtype=torch.int64)
-    found = nearest_rigid(shape, shape @ mirror(), owner)
-    assert (volume(found) * volume(shape) > 0).all()
+    projected = nearest_rigid(shape, shape @ mirror(), owner)
+    assert (volume(projected) * volume(shape) > 0).all()
 
 
 def volume(points: Tensor) -> Tensor:
-    """Signed, of the parallelepiped of the first four points."""
+    """Return the signed volume of the parallelepiped of the first four points."""
     return torch.det(points[:, 1:4] - points[:, :1])
 
 
@@ -277,9 +277,9 @@ def test_projection_passes_on_what_is_not_finite() -> None:
     shape = torch.randn(2, 6, 3)
     predicted = shape.clone()
     predicted[0, 1] = torch.nan
-    found = nearest_rigid(shape, predicted, owner)
-    assert found[0].isnan().all()
-    assert (found[1] - shape[1]).abs().max() < 1e-5
+    projected = nearest_rigid(shape, predicted, owner)
+    assert projected[0].isnan().all()
+    assert (projected[1] - shape[1]).abs().max() < 1e-5
 
 
 def test_rigid_rollout_keeps_distances() -> None:
@@ -302,8 +302,8 @@ def test_the_slope_of_the_invariants_is_that_of_their_formula(size: float) -> No
     assert torch.allclose(invariants(vectors), formula, rtol=1e-14)
     weights = torch.randn_like(formula)
     (expected,) = torch.autograd.grad((formula * weights).sum(), vectors)
-    (found,) = torch.autograd.grad((invariants(vectors) * weights).sum(), vectors)
-    assert (found - expected).abs().max() < 1e-12 * expected.abs().max()
+    (slope,) = torch.autograd.grad((invariants(vectors) * weights).sum(), vectors)
+    assert (slope - expected).abs().max() < 1e-12 * expected.abs().max()
 
 
 def test_what_is_left_out_counts_as_zero() -> None:
@@ -317,7 +317,7 @@ def test_what_is_left_out_counts_as_zero() -> None:
 
 
 def test_without_edges_a_node_hears_zeros() -> None:
-    """It must go on as a node of a larger graph does that no edge leads to."""
+    """The node must behave like one in a larger graph to which no edge leads."""
     torch.manual_seed(5)
     layer = Passing(2, edge_channels=1, edge_scalars=4, hidden=8, layers=2, steps=3).double()
     vectors, scalars = torch.randn(1, 3, 2, 3).double(), torch.randn(1, 3, 8).double()

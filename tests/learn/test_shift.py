@@ -97,27 +97,27 @@ def test_what_is_resolvable(own: float, floor: float, low: float, high: float, w
 
 
 def test_of_trainings_on_one_engine_no_shift_is_asked() -> None:
-    board = evaluation(shifted, floor=100.0)
-    alone = {key: value for key, value in board.figures.items() if key[0].training == "a-native"}
-    board = dataclasses.replace(board, figures=alone)
-    gaps = measured_gaps(board)
+    study = evaluation(shifted, floor=100.0)
+    alone = {key: value for key, value in study.figures.items() if key[0].training == "a-native"}
+    study = dataclasses.replace(study, figures=alone)
+    gaps = measured_gaps(study)
     assert gaps == []
-    (told,) = answers_of(Draws(board), gaps, FRAMES)
-    assert "cannot be asked" in told.answer
+    (answer,) = answers_of(Draws(study), gaps, FRAMES)
+    assert "cannot be asked" in answer.answer
 
 
 def test_a_restarted_engine_that_is_lost_does_not_widen_the_floor() -> None:
-    """Where it goes on its distance counts, elsewhere that of the published motions."""
-    board = evaluation(shifted, floor=0.5)
+    """The restart's distance counts where it goes on, elsewhere that of the published motions."""
+    study = evaluation(shifted, floor=0.5)
     error = np.full((COUNT, FRAMES), 0.25)
     error[0] = np.inf
-    error[1] = 2.0 * board.largest
-    restarted = {pair: figures_of(error) for pair in board.oracles}
-    board = dataclasses.replace(board, restarted=restarted)
-    floor = board.floor("a-native", "b-native")
+    error[1] = 2.0 * study.largest
+    restarted = {pair: figures_of(error) for pair in study.oracles}
+    study = dataclasses.replace(study, restarted=restarted)
+    floor = study.floor("a-native", "b-native")
     assert (floor[:2] == 0.5).all()
     assert (floor[2:] == 0.25).all()
-    assert {why for gap in measured_gaps(board) for why in gap.why} == {
+    assert {why for gap in measured_gaps(study) for why in gap.why} == {
         "own error exceeds the engine floor"
     }
 
@@ -145,31 +145,31 @@ def test_lost_predictions_are_counted_never_dropped() -> None:
             figures[0] = np.inf
         return figures
 
-    board = evaluation(error, floor=100.0)
-    cell = next(c for c in cells_of(board) if (c.training, c.test) == ("a-native", "b-native"))
+    study = evaluation(error, floor=100.0)
+    cell = next(c for c in cells_of(study) if (c.training, c.test) == ("a-native", "b-native"))
     assert cell.known == (COUNT, COUNT)
     assert cell.finite == (COUNT - 1, COUNT - 1)
     assert cell.diverged == (1, 1)
-    gap = next(g for g in measured_gaps(board) if (g.training, g.test) == ("a-native", "b-native"))
-    exploded = (EXPLODED * board.test.scene.length) ** 2
+    gap = next(g for g in measured_gaps(study) if (g.training, g.test) == ("a-native", "b-native"))
+    exploded = (EXPLODED * study.test.scene.length) ** 2
     assert gap.transferred[0] == pytest.approx((COUNT - 1 + exploded) / COUNT)
     assert cell.mse == pytest.approx(gap.transferred)
 
 
 def test_cells_are_told_by_interval_and_engines_are_models_too() -> None:
     error = np.repeat((np.arange(COUNT) % 3.0)[:, None], FRAMES, axis=1)
-    board = evaluation(lambda *_: error, floor=2.0)
-    cells = [c for c in cells_of(board) if (c.training, c.test, c.seed) == ("a-native",) * 2 + (0,)]
+    study = evaluation(lambda *_: error, floor=2.0)
+    cells = [c for c in cells_of(study) if (c.training, c.test, c.seed) == ("a-native",) * 2 + (0,)]
     assert {c.interval: c.mse[0] for c in cells} == {
         "all": 1.0, "low": 0.0, "medium": 1.0, "high": 2.0,
     }  # fmt: skip
-    oracle = [c for c in cells_of(board) if c.model == ENGINE and c.interval == "all"]
+    oracle = [c for c in cells_of(study) if c.model == ENGINE and c.interval == "all"]
     assert len(oracle) == 6
     assert {c.mse for c in oracle} == {(2.0, 2.0)}
 
 
 def test_bootstrap_intervals_cover_the_mean() -> None:
-    """Of log-normal errors, whose mean is known; 95 % nominal, less at this size and skewness."""
+    """Errors are log-normal, with known mean; 95 % nominal, less at this size and skewness."""
     rng = np.random.default_rng(3)
     count, trials = 80, 400
     spread, hit = 0.5, 0
@@ -196,7 +196,7 @@ def test_bootstrap_draws_seeds_too_and_trajectories_together() -> None:
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_of_few_seeds_or_trajectories_means_spread_as_new_ones_would(axis: int) -> None:
-    """By the variance of one over their number, whose unbiased estimate is of one fewer."""
+    """The means' variance is the unbiased sample variance (n − 1) divided by n."""
     few = np.array([1.0, 2.0, 4.0])
     shape = (3, 5, 1) if axis == 0 else (1, 3, 1)
     errors = np.broadcast_to(few.reshape(-1, 1, 1) if axis == 0 else few[None, :, None], shape)
@@ -240,7 +240,7 @@ def test_the_papers_figures_are_there_as_printed() -> None:
 
 
 def test_the_truth_is_one_more_domain(tmp_path: Path) -> None:
-    """The data that the reference made are the motions of the domain that nobody made."""
+    """The data that the reference made are the motions of the domain of no engine."""
     scene = msgspec.structs.replace(load_scene("2pendulum"), clock=Clock(0.02, 20))
     choice = Choice.parse(engines=f"mujoco,{REFERENCE}")
     generate(Request((scene,), choice, 60, tmp_path), workers=0)

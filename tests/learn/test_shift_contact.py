@@ -1,4 +1,4 @@
-"""Horizons from the first contact: where it is, and that figures are moved there alike."""
+"""Horizons from the first contact: its frame, and figures that count from it."""
 
 from __future__ import annotations
 
@@ -58,23 +58,23 @@ def _falling(*touches: int) -> _Made:
 def test_the_first_contact_is_that_of_the_earliest_domain() -> None:
     ball = dataclasses.replace(paired(("a",)), scene=load_scene("balldrop"), index=np.arange(3))
     domains: Any = (_falling(12, 20, 99), _falling(14, 18, 99))
-    found = contact.first_contact(dataclasses.replace(ball, domains=domains), 20)
-    assert found.tolist() == [12 - HISTORY, 18 - HISTORY, 20]
+    frames = contact.first_contact(dataclasses.replace(ball, domains=domains), 20)
+    assert frames.tolist() == [12 - HISTORY, 18 - HISTORY, 20]
     inside: Any = (_falling(2, 12, 12),)
-    found = contact.first_contact(dataclasses.replace(ball, domains=inside), 20)
-    assert found[0] == -1
+    frames = contact.first_contact(dataclasses.replace(ball, domains=inside), 20)
+    assert frames[0] == -1
 
 
 def test_a_bounce_between_two_frames_is_a_contact() -> None:
     """The disc is in the air at every frame, and turns back after frame 9."""
-    made = _falling(10)
-    assert made.made.body is not None
-    made.made.body[:, 10:, 0, 2] = made.made.body[:, 9:10, 0, 2]
-    made.made.body[:, 10:, 0, 9] *= -1.0
+    domain = _falling(10)
+    assert domain.made.body is not None
+    domain.made.body[:, 10:, 0, 2] = domain.made.body[:, 9:10, 0, 2]
+    domain.made.body[:, 10:, 0, 9] *= -1.0
     ball = dataclasses.replace(paired(("a",)), scene=load_scene("balldrop"), index=np.arange(1))
-    domains: Any = (made,)
-    found = contact.first_contact(dataclasses.replace(ball, domains=domains), 20)
-    assert found.tolist() == [10 - HISTORY]
+    domains: Any = (domain,)
+    frames = contact.first_contact(dataclasses.replace(ball, domains=domains), 20)
+    assert frames.tolist() == [10 - HISTORY]
 
 
 def test_scenes_without_a_ground_have_none() -> None:
@@ -83,16 +83,16 @@ def test_scenes_without_a_ground_have_none() -> None:
 
 
 def test_all_figures_count_from_the_first_contact(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of the trajectories that touch early enough: a rising error is larger by the frame there."""
+    """Trajectories that touch too late are left out; rising errors are read from the contact on."""
     rising = 0.1 * np.arange(1.0, _LONG + 1) + np.zeros((COUNT, 1))
-    board = evaluation(lambda *_: rising, floor=0.0)
-    board = dataclasses.replace(board, frames=(1, 10, 20, _LONG), oracles={})
+    evaluated = evaluation(lambda *_: rising, floor=0.0)
+    evaluated = dataclasses.replace(evaluated, frames=(1, 10, 20, _LONG), oracles={})
     first = np.array([*range(5, 16), _LONG])
     monkeypatch.setattr(contact, "first_contact", lambda *_: first)
-    later = contact.from_contact(board)
+    later = contact.from_contact(evaluated)
     assert later is not None
     assert later.frames == (1, 10, 20)
-    assert later.test.index.tolist() == board.test.index[:-1].tolist()
+    assert later.test.index.tolist() == evaluated.test.index[:-1].tolist()
     errors = later.errors(later.entries[0], "a-native")
     there = first[:-1, None] + np.array([1.0, 10.0, 20.0])
     np.testing.assert_allclose(errors[0], 0.1 * there)
@@ -101,33 +101,33 @@ def test_all_figures_count_from_the_first_contact(monkeypatch: pytest.MonkeyPatc
 def test_what_a_model_notices_is_counted_from_the_first_contact(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Engines that are alike in flight part by more than the model errs once balls touch."""
+    """Engines that are alike in flight part by more than the model's error once balls touch."""
     apart = np.where(np.arange(_LONG) < 12, 0.1, 3.0) + np.zeros((COUNT, 1))
-    board = evaluation(lambda *_: np.ones((COUNT, _LONG)), floor=0.0)
-    oracles = {pair: figures_of(apart) for pair in board.oracles}
-    board = dataclasses.replace(board, frames=(1, 10, _LONG), oracles=oracles)
+    evaluated = evaluation(lambda *_: np.ones((COUNT, _LONG)), floor=0.0)
+    oracles = {pair: figures_of(apart) for pair in evaluated.oracles}
+    evaluated = dataclasses.replace(evaluated, frames=(1, 10, _LONG), oracles=oracles)
     monkeypatch.setattr(contact, "first_contact", lambda *_: np.full(COUNT, 11))
-    later = contact.from_contact(board)
+    later = contact.from_contact(evaluated)
     assert later is not None
-    for each, noticed in ((board, (False, False, True)), (later, (False, True))):
-        found = interactions_of(Draws(each))
-        assert {one.noticed for one in found} == {noticed}
+    for each, noticed in ((evaluated, (False, False, True)), (later, (False, True))):
+        interactions = interactions_of(Draws(each))
+        assert {one.noticed for one in interactions} == {noticed}
 
 
 def test_changes_stand_side_by_side_in_one_sentence() -> None:
     """The answer says where frames are counted from."""
-    found = interactions_of(Draws(evaluation(lambda i, j, _: _loss(i, j), floor=0.0)))
-    (answer,) = answers_of_interactions(found, 0, 1, " after the first contact")
+    interactions = interactions_of(Draws(evaluation(lambda i, j, _: _loss(i, j), floor=0.0)))
+    (answer,) = answers_of_interactions(interactions, 0, 1, " after the first contact")
     assert answer.question.endswith("on native data after the first contact?")
-    assert list(answer_of_factors(found, 0, 1)) == []  # there is one change
-    other = [_matched(each) for each in found]
-    (both,) = answer_of_factors([*found, *other], 0, 1)
+    assert list(answer_of_factors(interactions, 0, 1)) == []  # there is one change
+    other = [_matched(each) for each in interactions]
+    (both,) = answer_of_factors([*interactions, *other], 0, 1)
     assert both.answer == (
         "At t = 1 the squared error of gns grows at most 4-fold with another engine on native "
         "data, 4-fold with another engine on matched data"
     )
     quiet = [msgspec.structs.replace(each, resolved=(False, False)) for each in other]
-    (both,) = answer_of_factors([*found, *quiet], 0, 1)
+    (both,) = answer_of_factors([*interactions, *quiet], 0, 1)
     assert both.answer == (
         "At t = 1 the squared error of gns grows at most 4-fold with another engine on native "
         "data; less than 2-fold, if at all, with another engine on matched data"
@@ -146,16 +146,16 @@ def _loss(training: str, engine: str) -> np.ndarray:
 
 
 def test_the_engine_floor_is_reached_at_a_share_of_the_processor_time(tmp_path: Path) -> None:
-    board = evaluation(lambda *_: np.ones((COUNT, 5)), floor=0.0)
+    evaluated = evaluation(lambda *_: np.ones((COUNT, 5)), floor=0.0)
     near, far = (figures_of(np.full((COUNT, 5), value)) for value in (0.2, 0.7))
     apart = {("b-native", "a-native"): far, ("c-native", "a-native"): near}
-    board = dataclasses.replace(board, restarted=apart)
-    assert nearest_engine(board, "a-native") == pytest.approx(0.2)
+    evaluated = dataclasses.replace(evaluated, restarted=apart)
+    assert nearest_engine(evaluated, "a-native") == pytest.approx(0.2)
     run = entry_of("a", 0, ("a",))
     run = dataclasses.replace(run, path=tmp_path / "a-s0.pt", facts={"cpu_s": "60"})
-    assert seconds_to_floor(board, run) is None  # no curve beside it
+    assert seconds_to_floor(evaluated, run) is None  # no learning curve is stored with it
     fell = ((10, 0.5), (20, 0.1), (40, 0.05))
     points = [CurvePoint(step, 1.0, error, 1e-3) for step, error in fell]
     curve = LearningCurve("a", 40, "steps", points)
     (tmp_path / "a-s0.curve.json").write_bytes(write_curve(curve))
-    assert seconds_to_floor(board, run) == pytest.approx(30.0)
+    assert seconds_to_floor(evaluated, run) == pytest.approx(30.0)

@@ -194,9 +194,9 @@ def test_a_model_that_has_seen_the_test_part_is_refused(folder: Path) -> None:
     same = int(load_dataset(folder / "data" / SCENE / "mujoco-native.h5").attributes["count"])
     for drawn in (None, (0, same), (1, 10 * same)):
         check_data([dataclasses.replace(entry, drawn=drawn)], paired)
-    seen = dataclasses.replace(entry, drawn=(0, 10 * same))
+    leaking = dataclasses.replace(entry, drawn=(0, 10 * same))
     with pytest.raises(InputError, match=f"by trajectory {paired.index[0]} of the test part"):
-        check_data([seen], paired)
+        check_data([leaking], paired)
 
 
 def test_fewer_trajectories_are_the_first_ones(folder: Path) -> None:

@@ -23,7 +23,7 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import HERE, Conduct, Crash, Silent, Task
 from mbds_xsim.commands import app
 from mbds_xsim.dataset.read import load_dataset
-from mbds_xsim.dataset.shard import LOG, spent
+from mbds_xsim.dataset.shard import LOG, stage_times
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import LearnedModel, refusal, trainable
 from mbds_xsim.learn.particles import RolloutFigures, figures_on
@@ -56,7 +56,7 @@ def shift(folder: Path, apart: None) -> Shift:
 
 
 def shift_of(folder: Path, at: int | None = None) -> Shift:
-    """Test the models of a folder on the data beside them."""
+    """Test the models of a folder on the data next to them."""
     question = study.question_of(folder / "models", folder / "data", SCENE)
     return study.study(question, at=at, conduct=HERE).shift
 
@@ -93,7 +93,7 @@ def test_the_protocol_names_what_the_models_were_trained_by_alone(shift: Shift) 
 
 
 def test_one_trajectory_is_told_as_one(shift: Shift) -> None:
-    """And of which starts, where some are missing."""
+    """The protocol also names the intervals of the starts if some are missing."""
     one = msgspec.structs.replace(shift, index=(7,))
     two = msgspec.structs.replace(shift, index=(8, 6))
 
@@ -120,17 +120,17 @@ def test_other_settings_of_an_engine_are_no_other_engine(shift: Shift) -> None:
 
 
 def test_what_data_cost_stands_beside_what_is_learned_from_them(folder: Path, shift: Shift) -> None:
-    """From the logs of the shards; nobody knows what fetched data cost."""
+    """Costs are from the logs of the shards; those of fetched data are unknown."""
     costs = {domain.name: domain.cost_s for domain in shift.domains}
     for engine in ENGINES:
         path = folder / "data" / SCENE / f"{engine}-native.h5"
         lines = [json.loads(x) for x in (path.with_suffix("") / LOG).read_text().splitlines()]
-        made = {line["first"]: line for line in lines}
-        count = sum(line["count"] for line in made.values())
-        each = sum(line["rollout_s"] for line in made.values()) / count
-        assert 0.0 < each < sum(line["simulate_s"] for line in made.values()) / count
+        shards = {line["first"]: line for line in lines}
+        count = sum(line["count"] for line in shards.values())
+        each = sum(line["rollout_s"] for line in shards.values()) / count
+        assert 0.0 < each < sum(line["simulate_s"] for line in shards.values()) / count
         assert costs[f"{engine}-native"] == pytest.approx(each)
-        assert spent(path.with_name("fetched.h5")) == {}
+        assert stage_times(path.with_name("fetched.h5")) == {}
     assert costs["reference"] is None
 
     (table,) = (table for table in tables(shift) if "training data cost" in table.title)
@@ -225,15 +225,15 @@ def test_restarts_that_were_interrupted_go_on(
 
 
 def test_nothing_goes_on_where_no_motion_is_known(folder: Path) -> None:
-    """As behind the truth's last first impact."""
+    """An example is the time after the truth's last first impact."""
     paired = load_paired(folder / "data", SCENE)
     one, two = paired.domains
     motions = rollouts.Restart(one, two, 3).domain.motions(torch.float64)
     assert motions.body is not None
     unknown = dataclasses.replace(motions, body=torch.full_like(motions.body, torch.nan))
-    found = rollouts._predicted(rollouts.Restart(one, two, 3), unknown, paired.batch, 3)
-    assert found.shape[:2] == (len(motions), 3)
-    assert torch.isnan(found).all()
+    predicted = rollouts._predicted(rollouts.Restart(one, two, 3), unknown, paired.batch, 3)
+    assert predicted.shape[:2] == (len(motions), 3)
+    assert torch.isnan(predicted).all()
 
 
 class Count(Silent):
@@ -244,15 +244,15 @@ class Count(Silent):
     def begin(self, total: int, done: int = 0) -> None:
         self.whole += total + done
 
-    def advance(self, what: str) -> None:
-        del what
+    def advance(self, work: str) -> None:
+        del work
         self.counted += 1
 
 
 def test_a_restart_that_crashes_takes_no_other_along(
     folder: Path, shift: Shift, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Those of its process are done alone; a file that cannot be read is made again."""
+    """The restarts of its process are done alone; an unreadable file is made again."""
     test = load_paired(folder / "data", SCENE)
     one, two = test.domains
     jobs = [rollouts.Restart(one, domain, shift.horizon) for domain in (one, two)]
@@ -276,11 +276,11 @@ def test_a_restart_that_crashes_takes_no_other_along(
     meter = Count()
     with monkeypatch.context() as patch:
         patch.setattr(rollouts, "run_tasks", crashing)
-        found, lost = rollouts.restarted(
+        restarted, lost = rollouts.restarted(
             test, test.domains, shift.horizon, conduct=Conduct(meter=meter)
         )
     assert lost == {f"{one.name} on {one.name}": "it broke"}
-    assert set(found) == {(e.name, d.name) for e in (one, two) for d in (one, two)} - {
+    assert set(restarted) == {(e.name, d.name) for e in (one, two) for d in (one, two)} - {
         (one.name, one.name)
     }
     assert (meter.whole, meter.counted) == (2, 2)
@@ -291,14 +291,14 @@ def test_a_restart_that_crashes_takes_no_other_along(
 def test_memory_holds_few_trajectories_and_no_figures(
     folder: Path, shift: Shift, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One domain at a time where there are too many trajectories; figures are the same."""
+    """If there are too many, one domain is read at a time; figures are the same."""
     test = load_paired(folder / "data", SCENE)
-    seen: list[weakref.ref[Motions]] = []
+    refs: list[weakref.ref[Motions]] = []
 
     def watched(model: LearnedModel, motions: Motions, **plan: Any) -> RolloutFigures:
-        alive = {id(found) for ref in seen if (found := ref()) is not None}
+        alive = {id(found) for ref in refs if (found := ref()) is not None}
         assert alive <= {id(motions)}
-        seen.append(weakref.ref(motions))
+        refs.append(weakref.ref(motions))
         return figures_on(model, motions, **plan)
 
     monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path))
@@ -306,14 +306,14 @@ def test_memory_holds_few_trajectories_and_no_figures(
     monkeypatch.setattr(rollouts, "_ROWS", len(test.index))
     entries, plan = trivial_models(), rollouts.RolloutPlan(shift.horizon)
     found = rollouts.evaluate(test.scene, entries, test.domains, plan, conduct=HERE)
-    assert len(seen) == len(found) == len(entries) * len(test.domains)
+    assert len(refs) == len(found) == len(entries) * len(test.domains)
     figures = weakref.ref(next(iter(found.values())))
     assert figures() is None
     alone = {key: found[key].error for key in found}
     monkeypatch.setattr(rollouts, "_ROWS", 512)
     anew = Conduct(0, cache=False)
     together = rollouts.evaluate(test.scene, entries, test.domains, plan, conduct=anew)
-    assert len(seen) == len(found) + len(entries)
+    assert len(refs) == len(found) + len(entries)
     for key, error in alone.items():
         np.testing.assert_allclose(together[key].error, error, rtol=1e-6)
 
@@ -326,7 +326,7 @@ def test_answers_and_tables_are_given_at_the_frame_asked_for(folder: Path, shift
     assert "At t = 10 on native data" in shift.answers[0].answer
     assert "At t = 1 on native data" in early.answers[0].answer
     assert early.gaps == shift.gaps
-    titles = [next(tables(found)).title for found in (shift, early)]
+    titles = [next(tables(result)).title for result in (shift, early)]
     assert titles == [f"Which model survives which change at t = {frame}" for frame in (10, 1)]
     with pytest.raises(InputError, match=r"--at: got 15, allowed is 1, 10$"):
         shift_of(folder, at=15)
@@ -339,15 +339,15 @@ def test_the_command_writes_all_files(folder: Path, capsys: pytest.CaptureFixtur
     words += ["--png", names["png"], "--markdown", names["md"]]
     words += ["--rollouts", str(folder / "rollouts.png")]
     app(words, standalone_mode=False)
-    told = capsys.readouterr().out
-    assert "Is a shift resolvable?" in told
-    found = msgspec.json.decode(Path(names["json"]).read_bytes(), type=Shift)
-    assert found.schema == "mbds-xsim/shift/1"
+    text = capsys.readouterr().out
+    assert "Is a shift resolvable?" in text
+    result = msgspec.json.decode(Path(names["json"]).read_bytes(), type=Shift)
+    assert result.schema == "mbds-xsim/shift/1"
     with Path(names["csv"]).open() as file:
         rows = list(csv.DictReader(file))
     # Trained and trivial models on three domains; engines on two others, restarted on all three.
-    assert len(rows) == len(found.index) * (3 * (len(TRAININGS) * SEEDS + 3) + 4 + 6)
-    cell = next(c for c in found.cells if c.model == "hold" and c.interval == "all")
+    assert len(rows) == len(result.index) * (3 * (len(TRAININGS) * SEEDS + 3) + 4 + 6)
+    cell = next(c for c in result.cells if c.model == "hold" and c.interval == "all")
     same = [
         float(row["squared_error_m2_t10"])
         for row in rows
@@ -368,27 +368,27 @@ def test_the_command_writes_all_files(folder: Path, capsys: pytest.CaptureFixtur
 
 
 def test_models_of_intervals_tell_what_speed_costs(folder: Path, tmp_path: Path) -> None:
-    """And nothing of engines."""
+    """Models of intervals say nothing about changes of engine."""
     for part in ("data", "models"):
         shutil.copytree(folder / part, tmp_path / part)
     for interval in ("low", "medium", "high"):
         train(tmp_path, f"mujoco-{interval}", ("mujoco",), 0, interval=interval)
     parts = find_models(tmp_path / "models", SCENE, Selection.parse(None, "by-interval", None))
     assert [entry.interval for entry in parts] == ["low", "medium", "high"]
-    found = shift_of(tmp_path)
-    assert {gap.training for gap in found.gaps} == {"exudyn-native", "mujoco-native", "all-native"}
-    answer = next(answer for answer in found.answers if answer.kind == "speed")
+    result = shift_of(tmp_path)
+    assert {gap.training for gap in result.gaps} == {"exudyn-native", "mujoco-native", "all-native"}
+    answer = next(answer for answer in result.answers if answer.kind == "speed")
     assert answer.question == "What does a change of speed cost (mujoco-native)?"
-    table = next(t for t in tables(found) if "trained on one interval, tested on all" in t.title)
+    table = next(t for t in tables(result) if "trained on one interval, tested on all" in t.title)
     assert [row.texts[0] for row in table.rows] == [
         f"gns, mujoco-{interval}-native" for interval in ("low", "medium", "high")
     ]
-    # All are the same untrained model: what remains is how hard the intervals are.
+    # All are the same untrained model: only the hardness of the intervals remains.
     assert [row.texts[4:] for row in table.rows] == [("1", "1", "1")] * 3
 
 
 def _check_viewer(page: str) -> None:
-    """What the viewer reads has the lengths that it says, and every rollout starts on the truth."""
+    """Check that the viewer's arrays have the stated lengths, and rollouts start on the truth."""
     text = page.split('<script type="application/json" id="data">')[1].split("</script>")[0]
     viewer = json.loads(text)
     shape = (len(viewer["trajectories"]), viewer["frames"], viewer["points"], 3)
@@ -407,13 +407,13 @@ def _check_viewer(page: str) -> None:
 
 def test_restarted_engines_keep_their_own_motion(shift: Shift) -> None:
     """Going on from its own frame, an engine repeats what it published, to float32."""
-    found = {
+    restarted = {
         (c.training, c.test): c
         for c in shift.cells
         if c.model == "restarted engine" and c.interval == "all"
     }
-    assert len(found) == 2 * 3
-    for (first, test), cell in found.items():
+    assert len(restarted) == 2 * 3
+    for (first, test), cell in restarted.items():
         assert cell.mse[1] is not None
         assert cell.mse[0] is not None
         assert cell.one_step is not None
@@ -428,7 +428,7 @@ def test_restarted_engines_keep_their_own_motion(shift: Shift) -> None:
         if (c.model, c.training, c.test, c.interval)
         == ("engine", "mujoco-native", "exudyn-native", "all")
     )  # fmt: skip
-    gone_on = found["mujoco-native", "exudyn-native"]
+    gone_on = restarted["mujoco-native", "exudyn-native"]
     # The published motions have parted for six frames more.
     assert gone_on.mse[0] is not None
     assert apart.mse[0] is not None
@@ -449,7 +449,7 @@ def test_models_that_are_not_there_are_said_so(shift: Shift) -> None:
 
 
 def test_a_model_is_held_against_the_nearest_other_engine(shift: Shift) -> None:
-    """Where that is no nearer than the noise; what learned for a moment is further than that."""
+    """An engine nearer than the noise has no row; briefly trained models are farther off."""
     assert nearness(shift).rows == ()
     floors = [f for f in shift.floors if f.kind != "noise"]
     rows = nearness(msgspec.structs.replace(shift, floors=tuple(floors))).rows

@@ -1,4 +1,4 @@
-"""Trained models on the axes of the engines: what holds, what breaks first, and who says so."""
+"""Trained models on the axes of the engines: what holds, what breaks first, and who reports it."""
 
 from __future__ import annotations
 
@@ -181,7 +181,7 @@ def test_a_ball_in_the_ground_is_seen() -> None:
 
 
 class _Perfect(GNS):
-    """Knows the reference by heart."""
+    """Model that knows the reference by heart."""
 
     truth: Tensor
     frame = HISTORY
@@ -203,16 +203,16 @@ def test_a_model_that_knows_the_motion_is_stable_from_the_frames_it_is_given(
     model.truth = torch.from_numpy(_motion(scene, batch, truth).position)[None]
     monkeypatch.setattr(simulating, "read_model", lambda *_: (model, {}))
 
-    found = run_cell(simulators_in([folder])[0], scene, batch, 1, truth)
+    cell = run_cell(simulators_in([folder])[0], scene, batch, 1, truth)
 
-    assert found["outcome"] == "stable"
-    assert found["error"] == pytest.approx(0.0, abs=1e-4)
-    assert found["wall_s"] > 0.0
+    assert cell["outcome"] == "stable"
+    assert cell["error"] == pytest.approx(0.0, abs=1e-4)
+    assert cell["wall_s"] > 0.0
 
 
 @pytest.fixture(scope="module")
 def sweep(folder: Path) -> Survey:
-    """A model beside an engine's method."""
+    """Survey of an engine's method and a model."""
     plan = SurveyPlan(
         STUDIES["swing"], ("mujoco",), ("RK4",), ("matched",), values=(0.0, 5.0), counts=(5, 10),
         conduct=HERE, others=simulators_in([folder]),
@@ -265,12 +265,12 @@ def test_what_a_model_of_a_files_settings_predicted_is_kept(tmp_path: Path) -> N
 
 
 def test_pages_tell_how_far_models_hold_and_how_to_run_a_cell_again(sweep: Survey) -> None:
-    (name, told), _ = words.holding(sweep)
+    (name, text), _ = words.stable_ranges(sweep)
     cell = sweep.panels[1].cells[0][0]
 
     assert name == sweep.panels[1].name
-    assert told.startswith("stable nowhere, on course nowhere; at 0 m/s ")
-    assert told.endswith("told by nobody")
+    assert text.startswith("stable nowhere, on course nowhere; at 0 m/s ")
+    assert text.endswith("told by nobody")
     assert f"--engines none --models {cell.source} --value 0" in words.command_of(cell, sweep)
     assert "first six" in to_markdown([present(sweep)])
     assert "first six" in to_html([present(sweep)], "")
@@ -293,9 +293,9 @@ def test_values_that_hold_are_told_as_ranges(sweep: Survey) -> None:
     )
     swept = msgspec.structs.replace(sweep, panels=(msgspec.structs.replace(model, cells=cells),))
 
-    (_, told), _ = words.holding(swept)
+    (_, text), _ = words.stable_ranges(swept)
 
-    assert told == (
+    assert text == (
         "stable at 0 m/s to 2 m/s and at 9 m/s, on course at 1 m/s to 2 m/s and at 9 m/s; "
         "at 5 m/s comes apart from 500 ms on, told by nobody"
     )
@@ -310,9 +310,9 @@ def test_a_model_whose_process_ends_is_told_by_that(sweep: Survey) -> None:
         sweep, panels=(msgspec.structs.replace(model, cells=((crashed,), *model.cells[1:])),)
     )
 
-    (_, told), _ = words.holding(swept)
+    (_, text), _ = words.stable_ranges(swept)
 
-    assert told.endswith("; at 0 m/s crashed, told by the process, by its end")
+    assert text.endswith("; at 0 m/s crashed, told by the process, by its end")
 
 
 def test_no_steps_are_said_to_be_tried_where_models_are_alone(sweep: Survey) -> None:
@@ -355,13 +355,13 @@ def test_without_a_reference_nothing_can_be_given_to_a_model(folder: Path) -> No
 
 
 def test_frames_are_the_models_over_the_studys_time(folder: Path) -> None:
-    (found,) = trained_in([folder])
+    (trained,) = trained_in([folder])
     slow = dataclasses.replace(
-        found, trained_on=msgspec.structs.replace(found.scene, clock=Clock(0.1, 40))
+        trained, trained_on=msgspec.structs.replace(trained.scene, clock=Clock(0.1, 40))
     )
 
     usual = STUDIES["swing"].clock
-    assert LearnedSimulator.of(found, "").clock(usual) == CLOCK
+    assert LearnedSimulator.of(trained, "").clock(usual) == CLOCK
     assert LearnedSimulator.of(slow, "").clock(usual) == Clock(0.1, 10)
 
 
@@ -397,7 +397,7 @@ def test_models_are_found_by_file_folder_and_pattern(folder: Path) -> None:
     path = folder / "2pendulum" / "native" / "gns" / "mujoco-s0.pt"
 
     for place in (path, folder, folder / "*" / "native" / "*" / "mujoco-s?.pt"):
-        assert [found.path for found in trained_in([place])] == [path]
+        assert [trained.path for trained in trained_in([place])] == [path]
 
 
 def test_the_command_runs_models_alone(folder: Path, tmp_path: Path) -> None:

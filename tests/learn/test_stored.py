@@ -93,7 +93,7 @@ def test_no_pickle_runs_code_or_takes_memory(
 
 
 def test_numbers_that_are_not_in_the_file_are_not_read(tmp_path: Path) -> None:
-    """A storage that is said to be larger than its entry: torch would read what lies behind."""
+    """A storage that is said to be larger than its entry: torch would read beyond its end."""
     path = tmp_path / "model.pt"
     whole = model_file(path)
     whole["statistics"]["channels"] = torch.arange(173.0)  # so that its size is found in the pickle
@@ -181,7 +181,7 @@ def test_what_a_sound_file_holds_does_not_hang_on_it(tmp_path: Path) -> None:
     [(name, track) for name in trainable() for track in load_model(name).tracks],
 )
 def test_a_model_of_any_track_is_read_back(name: str, track: str, tmp_path: Path) -> None:
-    """Whatever its recipe is: the decay of GNS's rate is over millions of steps."""
+    """This holds for any recipe: the decay of GNS's rate is over millions of steps."""
     settings, statistics = load_model(name).tracks[track], Statistics.of_nothing()
     graph, path = Graph.of(load_scene("3pendulum")), tmp_path / "model.pt"
     save_model(path, build(name, graph, statistics, track=track), name, settings, statistics)

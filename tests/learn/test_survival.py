@@ -12,9 +12,9 @@ _SEEN = {("gns", frozenset(_PAIR))}
 
 
 def _between(
-    first: str, second: str, value: float, low: float, high: float, *, told: bool
+    first: str, second: str, value: float, low: float, high: float, *, resolved: bool
 ) -> Interaction:
-    return Interaction("gns", first, second, 3, (value,), (low,), (high,), (told,))
+    return Interaction("gns", first, second, 3, (value,), (low,), (high,), (resolved,))
 
 
 @pytest.mark.parametrize(
@@ -26,35 +26,35 @@ def _between(
         ((1.02, 0.3, 7.0, False), True, "cannot be told, below 7"),
         ((1.02, 0.9, 1.3, False), False, "not noticed, below 1.3"),
         ((0.2, 0.1, 0.4, True), True, "survives, below 0.4"),  # a gain is no loss
-        ((1.001, 1.0, 1.002, True), True, "survives, below 1.01"),  # told, and yet next to nothing
+        ((1.001, 1.0, 1.002, True), True, "survives, below 1.01"),  # resolved, and yet tiny
         ((1.001, 1.0, 1.002, True), False, "survives, below 1.01"),
     ],
 )
 def test_a_change_is_survived_if_it_is_noticed_and_costs_little(
     pair: tuple[float, float, float, bool], noticed: bool, words: str
 ) -> None:
-    value, low, high, told = pair
-    found = [_between(*_PAIR, value, low, high, told=told)]
-    table = survivors(found, 0, "at t = 1", _SEEN if noticed else set())
+    value, low, high, resolved = pair
+    interactions = [_between(*_PAIR, value, low, high, resolved=resolved)]
+    table = survivors(interactions, 0, "at t = 1", _SEEN if noticed else set())
     assert [row.texts for row in table.rows] == [("another engine on native data", words)]
 
 
 def test_the_dearest_pair_of_a_change_is_named_by_what_differs() -> None:
-    found = [
-        _between("mujoco-fine", "mujoco-coarse", 3.0, 2.0, 5.0, told=True),
-        _between("mujoco-fine", "mujoco-soft", 8.0, 6.0, 9.0, told=True),
-        _between("mujoco-coarse", "mujoco-soft", 1.0, 0.9, 1.1, told=False),
+    interactions = [
+        _between("mujoco-fine", "mujoco-coarse", 3.0, 2.0, 5.0, resolved=True),
+        _between("mujoco-fine", "mujoco-soft", 8.0, 6.0, 9.0, resolved=True),
+        _between("mujoco-coarse", "mujoco-soft", 1.0, 0.9, 1.1, resolved=False),
     ]
-    table = survivors(found, 0, "at t = 1", set())
+    table = survivors(interactions, 0, "at t = 1", set())
     assert [row.texts for row in table.rows] == [
         ("other settings in mujoco", "8 [6, 9], fine ↔ soft")
     ]
 
 
 def test_a_pair_that_is_not_noticed_does_not_hide_one_that_cannot_be_told() -> None:
-    found = [
-        _between(*_PAIR, 1.0, 0.5, 3.0, told=False),
-        _between("mujoco-native", "pybullet-native", 1.0, 0.99, 1.01, told=False),
+    interactions = [
+        _between(*_PAIR, 1.0, 0.5, 3.0, resolved=False),
+        _between("mujoco-native", "pybullet-native", 1.0, 0.99, 1.01, resolved=False),
     ]
-    table = survivors(found, 0, "at t = 1", _SEEN)
+    table = survivors(interactions, 0, "at t = 1", _SEEN)
     assert table.rows[0].texts[1] == "cannot be told, below 3"

@@ -1,4 +1,4 @@
-"""Trained models beside engines: what is measured, what they are given, and what is refused."""
+"""Trained models next to engines: their measurements, their inputs, and refusals."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def engines(scene: Scene) -> Tradeoff:
-    """Two of an engine's starts, at few steps: what models are put beside."""
+    """Trade-off of an engine at two starts, to which models are added."""
     study, _ = tradeoff_with_rows(
         scene, choice=Choice.parse(engines="pybullet"), starts=2, limit=2.0, conduct=HERE
     )
@@ -69,7 +69,7 @@ def both(engines: Tradeoff, scene: Scene, folder: Path) -> tuple[Tradeoff, list[
 
 
 class _Perfect(GNS):
-    """Knows the motions by heart, whatever their batch."""
+    """Model that knows the motions by heart, whatever their batch."""
 
     truth: Tensor
 
@@ -142,13 +142,13 @@ def test_a_model_that_knows_the_motion_has_no_error(
     monkeypatch.setattr(simulating, "read_model", lambda *_: (model, {}))
     simulator = LearnedSimulator.of(trained, "by heart", together=together, quiet=quiet)
 
-    found = measure(simulator, scene, drawn[[0]], 1, truth)
+    row = measure(simulator, scene, drawn[[0]], 1, truth)
 
-    assert "kind" not in found
-    assert found["error_m"] < 1e-4
-    assert found["error_weighted_m"] < 1e-4
+    assert "kind" not in row
+    assert row["error_m"] < 1e-4
+    assert row["error_weighted_m"] < 1e-4
     # What random forces did is no merit of a model that happens to follow.
-    assert found["energy"] < 0.05
+    assert row["energy"] < 0.05
 
 
 def test_a_model_is_given_the_first_frames_and_no_random_forces(

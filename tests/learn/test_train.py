@@ -69,14 +69,14 @@ def test_an_interrupted_run_goes_on_to_the_same_bits(
     with pytest.raises(KeyboardInterrupt):
         train(halted, *parts, RECIPE, SHORT, checkpoint=path, tell=halt)
     fresh = _model(parts[0])
-    told: list[int] = []
+    steps: list[int] = []
     spent = torch.load(path, weights_only=True)["wall_s"]
 
     def note(training: Training) -> None:
-        told.append(training.curve[-1].step)
+        steps.append(training.curve[-1].step)
 
     resumed = train(fresh, *parts, RECIPE, SHORT, checkpoint=path, tell=note)
-    assert told == [40]
+    assert steps == [40]
     assert resumed.curve == curve
     assert resumed.wall_s > spent > 0
     assert _same(whole.state_dict(), fresh.state_dict())
@@ -86,9 +86,9 @@ def test_a_finished_run_is_not_run_again(parts: tuple[Motions, Motions], scratch
     path = scratch / "run.pt"
     first, again = _model(parts[0]), _model(parts[0])
     train(first, *parts, RECIPE, SHORT, checkpoint=path)
-    told: list[Training] = []
-    train(again, *parts, RECIPE, SHORT, checkpoint=path, tell=told.append)
-    assert told == []
+    reports: list[Training] = []
+    train(again, *parts, RECIPE, SHORT, checkpoint=path, tell=reports.append)
+    assert reports == []
     assert _same(first.state_dict(), again.state_dict())
 
 
@@ -127,19 +127,19 @@ def test_only_networks_that_carry_no_positions_are_mixed(data: Data, name: str) 
 
 @pytest.mark.slow
 def test_compiled_networks_learn_the_same(parts: tuple[Motions, Motions]) -> None:
-    """Loss and slopes, as traced for a GPU, by the backend that runs what was traced on a CPU."""
-    counters = pytest.importorskip("torch._dynamo.utils").counters  # which takes seconds
+    """Loss and gradients agree if networks are traced as for a GPU and run on a CPU."""
+    counters = pytest.importorskip("torch._dynamo.utils").counters  # its import takes seconds
     sample = parts[0].draw(8, torch.Generator().manual_seed(0), 1)
-    found = []
+    results = []
     for compiled in (False, True):
         model = _model(parts[0])
         if compiled:
             recipe.compile_networks(model, backend="aot_eager")
         loss = model.loss(sample, torch.Generator().manual_seed(0))
         torch.autograd.backward(loss)
-        found.append([loss.detach(), *(p.grad for p in model.parameters() if p.grad is not None)])
+        results.append([loss.detach(), *(p.grad for p in model.parameters() if p.grad is not None)])
     assert counters["frames"]["ok"] >= 1
-    for eager, traced in zip(*found, strict=True):
+    for eager, traced in zip(*results, strict=True):
         torch.testing.assert_close(traced, eager)
 
 
@@ -155,9 +155,9 @@ def test_divergence_ends_the_run_with_the_best_parameters(parts: tuple[Motions, 
     model = _model(parts[0])
     before = {key: value.clone() for key, value in model.state_dict().items()}
     wild = recipe.Recipe(rate=1e14, batch=8)
-    found = train(model, *parts, wild, SHORT)
-    assert found.ended == "diverged"
-    assert found.curve[-1].step < SHORT.steps
+    training = train(model, *parts, wild, SHORT)
+    assert training.ended == "diverged"
+    assert training.curve[-1].step < SHORT.steps
     state = model.state_dict()
     assert all(bool(value.isfinite().all()) for value in state.values())
     assert _same(before, state)
@@ -175,10 +175,10 @@ def test_a_step_without_a_gradient_is_skipped_where_the_recipe_says_so(
 
     monkeypatch.setattr(GNS, "loss", broken)
     clipped = msgspec.structs.replace(RECIPE, clip=1.0, skip=True)
-    found = train(_model(parts[0]), *parts, clipped, SHORT)
-    assert (found.ended, found.skipped) == ("steps", 2)
-    assert all(point.loss < 10.0 for point in found.curve)
-    assert found.best.error < found.curve[0].error
+    training = train(_model(parts[0]), *parts, clipped, SHORT)
+    assert (training.ended, training.skipped) == ("steps", 2)
+    assert all(point.loss < 10.0 for point in training.curve)
+    assert training.best.error < training.curve[0].error
     calls.clear()
     clipped = msgspec.structs.replace(RECIPE, clip=1.0)
     assert train(_model(parts[0]), *parts, clipped, SHORT).ended == "diverged"
@@ -199,10 +199,10 @@ def test_it_stops_where_the_last_fifth_improved_too_little(
 ) -> None:
     level = msgspec.structs.replace(SHORT, steps=10_000, every=2, until_level=True, least=5)
     frozen = recipe.Recipe(rate=1e-12, batch=2)
-    found = train(_model(parts[0]), *parts, frozen, level)
-    assert found.ended == "level"
-    assert found.curve[-1].step == level.every * level.least
-    assert abs(found.last_improvement) < level.improvement
+    training = train(_model(parts[0]), *parts, frozen, level)
+    assert training.ended == "level"
+    assert training.curve[-1].step == level.every * level.least
+    assert abs(training.last_improvement) < level.improvement
 
 
 def test_improvement_is_that_of_the_last_fifth(parts: tuple[Motions, Motions]) -> None:
@@ -238,18 +238,18 @@ def test_a_cosine_ends_with_the_run_however_long_it_is(parts: tuple[Motions, Mot
 
 
 def test_a_run_that_ends_when_level_has_no_cosine_to_end(parts: tuple[Motions, Motions]) -> None:
-    """Nor does it end before its rate has fallen far: validation wavers at a high one."""
+    """The run does not end before its rate has fallen far: validation wavers at a high one."""
     still = recipe.Recipe(rate=1e-13, batch=2, schedule=recipe.Cosine())
     level = msgspec.structs.replace(SHORT, steps=10_000, every=2, until_level=True, least=5)
-    found = train(_model(parts[0]), *parts, still, level)
+    training = train(_model(parts[0]), *parts, still, level)
     falls = -round(math.log(recipe.SETTLED, 1 / recipe.WITHOUT_END.factor))
     rates = [
         1e-13 * recipe.WITHOUT_END.factor**k
         for k in range(falls)
         for _ in range(recipe.WITHOUT_END.patience + 1)
     ]
-    assert found.ended == "level"
-    assert [point.rate for point in found.curve] == [rates[0], *rates]
+    assert training.ended == "level"
+    assert [point.rate for point in training.curve] == [rates[0], *rates]
 
 
 @pytest.mark.parametrize("name", recipe.PROFILES)

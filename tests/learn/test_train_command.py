@@ -1,4 +1,4 @@
-"""`mbds-xsim train`: which data each training sees, what it leaves, and how it goes on."""
+"""`mbds-xsim train`: the data of each training, the files it leaves, and how it goes on."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ ENGINES = "mujoco,pybullet"
 
 
 class Deaf:
-    """Is told how far training is."""
+    """Progress sink that discards everything."""
 
     def begin(self, done: int, most_steps: object) -> None:
         pass
@@ -85,47 +85,47 @@ def test_a_cluster_trains_the_same_models(farm: Farm, ask: Ask) -> None:
 def test_a_curve_that_was_left_over_is_not_the_runs(
     ask: Ask, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its model was removed, so that it is trained anew; the bar begins at the beginning."""
+    """The run's model was removed, so that it is trained anew; the bar starts from zero."""
     _carry(ask())
     (run,) = (r for r in planned(ask(out="other")).runs)
     run = dataclasses.replace(run, request=ask())
     run.path.unlink()
-    told = []
-    monkeypatch.setattr(Deaf, "reached", lambda *words, **more: told.append((words, more)))
+    calls = []
+    monkeypatch.setattr(Deaf, "reached", lambda *words, **more: calls.append((words, more)))
     with watched([run], Deaf()):
         pass
-    assert told == []
+    assert calls == []
     run.checkpoint.touch()
     with watched([run], Deaf()):
         pass
-    assert [more for _, more in told] == [{"before": True}]
+    assert [more for _, more in calls] == [{"before": True}]
 
 
 def test_end_to_end(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Through the command, and in processes of its own; the second time nothing is left to do."""
+    """The command trains in processes of its own; the second time nothing is left to do."""
     out = tmp_path / "models"
     words = [str(made), "--models", "gns", "--on", "mujoco,all", "--seeds", "1"]
     words += ["--profile", "smoke", "--steps", "10", "--out", str(out)]
     words += ["--json", str(tmp_path / "told.json")]
     monkeypatch.setitem(PROFILES, "smoke", TINY)
     assert _end([*words, "--png", str(tmp_path / "curves.png")], monkeypatch) == 0
-    told = json.loads((tmp_path / "told.json").read_bytes())
+    summary = json.loads((tmp_path / "told.json").read_bytes())
     names = {f"2pendulum/native/gns/{training}-s0" for training in ("mujoco", "all")}
-    assert set(told["runs"]) == names
+    assert set(summary["runs"]) == names
     assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
     for name in names:
         model, facts = read_model(out / f"{name}.pt")
-        assert facts == told["runs"][name]
+        assert facts == summary["runs"][name]
         assert facts["ended"] == "steps"
         assert all(bool(value.isfinite().all()) for value in model.state_dict().values())
         curve = read_curve(out / f"{name}.curve.json")
         assert [point.step for point in curve.points] == [2, 4, 6, 8, 10]
         assert float(facts["best_error"]) == min(point.error for point in curve.points)
         assert not (out / f"{name}.checkpoint").exists()
-    each = told["runs"]["2pendulum/native/gns/mujoco-s0"]
-    both = told["runs"]["2pendulum/native/gns/all-s0"]
+    each = summary["runs"]["2pendulum/native/gns/mujoco-s0"]
+    both = summary["runs"]["2pendulum/native/gns/all-s0"]
     assert (each["train_engines"], both["train_engines"]) == ("mujoco", "mujoco,pybullet")
     assert (each["variant"], each["seed"]) == ("native", "0")
     for key in ("steps", "train_trajectories", "validation_trajectories", "starts", "drawn"):
@@ -189,18 +189,18 @@ def test_divergence_is_a_result_and_a_failure(
     words = [str(made), "--models", "gns", "--on", "all", "--seeds", "1", "--steps", "12"]
     words += ["--profile", "smoke", "--out", str(ask().out), "--json", str(ask().out / "told.json")]
     assert _end(words, monkeypatch) == 1
-    told = json.loads((ask().out / "told.json").read_bytes())
-    assert told["diverged"] == list(outcome.trained) == list(told["runs"])
+    summary = json.loads((ask().out / "told.json").read_bytes())
+    assert summary["diverged"] == list(outcome.trained) == list(summary["runs"])
     assert "all-s0 diverged: its file has the best" in capsys.readouterr().out
 
 
 def test_what_a_model_cannot_represent_is_left_out(data: Callable[..., Dataset], ask: Ask) -> None:
     (ball,) = groups([data("balldrop").path])
     request = dataclasses.replace(ask("gns", "hgnn", on="each"), groups=[ball])
-    found = planned(request)
-    assert [run.model for run in found.runs] == ["gns"]
-    assert list(found.left_out) == ["balldrop/native/hgnn"]
-    assert "contact" in found.left_out["balldrop/native/hgnn"]
+    plan = planned(request)
+    assert [run.model for run in plan.runs] == ["gns"]
+    assert list(plan.left_out) == ["balldrop/native/hgnn"]
+    assert "contact" in plan.left_out["balldrop/native/hgnn"]
 
 
 def test_nothing_to_train_is_said_with_every_reason(data: Callable[..., Dataset], ask: Ask) -> None:
@@ -218,7 +218,7 @@ def test_damaged_data_are_not_trained_on(made: Path, ask: Ask, tmp_path: Path) -
     request = dataclasses.replace(ask(on="each"), groups=groups([folder]))
     with pytest.raises(InputError, match="dataset position is not what was written"):
         planned(request)
-    planned(dataclasses.replace(request, on="pybullet"))  # reads none of it
+    planned(dataclasses.replace(request, on="pybullet"))  # reads none of these data
 
 
 def test_another_run_in_its_place_is_refused(ask: Ask) -> None:
@@ -244,13 +244,13 @@ def test_a_plan_tells_the_cost_and_trains_nothing(
     monkeypatch.setitem(PROFILES, "smoke", TINY)
     words = [str(made), "--models", "gns", "--profile", "smoke", "--plan", "--json", "-"]
     assert _end([*words, "--out", str(tmp_path / "models")], monkeypatch) == 0
-    told = capsys.readouterr()
-    (cost,) = json.loads(told.out)["cost"]
+    output = capsys.readouterr()
+    (cost,) = json.loads(output.out)["cost"]
     assert (cost["group"], cost["model"]) == ("2pendulum/native", "gns")
     seconds = TINY.steps / cost["steps_per_s"] + 3 * cost["validation_s"]
     assert cost["hours"] == pytest.approx(seconds / 3600)
     assert 1 < cost["steps_per_s"] < 10_000
-    assert "6 runs, at most" in told.err
+    assert "6 runs, at most" in output.err
     assert not (tmp_path / "models").exists()
 
 
@@ -342,11 +342,11 @@ def test_bad_input_is_one_clear_line(
 ) -> None:
     monkeypatch.chdir(places["EMPTY"])
     monkeypatch.setattr(Dataset, "check", lambda *_: pytest.fail("all data were read first"))
-    given = [places.get(word, word) for word in words]
-    assert _end(given, monkeypatch) == 2
-    told = capsys.readouterr().err
-    assert line in told
-    assert len(told.strip().splitlines()) == 1
+    arguments = [places.get(word, word) for word in words]
+    assert _end(arguments, monkeypatch) == 2
+    error = capsys.readouterr().err
+    assert line in error
+    assert len(error.strip().splitlines()) == 1
 
 
 @pytest.fixture(scope="module")

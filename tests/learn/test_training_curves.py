@@ -1,4 +1,4 @@
-"""The look of learning curves."""
+"""Colours and lines of learning curves."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ def test_an_engine_looks_the_same_whichever_others_there_are() -> None:
 def test_trainings_are_told_apart() -> None:
     engines = ("dart", "exudyn", "mujoco", "pybullet")
     ways = [word.format(e) for word in ("{}", "not-{}", "{}-low", "{}-high") for e in engines]
-    found = looks([*ways, "all"])
-    assert len(set(found.values())) == len(ways) + 1
+    styles = looks([*ways, "all"])
+    assert len(set(styles.values())) == len(ways) + 1
 
 
 def test_an_engine_whose_name_begins_as_another_s_has_its_own_colour() -> None:
-    found = looks(["mujoco", "mujoco-warp", "mujoco-warp-low", "mujoco-low"])
-    assert found["mujoco-warp"][0] == found["mujoco-warp-low"][0] != found["mujoco"][0]
-    assert found["mujoco-low"][0] == found["mujoco"][0]
-    assert found["mujoco-warp"][1] == found["mujoco"][1] == "-"
+    styles = looks(["mujoco", "mujoco-warp", "mujoco-warp-low", "mujoco-low"])
+    assert styles["mujoco-warp"][0] == styles["mujoco-warp-low"][0] != styles["mujoco"][0]
+    assert styles["mujoco-low"][0] == styles["mujoco"][0]
+    assert styles["mujoco-warp"][1] == styles["mujoco"][1] == "-"
 
 
 def test_a_curve_that_ends_as_no_training_does_is_refused(tmp_path: Path) -> None:

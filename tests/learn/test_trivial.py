@@ -49,7 +49,7 @@ def test_in_free_fall_constant_velocity_errs_by_the_known_amount(analytic: Analy
     model = build("constant_velocity", motions.graph, Statistics.of(motions))
     error = squared_error(model, motions, steps=10)[0]
     frame = torch.arange(1, 11, dtype=torch.float64)
-    # Behind by the second difference times 1 + 2 + … + n.
+    # The lag is the second difference times 1 + 2 + … + n.
     step = float(motions.position[0, :3, 0, 2].diff(n=2))
     torch.testing.assert_close(error, (step * frame * (frame + 1) / 2) ** 2)
 
@@ -85,7 +85,7 @@ def test_wrong_names_and_lengths_are_told(analytic: Analytic) -> None:
 
 
 class _OneForAll(Hold):
-    """Gives one change where each particle needs its own: sums would spread it."""
+    """Model that gives one change for all particles: sums would spread it."""
 
     def predict(self, history: Tensor, inputs: KnownInputs) -> Tensor:
         return super().predict(history, inputs)[:, :1]

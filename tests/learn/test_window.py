@@ -1,4 +1,4 @@
-"""Windows are what the file has, inputs what a model may be told."""
+"""Windows hold the file's values; inputs are those that a model may know."""
 
 import math
 from collections.abc import Callable
@@ -51,11 +51,11 @@ def test_noise_is_never_an_input(data: Data) -> None:
     calm, windy = data("6pendulum"), data("2ladder")
     assert np.abs(calm["input/force"][0]).max() > 0
     assert Motions.of(calm, "train").inputs.force.abs().max() == 0
-    told = Motions.of(windy, "train").inputs.force[0].numpy()
+    inputs = Motions.of(windy, "train").inputs.force[0].numpy()
     row = int(windy.rows_of("train")[0])
     all_of_it, known = windy["input/force"][row], windy["input/known_force"][row]
-    np.testing.assert_allclose(told, known, rtol=1e-6)
-    assert np.abs(all_of_it - told).max() > 0.01
+    np.testing.assert_allclose(inputs, known, rtol=1e-6)
+    assert np.abs(all_of_it - inputs).max() > 0.01
 
 
 def test_statistics_come_from_the_training_part_only(data: Data) -> None:
@@ -87,7 +87,7 @@ def test_isotropic_statistics_have_one_deviation_and_only_the_mean_along_gravity
 
 
 def test_an_axis_that_does_not_vary_is_no_part_of_the_spread() -> None:
-    """As of a planar motion in a scene in space, whose deviation stands as 1."""
+    """A planar motion in space has such an axis; its deviation is stored as 1."""
     moments = Moments(torch.zeros(3).double(), torch.tensor([0.03, 1.0, 0.04]).double())
     everywhere, across = torch.ones(3).bool(), torch.tensor([False, True, False])
     assert moments.spread(everywhere) == pytest.approx(math.sqrt((0.03**2 + 0.04**2) / 2))

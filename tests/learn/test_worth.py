@@ -1,4 +1,4 @@
-"""How good data must be: harm is found where it was planted, and nowhere else."""
+"""Harm by training data is found where it was planted, and nowhere else."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def _study(
 ) -> Shift:
     """Make up a study of a model whose error on the truth is so many times the least."""
     rng = np.random.default_rng(5)
-    hard = np.exp(rng.standard_normal((COUNT, 1)))  # some starts are harder, whatever taught it
+    hard = np.exp(rng.standard_normal((COUNT, 1)))  # some starts are harder for all models
     domains = tuple(
         Recorded(*_named(name)[1:], Path(name), tuple(range(COUNT)), name) for name in names
     )
@@ -80,11 +80,11 @@ def _study(
         (name, REFERENCE): figures_of(np.full((COUNT, FRAMES), _APART[name])) for name in names
     }
     noise = {"noise": np.full((COUNT, FRAMES), 1e-6)}
-    board = Evaluation(test, (1, FRAMES), figures, oracles, floors=noise)
+    evaluation = Evaluation(test, (1, FRAMES), figures, oracles, floors=noise)
     facts = [DomainFacts(*_named(name), name, _COSTS.get(name)) for name in (*names, REFERENCE)]
-    models = tuple(study._facts(board, run) for run in board.entries)
+    models = tuple(study._facts(evaluation, run) for run in evaluation.entries)
     shift = study._shift(
-        board, RolloutPlan(FRAMES), FRAMES,
+        evaluation, RolloutPlan(FRAMES), FRAMES,
         command="", domains=tuple(facts), left_out={}, models=models, kept=0,
     )  # fmt: skip
     return msgspec.structs.replace(shift, answers=tuple(answer_of_harms(shift)))
@@ -97,12 +97,12 @@ def _named(name: str) -> tuple[str, str, str]:
 
 def test_harm_is_found_where_it_was_planted() -> None:
     shift = _study({"a-coarse": 4.0, "b-coarse": 1.3})
-    found = {harm.first: harm for harm in shift.harms}
-    assert set(found) == set(_COSTS) - {"reference-fine"}
+    harms = {harm.first: harm for harm in shift.harms}
+    assert set(harms) == set(_COSTS) - {"reference-fine"}
     assert {harm.second for harm in shift.harms} == {"reference-fine"}
     assert {harm.seeds for harm in shift.harms} == {_SEEDS}
-    assert found["a-coarse"].value[0] == pytest.approx(4.0, rel=0.2)
-    low, high = found["a-coarse"].low[0], found["a-coarse"].high[0]
+    assert harms["a-coarse"].value[0] == pytest.approx(4.0, rel=0.2)
+    low, high = harms["a-coarse"].low[0], harms["a-coarse"].high[0]
     assert low is not None
     assert high is not None
     assert 3.0 < low < 4.0 < high < 5.0
@@ -122,8 +122,8 @@ def test_where_no_harm_was_planted_none_is_found() -> None:
 def test_as_much_as_another_run_makes_is_no_harm() -> None:
     harms = _study({"a-coarse": 1.05, "b-coarse": 1.2}, spread=1e-3).harms
     assert all(harm.resolved[0] for harm in harms if harm.first.endswith("coarse"))
-    found = verdicts(harms, 0)
-    assert (found["a-coarse"], found["b-coarse"]) == (HARMLESS, HARMFUL)
+    judged = verdicts(harms, 0)
+    assert (judged["a-coarse"], judged["b-coarse"]) == (HARMLESS, HARMFUL)
 
 
 def test_a_gain_is_no_harm_and_what_is_not_known_well_cannot_be_told() -> None:
@@ -136,7 +136,7 @@ def test_a_gain_is_no_harm_and_what_is_not_known_well_cannot_be_told() -> None:
 
 
 def test_the_answer_names_the_cheapest_data_that_harm_no_model() -> None:
-    """Of each engine, and how far from the truth data may be."""
+    """The answer names them for each engine, and how far from the truth data may be."""
     (answer,) = _study({"a-coarse": 4.0, "b-coarse": 2.0}).answers
     assert answer.question == "How good must data be?"
     assert answer.answer == (
@@ -151,7 +151,7 @@ def test_the_answer_names_the_cheapest_data_that_harm_no_model() -> None:
 
 
 def test_without_data_of_the_reference_nothing_is_asked() -> None:
-    """What is best is not known then; what data cost is shown all the same."""
+    """The best model is not known then; the cost of data is shown all the same."""
     names = tuple(name for name in _COSTS if not name.startswith(REFERENCE))
     shift = _study({"a-coarse": 4.0}, names=names)
     assert (shift.harms, shift.answers) == ((), ())

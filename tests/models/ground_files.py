@@ -13,7 +13,7 @@ SHAPES = {
     "box": (0.2, 0.15, 0.1),
     "cylinder": (0.2, 0.1),
 }
-"""Half-sizes."""
+"""Half-sizes of the shapes [m]."""
 PLACE, ANGLES = (0.3, -0.2, 2.0), (0.4, -0.3, 0.7)
 INERTIA = " ".join(f'{key}="{float(key[1] == key[2])}"' for key in
                     ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"))  # fmt: skip
@@ -24,7 +24,7 @@ def words(values: object) -> str:
 
 
 def turn() -> Array:
-    """Give the turn of `ANGLES` about the axes of W in turn, wxyz."""
+    """Return the turn by `ANGLES` about the axes of W, one after another, wxyz."""
     about_x, about_y, about_z = (rotation.from_vector(v) for v in np.diag(ANGLES))
     return rotation.multiply(about_z, rotation.multiply(about_y, about_x))
 
@@ -84,7 +84,7 @@ def plane(surface: str = "", height: float = 0.0) -> str:
 
 
 def sdf(kind: str, size: tuple[float, ...]) -> str:
-    """Give a file of which the model has the last of the turns, and the shape the others."""
+    """Return a file whose model has the last of the turns, and its shape the others."""
     *_, yaw = ANGLES
     place = rotation.rotate(rotation.from_vector(np.array([0, 0, -yaw])), np.array(PLACE))
     shape = solid(kind, size, (*place, *ANGLES[:2], 0.0))
@@ -112,7 +112,7 @@ def prim(
     more: str = "",
     name: str = "s",
 ) -> str:
-    """Give a shape in its body; a box is a cube of edge 2, scaled."""
+    """Return a shape in its body; a box is a cube of edge 2, scaled."""
     dims = f"double radius = {size[0]}\n"
     dims += f'double height = {2 * size[1]}\nuniform token axis = "Z"\n' if len(size) > 1 else ""
     order = ORDER

@@ -134,9 +134,9 @@ def test_an_import_is_a_scene_file_and_a_report(run: CommandLine, here: Path) ->
 
     assert ended.code == 0
     assert "hip:" in ended.out
-    told = json.loads((here / "leg.json").read_text())
-    assert (told["schema"], told["bodies"]) == ("mbds-xsim/import/1", 1)
-    (limits,) = (fate for fate in told["fates"] if "range" in fate["properties"])
+    report = json.loads((here / "leg.json").read_text())
+    assert (report["schema"], report["bodies"]) == ("mbds-xsim/import/1", 1)
+    (limits,) = (fate for fate in report["fates"] if "range" in fate["properties"])
     assert limits["outcome"] == "dropped"
     assert "as the compiler resolves it" in (here / "leg.md").read_text()
     assert "reference pose" not in (here / "leg.md").read_text()
@@ -144,14 +144,14 @@ def test_an_import_is_a_scene_file_and_a_report(run: CommandLine, here: Path) ->
     assert all(word in page for word in ("at its reference pose", PARTS["ball"], "1 body", "hip:"))
     shown = run("show", "leg.xml", "--toml")
     assert shown.out == (here / "leg.toml").read_text()
-    lost = sum(fate["moves"] and fate["outcome"] == "dropped" for fate in told["fates"])
+    lost = sum(fate["moves"] and fate["outcome"] == "dropped" for fate in report["fates"])
     kept = "all that bears on the motion is kept"
     assert (f"{lost} of what bears" if lost else kept) in shown.err
 
 
 @pytest.mark.parametrize("ending", ["xml", "urdf", "sdf", "usda"])
 def test_a_name_that_is_not_utf8_is_refused(ending: str, run: CommandLine, here: Path) -> None:
-    """Readers take no such name, and a scene file could not tell it."""
+    """Readers accept no such name, and a scene file could not contain it."""
     model = here / f"{os.fsdecode(bytes([255]))}.{ending}"
     model.write_text(_MJCF.format(_BODY, ""))
     ended = run("import", str(model), "--out", "scene.toml")

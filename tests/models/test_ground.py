@@ -1,4 +1,4 @@
-"""With `--ground` the collision shapes of a model meet a plane where they would meet it."""
+"""With `--ground`, the spheres of a model meet the ground where its shapes would."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def _free(inside: str, place: str = 'pos="0 0 1"') -> str:
 
 
 def _lowest(kind: str, size: tuple[float, ...], down: Array) -> float:
-    """Give how far a shape reaches along a direction of its own frame: its support function."""
+    """Return how far a shape reaches along a direction of its frame (its support function)."""
     x, y, z = np.abs(down)
     if kind == "box":
         return float(np.dot(size, (x, y, z)))
@@ -86,14 +86,14 @@ def test_spheres_reach_as_low_as_their_shape_but_for_what_the_report_says(
 
     down = rotation.matrix(quaternion / np.linalg.norm(quaternion)).T @ [0, 0, -1]
     short = _bottoms(imported.scene).min() - (4 - _lowest(kind, size, down))
-    said = [fate for fate in imported.fates if "sphere" in fate.reason]
-    (place,) = said[0].places
-    most = 0.0 if said[0].outcome == "kept" else 1.05 * float(place.split()[-2])
+    fates = [fate for fate in imported.fates if "sphere" in fate.reason]
+    (place,) = fates[0].places
+    most = 0.0 if fates[0].outcome == "kept" else 1.05 * float(place.split()[-2])
     assert -1e-12 < short < (0.0 if flat else most) + 1e-12
 
 
 _CASES = {
-    # What a file says: number of spheres and the coefficient that comes of it.
+    # Statements of the file, then the resulting number of spheres and coefficient.
     "the larger coefficient counts": ('friction="0.3"', 'friction="0.7"', "", 1, 0.7),
     "that of the higher priority": ('friction="0.3" priority="1"', 'friction="0.7"', "", 1, 0.3),
     "that of the plane's": ('friction="0.9"', 'friction="0.2" priority="2"', "", 1, 0.2),
@@ -149,10 +149,10 @@ def test_several_coefficients_become_that_of_most_shapes(here: Path) -> None:
     imported = _read(here, _free("".join(feet)), floor=None)
 
     assert imported.scene.ground == Ground(0.8, 0.0)
-    (told,) = (
+    (entry,) = (
         f for f in imported.fates if f.outcome == "approximated" and f.properties == ("friction",)
     )
-    assert told.places == ("foot 0: 0.5",)
+    assert entry.places == ("foot 0: 0.5",)
     assert any("the ground is the plane z = 0" in fate.reason for fate in imported.fates)
 
 
@@ -176,7 +176,7 @@ _QUADRUPED = _free(
 
 
 def _heights(scene: Scene, count: int = 30) -> Array:
-    """Give the lowest point of each drawn start [m]."""
+    """Return the height of the lowest point at each drawn start [m]."""
     mechanism, batch = Mechanism.of(scene), draw_batch(scene, range(count), seed=3)
     states = BodyStates.of(mechanism, batch)
     low = mechanism.sphere_heights(states.position, states.native) - mechanism.sphere_radius
@@ -275,17 +275,17 @@ def test_shapes_of_a_urdf_stand_where_it_says(here: Path) -> None:
 
 
 _UPRIGHT = {"sphere": 0, "capsule": 90, "box": 0, "cylinder": 0}
-"""Turn about y in which each comes to rest [°]."""
+"""Turn about y at which each shape comes to rest [°]."""
 _TILTED = {"sphere": 0, "capsule": 75, "box": 12, "cylinder": 12}
-"""From which it comes down to that."""
+"""Turn about y from which each shape falls into `_UPRIGHT` [°]."""
 _FALL = 0.05
-"""[m]"""
+"""Height of the fall [m]."""
 _STEP = 1e-3
-"""[s]"""
+"""Step of the simulation [s]."""
 
 
 def _down(angle: float) -> Array:
-    """Give the direction of −z in the frame of what is turned about y [°]."""
+    """Return the direction of −z in a frame that is turned about y [°]."""
     return np.array([np.sin(np.radians(angle)), 0.0, -np.cos(np.radians(angle))])
 
 
@@ -310,9 +310,9 @@ def test_dropped_shapes_touch_when_they_should_and_come_to_rest(
     height = motion.position[0, :, :, 2]
     fall = height[0] - _G / 2 * motion.time[:, None] ** 2
     touched = motion.time[np.argmax(np.abs(height - fall) > 5e-4, axis=0)]
-    # The real shapes touch at the first, what stands for them somewhat later.
+    # The real shapes would touch at `first`, the spheres in their place somewhat later.
     first = np.sqrt(2 * _FALL / _G)
     latest = np.sqrt(2 * (_FALL + 0.005) / _G) + 2 * scene.clock.frame
     assert ((first - 1e-3 < touched) & (touched < latest)).all()
     rest = [_lowest(kind, _SHAPES[kind], _down(_UPRIGHT[kind])) for kind, _ in drops]
-    np.testing.assert_allclose(height[-1], rest, atol=_G * first * _STEP)  # deeper no step takes it
+    np.testing.assert_allclose(height[-1], rest, atol=_G * first * _STEP)  # no step takes it deeper

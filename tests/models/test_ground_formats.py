@@ -30,31 +30,31 @@ def _read(here: Path, suffix: str, text: str) -> Imported:
 
 
 def _centers(scene: Scene) -> Array:
-    """Give middles and radii, in an order of their own."""
-    found = np.array([[*sphere.center, sphere.radius] for sphere in scene.contacts])
-    return np.asarray(found[np.lexsort(found.round(6).T)])
+    """Return the centres and radii of the spheres, sorted."""
+    spheres = np.array([[*sphere.center, sphere.radius] for sphere in scene.contacts])
+    return np.asarray(spheres[np.lexsort(spheres.round(6).T)])
 
 
 @pytest.mark.parametrize("kind", files.SHAPES)
 def test_a_shape_has_the_same_spheres_in_every_format(kind: str, here: Path) -> None:
-    found = {
+    by_format = {
         suffix: _read(here, suffix, write(kind, files.SHAPES[kind]))
         for suffix, write in files.FORMATS.items()
     }
 
-    first = _centers(found["xml"].scene)
-    for imported in found.values():
+    first = _centers(by_format["xml"].scene)
+    for imported in by_format.values():
         np.testing.assert_allclose(_centers(imported.scene), first, atol=1e-7)
         assert imported.scene.ground == Ground(1.0, 0.0)
-        (told,) = (fate for fate in imported.fates if "sphere" in fate.reason)
-        assert told.outcome == ("kept" if kind in ("sphere", "capsule") else "approximated")
+        (entry,) = (fate for fate in imported.fates if "sphere" in fate.reason)
+        assert entry.outcome == ("kept" if kind in ("sphere", "capsule") else "approximated")
 
 
 _FALL, _HEIGHT = 0.05, -0.3  # m
 
 
 def _drops() -> dict[str, str]:
-    """Give a file in each format of shapes that stand upright above a floor."""
+    """Return a file in each format with shapes that stand upright above a floor."""
     models, prims = [files.plane(height=_HEIGHT)], [files.HEAD, files.floor(height=_HEIGHT)]
     for kind, size in files.SHAPES.items():
         lowest = sum(size) if kind == "capsule" else size[-1]
@@ -102,7 +102,7 @@ def _bounce(restitution: float, threshold: str = "<threshold>0.1</threshold>") -
 
 
 _SDF_PAIRS = {
-    # Of the shape, of the plane (None: there is none), and what comes of it.
+    # Surfaces of the shape and of the plane (None: no plane), and the result.
     "nothing stated": ("", "", Ground(1.0, 0.0)),
     "the smaller friction": (_friction(0.7), _friction(0.3), Ground(0.3, 0.0)),
     "its own without a plane": (_friction(1.7) + _bounce(0.4), None, Ground(1.7, 0.4)),
@@ -160,9 +160,9 @@ def test_a_plane_that_moves_or_is_tilted_is_no_ground(here: Path) -> None:
     body = files.link(files.solid("sphere", (0.1,)) + plane, height=1.0)
     imported = _read(here, "sdf", files.world(tilted, body))
 
-    told = {fate.reason: fate.places for fate in imported.fates if fate.outcome != "kept"}
-    assert any("no horizontal plane is fixed in the world" in reason for reason in told)
-    assert told["no contact spheres stand for shapes of the kind plane"] == ("p of b",)
+    losses = {fate.reason: fate.places for fate in imported.fates if fate.outcome != "kept"}
+    assert any("no horizontal plane is fixed in the world" in reason for reason in losses)
+    assert losses["no contact spheres stand for shapes of the kind plane"] == ("p of b",)
     assert imported.scene.bodies[0].position[2] == 1.0
 
 
@@ -190,7 +190,7 @@ _FILTERED = ', "PhysicsFilteredPairsAPI"'
 _AS_USUAL = Ground(1.0, 0.0)
 _NOT_MET = "collision group does not meet"
 _USD_PAIRS = {
-    # Beside both; of the shape, of the floor; of the body; and what comes of it.
+    # Text outside, in the shape, in the floor and in the body, and the result.
     "nothing stated": ("", "", "", "", _AS_USUAL),
     "their mean": (
         _RUBBER + _material("ice", 0.1),
@@ -244,7 +244,7 @@ def test_a_shape_of_usd_meets_the_plane_as_its_schema_says(case: str, here: Path
 
 
 def test_centimetres_y_up_and_axes_of_usd(here: Path) -> None:
-    """A capsule along x, of a body 2 m above a floor at 0.5 m, on a stage that is y up."""
+    """The capsule lies along x, in a body 2 m above a floor at 0.5 m, on a y-up stage."""
     head = files.HEAD.replace("metersPerUnit = 1", "metersPerUnit = 0.01").replace('"Z"', '"Y"')
     capsule = files.prim("capsule", (10, 30)).replace('"Z"', '"X"')
     body = files.xform(capsule).replace("(0, 0, 0.0)", "(0, 250, 0)", 1)
@@ -258,7 +258,7 @@ def test_centimetres_y_up_and_axes_of_usd(here: Path) -> None:
 
 
 def test_all_places_count_from_the_floor(here: Path) -> None:
-    """A model with loops and springs half a metre higher, and the same one with its floor lower."""
+    """Raising a model by half a metre equals lowering its floor, with loops and springs too."""
     text = (
         '<mujoco><worldbody><geom type="plane" size="1 1 1" pos="0 0 {0}"/>'
         '<body pos="0 0 {1}"><joint axis="0 1 0"/><geom size=".1"/><site name="p" pos=".2 0 0"/>'

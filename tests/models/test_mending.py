@@ -1,4 +1,4 @@
-"""What older programs and lax readers let pass is read as they did, and said."""
+"""Models that older programs and lax readers accept are read as they do, with a report."""
 
 from __future__ import annotations
 
@@ -80,11 +80,11 @@ def test_a_lax_urdf_is_the_plain_one(name: str, here: Path) -> None:
 
 @pytest.mark.parametrize("name", _OLD)
 def test_an_old_mjcf_is_the_plain_one(name: str, here: Path) -> None:
-    plain, old, told = _OLD[name]
+    plain, old, expected = _OLD[name]
 
     fate = _mend(here, "arm.xml", _MJCF, _MJCF.replace(plain, old))
 
-    assert (fate.outcome, fate.moves) == told
+    assert (fate.outcome, fate.moves) == expected
     assert fate.count == _MJCF.count(plain)
 
 
@@ -118,13 +118,13 @@ def test_what_no_mend_makes_plain_is_refused_as_it_was(here: Path) -> None:
 
 
 def _mend(here: Path, name: str, plain: str, lax: str) -> Fate:
-    """Read both, which must be the same scene, and give what is told of the second alone."""
+    """Assert that both texts are the same scene, and return the fate that only `lax` has."""
     assert lax != plain
     sound, mended = _read(here, name, plain), _read(here, name, lax)
     assert mended.scene == sound.scene
     known = {fate.reason for fate in sound.fates}
-    (told,) = (fate for fate in mended.fates if fate.reason not in known)
-    return told
+    (own,) = (fate for fate in mended.fates if fate.reason not in known)
+    return own
 
 
 def _read(here: Path, name: str, text: str) -> Imported:

@@ -1,4 +1,4 @@
-"""The survey of published models goes on where it was, and explains every failed verdict."""
+"""The survey of published models resumes where it was, and explains every failed verdict."""
 
 from __future__ import annotations
 
@@ -66,8 +66,8 @@ def test_every_model_has_a_section_of_its_own_that_the_table_links_to(tmp_path: 
     write_wheels(rows, causes, tmp_path)
 
     links = [re.search(r"\]\((\w+\.md)#(\S+)\)$", linked(row)) for row in rows]
-    found = [(link[1], link[2]) for link in links if link]
-    assert found == [("arms.md", "a_1rurdf"), ("arms.md", "brurdf"), ("legs.md", "brurdf")]
+    targets = [(link[1], link[2]) for link in links if link]
+    assert targets == [("arms.md", "a_1rurdf"), ("arms.md", "brurdf"), ("legs.md", "brurdf")]
     arms, legs = ((tmp_path / name).read_text() for name in ("arms.md", "legs.md"))
     assert arms.count("\n## ") == 2
     for line in (
@@ -95,19 +95,19 @@ def test_no_two_models_of_a_wheel_share_a_link() -> None:
 
 @pytest.mark.slow
 def test_survey_of_a_folder_goes_on_where_it_was(tmp_path: Path) -> None:
-    packages, found = tmp_path / "packages", tmp_path / "found.json"
+    packages, output = tmp_path / "packages", tmp_path / "found.json"
     (packages / "arms").mkdir(parents=True)
     (packages / "arms" / "pendulum.xml").write_text(PENDULUM)
     (packages / "arms" / "broken.xml").write_text(PENDULUM.replace("hinge", "hedge"))
-    first = survey(packages, found, "--validate", 1)
-    broken, pendulum = msgspec.json.decode(found.read_bytes(), type=list[SurveyRow])
+    first = survey(packages, output, "--validate", 1)
+    broken, pendulum = msgspec.json.decode(output.read_bytes(), type=list[SurveyRow])
     assert "hedge" in broken.refused
     assert pendulum.verdicts == dict.fromkeys(("mujoco", "pybullet", "dart", "exudyn"), "pass")
     assert pendulum.readers["mujoco"] == "alike"
     assert "validated 1/1 arms/pendulum.xml" in first.stderr
 
-    again = survey(packages, found, "--validate", 1)
+    again = survey(packages, output, "--validate", 1)
     assert not again.stderr
     (tmp_path / "causes.toml").write_text("causes = []\n")
-    assert "1 of 2 files are imported" in survey(found).stdout
+    assert "1 of 2 files are imported" in survey(output).stdout
     assert "- passes in: mujoco, pybullet, dart, exudyn\n" in (tmp_path / "arms.md").read_text()

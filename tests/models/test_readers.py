@@ -1,4 +1,4 @@
-"""What engines' own readers lose is found, and nothing where they lose nothing."""
+"""Losses of engines' own readers are found, and none where they lose nothing."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_what_is_read_otherwise_moves_as_its_own_equation_says() -> None:
     readings = compare(FOLDER / "inertia-from-shape.urdf", ["pybullet", "dart"])
     pybullet, dart = readings.readings
     (inertia,) = pybullet.differences
-    said, read = (2 * 0.5**2 + float(text.split()[0]) for text in (inertia.stated, inertia.read))
+    stated, read = (2 * 0.5**2 + float(text.split()[0]) for text in (inertia.stated, inertia.read))
 
     scene = read_model(FOLDER / "inertia-from-shape.urdf").scene
     start = draw_batch(scene, [1, 4, 7])
@@ -69,7 +69,7 @@ def test_what_is_read_otherwise_moves_as_its_own_equation_says() -> None:
     links = to_links(mechanism, BodyStates.of(mechanism, start))
     squares = []
     for angle, rate in zip(links.coordinate[:, 0], links.rate[:, 0], strict=True):
-        first, second = (_swung(angle, rate, moment) for moment in (said, read))
+        first, second = (_swung(angle, rate, moment) for moment in (stated, read))
         squares.append((2 * 0.5 * np.sin((first - second) / 2)) ** 2)  # a chord at 0.5 m
     assert dart.moved_m == 0
     assert pybullet.moved_m == pytest.approx(np.sqrt(np.mean(squares)), rel=1e-3)

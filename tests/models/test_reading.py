@@ -1,4 +1,4 @@
-"""Models of other formats are read as their formats say, and what is lost is named."""
+"""Models of other formats are read as their formats say, and losses are named."""
 
 from __future__ import annotations
 
@@ -103,9 +103,9 @@ def test_moments_that_no_body_has_are_raised_least(here: Path) -> None:
     # Second moments along x, y, z: 1.5, 1.5, −0.5. The last becomes 0.
     moments = np.linalg.eigvalsh(Mechanism.of(imported.scene).inertia[0])
     np.testing.assert_allclose(moments, [1.5, 1.5, 3], rtol=1e-8)
-    told = _fates(imported, "approximated")["inertial"]
-    assert "A + B < C" in told.reason
-    np.testing.assert_allclose(float(told.places[0].split()[2]), (0.5 / 11) ** 0.5, rtol=0.02)
+    fate = _fates(imported, "approximated")["inertial"]
+    assert "A + B < C" in fate.reason
+    np.testing.assert_allclose(float(fate.places[0].split()[2]), (0.5 / 11) ** 0.5, rtol=0.02)
 
 
 def test_what_the_scene_has_no_place_for_is_dropped_by_name_with_its_value(here: Path) -> None:
@@ -140,8 +140,8 @@ def test_what_says_who_collides_with_whom_is_told_by_name(here: Path) -> None:
     inside = body.format("a") + body.format("b")
     fates = _read(here, f"<mujoco><worldbody>{inside}</worldbody>{pairs}</mujoco>").fates
 
-    told = {fate.element: fate.moves for fate in fates if fate.outcome == "dropped"}
-    assert told == {"exclude": False, "pair": True, "geom": True}
+    dropped = {fate.element: fate.moves for fate in fates if fate.outcome == "dropped"}
+    assert dropped == {"exclude": False, "pair": True, "geom": True}
 
 
 def test_what_a_format_does_not_know_is_dropped_by_name(here: Path) -> None:
@@ -203,7 +203,7 @@ def test_places_axes_and_inertia_are_those_of_the_compiled_model(
         np.testing.assert_allclose(joint.anchor, data.xanchor[j], atol=1e-9)
         if joint.axis is not None:
             np.testing.assert_allclose(joint.axis, data.xaxis[j], atol=1e-9)
-    # A rigid part with what is fixed to it: what MuJoCo makes of these bodies one by one.
+    # A body includes all that is fixed to it, which MuJoCo keeps as bodies of their own.
     for k, body in enumerate(scene.bodies):
         own = [b for b in range(1, model.nbody) if model.body_weldid[b] == model.body(body.name).id]
         com, tensor = _together(model, data, own)

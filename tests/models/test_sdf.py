@@ -1,4 +1,4 @@
-"""SDF is read with the poses, masses and axes that its specification rules."""
+"""SDF is read with poses, masses and axes as its specification defines them."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ def test_a_link_has_the_inertia_that_is_stated_in_its_poses(here: Path) -> None:
 
 
 def test_an_axis_may_be_in_the_frame_of_the_model(here: Path) -> None:
-    told = "<use_parent_model_frame>1</use_parent_model_frame>"
-    scene = _read(here, _ARM.format("", "prismatic", told)).scene
+    frame = "<use_parent_model_frame>1</use_parent_model_frame>"
+    scene = _read(here, _ARM.format("", "prismatic", frame)).scene
 
     assert scene.joints[0].kind == "slider"
     np.testing.assert_allclose(scene.joints[0].axis or (), [1, 0, 0], atol=1e-12)
@@ -65,14 +65,14 @@ def test_what_is_lost_is_named(here: Path) -> None:
 
     lost = {fate.element: fate for fate in imported.fates if fate.outcome == "dropped"}
     assert {"collision", "spring"} <= lost.keys()
-    told = {fate.element: fate.places for fate in imported.fates}
-    assert told["damping"] == ("pivot: 0.4",)
-    assert told["lower"] == ("pivot: -1 to 2",)
+    places = {fate.element: fate.places for fate in imported.fates}
+    assert places["damping"] == ("pivot: 0.4",)
+    assert places["lower"] == ("pivot: -1 to 2",)
     assert imported.facts.joints[0].limits == (-1, 2)
 
 
 def test_a_mass_is_that_of_the_file_however_small(here: Path) -> None:
-    """Which DART's parser raises to 1e-9 kg."""
+    """DART's parser would raise such a mass to 1e-9 kg."""
     light = _ARM.format("", "revolute", "").replace("<mass>2", "<mass>1e-12")
     base = "<static>1</static>" + _ARM.format("", "fixed", "").replace("<mass>2", "<mass>0")
     models = f'<model name="a">{light}</model><model name="b">{base}</model>'
@@ -90,13 +90,13 @@ def test_limits_that_are_upside_down_are_dropped(kind: str, here: Path) -> None:
     imported = _read(here, _ARM.format("", kind, limit))
 
     assert imported.scene.joints[0].limits is None
-    (told,) = (fate for fate in imported.fates if fate.element == "lower")
-    assert (told.outcome, told.reason) == ("dropped", "the lower one is not below the upper one")
-    assert told.places == ("pivot: 1 to -1",)
+    (entry,) = (fate for fate in imported.fates if fate.element == "lower")
+    assert (entry.outcome, entry.reason) == ("dropped", "the lower one is not below the upper one")
+    assert entry.places == ("pivot: 1 to -1",)
 
 
 def test_gravity_is_that_of_the_world(here: Path) -> None:
-    """Which DART's parser passes over; links without it are told."""
+    """DART's parser ignores it; links without gravity are reported."""
     model = (
         '<model name="robot">' + _ARM.format("<gravity>0</gravity>", "revolute", "") + "</model>"
     )
@@ -106,8 +106,8 @@ def test_gravity_is_that_of_the_world(here: Path) -> None:
     imported = read_model(here / "model.sdf")
 
     assert imported.scene.gravity == (1.0, 2.0, -3.0)
-    told = {(fate.element, fate.outcome) for fate in imported.fates}
-    assert {("gravity", "kept"), ("link/gravity", "dropped")} <= told
+    outcomes = {(fate.element, fate.outcome) for fate in imported.fates}
+    assert {("gravity", "kept"), ("link/gravity", "dropped")} <= outcomes
 
 
 def test_a_continuous_joint_is_a_hinge_without_limits(here: Path) -> None:
@@ -119,7 +119,7 @@ def test_a_continuous_joint_is_a_hinge_without_limits(here: Path) -> None:
 
 
 def test_a_joint_that_closes_a_loop_is_told(here: Path) -> None:
-    """DART takes the first joint of a link."""
+    """The reader keeps the first joint of a link, as DART does."""
     again = '<joint name="second" type="ball"><parent>world</parent><child>arm</child></joint>'
     imported = _read(here, _ARM.format("", "revolute", "") + again)
 

@@ -1,4 +1,4 @@
-"""USD Physics is read with the masses, frames and units that its schema rules."""
+"""USD Physics is read with masses, frames and units as its schema defines them."""
 
 from __future__ import annotations
 
@@ -92,8 +92,8 @@ def test_limits_that_are_upside_down_are_dropped(here: Path) -> None:
     imported = _read(here, _body("rod", "(1, 2, 3)"), joint)
 
     assert imported.scene.joints[0].limits is None
-    (told,) = (fate for fate in imported.fates if fate.properties == ("physics:lowerLimit",))
-    assert (told.outcome, told.places) == ("dropped", ("rail: 1 to -1",))
+    (entry,) = (fate for fate in imported.fates if fate.properties == ("physics:lowerLimit",))
+    assert (entry.outcome, entry.places) == ("dropped", ("rail: 1 to -1",))
 
 
 def test_centimetres_grams_and_y_up_become_si_and_z_up(here: Path) -> None:
@@ -202,7 +202,7 @@ def _driven(kind: str, token: str, inside: str) -> str:
 
 
 def test_a_drive_is_a_servo_to_its_target_with_its_limit(here: Path) -> None:
-    """In degrees, and in units of the stage: of 0.1 m and 2 kg torques are of 0.02 N·m."""
+    """Drives use degrees and the stage's units: 0.1 m and 2 kg make torques of 0.02 N·m."""
     law = {"stiffness": 3, "damping": 0.5, "targetPosition": 90, "targetVelocity": 18}
     inside = "".join(
         f"    float drive:angular:physics:{key} = {value}\n"
@@ -219,8 +219,8 @@ def test_a_drive_is_a_servo_to_its_target_with_its_limit(here: Path) -> None:
     assert servo.position == pytest.approx((np.pi / 2,), abs=1e-6)
     assert servo.velocity == pytest.approx((np.pi / 10,), abs=1e-6)
     assert servo.limit == pytest.approx(0.8)
-    kept = [fate for fate in imported.fates if fate.element == "drive"]
-    assert [(fate.outcome, fate.reason) for fate in kept] == [
+    fates = [fate for fate in imported.fates if fate.element == "drive"]
+    assert [(fate.outcome, fate.reason) for fate in fates] == [
         ("kept", "a servo to the target of the file")
     ]
 
@@ -251,6 +251,14 @@ _BAD = {
     "apart": (
         _body("rod", "(1, 2, 3)") + _joint("Revolute", "hip", ("", "rod")),
         "'hip' is 3.74 m apart",
+    ),
+    "twisted": (
+        _body("rod", "(0, 0, 0)", "(0.8, 0.6, 0, 0)") + _joint("Fixed", "weld", ("", "rod")),
+        "'weld' is 0 m apart where the bodies stand, and its axes differ by 1.7",
+    ),
+    "reversed": (
+        _body("rod", "(0, 0, 0)", "(0, 0, 1, 0)") + _joint("Revolute", "hip", ("", "rod")),
+        "and its axes differ by 2",
     ),
     "mesh": (_body("rod", "(0, 0, 0)", inside=_MESH), "state its mass and diagonalInertia"),
     "reference": ('def "a" (references = @gone.usda@)\n{\n}\n', "'gone.usda', which is not there"),

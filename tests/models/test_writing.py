@@ -156,14 +156,14 @@ def test_what_a_format_has_no_place_for_is_named_or_refused(run: CommandLine, he
 
 def test_losses_of_an_export_are_those_of_the_scene() -> None:
     parallelogram = next(case.scene for case in CASES if case.name == "parallelogram")
-    told = {fate.element for fate in write_model(parallelogram, "urdf").fates}
-    assert "joints" in told
+    elements = {fate.element for fate in write_model(parallelogram, "urdf").fates}
+    assert "joints" in elements
     led = next(case.scene for case in CASES if case.name == "servo")
     assert {f.element for f in write_model(led, "urdf").fates} >= {"servos"}
     assert "servos" in {f.element for f in write_model(led, "mjcf").fates}
     assert {f.element for f in write_model(load_scene("balldrop"), "urdf").fates} >= {"contacts"}
-    told = {fate.element for fate in write_model(balls(TWO["head on"]), "sdf").fates}
-    assert told >= {"contacts", "collisions"}
+    elements = {fate.element for fate in write_model(balls(TWO["head on"]), "sdf").fates}
+    assert elements >= {"contacts", "collisions"}
 
 
 @pytest.mark.parametrize("kind", FORMATS)
@@ -186,9 +186,9 @@ def test_every_scene_comes_back_or_the_report_says_what_does_not(
     np.testing.assert_allclose(back.com[order], ours.com, atol=near)
     np.testing.assert_allclose(back.inertia[order], ours.inertia, atol=near)
     lost = {fate.element: fate for fate in write_model(scene, kind).fates if _is_lost(fate)}
-    opened = lost["joints"].count if "joints" in lost else 0
-    assert len(back.joints) == len(ours.joints) - opened
-    assert degrees_of_freedom(back) == degrees_of_freedom(ours) + 3 * opened  # ball joints
+    missing = lost["joints"].count if "joints" in lost else 0
+    assert len(back.joints) == len(ours.joints) - missing
+    assert degrees_of_freedom(back) == degrees_of_freedom(ours) + 3 * missing  # ball joints
 
 
 def _is_lost(fate: Fate) -> bool:
@@ -212,7 +212,7 @@ def test_what_is_fixed_to_a_body_is_one_with_it(kind: str, here: Path) -> None:
 
 
 def test_losses_of_mjcf_are_named_or_refused() -> None:
-    """Of rebounds, and of what acts on joints that close loops."""
+    """MJCF lacks rebounds, and springs and servos of joints that close loops."""
     bodies = tuple(Body(n, inertia=Inertia(1.0, (1.0, 1.0, 1.0))) for n in ("a", "b"))
     ends = ((WORLD, "a"), ("a", "b"), ("b", WORLD))
     joints = tuple(
@@ -220,8 +220,8 @@ def test_losses_of_mjcf_are_named_or_refused() -> None:
         for k, (parent, child) in enumerate(ends)
     )
     scene = Scene("loop", bodies, 1.0, joints=joints, servos=(Servo("h2", stiffness=4.0),))
-    told = {(f.element, f.properties) for f in write_model(scene, "mjcf").fates}
-    assert {("joints", ("stiffness", "damping")), ("servos", ())} <= told
+    losses = {(f.element, f.properties) for f in write_model(scene, "mjcf").fates}
+    assert {("joints", ("stiffness", "damping")), ("servos", ())} <= losses
     assert 'joint="h2"' not in write_model(scene, "mjcf").text
 
     limits = msgspec.structs.replace(joints[0], limits=(-1.0, 1.0), restitution=0.5)

@@ -1,4 +1,4 @@
-"""What is written as USD is the same mechanism, in the single precision of its schema."""
+"""A scene written as USD is the same mechanism, in the single precision of the schema."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ pytestmark = pytest.mark.usefixtures("in_process")
 def test_any_mechanism_comes_back_from_usd(
     tmp_path: Path, kinds: list[Kind], seed: int, links: int
 ) -> None:
-    """To single precision; springs and dampers of joints as servos that exert the same."""
+    """Trees come back to single precision, springs and dampers as servos that exert the same."""
     scene = random_tree(np.random.default_rng(seed), kinds, links=links)
     scene = msgspec.structs.replace(scene, gravity=(1.0, 2.0, -3.0))
     limited = with_law(scene, {"limits": (-1.5, 2.0)})
@@ -63,7 +63,7 @@ def test_any_mechanism_comes_back_from_usd(
 
 
 def test_a_flat_body_is_one_in_single_precision(here: Path) -> None:
-    """Its largest moment is the sum of the others, which rounding must not make it exceed."""
+    """A plate's largest moment is the sum of the others, and rounding must not raise it."""
     rng = np.random.default_rng(8)
     bodies = tuple(
         Body(f"plate{k}", inertia=Inertia(1.0, (a, b, a + b)))
@@ -89,8 +89,8 @@ def test_the_drive_of_usd_exerts_what_spring_and_servos_do(here: Path) -> None:
     assert (servo.stiffness, servo.damping) == pytest.approx((11.0, 1.0), rel=SINGLE)
     assert servo.position == pytest.approx([(2 * 0.1 + 9 * 0.4) / 11], rel=SINGLE)
     assert servo.velocity == pytest.approx([0.7 * 0.2 / 1.0], rel=SINGLE)
-    told = {fate.properties for fate in write_model(scene, "usda").fates}
-    assert {("series",), ("stiffness", "damping", "rest")} <= told
+    properties = {fate.properties for fate in write_model(scene, "usda").fates}
+    assert {("series",), ("stiffness", "damping", "rest")} <= properties
 
 
 def test_a_servo_with_a_limit_has_the_drive_of_usd_alone(here: Path) -> None:
@@ -122,7 +122,7 @@ def test_a_joint_that_closes_no_loop_keeps_its_limits(here: Path) -> None:
 
 
 def test_the_schema_has_nothing_against_the_stage(here: Path) -> None:
-    """All validators that come with OpenUSD, those of physics and of types among them."""
+    """All validators of OpenUSD pass the stage, those of physics and types among them."""
     from pxr import Usd, UsdValidation
 
     registry = UsdValidation.ValidationRegistry()

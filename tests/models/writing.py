@@ -21,7 +21,7 @@ from tests.random_scenes import Kind
 SUFFIX = {"mjcf": ".xml", "urdf": ".urdf", "sdf": ".sdf", "usda": ".usda"}
 FORMATS = sorted(SUFFIX)
 KINDS: list[Kind] = ["hinge", "slider", "ball", "free"]
-SINGLE = 2e-6  # of numbers up to 10 in single precision, some of them differences
+SINGLE = 2e-6  # tolerance of numbers up to 10 in single precision, some of them differences
 
 
 def again(scene: Scene, kind: str, here: Path) -> Scene:
@@ -32,12 +32,12 @@ def again(scene: Scene, kind: str, here: Path) -> Scene:
 
 
 def _named_as_before(scene: Scene, fates: tuple[Fate, ...]) -> Scene:
-    """Give things the names that the report says they had."""
-    told = [(fate.element, *place.split(" is ")) for fate in fates for place in fate.places
-            if fate.properties == ("name",)]  # fmt: skip
-    if not told:
+    """Restore the names that the report says things had."""
+    renames = [(fate.element, *place.split(" is ")) for fate in fates for place in fate.places
+               if fate.properties == ("name",)]  # fmt: skip
+    if not renames:
         return scene
-    had = {(table, name): before for table, before, name in told}
+    had = {(table, name): before for table, before, name in renames}
 
     def body(name: str) -> str:
         return had.get(("bodies", name), name)
@@ -65,10 +65,10 @@ def same(first: Scene, second: Scene, near: float = 1e-11) -> None:
     np.testing.assert_allclose(theirs.mass[order], ours.mass, rtol=near)
     np.testing.assert_allclose(theirs.com[order], ours.com, atol=near)
     np.testing.assert_allclose(theirs.inertia[order], ours.inertia, atol=near)
-    held = {link.joint.name: link.joint for link in theirs.links if link.joint is not None}
+    tree = {link.joint.name: link.joint for link in theirs.links if link.joint is not None}
     loops = {joint.name: joint for joint in theirs.loops}
     for joint in [link.joint for link in ours.links if link.joint is not None] + [*ours.loops]:
-        again = (held | loops)[joint.name]
+        again = (tree | loops)[joint.name]
         ends = {again.child: again.in_child, again.parent: again.in_parent}
         for body, place in ((joint.child, joint.in_child), (joint.parent, joint.in_parent)):
             own = order[body] if body >= 0 else body
@@ -81,7 +81,7 @@ def same(first: Scene, second: Scene, near: float = 1e-11) -> None:
         laws = [[getattr(j, key) for key in keys] for j in (joint, again)]
         assert laws[0] == pytest.approx(laws[1], abs=near)
         assert joint.name in loops or turn * again.axis @ joint.axis >= 0
-    assert len(held) + len(loops) == len(ours.joints)
+    assert len(tree) + len(loops) == len(ours.joints)
     mine, others = (sorted(scene.servos, key=lambda s: s.joint) for scene in (first, second))
     for servo, other in zip(mine, others, strict=True):
         assert other.joint == servo.joint
@@ -99,7 +99,7 @@ def coupled(scene: Scene) -> Scene:
 
 
 def closes(scene: Scene) -> bool:
-    """Whether a link can be closed with what a coupling leaves free."""
+    """Return whether links can be closed with the freedom that a coupling leaves."""
     try:
         assemble(Mechanism.of(scene))
     except SceneError:

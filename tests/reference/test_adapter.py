@@ -1,4 +1,4 @@
-"""The reference as a simulator like others: its tolerance is kept, and it is no judge of itself."""
+"""The reference as a simulator like others: it keeps its tolerance and does not judge itself."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def validation() -> Validation:
 
 
 def test_the_error_falls_as_the_tolerance_does(scene: Scene) -> None:
-    """Against a solution in other coordinates, by other code, a hundred times tighter."""
+    """The exact solution is from other code in other coordinates, a hundred times tighter."""
     adapter, batch = registry.load_adapter(NAME), draw_batch(scene, [1])
     truth, errors = confirmed(scene, batch, False), []
     tried = (5, 7, 9, 11)
@@ -103,7 +103,7 @@ def test_its_curve_goes_over_tolerances(scene: Scene, here: Path) -> None:
     (view,) = read_views(Path("study.json"))[1].values()
     assert "reference adaptive, rtol 1e-12" in view.entries
     assert [curve.name for curve in main_curves(study)][:2] == [alone.name, batch.name]
-    # Eight lanes of a batch are filled, alone one.
+    # A batch fills eight lanes, a single trajectory one.
     one, share = ([point.cpu_s or 0.0 for point in each.points] for each in (alone, batch))
     assert np.median(np.divide(one, share)) > 2.0
 

@@ -111,7 +111,7 @@ def test_sideways_spin_bends_the_path_into_a_parabola() -> None:
 
 
 def test_orientation_under_a_turning_axis() -> None:
-    """Independent: the quaternion's equation integrated with the published angular velocity."""
+    """The published angular velocity, integrated as a quaternion, gives the orientation."""
     result = run(ball(velocity=(4.0, 1.0, 0.0), spin=(6.0, -2.0, 30.0), clock=Clock(0.02, 14)))
     start, spin = np.array([4.0, 1.0]), np.array([6.0, -2.0, 30.0])
     slipping = start + RADIUS * np.array([-spin[1], spin[0]])
@@ -150,7 +150,7 @@ def test_static_friction_has_its_limit(share: float, slips: bool) -> None:
 
 
 def test_slides_on_where_a_force_overcomes_friction() -> None:
-    """Against its slip at first: the slip stops, turns round and grows."""
+    """The force acts against the slip at first: the slip stops, turns round and grows."""
     strength = 5.0 * MU * MASS * G
     result = run(ball(velocity=(2.0, 0.0, 0.0), forces=(Force("ball", ((-strength, 0.0, 0.0),)),)))
     drive, brake = strength / MASS, 3.5 * MU * G
@@ -161,7 +161,7 @@ def test_slides_on_where_a_force_overcomes_friction() -> None:
 
 
 def test_force_across_the_slip() -> None:
-    """Independent: Newton–Euler equations with Coulomb friction, while the slip turns."""
+    """Newton–Euler equations with Coulomb friction give the path while the slip turns."""
     force, start = np.array([1.5, 6.0]), np.array([5.0, -2.0])
     scene = ball(
         velocity=(*start.tolist(), 0.0),
@@ -232,7 +232,7 @@ def test_bounces_end_in_time(restitution: float) -> None:
 
 
 def test_endless_bounces_are_given_up() -> None:
-    """Without loss, at 1e-9 m/s: ten million impacts in a frame."""
+    """Without loss, a ball at 1e-9 m/s would have ten million impacts in a frame."""
     scene = ball(velocity=(0.0, 0.0, 1e-9), restitution=1.0, clock=Clock(0.02, 3))
     (failure,) = solve(scene, draw_batch(scene, [0]), cache=False).failures
     assert failure is not None
@@ -249,7 +249,7 @@ def test_start_on_the_ground_does_not_bounce() -> None:
 @pytest.mark.parametrize(("across", "sticks"), [(3.0, True), (12.0, False)])
 @pytest.mark.parametrize("heading", [EAST, NORTH_EAST])
 def test_oblique_impact(across: float, sticks: bool, heading: tuple[float, float]) -> None:
-    """Stick takes 2/7 of the slip from the velocity, slide μ (1 + e) times the normal one."""
+    """Sticking takes 2/7 of the slip from the velocity, sliding μ (1 + e) of the normal speed."""
     along, drop, e = np.array(heading), 0.5, 0.8
     spin = tuple(0.25 * np.array(rolling_spin(across * along)))
     scene = ball(height=drop, velocity=(*(across * along).tolist(), 0.0), spin=spin, restitution=e)
@@ -262,12 +262,12 @@ def test_oblique_impact(across: float, sticks: bool, heading: tuple[float, float
     velocity = result.velocity[0, after, 0]
     np.testing.assert_allclose(velocity[:2], (across - change) * along, rtol=0, atol=1e-13)
     assert velocity[2] == pytest.approx(e * down - G * (result.time[after] - down / G), abs=1e-13)
-    left = lag - 3.5 * change
-    np.testing.assert_allclose(slip(result)[after], left * along, rtol=0, atol=1e-12)
+    residual = lag - 3.5 * change
+    np.testing.assert_allclose(slip(result)[after], residual * along, rtol=0, atol=1e-12)
 
 
 def test_forces_lift_a_ball_and_load_its_contact() -> None:
-    """Up for 0.2 s at 2 g, no force: a hop; and pressed down, twice the friction."""
+    """A force lifts a ball at 2 g for 0.2 s; another presses it down, with twice the friction."""
     up = Force("ball", ((0.0, 0.0, 3 * MASS * G), (0.0, 0.0, 0.0)), hold=10)
     result = run(ball(forces=(up,), restitution=0.0))
     top = 0.5 * 2 * G * 0.2**2
@@ -283,7 +283,7 @@ def test_forces_lift_a_ball_and_load_its_contact() -> None:
 
 @pytest.mark.parametrize("name", ["ballscroll", "balldrop"])
 def test_energy_never_rises(name: str) -> None:
-    """Noise off: no frame has more energy than the one before it."""
+    """Without noise, no frame has more energy than the one before it."""
     scene = load_scene(name)
     batch = draw_batch(scene, range(6), noise=False)
     result = solve(scene, batch, cache=False)
@@ -333,7 +333,7 @@ def test_growth_of_a_ball_is_that_of_the_closed_form() -> None:
     assert np.isfinite(growth).all()
     np.testing.assert_allclose(growth[:, 0], 1.0, rtol=0, atol=1e-6)
     late = growth[:, 150:]
-    # Signed: once apart in one direction they stay so.
+    # Balls that move apart in one direction keep doing so.
     np.testing.assert_allclose(np.diff(late, 2, axis=1), 0.0, rtol=0, atol=1e-5)
     assert (np.diff(late, axis=1) > 1e-3 * scene.clock.frame).all()
 
@@ -370,7 +370,7 @@ def test_start_in_the_ground() -> None:
 
 
 def test_several_free_bodies_fly() -> None:
-    """No joints at all, and no ground."""
+    """Free bodies without joints and ground fly on parabolas, each as if alone."""
     bodies = tuple(
         Body(
             name,

@@ -85,7 +85,7 @@ def test_damaged_entries_are_computed_again(tmp_path: Path, computed: list[int])
 
 
 def _shift(path: Path) -> None:
-    """Write a valid file whose numbers are not those that were kept."""
+    """Write a valid file with numbers that differ from the stored ones."""
     with np.load(path) as file:
         arrays = {name: file[name] for name in file.files}
     states = {name: values for name, values in arrays.items() if values.dtype.kind == "f"}
@@ -102,7 +102,7 @@ def _rename(path: Path) -> None:
 
 
 def _exchange(path: Path) -> None:
-    """Put the entry of another trajectory there."""
+    """Replace the entry by that of another trajectory."""
     other = next(each for each in files(cache.directory()) if each != path)
     path.write_bytes(other.read_bytes())
 

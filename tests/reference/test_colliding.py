@@ -21,9 +21,9 @@ def _solved(scene: Scene) -> Trajectory:
     return solve(scene, draw_batch(scene, [0]), cache=False)
 
 
-def _momenta(motion: Trajectory, given: list[Flying]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _momenta(motion: Trajectory, start: list[Flying]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Linear and angular momentum, (frame, 3), and kinetic energy, (frame,)."""
-    mass, moment = (np.array([getattr(one, key) for one in given]) for key in ("mass", "moment"))
+    mass, moment = (np.array([getattr(one, key) for one in start]) for key in ("mass", "moment"))
     place, speed, spin = motion.position[0], motion.velocity[0], motion.angular_velocity[0]
     linear = np.einsum("b,fbi->fi", mass, speed)
     turning = np.einsum("b,fbi->fi", moment, spin)
@@ -50,7 +50,7 @@ _SPEEDS = st.tuples(*[st.floats(-3.0, 3.0)] * 3)
 def test_momentum_stays_and_energy_never_grows(
     velocities: list[tuple[float, float, float]], spins: list[tuple[float, float, float]]
 ) -> None:
-    """Four balls in a square, in whatever way they fly at each other."""
+    """Four balls fly at each other from the corners of a square, at any speeds."""
     corners = ((-0.2, -0.2, 0.0), (0.2, -0.2, 0.0), (-0.2, 0.2, 0.0), (0.2, 0.2, 0.0))
     given = [
         Flying(at, (u - 5.0 * at[0], v - 5.0 * at[1], w), spin, 1.0 + k)
@@ -73,23 +73,23 @@ def test_momentum_stays_and_energy_never_grows(
 @given(speed=st.floats(0.5, 2.0), apart=st.sampled_from([0.0, 1e-17, 1e-15, 1e-12, 1e-9]))
 @settings(deadline=None)
 def test_balls_that_graze_go_on_as_they_were(speed: float, apart: float) -> None:
-    """Rounding makes the time of touch a double root, or none."""
+    """Rounding makes the time of a grazing touch a double root, or no root."""
     passing = Flying((-0.3, 2.0 * RADIUS + apart, 0.0), (speed, 0.0, 0.0))
     motion = _solved(balls([passing, Flying((0.0, 0.0, 0.0))]))
     np.testing.assert_allclose(motion.velocity[0, -1], motion.velocity[0, 0], atol=1e-6)
 
 
 def test_smooth_elastic_balls_keep_their_energy_and_spin() -> None:
-    given = list(TWO["slides"])
-    motion = _solved(balls(given, friction=0.0, restitution=1.0))
-    energy = _momenta(motion, given)[2]
+    start = list(TWO["slides"])
+    motion = _solved(balls(start, friction=0.0, restitution=1.0))
+    energy = _momenta(motion, start)[2]
     assert np.ptp(energy) < 1e-12
     assert np.ptp(motion.angular_velocity[0], axis=0).max() < 1e-12
     assert np.ptp(motion.velocity[0, :, 0], axis=0).max() > 1.0
 
 
 def test_forces_bend_the_paths_to_an_impact() -> None:
-    """A ball that a force drives onto another, from rest: at √(2 s / a), with √(2 s a)."""
+    """A force drives a ball from rest onto another: it hits at √(2 s / a), with √(2 s a)."""
     still, driven = Flying((0.5, 0.0, 0.0), mass=2.0), Flying((0.0, 0.0, 0.0))
     scene = balls([driven, still], friction=0.0, restitution=1.0, steps=60)
     batch = draw_batch(scene, [0])
@@ -110,7 +110,7 @@ def test_forces_bend_the_paths_to_an_impact() -> None:
 
 
 def test_three_balls_at_once_have_no_unique_motion() -> None:
-    """A ball between two others that touch each other."""
+    """A ball hits two others, which touch each other, at once."""
     pair = (Flying((0.5, RADIUS, 0.0)), Flying((0.5, -RADIUS, 0.0)))
     motion = _solved(balls([Flying((0.0, 0.0, 0.0), (2.0, 0.0, 0.0)), *pair]))
     (end,) = motion.failures
@@ -130,7 +130,7 @@ def test_balls_that_press_on_each_other_say_so() -> None:
 
 
 def test_other_bodies_end_at_their_first_touch() -> None:
-    """A pendulum falls on another, from √(2 g h (1 − cos)) on, and balls fall past the ground."""
+    """The reference ends at the first touch of two pendulums, or of balls above a ground."""
     (end,) = _solved(cradle(0.5)).failures
     assert isinstance(end, FirstImpact)
     assert 0.3 < end.time < 0.4  # a quarter of a period of 1.3 s
@@ -142,7 +142,7 @@ def test_other_bodies_end_at_their_first_touch() -> None:
 
 
 def test_a_fast_pass_within_a_frame_is_no_touch_and_a_hit_is_one() -> None:
-    """At 1.6 m in a frame, above a ground, so that the general method follows them."""
+    """A ball moves 1.6 m a frame, above a ground, so that the general method follows it."""
 
     def end(aside: float) -> object:
         pair = (Flying((0.0, aside, 3.0), (80.0, 0.0, 0.0)), Flying((1.0, 0.0, 3.0)))

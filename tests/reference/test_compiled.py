@@ -76,7 +76,7 @@ def random_case(seed: int, kinds: list[Kind], links: int) -> RandomCase:
 
 
 def are_closed(mechanism: Mechanism, states: Array) -> Mask:
-    """Tell in which states all joints hold, with hinges' axes as they are.
+    """Return in which states all joints hold, with no hinge's axis turned round.
 
     Newton's method may close a hinge with its axis turned round, which no motion leads to.
     """
@@ -95,8 +95,8 @@ TREES = st.builds(random_case, st.integers(0, 10**6), KINDS, st.just(0))
 def test_trees_have_the_accelerations_that_newton_and_euler_give(case: RandomCase) -> None:
     mechanism, states, force, torque = case
     expected = dynamics_of(mechanism).derivative(states, force, torque)[:, :-1, 7:]
-    found = compiled.body_accelerations(mechanism, states, force, torque)
-    assert found == pytest.approx(expected, rel=1e-8, abs=1e-8 * (1.0 + np.abs(expected).max()))
+    actual = compiled.body_accelerations(mechanism, states, force, torque)
+    assert actual == pytest.approx(expected, rel=1e-8, abs=1e-8 * (1.0 + np.abs(expected).max()))
 
 
 @settings(max_examples=30, deadline=None)
@@ -108,9 +108,9 @@ def test_a_rotor_is_a_torque_against_the_acceleration_of_its_hinge(case: RandomC
         for joint in mechanism.scene.joints
     )
     geared = Mechanism.of(msgspec.structs.replace(mechanism.scene, joints=tuple(joints)))
-    found = compiled.body_accelerations(geared, states, force, torque)
+    actual = compiled.body_accelerations(geared, states, force, torque)
     spin, gain = (
-        np.pad(v, ((0, 0), (0, 1), (0, 0))) for v in (states[:, :-1, 10:], found[..., 3:])
+        np.pad(v, ((0, 0), (0, 1), (0, 0))) for v in (states[:, :-1, 10:], actual[..., 3:])
     )
     bodies = dynamics_of(mechanism).unpack(states).with_world()
     for k, hinge in enumerate(mechanism.hinges):
@@ -120,7 +120,7 @@ def test_a_rotor_is_a_torque_against_the_acceleration_of_its_hinge(case: RandomC
         torque[:, k] -= 0.8 * np.sum(axis * faster, axis=-1)
 
     expected = dynamics_of(mechanism).derivative(states, force, torque)[:, :-1, 7:]
-    assert found == pytest.approx(expected, rel=1e-8, abs=1e-8 * (1.0 + np.abs(expected).max()))
+    assert actual == pytest.approx(expected, rel=1e-8, abs=1e-8 * (1.0 + np.abs(expected).max()))
 
 
 @settings(max_examples=30, deadline=None)
@@ -135,10 +135,10 @@ def test_a_coupling_is_a_torque_on_each_of_its_hinges_that_keeps_their_rates(
     coupling = Coupling(follower.name, leader.name, ratio)
     geared = Mechanism.of(msgspec.structs.replace(mechanism.scene, couplings=(coupling,)))
     dynamics, count = dynamics_of(mechanism), len(mechanism.hinges)
-    found = compiled.body_accelerations(geared, states, force, torque)
+    actual = compiled.body_accelerations(geared, states, force, torque)
 
     def slip(gain: Array) -> Array:
-        """How much faster the follower becomes than it should."""
+        """Return how much faster the follower becomes than it should."""
         bodies = dynamics.unpack(states).with_world()
         gain = np.pad(gain[..., 3:], ((0, 0), (0, 1), (0, 0)))
         spin, faster = bodies.angular_velocity, []
@@ -156,8 +156,8 @@ def test_a_coupling_is_a_torque_on_each_of_its_hinges_that_keeps_their_rates(
     load = (-slip(alone) / (slip(driven) - slip(alone)))[:, None, None]
     expected = alone + load * (driven - alone)
     closed = are_closed(mechanism, states)
-    found, expected = found[closed], expected[closed]
-    assert found == pytest.approx(
+    actual, expected = actual[closed], expected[closed]
+    assert actual == pytest.approx(
         expected, rel=1e-7, abs=1e-7 * (1.0 + np.abs(expected).max(initial=0.0))
     )
 
@@ -177,23 +177,23 @@ def test_loops_have_the_accelerations_that_newton_and_euler_give(
     fit = are_closed(mechanism, states) & (share > 1e-2)
     assume(fit.any())
     expected = rate[fit, :-1, 7:]
-    found = compiled.body_accelerations(mechanism, states[fit], force[fit], torque[fit])
-    assert found == pytest.approx(expected, rel=1e-7, abs=1e-7 * (1.0 + np.abs(rate).max()))
+    actual = compiled.body_accelerations(mechanism, states[fit], force[fit], torque[fit])
+    assert actual == pytest.approx(expected, rel=1e-7, abs=1e-7 * (1.0 + np.abs(rate).max()))
 
 
 def test_closed_loops_cost_in_proportion_to_their_number() -> None:
     scenes = (load_scene(f"{rungs}ladder") for rungs in (6, 8, 16))
     trees = [tree_of(with_short_loops(Mechanism.of(scene))) for scene in scenes]
-    done = [with_rows(tree, np.arange(tree.loaded), tree.loaded).plan for tree in trees]
+    plans = [with_rows(tree, np.arange(tree.loaded), tree.loaded).plan for tree in trees]
     for count in (lambda p: len(p.on_row), lambda p: len(p.on_pair), lambda p: len(p.fill_pair)):
-        six, eight, sixteen = map(count, done)
+        six, eight, sixteen = map(count, plans)
         assert sixteen - eight == 4 * (eight - six)
     kept = trees[2].plan
-    assert len(kept.on_row) > 4 * len(done[2].on_row)
+    assert len(kept.on_row) > 4 * len(plans[2].on_row)
 
 
 def problem(mechanism: Mechanism, batch: Batch, rtol: float) -> Problem:
-    """Ask for the motion of a batch."""
+    """Return the problem of a batch's motion."""
     start = start_states(mechanism, batch)
     return Problem(dynamics_of(mechanism), start, batch.force, batch.torque, rtol)
 

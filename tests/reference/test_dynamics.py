@@ -33,7 +33,7 @@ SCENES = [everything(), load_scene("2ladder"), load_scene("5pendulum")]
 
 
 def any_states(mechanism: Mechanism) -> BodyStates:
-    """Random states; the joints are not kept together."""
+    """Draw random states, which do not keep joints together."""
     rng, shape = np.random.default_rng(5), (BATCH, mechanism.body_count)
     return BodyStates(
         rng.standard_normal((*shape, 3)),
@@ -44,7 +44,7 @@ def any_states(mechanism: Mechanism) -> BodyStates:
 
 
 def tree_states(mechanism: Mechanism) -> BodyStates:
-    """Random states that keep the joints of the tree together."""
+    """Draw random states that keep the joints of the tree together."""
     rng, shape = np.random.default_rng(6), (BATCH, mechanism.body_count)
     return to_bodies(
         mechanism,
@@ -127,7 +127,7 @@ def test_residuals_are_those_of_the_core(scene: Scene) -> None:
 
 @pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
 def test_accelerations_solve_the_dense_saddle_point_system(scene: Scene) -> None:
-    """Also off the constraints, where every term of the bias and the Jacobian counts."""
+    """States are off the constraints, where every term of the bias and the Jacobian counts."""
     mechanism = Mechanism.of(scene)
     bodies, (force, torque) = any_states(mechanism), inputs(mechanism)
     jacobian, bias, ours = _accelerated(mechanism, bodies)
@@ -155,10 +155,10 @@ def test_accelerations_keep_the_constraints(scene: Scene) -> None:
 
 
 def _accelerated(mechanism: Mechanism, bodies: BodyStates) -> tuple[Array, Array, Array]:
-    """Give the rows' Jacobian and bias, and the accelerations, shape (trajectory, 6 body)."""
+    """Return the rows' Jacobian and bias, and the accelerations, shape (trajectory, 6 body)."""
     _, jacobian, bias = rows_at(mechanism, bodies)
-    found = accelerations(mechanism, bodies, *inputs(mechanism))
-    return jacobian, bias, np.concatenate(found, axis=-1).reshape(BATCH, -1)
+    rates = accelerations(mechanism, bodies, *inputs(mechanism))
+    return jacobian, bias, np.concatenate(rates, axis=-1).reshape(BATCH, -1)
 
 
 def test_accelerations_keep_leading_axes() -> None:

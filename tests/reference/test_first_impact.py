@@ -1,4 +1,4 @@
-"""Where the reference of a scene with several contact points ends, and how it says so."""
+"""The end of the reference at the first impact, in scenes with several contact points."""
 
 from __future__ import annotations
 
@@ -81,8 +81,8 @@ def test_falls_flat() -> None:
 
 @pytest.mark.parametrize("spin", [5.0, 20.0, 100.0])
 def test_spinning_tip_touches_first(spin: float) -> None:
-    """Exact: 1 − g t²/2 − sin(ω t)/2 = r, by bisection of its first dip below the ground."""
-    found = impact(run(dumbbell(height=1.0, spin=spin))).time
+    """The first tip touches at 1 − g t²/2 − |sin(ω t)|/2 = r, which bisection solves."""
+    touch = impact(run(dumbbell(height=1.0, spin=spin))).time
 
     def height(t: Array) -> Array:
         return np.asarray(1.0 - 0.5 * 9.81 * t**2 - 0.5 * np.abs(np.sin(spin * t)) - RADIUS)
@@ -93,7 +93,7 @@ def test_spinning_tip_touches_first(spin: float) -> None:
     for _ in range(60):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if height(middle) > 0.0 else (low, middle)
-    assert found == pytest.approx(low, abs=1e-12)
+    assert touch == pytest.approx(low, abs=1e-12)
 
 
 def test_a_graze_between_steps_is_seen() -> None:
@@ -118,14 +118,14 @@ def test_a_graze_between_steps_is_seen() -> None:
 
 
 def test_stiff_scenes_end_alike() -> None:
-    """A damper that only the implicit method gets through; m v' = −m g − c v is known exactly."""
+    """Only the implicit method gets through the damper; m v' = −m g − c v is known exactly."""
     damping, height = 150.0, 0.1
     damper = SpringDamper(
         "damper", ("world", "bar"), ((0.0, 0.0, 9.0), (0.0, 0.0, height)), damping=damping
     )
-    found = impact(run(dumbbell(height=height, speed=0.0, springs=(damper,)))).time
-    fallen = 9.81 / damping * (found - (1.0 - math.exp(-damping * found)) / damping)
-    assert found > 0.5
+    touch = impact(run(dumbbell(height=height, speed=0.0, springs=(damper,)))).time
+    fallen = 9.81 / damping * (touch - (1.0 - math.exp(-damping * touch)) / damping)
+    assert touch > 0.5
     assert fallen == pytest.approx(height - RADIUS, rel=1e-7)
 
 
@@ -142,7 +142,7 @@ def test_starts_in_the_ground() -> None:
 
 
 def test_cubli_flies_as_its_momenta_say() -> None:
-    """Its centre of mass falls freely, its angular momentum and first impact are those of rtol."""
+    """The cubli's centre of mass falls freely, and its first impact does not depend on rtol."""
     scene = load_scene("simplecubli")
     batch = draw_batch(scene, range(3), noise=False)
     result = solve(scene, batch, cache=False)
@@ -195,8 +195,8 @@ def test_a_hanging_sphere_reaches_the_ground() -> None:
         ground=Ground(0.4, 0.9),
         clock=Clock(0.02, 60),
     )
-    found = impact(run(scene)).time
+    touch = impact(run(scene)).time
     # From the horizontal: φ' = √(2 g sin φ / (1 + I)), down to 1 − sin φ = r; φ = x².
     rate = math.sqrt(2.0 * 9.81 / (1.0 + moment))
     time, _ = quad(lambda x: 2.0 * x / (rate * math.sqrt(math.sin(x * x))), 0.0, math.sqrt(ANGLE))
-    assert found == pytest.approx(time, abs=1e-10)
+    assert touch == pytest.approx(time, abs=1e-10)

@@ -1,4 +1,4 @@
-"""Dry friction of joints: the only motion, whatever sticks, slides and turns back."""
+"""Dry friction of joints allows one motion, whatever sticks, slides and turns back."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_heavy_friction_stops_a_chain_and_light_friction_does_not() -> None:
 
 @pytest.mark.parametrize("friction", [0.0, 3.0])
 def test_a_rubbing_block_lands_when_its_slope_says(friction: float) -> None:
-    """Down a slider at 60° to the level, far from its stops: s = ½ (g sin α − F/m) t²."""
+    """The block slides down at 60°, far from its stops: s = ½ (g sin α − F/m) t²."""
     slope, mass, radius, gap = np.pi / 3, 0.5, 0.05, 0.3
     down = (np.cos(slope), 0.0, -np.sin(slope))
     body = Body("block", inertia=Inertia(mass, (1e-3,) * 3), position=(0, 0, radius + gap))
@@ -108,7 +108,7 @@ def test_a_rubbing_block_lands_when_its_slope_says(friction: float) -> None:
 
 
 def test_a_stop_that_is_not_reached_changes_no_first_impact() -> None:
-    """As maximal coordinates have it, which know no stops."""
+    """Maximal coordinates, which know no stops, give the same first impact."""
     scene = msgspec.structs.replace(load_scene("simplecubli"), clock=Clock(0.02, 60))
     hinges = (
         msgspec.structs.replace(one, limits=(-1e3, 1e3)) if one.kind == "hinge" else one
@@ -127,7 +127,7 @@ def test_a_stop_that_is_not_reached_changes_no_first_impact() -> None:
 
 
 def test_a_trial_step_that_overflows_ends_no_more_than_the_trajectory() -> None:
-    """A joint that stands still by friction, and beside it a damper beyond all reason."""
+    """One joint stands still by friction, and the next has an extreme damper."""
     rod, bead = Inertia(0.5, (1e-2,) * 3), Inertia(0.01, (1e-15,) * 3)
     bodies = (
         Body("rod", inertia=rod, position=(0.1, 0, 0)),

@@ -29,14 +29,14 @@ def test_maximal_coordinates_end_where_a_spring_passes_half_a_turn() -> None:
     dynamics, start = dynamics_of(mechanism), start_states(mechanism, batch)
     problem = marching.Problem(dynamics, start, batch.force, batch.torque, rtol=1e-9)
 
-    found = marching.march(problem).within_half_turns(dynamics)
+    marched = marching.march(problem).within_half_turns(dynamics)
 
-    (failure,) = found.failures
+    (failure,) = marched.failures
     assert failure is not None
     assert "'axle' passes a half turn" in failure.reason
-    before = dynamics.unpack(found.states[0, : failure.frame])
+    before = dynamics.unpack(marched.states[0, : failure.frame])
     (axle,) = mechanism.compliant
     assert joint_coordinate(axle, before.position, before.native)[-1] > 2.5
     exact = case.exact(problem.frame * np.arange(failure.frame, dtype=float))
     assert before.position == pytest.approx(exact, abs=1e-8)
-    assert np.isnan(found.states[0, failure.frame :]).all()
+    assert np.isnan(marched.states[0, failure.frame :]).all()

@@ -29,18 +29,18 @@ def test_it_is_compiled_once_and_told_before(folder: Path) -> None:
         some = [kernels.Kernels("reference", compiled, 15)]
         kernels.compile_once(happened.append, workers=0, kernels=some)
 
-    told, done = happened
-    assert told.endswith("compiled for this machine, once: some 15 s of one core")
-    assert done == "compiled"
+    message, event = happened
+    assert message.endswith("compiled for this machine, once: some 15 s of one core")
+    assert event == "compiled"
 
 
 def test_a_compiler_that_crashes_is_told_and_stops_nothing(folder: Path) -> None:
-    told: list[str] = []
+    messages: list[str] = []
     wrong = kernels.Kernels("reference", int.bit_count, 15)  # type: ignore[arg-type]
 
-    kernels.compile_once(told.append, workers=1, kernels=[wrong])
+    kernels.compile_once(messages.append, workers=1, kernels=[wrong])
 
-    assert "could not be compiled: TypeError" in told[1]
+    assert "could not be compiled: TypeError" in messages[1]
     assert not folder.exists()
 
 

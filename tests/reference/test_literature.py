@@ -49,7 +49,7 @@ SEVEN_ANGLES_AT_END = np.array(
         0.1048080741042263e1,
     ]
 )
-"""The same at 0.03 s: Test Set for IVP Solvers, problem ANDREWS, by PSIDE with tolerances of
+"""The same angles at 0.03 s: Test Set for IVP Solvers, problem ANDREWS, by PSIDE with tolerances of
 1e-14."""
 
 SEVEN_RATES_AT_END = np.array(
@@ -63,7 +63,7 @@ SEVEN_RATES_AT_END = np.array(
         0.3231791658026955,
     ]
 )
-"""Their rates at 0.03 s [rad/s], from the same table."""
+"""Rates of the angles at 0.03 s [rad/s], from the same table."""
 
 ANDREWS_ACCURACY = {
     "mujoco": 1e-5,
@@ -74,7 +74,7 @@ ANDREWS_ACCURACY = {
     "mujoco-warp": 2e-5,
     "drake": 3e-3,
 }
-"""What the matched settings leave of the crank's 15.8 rad [rad]."""
+"""Largest errors of angles at matched settings; the crank turns by 15.8 rad [rad]."""
 
 EXUDYN_TEST_MODEL = 4.172189649307425 - 2.0
 """Norm of the coordinates at 1 s: TestModels/bricardMechanism.py of Exudyn, stepped by 1 ms, gives
@@ -100,10 +100,10 @@ BRICARD_ACCURACY = {
     "mujoco-warp": 1e-4,
     "drake": 2e-3,
 }
-"""What the matched settings leave of the path of P3 [m]."""
+"""Largest errors of the path of P3 at matched settings [m]."""
 
 SWING = 150
-"""Frames of Bricard's mechanism in 3 s: over to the other side, and on the way back."""
+"""Number of frames in 3 s: Bricard's mechanism swings over and starts on its way back."""
 
 
 @functools.cache
@@ -187,19 +187,19 @@ class Rod(NamedTuple):
 
 
 def rods(first: float) -> list[Rod]:
-    """All five, from the angle of the first hinge."""
+    """Return all five rods at an angle of the first hinge."""
     second, slope = second_hinge(first)
     rotation, end, spin, velocity = np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3)
-    found = []
+    chain = []
     for index, (rod, axis) in enumerate(zip(RODS, AXES, strict=True)):
         angle, rate = (second, slope) if index % 2 else (first, 1.0)
         rotation = rotation @ turn(axis, angle)
         start, spin = end, spin + rotation @ axis * rate
         along = rotation @ rod
         end = start + along
-        found.append(Rod(start, end, rotation, spin, velocity + np.cross(spin, along / 2)))
+        chain.append(Rod(start, end, rotation, spin, velocity + np.cross(spin, along / 2)))
         velocity = velocity + np.cross(spin, along)
-    return found
+    return chain
 
 
 def mass_and_height(first: float) -> tuple[float, float]:
@@ -215,7 +215,7 @@ def mass_and_height(first: float) -> tuple[float, float]:
 
 @functools.cache
 def bricard_clock() -> Callable[[float], float]:
-    """The first hinge's angle at a time, from the conservation of energy alone.
+    """Return the first hinge's angle as a function of time, from energy conservation alone.
 
     The hinge swings over 180° and back: with the angle 90° (1 − cos φ) the rate of φ is smooth and
     nowhere 0, so that time is a sine series in φ whose coefficients fall exponentially.
@@ -234,8 +234,8 @@ def bricard_clock() -> Callable[[float], float]:
 
     def angle_at(when: float) -> float:
         guess = when / pace.mean()
-        found = brentq(lambda at: time(at) - when, guess - 1.0, guess + 1.0, xtol=1e-14)
-        return float(np.pi / 2 * (1.0 - np.cos(found)))
+        root = brentq(lambda at: time(at) - when, guess - 1.0, guess + 1.0, xtol=1e-14)
+        return float(np.pi / 2 * (1.0 - np.cos(root)))
 
     return angle_at
 
@@ -265,7 +265,7 @@ def exudyn_coordinates(time: float) -> Array:
 
 
 def test_bricard_quadrature_meets_the_published_figures() -> None:
-    """The benchmark's curve, as far as its plot can be read, and the number of Exudyn's test."""
+    """The quadrature meets the benchmark's curve, as read from its plot, and Exudyn's test."""
     read = np.array([third_point(time) for time in BRICARD_CURVE[:, 0]])
 
     assert read == pytest.approx(BRICARD_CURVE[:, 1:], abs=0.02)

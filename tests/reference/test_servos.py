@@ -59,12 +59,12 @@ def test_the_step_in_which_a_servo_lets_go_is_not_smooth() -> None:
 
 def test_a_limit_that_is_never_reached_changes_nothing() -> None:
     (case,) = (case for case in SERVO_CASES if case.name == "servo that lets go")
-    found = []
+    motions = []
     for limit in (None, 1e6):
         servos = (msgspec.structs.replace(case.scene.servos[0], limit=limit),)
-        found.append(_record(msgspec.structs.replace(case.scene, servos=servos)).trajectory)
+        motions.append(_record(msgspec.structs.replace(case.scene, servos=servos)).trajectory)
 
-    np.testing.assert_array_equal(found[0].position, found[1].position)
+    np.testing.assert_array_equal(motions[0].position, motions[1].position)
 
 
 def test_a_stiff_servo_with_a_limit_is_solved_to_the_same() -> None:
@@ -84,7 +84,7 @@ def test_a_stiff_servo_with_a_limit_is_solved_to_the_same() -> None:
 
 
 def test_stops_dry_friction_and_a_limited_servo_go_together() -> None:
-    """A cart that a servo pushes as hard as it can, against friction, into its stop."""
+    """A servo pushes a cart as hard as it can, against friction, into its stop."""
     rail = Joint(
         "rail", "slider", "world", "cart", NONE, (1.0, 0.0, 0.0),
         rate=0.0, friction=1.0, limits=(-1.0, 0.25),

@@ -32,7 +32,7 @@ def moved(scene: Scene) -> Trajectory:
     [(2, 4.0), (10, 1.5), pytest.param(40, 0.9, marks=pytest.mark.slow)],
 )
 def test_four_bars_pass_singular_poses_as_one_pendulum(loops: int, duration: float) -> None:
-    """All of them, 2 to 6 times; the library asks for an energy that is kept to 0.1 J."""
+    """All loops pass 2 to 6 times; the benchmark library allows an energy error of 0.1 J."""
     scene = four_bars(loops, duration)
 
     motion = moved(scene)
@@ -70,13 +70,13 @@ def flat(rates: tuple[float | None, float | None], torques: tuple[Torque, ...] =
 
 
 def angles(motion: Trajectory) -> Array:
-    """Of both cranks [rad], shape (frame, 2)."""
+    """Angles of both cranks [rad], shape (frame, 2)."""
     w, _, y, _ = np.moveaxis(motion.orientation[0, :, :2], -1, 0)
     return np.unwrap(2.0 * np.arctan2(-y, w), axis=0)
 
 
 def test_a_torque_on_one_crank_turns_both_through_singular_poses() -> None:
-    """The rod cannot pass it on in line with the cranks: its force grows beyond all bounds."""
+    """In line with the cranks, the rod cannot pass the torque: its force grows beyond bounds."""
     torque, rate = 0.7, 2.0
     scene = flat((rate, rate), (Torque("foot0", (torque,)),))
 
@@ -89,7 +89,7 @@ def test_a_torque_on_one_crank_turns_both_through_singular_poses() -> None:
 
 
 def test_opposite_rates_lead_into_the_antiparallelogram() -> None:
-    """There tan(β/2) = −(b + a)/(b − a) tan(α/2), with cranks of a and a rod of b."""
+    """The branch has tan(β/2) = −(b + a)/(b − a) tan(α/2), with cranks of a and a rod of b."""
     ratio = -(ROD + CRANK) / (ROD - CRANK)
     motion = moved(flat((2.0, 2.0 * ratio)))
 
@@ -129,7 +129,7 @@ def test_rates_of_least_energy_that_belong_to_no_branch_are_refused() -> None:
 
 
 def test_at_rest_forces_choose_the_branch_or_the_start_is_told() -> None:
-    """Alike on both cranks they lead into the parallelogram; on one alone into neither."""
+    """Equal torques on both cranks choose the parallelogram; one alone chooses no branch."""
     both = moved(flat((None, None), (Torque("foot0", (0.2,)), Torque("foot1", (0.2,)))))
     inertia = 2.0 * CRANK**3 / 3 + ROD * CRANK**2
     exact = 0.2 / inertia * both.time**2

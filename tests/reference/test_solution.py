@@ -228,7 +228,7 @@ def four_bar_centres(angle: float) -> tuple[Array, Array]:
 
 
 def test_redundant_four_bar_against_its_single_coordinate() -> None:
-    """Independent: energy conservation, written in the crank angle alone."""
+    """Energy conservation in the crank angle alone is an independent solution."""
     result = run(four_bar())
     masses = np.array([1.0, 2.0, 1.5])
     inertias = masses * np.array([LENGTHS[0], LENGTHS[1], LENGTHS[2]]) ** 2 / 12.0
@@ -274,7 +274,7 @@ def test_redundant_four_bar_against_its_single_coordinate() -> None:
 
 @pytest.mark.parametrize("name", ["5pendulum", "2ladder"])
 def test_tolerance_gap_and_energy(name: str) -> None:
-    """Noise and inputs on; low and medium."""
+    """A low and a medium trajectory, with noise and inputs, keep tolerance, gap and energy."""
     scene = load_scene(name)
     batch = draw_batch(scene, [0, 1]).truncated(20)
     coarse, fine = (solve(scene, batch, rtol=rtol, cache=False) for rtol in (1e-11, 1e-12))
@@ -328,12 +328,12 @@ def test_sensitivity_does_not_hang_on_the_tolerance() -> None:
 
 
 def test_a_solution_that_opens_joints_is_no_reference(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As one did of a particle of 1e9 kg, whose joint's rows were lost in rounding."""
+    """Rounding once lost the rows of the joint of a particle of 1e9 kg, which came apart."""
     scene = load_scene("2pendulum")
     batch = draw_batch(scene, [0]).truncated(3)
     exact = solve(scene, batch, cache=False)
-    opened = dataclasses.replace(exact, position=exact.position + 2e-3)
-    monkeypatch.setattr("mbds_xsim.reference.solve", lambda *_, **__: opened)
+    apart = dataclasses.replace(exact, position=exact.position + 2e-3)
+    monkeypatch.setattr("mbds_xsim.reference.solve", lambda *_, **__: apart)
     with pytest.raises(
         InputError, match=r"opens joint joint1 by 0\.00346 m, so nothing can be judged"
     ):

@@ -1,4 +1,4 @@
-"""Stops of joints: the only motion, which never passes them, and never gains energy."""
+"""Stops of joints allow one motion, which never passes them and never gains energy."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_elastic_stops_keep_the_energy() -> None:
 
 
 def test_two_carts_that_meet_their_stops_at_once_share_the_impulse() -> None:
-    """A cart on a cart, both with 1 m to go at 1 m/s in W: both stop, by the world's stop alone."""
+    """A cart on a cart, each with 0.1 m to go at 1 m/s on its rail: both stop at once."""
     along = (1.0, 0.0, 0.0)
     scene = Scene(
         "carts",
@@ -74,7 +74,7 @@ def test_two_carts_that_meet_their_stops_at_once_share_the_impulse() -> None:
 
 
 def test_a_gripper_that_nothing_opens_stays_at_its_stops() -> None:
-    """On a swinging arm: alike fingers on one gear, which only rounding moves to and fro."""
+    """Equal fingers on one gear, at a swinging arm, move to and fro by rounding alone."""
     across, up = (0.6, 0.8, 0.0), (0.0, 0.0, 0.3)
     away = (-0.6, -0.8, 0.0)
     scene = Scene(
@@ -89,10 +89,10 @@ def test_a_gripper_that_nothing_opens_stays_at_its_stops() -> None:
         couplings=(Coupling("other", "one"),),
         clock=Clock(0.02, 50),
     )
-    mechanism, found = Mechanism.of(scene), solve(scene, draw_batch(scene, [0]), cache=False)
-    links = to_links(mechanism, BodyStates.of(mechanism, found))
+    mechanism, motion = Mechanism.of(scene), solve(scene, draw_batch(scene, [0]), cache=False)
+    links = to_links(mechanism, BodyStates.of(mechanism, motion))
 
-    assert found.failures == (None,)
+    assert motion.failures == (None,)
     assert np.ptp(links.coordinate[0, :, 0]) > 1.0
     assert np.abs(links.coordinate[0, :, 1:]).max() < 1e-14
 
@@ -110,7 +110,7 @@ def _lifted(mass: float, radius: float, friction: float, rate: float) -> Scene:
 
 
 def test_a_joint_is_lifted_off_its_stop_against_its_friction_as_a_whole() -> None:
-    """At the last bit of the rate at which the wheel does so, one could give way alone."""
+    """At the threshold rate of the wheel, rounding could let stop or friction give way alone."""
     for mass, radius, friction, rate in (
         (0.59, 0.153, 1.336, 12.605420836817402),
         (0.461, 0.129, 0.689, 14.077148474752903),

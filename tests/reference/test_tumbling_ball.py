@@ -86,7 +86,7 @@ def slips(result: Trajectory) -> Array:
 
 
 def test_slides_by_newton_and_euler() -> None:
-    """Independent: the tensor in W and the momenta as variables."""
+    """An independent integration has the tensor in W and the momenta as variables."""
     velocity, spin = (6.0, -2.0, 0.0), (12.0, 5.0, -9.0)
     scene = ball(velocity, spin, forces=(Force("ball", ((0.5, 1.5, 0.0),)),), steps=12)
     result = run(scene)
@@ -119,7 +119,7 @@ def test_slides_by_newton_and_euler() -> None:
 
 
 def test_rolls_as_chaplygins_ball() -> None:
-    """Its angular momentum about the contact point is constant in space, as is its energy."""
+    """The ball's angular momentum about its contact is constant in space, as is its energy."""
     scene, result = rolling(np.array([8.0, 5.0, 3.0]), friction=5.0, steps=40)
     own, energy = spins(scene, result)
     momentum = own + MASS * np.cross(-DOWN, result.velocity[0, :, 0])
@@ -130,7 +130,7 @@ def test_rolls_as_chaplygins_ball() -> None:
 
 
 def test_tumbling_breaks_the_grip() -> None:
-    """Where rolling would need more friction than there is, it slips; energy only falls."""
+    """The ball slips where rolling would need more friction; its energy only falls."""
     scene, result = rolling(np.array([30.0, 18.0, 12.0]), friction=0.05, steps=15)
     _, energy = spins(scene, result)
     assert np.linalg.norm(slips(result), axis=-1).max() > 1e-2
@@ -141,7 +141,7 @@ def test_tumbling_breaks_the_grip() -> None:
 
 @pytest.mark.parametrize(("speed", "sticks"), [(0.7, True), (15.0, False)])
 def test_impact_with_a_turning_slip(speed: float, sticks: bool) -> None:
-    """Independent: ds/dp = −μ K s/|s| stepped through the impact, by its own matrix K."""
+    """The test steps ds/dp = −μ K s/|s| through the impact, with a matrix K of its own."""
     uneven = TumblingBall(CONTACT, np.array([0.001, 0.004, 0.0049]))
     turn = np.array([0.8, 0.36, -0.48, 0.0])
     motion = BallState(0j, 0.0, complex(speed, 0.4 * speed), -2.0, 3 - 2j, 1.5, turn)
@@ -170,7 +170,7 @@ def test_impact_with_a_turning_slip(speed: float, sticks: bool) -> None:
     ("spin", "push"), [(9 - 3j, 0j), (2 + 1j, 3 - 4j), (0j, 40 + 0j), (0j, 3 + 1j)]
 )
 def test_equal_moments_are_the_closed_form(spin: complex, push: complex) -> None:
-    """Two solutions of one problem: sums of exponentials, and integration."""
+    """Sums of exponentials and integration solve the same problem."""
     moment = 0.006
     even, uneven = EvenBall(CONTACT, moment), TumblingBall(CONTACT, np.full(3, moment))
     velocity = 0j if spin == 0 else 2 + 1j
@@ -179,12 +179,12 @@ def test_equal_moments_are_the_closed_form(spin: complex, push: complex) -> None
     (used, one), (also, other) = (each.keep_contact(motion, load, 0.05) for each in (even, uneven))
     assert also == pytest.approx(used, abs=1e-12)
     for field in dataclasses.fields(BallState):
-        expected, got = getattr(one, field.name), getattr(other, field.name)
-        assert got == pytest.approx(expected, abs=1e-10), field.name
+        expected, actual = getattr(one, field.name), getattr(other, field.name)
+        assert actual == pytest.approx(expected, abs=1e-10), field.name
 
 
 def test_bounces_and_tumbles() -> None:
-    """Through flight, impacts and contact: energy never rises, and rests of neither kind."""
+    """Energy never rises in flight, impacts and contact, and the ball ends on the ground."""
     scene = ball((2.0, 1.0, 0.0), (3.0, -6.0, 9.0), height=0.02, steps=60)
     result = run(scene)
     _, energy = spins(scene, result)

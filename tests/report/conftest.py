@@ -33,7 +33,7 @@ TRAJECTORIES = 3
 
 @dataclass(frozen=True)
 class Case:
-    """What the writers are given."""
+    """Input of the report writers."""
 
     validation: Validation
     evidence: Evidence
@@ -41,7 +41,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Fake:
-    """An engine to make up: how wrong it is, or that it crashed."""
+    """Made-up engine: its error, or its crash."""
 
     engine: str
     profile: str = "matched"

@@ -1,4 +1,4 @@
-"""Long work tells how far it is, on a terminal and in a log."""
+"""Long work reports its progress, on a terminal and in a log."""
 
 from __future__ import annotations
 
@@ -50,5 +50,5 @@ def test_a_notice_stays_to_be_read(terminal: bool, capsys: pytest.CaptureFixture
         progress.begin(2)
         progress.notice("dart on [m]: 3 min")
 
-    told = shown.getvalue() if terminal else capsys.readouterr().err
-    assert "dart on [m]: 3 min\n" in told
+    text = shown.getvalue() if terminal else capsys.readouterr().err
+    assert "dart on [m]: 3 min\n" in text

@@ -1,4 +1,4 @@
-"""What pages show of contact, against motions whose contact is known in closed form."""
+"""Contact on pages, against motions whose contact is known in closed form."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ TIME: Array = FRAME * np.arange(STEPS + 1, dtype=np.float64)
 PULL = 9.81
 LESS = 0.9
 HEIGHTS = (0.5, 1.1, 1.7)
-"""Of the lowest point at the start, one a trajectory [m]."""
+"""Height of the lowest point at the start, one per trajectory [m]."""
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def ball() -> Scene:
 
 
 def bounce(height: float, restitution: float, time: Array = TIME) -> tuple[Array, Array]:
-    """Height of the lowest point and its rate, of what is dropped from rest."""
+    """Return height and rate of the lowest point of a body dropped from rest."""
     hit = float(np.sqrt(2 * height / PULL))
     gap, climb = height - PULL * time**2 / 2, -PULL * time
     start, speed = hit, restitution * PULL * hit
@@ -88,7 +88,7 @@ def of(scene: Scene) -> float:
 
 @pytest.fixture(scope="module")
 def bouncing(disc: Scene) -> Case:
-    """The reference bounces as the scene says, one engine less, one is gone."""
+    """The reference bounces as the scene says, one engine bounces less, one is gone."""
     fakes = (Fake("mujoco"), Fake("pybullet", crashed=True), Fake("dart"))
     case = make_case(disc, fakes, frames=STEPS + 1)
     exact = dropped(disc, of(disc))
@@ -123,29 +123,29 @@ def _until(case: Case, *known: float | None) -> Case:
 def test_a_bouncing_ball_touches_in_the_steps_of_its_impacts(disc: Scene) -> None:
     e, batch = of(disc), draw_batch(disc, range(ROWS), noise=False)
 
-    found = contact_of(disc, batch, dropped(disc, e))
+    contact = contact_of(disc, batch, dropped(disc, e))
 
     for row, height in enumerate(HEIGHTS):
         fall = np.sqrt(2 * height / PULL)
         times = np.concatenate([[fall], fall * (1 + 2 * np.cumsum(e ** np.arange(1, 20)))])
         steps = (times[times < TIME[-1]] / FRAME).astype(int)
-        np.testing.assert_array_equal(np.flatnonzero(found.touch[row, :, 0]), steps)
-        np.testing.assert_array_equal(np.flatnonzero(found.impact[row]), steps)
+        np.testing.assert_array_equal(np.flatnonzero(contact.touch[row, :, 0]), steps)
+        np.testing.assert_array_equal(np.flatnonzero(contact.impact[row]), steps)
 
 
 def test_its_figures_are_those_of_the_motion(disc: Scene) -> None:
     batch = draw_batch(disc, range(ROWS), noise=False)
 
-    found = contact_of(disc, batch, dropped(disc, LESS))
+    contact = contact_of(disc, batch, dropped(disc, LESS))
 
-    for height, episode in zip(HEIGHTS, found.episodes, strict=True):
+    for height, episode in zip(HEIGHTS, contact.episodes, strict=True):
         speed = np.sqrt(2 * PULL * height)
         np.testing.assert_allclose(episode.leaving / episode.arriving, LESS, rtol=1e-6)
         assert episode.arriving[0] == pytest.approx(speed, rel=1e-9)
         assert episode.rebound == pytest.approx(LESS**2 * height, rel=1e-9)
         assert episode.first == pytest.approx(np.ceil(speed / PULL / FRAME) * FRAME)
         assert episode.rolls is None
-    np.testing.assert_allclose(found.gap[:, 0], HEIGHTS, rtol=1e-9)
+    np.testing.assert_allclose(contact.gap[:, 0], HEIGHTS, rtol=1e-9)
 
 
 def test_near_the_ground_is_not_on_it(disc: Scene) -> None:
@@ -155,11 +155,11 @@ def test_near_the_ground_is_not_on_it(disc: Scene) -> None:
     gap = np.tile(1e-3 + 2.0 * time - PULL * time**2 / 2, (ROWS, 1))
     flight = motion(disc, gap, np.stack([0 * climb, 0 * climb, climb], axis=-1))
 
-    found = contact_of(disc, draw_batch(disc, range(ROWS), noise=False), flight)
+    contact = contact_of(disc, draw_batch(disc, range(ROWS), noise=False), flight)
 
-    assert not found.touch.any()
-    assert np.isnan(found.slip).all()
-    assert [episode.first for episode in found.episodes] == [None] * ROWS
+    assert not contact.touch.any()
+    assert np.isnan(contact.slip).all()
+    assert [episode.first for episode in contact.episodes] == [None] * ROWS
 
 
 def _sliding(scene: Scene, speed: Array) -> tuple[Trajectory, Array]:
@@ -177,13 +177,13 @@ def _sliding(scene: Scene, speed: Array) -> tuple[Trajectory, Array]:
 def test_a_sliding_ball_rolls_when_friction_has_done_its_work(ball: Scene) -> None:
     run, until = _sliding(ball, np.array([2.0, 5.0, 9.0]))
 
-    found = contact_of(ball, draw_batch(ball, range(ROWS), noise=False), run)
+    contact = contact_of(ball, draw_batch(ball, range(ROWS), noise=False), run)
 
-    assert found.touch.all()
-    assert not found.impact.any()
-    assert [episode.rolls for episode in found.episodes] == pytest.approx(until, abs=1e-6)
-    np.testing.assert_allclose(found.slip[:, 0], [2.0, 5.0, 9.0], rtol=1e-9)
-    np.testing.assert_allclose(found.slip[:, -1], 0.0, atol=1e-9)
+    assert contact.touch.all()
+    assert not contact.impact.any()
+    assert [episode.rolls for episode in contact.episodes] == pytest.approx(until, abs=1e-6)
+    np.testing.assert_allclose(contact.slip[:, 0], [2.0, 5.0, 9.0], rtol=1e-9)
+    np.testing.assert_allclose(contact.slip[:, -1], 0.0, atol=1e-9)
 
 
 def test_the_table_holds_engines_beside_the_reference(bouncing: Case) -> None:
@@ -210,16 +210,16 @@ def test_the_script_gets_what_touches(bouncing: Case) -> None:
         "mujoco matched",
         "dart matched",
     ]
-    for packed, found in zip(
+    for packed, expected in zip(
         contact["entries"], filter(None, contacts_of(bouncing.evidence)), strict=True
     ):
         bits = np.unpackbits(
             numbers(packed["flags"], "u1").astype("u1").reshape(ROWS, STEPS, 1), axis=2
         )
-        np.testing.assert_array_equal(bits[..., 0], found.touch[..., 0])
-        np.testing.assert_array_equal(bits[..., 1], found.impact)
+        np.testing.assert_array_equal(bits[..., 0], expected.touch[..., 0])
+        np.testing.assert_array_equal(bits[..., 1], expected.impact)
         gap = numbers(packed["gap"], "<f4").reshape(ROWS, STEPS + 1)
-        np.testing.assert_allclose(gap, found.gap, atol=1e-6)
+        np.testing.assert_allclose(gap, expected.gap, atol=1e-6)
 
 
 def test_a_page_of_contact_has_its_tables_and_its_words(bouncing: Case) -> None:
@@ -275,8 +275,8 @@ def test_engines_alone_are_in_the_matrix_where_the_reference_has_ended(case: Cas
     matrix[-1, :-1] = matrix[:-1, -1] = np.nan
     ended = msgspec.structs.replace(case.validation, matrix_m=tuple(map(tuple, matrix.tolist())))
 
-    found = [figures.matrix(v) for v in (ended, case.validation)]
-    drawn, whole = (themed.svg("", f.draw, f.size, f.tips) for f in found if f is not None)
+    charts = [figures.matrix(v) for v in (ended, case.validation)]
+    drawn, whole = (themed.svg("", f.draw, f.size, f.tips) for f in charts if f is not None)
 
     assert whole.count(">reference<") == 2
     assert drawn.count(">reference<") == 0
@@ -304,6 +304,6 @@ def test_a_budget_at_1_s_is_told_of_where_it_is_drawn(
     reference = dataclasses.replace(case.evidence.reference, time=time)
     evidence = dataclasses.replace(case.evidence, reference=reference)
 
-    told = words.growth_words(case.validation, evidence, known=True)
+    text = words.growth_words(case.validation, evidence, known=True)
 
-    assert ("triangle" in told) is marked
+    assert ("triangle" in text) is marked

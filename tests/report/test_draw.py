@@ -1,4 +1,4 @@
-"""Pictures of scenes: what they show is where the scene has it."""
+"""Pictures of scenes: everything is drawn where the scene has it."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def _pixels(image: Array, colour: str) -> Array:
 
 
 def _hinge(image: Array) -> Array:
-    """Pixels of the joint itself, the other ones of its colour are in the legend below."""
+    """Return pixels of the joint itself; others of its colour are in the legend below."""
     pixels = _pixels(image, HINGE)
     return pixels[pixels[:, 0] < pixels[:, 0].min() + 40]
 

@@ -1,4 +1,4 @@
-"""What has nothing to show is not drawn: no empty axes, no panel without a line."""
+"""Empty charts are not drawn: no empty axes, no panel without a line."""
 
 from __future__ import annotations
 
@@ -69,5 +69,5 @@ def test_a_training_that_diverged_at_once_gets_no_panel() -> None:
 
 
 def _width(png: bytes) -> int:
-    """Give the width [pixel] that the header of a PNG says."""
+    """Return the width [pixel] in the header of a PNG."""
     return int(struct.unpack(">I", png[16:20])[0])

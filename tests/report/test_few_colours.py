@@ -38,7 +38,7 @@ def test_256_colours_stay_exact_and_what_is_most_does_among_more() -> None:
     assert np.array_equal(np.array(few_colours(Image.fromarray(few)).convert("RGB")), few)
     many = rng.integers(0, 256, (60, 80, 3), np.uint8)
     many[:20] = 201, 202, 203
-    found = np.array(few_colours(Image.fromarray(many)).convert("RGB"))
-    assert (found[:20] == (201, 202, 203)).all()
+    reduced = np.array(few_colours(Image.fromarray(many)).convert("RGB"))
+    assert (reduced[:20] == (201, 202, 203)).all()
     # The best 125 points, a grid of five, are 44 off at most; taking the farthest, twice that.
-    assert np.linalg.norm(found.astype(int) - many, axis=-1).max() < 2 * 256 / 5 * 3**0.5 / 2
+    assert np.linalg.norm(reduced.astype(int) - many, axis=-1).max() < 2 * 256 / 5 * 3**0.5 / 2

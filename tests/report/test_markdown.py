@@ -1,4 +1,4 @@
-"""What is kept of a validation as Markdown."""
+"""A validation written as Markdown."""
 
 from __future__ import annotations
 

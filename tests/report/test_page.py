@@ -1,4 +1,4 @@
-"""What the page of a validation contains; a browser is not needed."""
+"""Content of the page of a validation; a browser is not needed."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ def written(case: Case) -> str:
 
 
 def viewer(page: str) -> dict[str, Any]:
-    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)
-    assert found
-    data: dict[str, Any] = json.loads(found[1])
+    match = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)
+    assert match
+    data: dict[str, Any] = json.loads(match[1])
     return data
 
 

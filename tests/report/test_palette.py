@@ -24,7 +24,7 @@ _KINDS = {
     "outcomes": tuple(look.colour for look in LOOKS.values()),
 }
 _APART = 12.0
-"""Of CIE 1976 colours; 2.3 are just noticed side by side."""
+"""Least distance of CIE 1976 colours; 2.3 is just noticeable side by side."""
 
 
 @pytest.mark.parametrize(("one", "other"), list(itertools.combinations(_KINDS, 2)))

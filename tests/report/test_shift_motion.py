@@ -1,4 +1,4 @@
-"""Rollouts over the truth: what is drawn of particles that no edge meets."""
+"""Rollouts drawn over the truth, with particles that have no edge."""
 
 from __future__ import annotations
 

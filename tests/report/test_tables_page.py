@@ -17,7 +17,7 @@ from mbds_xsim.dataset.audit import Audited
 from mbds_xsim.measure.result import FindingResult
 from mbds_xsim.report.files import to_html
 from mbds_xsim.studies import audit, match
-from mbds_xsim.studies.match import Found, Match
+from mbds_xsim.studies.match import Match, MatchedSettings
 from tests.results import found, matched
 
 _LEAD = re.compile(r'<p class="lead">(.*?)</p>')
@@ -55,13 +55,13 @@ def _audited(*findings: FindingResult) -> Audited:
     )
 
 
-def _found(engine: str, cost: float, *, met: bool = True) -> Found:
+def _found(engine: str, cost: float, *, met: bool = True) -> MatchedSettings:
     reasons = () if met else ("gap: 3 mm, allowed 1 mm",)
     times = {"wall_per_simulated_s": cost, "cpu_per_simulated_s": cost}
     return found(engine=engine, meets_budget=met, reasons=reasons, **times)
 
 
-def _match(*engines: Found) -> Match:
+def _match(*engines: MatchedSettings) -> Match:
     left_out = {"dart": "dart cannot do distance link"}
     return matched(*engines, scene="my <b>bold</b> scene", left_out=left_out)
 
@@ -115,10 +115,10 @@ def test_a_page_is_opened_where_it_was_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     console = Console(record=True, width=200)
-    seen: list[str] = []
+    addresses: list[str] = []
 
     def no_browser(address: str) -> bool:
-        seen.append(address)
+        addresses.append(address)
         return False
 
     monkeypatch.setattr(webbrowser, "open", no_browser)
@@ -134,10 +134,10 @@ def test_a_page_is_opened_where_it_was_written(
     Outputs(opened=True).give([report], "")
 
     pages = [tmp_path / "a.html", tmp_path / "page.html"]
-    assert seen == [page.as_uri() for page in pages]
-    told = console.export_text()
-    assert all(page.is_file() and str(page) in told for page in pages)
-    assert "there is no browser" in told
+    assert addresses == [page.as_uri() for page in pages]
+    text = console.export_text()
+    assert all(page.is_file() and str(page) in text for page in pages)
+    assert "there is no browser" in text
 
 
 def test_that_a_page_was_opened_says_nothing_about_results(monkeypatch: pytest.MonkeyPatch) -> None:

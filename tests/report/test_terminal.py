@@ -1,4 +1,4 @@
-"""What the terminal shows of a validation."""
+"""A validation shown on the terminal."""
 
 from __future__ import annotations
 

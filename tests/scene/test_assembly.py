@@ -273,10 +273,10 @@ def test_a_long_chain_whose_rates_are_all_given_is_put_together_joint_by_joint()
     spin = np.arange(1.0, count + 1.0)
     arm = -np.stack([np.sin(turn), np.cos(turn)], axis=-1)
     swing = np.stack([-np.cos(turn), np.sin(turn)], axis=-1) * spin[:, None]
-    for got, rods in ((start.position, arm), (start.velocity, swing)):
+    for actual, rods in ((start.position, arm), (start.velocity, swing)):
         expected = np.cumsum(rods, axis=0) - rods / 2
         rounding = 1e-11 * np.abs(expected).max()
-        np.testing.assert_allclose(got[:, [0, 2]], expected, rtol=0, atol=rounding)
+        np.testing.assert_allclose(actual[:, [0, 2]], expected, rtol=0, atol=rounding)
     np.testing.assert_allclose(start.angular_velocity[:, 1], spin, rtol=1e-15)
 
 

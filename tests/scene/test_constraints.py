@@ -36,7 +36,7 @@ def _random_states(rng: np.random.Generator, count: int) -> BodyStates:
 
 
 def _moved(states: BodyStates, time: float) -> BodyStates:
-    """Go on with constant velocities."""
+    """Move the states on at constant velocities."""
     turn = rotation.from_vector(time * states.angular_velocity)
     return dataclasses.replace(
         states,
@@ -144,8 +144,8 @@ def test_owners_name_joint_and_link_of_each_row() -> None:
 
     rows = constraint_rows(mechanism, mechanism.com, native, still, still)
 
-    wanted = [ROWS[joint.kind] for joint in mechanism.joints] + [1, 1]
-    assert np.bincount(rows.owner).tolist() == wanted
+    counts = [ROWS[joint.kind] for joint in mechanism.joints] + [1, 1]
+    assert np.bincount(rows.owner).tolist() == counts
     assert np.abs(rows.residual).max() < 1e-14
 
 
@@ -164,7 +164,7 @@ def test_degrees_of_freedom_of_trees(kinds: tuple[Kind, ...], expected: int) -> 
 
 
 def test_many_loops_are_counted_by_a_sparse_factorisation(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each four-bar has three rows too many: they are told from the others as few are."""
+    """Each four-bar has three redundant rows, which a sparse factorisation counts as well."""
     monkeypatch.setattr(row_space, "qr", None)
     monkeypatch.setattr(csr_array, "toarray", None)
     loops = 300

@@ -1,4 +1,4 @@
-"""The page about scene files lists what the code reads, and its examples are what it says."""
+"""The page about scene files lists all that the code reads, and its examples are right."""
 
 from __future__ import annotations
 
@@ -66,12 +66,12 @@ Row = tuple[str, str, str]  # type, default, meaning
 def _table(kind: type[msgspec.Struct]) -> dict[str, Row]:
     """Rows of the section's table by key."""
     heading = re.escape(_HEADINGS[kind])
-    found = re.search(rf"^#+ {heading}$(.*?)(?=^#|\Z)", PAGE, re.M | re.S)
-    assert found, heading
-    rows = re.findall(r"^\| `(\w+)` \| (.*?) \| (.*?) \|(?: (.*?))? \|$", found[1], re.M)
-    assert len(rows) == len(re.findall(r"^\| `", found[1], re.M)), "a row that is none"
+    section = re.search(rf"^#+ {heading}$(.*?)(?=^#|\Z)", PAGE, re.M | re.S)
+    assert section, heading
+    rows = re.findall(r"^\| `(\w+)` \| (.*?) \| (.*?) \|(?: (.*?))? \|$", section[1], re.M)
+    assert len(rows) == len(re.findall(r"^\| `", section[1], re.M)), "a row that is none"
     assert len({row[0] for row in rows}) == len(rows), "a key is listed twice"
-    return {key: (what, default, meaning) for key, what, default, meaning in rows}
+    return {key: (form, default, meaning) for key, form, default, meaning in rows}
 
 
 def _attribute_docs(kind: type[msgspec.Struct]) -> dict[str, str]:
@@ -163,7 +163,7 @@ def rod(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Scene:
 
 
 def test_the_pendulum_starts_where_the_page_says(rod: Scene) -> None:
-    """By 60°, with its lower end towards −x."""
+    """The pendulum starts at 60°, with its lower end towards −x."""
     (position,) = draw_batch(rod, [0]).position[0]
 
     assert position == pytest.approx([-0.5 * np.sin(np.pi / 3), 0.0, -0.25], abs=1e-9)
@@ -247,7 +247,7 @@ def test_a_mistake_is_told_as_the_page_shows(
 
 
 def test_what_is_left_out_is_not_zero() -> None:
-    """The double pendulum of the page: its second hinge ends near −0.93."""
+    """The page's double pendulum has its second hinge near −0.93 rad at the start."""
 
     def body(name: str, z: float) -> scene.Body:
         return scene.Body(name, particles=(scene.Particle((0.0, 0.0, z)),))

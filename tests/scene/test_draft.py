@@ -1,4 +1,4 @@
-"""Draws that move joints move them by what is drawn, whatever moves them already."""
+"""Draws move joints by the drawn amount, whatever else moves them."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_a_joint_that_closes_a_loop_cannot_be_led(term: type[Pose] | type[HingeR
 
 
 def test_a_chain_starts_the_same_whatever_is_drawn_beside_it() -> None:
-    """Bit by bit: chains that swing are drawn all at once."""
+    """Starts agree in every bit, although swinging chains are drawn all at once."""
     scene = load_scene("6pendulum")
     many = draw_batch(scene, range(7), seed=3)
 

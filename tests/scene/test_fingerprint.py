@@ -1,4 +1,4 @@
-"""A fingerprint is another where the motion is, and nowhere else."""
+"""Fingerprints differ where physics or starts differ, and nowhere else."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def _heavier(scene: Scene, factor: float) -> Scene:
 
 
 def test_scenes_differ() -> None:
-    found = {name: fingerprint(load_scene(name)) for name in scene_names()}
+    prints = {name: fingerprint(load_scene(name)) for name in scene_names()}
 
-    assert len(set(found.values())) == len(found) > 8
+    assert len(set(prints.values())) == len(prints) > 8
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What joints move, against the known mass matrix of two rods and against the reference."""
+"""Inertias that joints move, against the mass matrix of two rods and the reference."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def _bent(mechanism: Mechanism, elbow: Array) -> BodyStates:
 
 
 def _mass_matrix(elbow: Array) -> Array:
-    """Of two rods in a plane, with centres in their middles."""
+    """Mass matrix of two rods in a plane, with centres in their middles."""
     end, cross = MOMENT + MASS * LENGTH**2 / 4, MASS * LENGTH**2 / 2 * np.cos(elbow)
     whole = 2 * end + MASS * LENGTH**2 + 2 * cross + ROTOR
     return np.moveaxis(np.array([[whole, end + cross], [end + cross, end + 0 * cross]]), -1, 0)
@@ -53,25 +53,25 @@ def test_joints_move_what_the_mass_matrix_says() -> None:
 
 
 def test_a_kick_moves_bodies_as_a_torque_does() -> None:
-    """A free body with three wheels: what a torque on each changes accelerations by."""
+    """A torque on each of three wheels changes accelerations as its kick changes velocities."""
     mechanism = Mechanism.of(load_scene("simplecubli"))
     start = assemble(mechanism)
     least, _ = moved_inertias(mechanism, mechanism.hinges, start)
-    given = kicks(mechanism, mechanism.hinges, start)
+    changes = kicks(mechanism, mechanism.hinges, start)
 
     loads = np.eye(len(mechanism.hinges))
     still, batch = np.zeros((3, mechanism.body_count, 3)), start.each(lambda v: np.stack([v] * 3))
     pushed = reference.accelerations(mechanism, batch, still, loads)
     loose = reference.accelerations(mechanism, batch, still, 0.0 * loads)
-    for kick, with_torque, without in zip(given, pushed, loose, strict=True):
+    for kick, with_torque, without in zip(changes, pushed, loose, strict=True):
         np.testing.assert_allclose(kick, (with_torque - without) * least[:, None, None], atol=1e-10)
 
 
 def test_poses_are_the_start_and_others_within_limits() -> None:
     mechanism = _arm()
-    found, elbow = poses(mechanism), mechanism.joints[1]
+    states, elbow = poses(mechanism), mechanism.joints[1]
 
-    np.testing.assert_array_equal(found.position[0], assemble(mechanism).position)
-    angle = joint_coordinate(elbow, found.position, found.native)
+    np.testing.assert_array_equal(states.position[0], assemble(mechanism).position)
+    angle = joint_coordinate(elbow, states.position, states.native)
     assert -0.5 <= angle.min() < -0.3
     assert 1.3 < angle.max() <= 1.5

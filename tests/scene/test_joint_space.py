@@ -26,7 +26,7 @@ def _equal(actual: Array, expected: Array, size: float = 1.0) -> None:
 
 
 def _equal_turns(actual: Array, expected: Array) -> None:
-    """The sign of a quaternion is free."""
+    """Compare quaternions, whose sign is free."""
     same = np.sign(np.sum(actual * expected, axis=-1, keepdims=True))
     _equal(actual * same, expected)
 

@@ -36,11 +36,11 @@ def _scene(name: str, frames: int) -> Scene:
 def test_every_engine_keeps_the_budgets_at_settings_that_a_quick_search_found(
     name: str, frames: int
 ) -> None:
-    """Searched here where no file of settings stands beside the mechanism."""
+    """Settings are searched here unless a file of settings belongs to the mechanism."""
     scene = _scene(name, frames)
-    found = _FOLDER / "settings" / f"{name}.toml"
+    path = _FOLDER / "settings" / f"{name}.toml"
 
-    choice = Choice.parse(profiles=str(found) if found.is_file() else "matched")
+    choice = Choice.parse(profiles=str(path) if path.is_file() else "matched")
     validation, _ = validate_with_evidence(scene, choice=choice, conduct=HERE)
 
     assert {row.engine: row.reasons for row in validation.engines} == dict.fromkeys(
@@ -63,16 +63,16 @@ def test_consistency_fails_no_engine_whose_error_is_far_below_its_budget(
 ) -> None:
     scene = _scene(name, frames)
     preset = registry.load_adapter(sound).settings(scene, "matched")
-    given = Matched(preset.method, preset.substeps(scene.clock.frame), dict(preset.options))
+    matched = Matched(preset.method, preset.substeps(scene.clock.frame), dict(preset.options))
 
-    choice = Choice((sound,), given={"matched": {sound: given}})
+    choice = Choice((sound,), settings={"matched": {sound: matched}})
     validation, _ = validate_with_evidence(scene, choice=choice, conduct=HERE)
 
     (row,) = validation.engines
     assert row.reasons == ()
     assert row.error_max_m == pytest.approx(worst, rel=0.05)
-    found = {finding.check: finding for finding in row.findings}
+    findings = {finding.check: finding for finding in row.findings}
     for check in ("consistency of positions", "consistency of energy"):
-        assert found[check].figures[0] is not None, found[check].note
-    stopped = "the coarsest run of the check stopped" in found["consistency of energy"].note
+        assert findings[check].figures[0] is not None, findings[check].note
+    stopped = "the coarsest run of the check stopped" in findings["consistency of energy"].note
     assert stopped == (sound == "exudyn")

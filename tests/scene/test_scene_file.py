@@ -117,7 +117,7 @@ def _draws(names: list[str], hinges: list[str]) -> st.SearchStrategy[Table]:
 def _table(
     names: list[str], hinges: list[str], pair: st.SearchStrategy[Any], grounded: bool
 ) -> st.SearchStrategy[Table]:
-    """Draw all but bodies and joints."""
+    """Draw all of a scene except bodies and joints."""
     ends = {"bodies": pair, "points": _TWO_POINTS}
     sphere = _optional({"body": st.sampled_from(names), "center": _VECTOR, "radius": _POSITIVE})
     contact = {

@@ -1,4 +1,4 @@
-"""Which bodies never spin, and how their orientation follows from where their axis points."""
+"""Bodies that never spin, and how their orientation follows from their axis."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def on_a_cone(opening: float, rate: float, frames: int, interval: float) -> Body
 
 
 def test_an_axis_that_went_round_a_cone_has_turned_by_the_solid_angle() -> None:
-    """2π (1 − cos θ), the holonomy of the sphere, in fourth order of the frames' distance."""
+    """The turn is 2π (1 − cos θ), the sphere's holonomy, to fourth order in the interval."""
     axes, opening = np.array([[0.0, 0.0, 1.0]]), 0.7
     errors = []
     for frames in (20, 40, 80):

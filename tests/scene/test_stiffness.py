@@ -24,8 +24,8 @@ _STEEL = Inertia(0.3, (0.025, 0.025, 5e-6))
 def governor(steps: int = 3) -> Scene:
     """A fly-ball governor: arms with balls on a shaft, springs from the arms to a ring below.
 
-    After the fly-ball governor of the IFToMM library of multibody benchmarks, whose masses of the
-    ring and the shaft are others.
+    After the fly-ball governor of the IFToMM library of multibody benchmarks, but with
+    other masses of the ring and the shaft.
     """
     ring = (0.0, 0.0, -math.cos(_OPENING))
     sides = {"left": -1.0, "right": 1.0}
@@ -75,7 +75,7 @@ def test_joints_hold_what_a_spring_would_turn_about_its_thin_axis() -> None:
 
 
 def test_a_mass_on_a_spring_has_its_own_rates() -> None:
-    """Ball of 1 kg on a rail, 40 N/m and 0.8 N·s/m."""
+    """A ball of 1 kg on a rail has a spring of 40 N/m and 0.8 N·s/m."""
     (scene,) = (case.scene for case in CASES if case.name == "spring")
 
     assert spring_rates(scene) == pytest.approx((math.sqrt(40.0), 0.8), rel=1e-9)

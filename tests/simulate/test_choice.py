@@ -49,7 +49,7 @@ def test_some_engine_must_be_able_to() -> None:
 def test_settings_of_an_engine_that_is_not_installed_keep_no_other_from_running(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Those that a package ships for a scene are there without the engine."""
+    """Settings that a package ships for a scene are there without the engine."""
     load = registry.load_adapter
 
     def without(name: str) -> Adapter:
@@ -103,7 +103,7 @@ def test_engines_that_hold_no_body_so_small_are_left_out_with_the_reason() -> No
     ],
 )
 def test_what_an_engine_holds_it_moves(name: str, moment: float, mass: float) -> None:
-    """As a body of 10⁶ times the mass and moment, which falls alike."""
+    """A tiny body falls like one of 10⁶ times the mass and moment."""
     scenes = [_hinged(moment * scale, mass * scale) for scale in (1.0, 1e6)]
     small, large = (
         simulate(scene, draw_batch(scene, [0]), name, contender.settings)

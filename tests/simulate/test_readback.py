@@ -1,4 +1,4 @@
-"""What the read-back of every engine tells of geometry that a start at rest does not show."""
+"""The read-back of every engine reveals geometry that a start at rest does not show."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from mbds_xsim.testing import CASES
 
 
 def _held(adapter: Adapter, scene: Scene, other: Scene) -> tuple[Readback, list[str]]:
-    """Hold what the engine has of one scene against another."""
+    """Compare the engine's model of one scene with another scene."""
     batch, settings = draw_batch(scene, [0]), settings_for(scene, adapter, "matched")
     with adapter.open(scene, settings) as run:
-        found = run.readback(batch)
+        read = run.readback(batch)
     method = adapter.methods[settings.method]
-    return found, readback.compare(Mechanism.of(other), batch, settings, found, method)
+    return read, readback.compare(Mechanism.of(other), batch, settings, read, method)
 
 
 def _with_anchor(scene: Scene, joint: str, shift: float) -> Scene:
@@ -54,7 +54,7 @@ def _with_sphere(scene: Scene, sphere: int, shift: float) -> Scene:
 
 
 def test_an_anchor_a_millimetre_off_is_told(cornered: Adapter) -> None:
-    """A wheel's hub: the wheel stands where it should, and turns about another line."""
+    """With a wrong hub, a wheel stands where it should but turns about another line."""
     car = load_scene("particlecar")
 
     _, lines = _held(cornered, _with_anchor(car, "front_left", 1e-3), car)
@@ -67,11 +67,11 @@ def test_an_anchor_a_millimetre_off_is_told(cornered: Adapter) -> None:
 def test_a_loops_anchor_is_told_where_the_engine_tells_it(adapter: Adapter) -> None:
     (scene,) = (case.scene for case in CASES if case.name == "parallelogram")
 
-    found, lines = _held(adapter, _with_anchor(scene, "right pin", 1e-3), scene)
+    read, lines = _held(adapter, _with_anchor(scene, "right pin", 1e-3), scene)
 
-    assert found.anchor is not None
+    assert read.anchor is not None
     (loop,) = Mechanism.of(scene).loops
-    assert bool(lines) == bool(np.isfinite(found.anchor[loop.index]).all())
+    assert bool(lines) == bool(np.isfinite(read.anchor[loop.index]).all())
 
 
 def test_a_contact_sphere_three_millimetres_off_is_told(cornered: Adapter) -> None:
@@ -96,7 +96,7 @@ def test_a_contact_sphere_three_millimetres_off_is_told(cornered: Adapter) -> No
 def test_a_spring_or_damper_slightly_off_is_told(
     adapter: Adapter, change: dict[str, float], told: str
 ) -> None:
-    """Each changed by a factor; a fixed rest length keeps the changed ends from changing it."""
+    """Values change by a factor; a fixed rest length keeps the changed ends from changing it."""
     bench = load_scene("workbench")
     (field, factor), (first, spring) = *change.items(), bench.springs
     value = np.multiply(getattr(spring, field), factor)
@@ -118,9 +118,9 @@ def test_an_array_of_another_shape_is_told(what: str, given: Array) -> None:
     settings = settings_for(scene, mujoco, "matched")
     with mujoco.open(scene, settings) as run:
         odd: Any = {what: given}
-        found = dataclasses.replace(run.readback(batch), **odd)
+        read = dataclasses.replace(run.readback(batch), **odd)
 
-    (line,) = readback.compare(Mechanism.of(scene), batch, settings, found)
+    (line,) = readback.compare(Mechanism.of(scene), batch, settings, read)
 
     assert f"got shape {given.shape}" in line
 
@@ -132,9 +132,9 @@ def test_what_a_scene_does_not_have_an_engine_must_not_have(what: str, given: Ar
     batch, settings = draw_batch(scene, [0]), settings_for(scene, mujoco, "matched")
     with mujoco.open(scene, settings) as run:
         odd: Any = {what: given}
-        found = dataclasses.replace(run.readback(batch), **odd)
+        read = dataclasses.replace(run.readback(batch), **odd)
 
-    lines = readback.compare(Mechanism.of(scene), batch, settings, found)
+    lines = readback.compare(Mechanism.of(scene), batch, settings, read)
 
     assert len(lines) == bool(given.size)
     assert all(": got shape (" in line for line in lines)

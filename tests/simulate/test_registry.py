@@ -62,7 +62,7 @@ def test_an_unknown_engine_is_told_what_there_is() -> None:
 
 
 def test_a_family_is_a_known_one_or_said_to_be_an_engines_own() -> None:
-    """A misspelt one would be a vote of its own."""
+    """A misspelt family would be a vote of its own."""
     with pytest.raises(UnknownName, match=r"family of step is called 'Rk4'.*RK4.*own_family"):
         Method("step", "Rk4", 4)
 

@@ -1,4 +1,4 @@
-"""What rounding leaves, by precision, length of chains and number of steps."""
+"""Errors of rounding, by precision, length of chains and number of steps."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SINGLE = dataclasses.replace(DOUBLE, single=True)
 
 
 def _lost(scene_name: str) -> float:
-    """Relative error that bodies have whose links were float32 once."""
+    """Return the relative error of bodies whose links were rounded to float32 once."""
     scene = load_scene(scene_name)
     mechanism, batch = Mechanism.of(scene), draw_batch(scene, range(20))
     start = BodyStates.of(mechanism, batch)
@@ -31,7 +31,7 @@ def _lost(scene_name: str) -> float:
 
 @pytest.mark.parametrize("scene", ["2pendulum", "6pendulum", "20pendulum"])
 def test_single_precision_loses_a_share_of_what_is_allowed(scene: str) -> None:
-    allowed = rounding.held(Mechanism.of(load_scene(scene)), SINGLE)
+    allowed = rounding.state_error(Mechanism.of(load_scene(scene)), SINGLE)
 
     assert allowed / 1000 < _lost(scene) < allowed
 
@@ -39,7 +39,9 @@ def test_single_precision_loses_a_share_of_what_is_allowed(scene: str) -> None:
 def test_longer_chains_and_more_steps_lose_more() -> None:
     short, long = (Mechanism.of(load_scene(name)) for name in ("2pendulum", "6pendulum"))
 
-    assert rounding.held(long, SINGLE) == pytest.approx(3 * rounding.held(short, SINGLE))
-    assert rounding.stepped(SINGLE, 100) == pytest.approx(100 * 2.0**-24)
-    assert rounding.held(long, DOUBLE) < 1e-13
-    assert rounding.held(long, None) == rounding.held(long, DOUBLE)
+    assert rounding.state_error(long, SINGLE) == pytest.approx(
+        3 * rounding.state_error(short, SINGLE)
+    )
+    assert rounding.step_error(SINGLE, 100) == pytest.approx(100 * 2.0**-24)
+    assert rounding.state_error(long, DOUBLE) < 1e-13
+    assert rounding.state_error(long, None) == rounding.state_error(long, DOUBLE)

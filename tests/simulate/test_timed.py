@@ -1,4 +1,4 @@
-"""What will take long is announced, with an estimate that measurement confirms."""
+"""Long work is announced, with an estimate that measurement confirms."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ class _Notes(Silent):
     def __init__(self) -> None:
         self.done: list[str] = []
 
-    def doing(self, what: str) -> None:
-        self.done.append(what)
+    def doing(self, work: str) -> None:
+        self.done.append(work)
 
     def notice(self, line: str) -> None:
         self.done.append(line)
 
-    def advance(self, what: str) -> None:
-        self.done.append(f"then {what}")
+    def advance(self, work: str) -> None:
+        self.done.append(f"then {work}")
 
 
 def test_what_takes_minutes_is_announced_and_the_rest_is_not_even_tried() -> None:
@@ -55,8 +55,8 @@ def test_what_takes_minutes_is_announced_and_the_rest_is_not_even_tried() -> Non
 
     (line,) = forewarnings(_SCENE, _START, work, workers=None)
 
-    told = r"mujoco \(matched\) on 1pendulum: 4e\+07 steps of 1e-07 s, about \d+ (s|min|h) of proc"
-    assert re.match(told, line)
+    regex = r"mujoco \(matched\) on 1pendulum: 4e\+07 steps of 1e-07 s, about \d+ (s|min|h) of proc"
+    assert re.match(regex, line)
 
 
 class _Slow:
@@ -178,7 +178,7 @@ def test_nothing_is_no_trajectory() -> None:
 
 
 def test_quaternions_keep_their_sign_in_every_engine(cornered: Adapter) -> None:
-    """PyBullet's change it 18 times in these frames, where flywheels turn half around."""
+    """PyBullet's own change sign 18 times in these frames, where flywheels turn half around."""
     scene = load_scene("simplecubli")
     batch = draw_batch(scene, [2, 5]).truncated(60)
 
@@ -189,7 +189,7 @@ def test_quaternions_keep_their_sign_in_every_engine(cornered: Adapter) -> None:
 
 
 def test_the_account_of_the_time_adds_up() -> None:
-    """One process at a time: what they spent is nearly all of the time that it took."""
+    """With one process at a time, their times add up to nearly all of the elapsed time."""
     validation, _ = validate_with_evidence(
         _SCENE, choice=Choice.parse(engines="mujoco"), conduct=Conduct(1, cache=False)
     )

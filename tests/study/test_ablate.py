@@ -1,4 +1,4 @@
-"""What effects are worth: nothing where they provably do nothing, else what theory says."""
+"""Sizes of effects: zero where they provably do nothing, else the value of theory."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def test_friction_is_worth_the_way_that_a_ball_slides_on() -> None:
 
 
 def _rolled(speed: Array, rim: Array, friction: float) -> Array:
-    """Way of a ball in 1 s that slides, then rolls [m]."""
+    """Return the distance in 1 s of a ball that slides, then rolls [m]."""
     if friction == 0.0:
         return speed
     brake = friction * _GRAVITY
@@ -191,12 +191,12 @@ def test_an_effect_at_full_strength_is_the_scene_itself(name: str) -> None:
 def test_weaker_starts_are_the_same_in_all_but_the_effect(name: str) -> None:
     scene = registry.load_scene(name)
     batch = draw_batch(scene, range(3), seed=5)
-    seen = set()
+    weakened = set()
     for effect in (effect for effect in EFFECTS if effect.starts == "redrawn"):
         weaker = effect.weaken(scene, 0.5)
         if weaker is None:
             continue
-        seen.add(effect.name)
+        weakened.add(effect.name)
         half = draw_batch(weaker, range(3), seed=5)
         np.testing.assert_allclose(half.position, batch.position, rtol=0, atol=1e-12)
         changed = {
@@ -206,7 +206,7 @@ def test_weaker_starts_are_the_same_in_all_but_the_effect(name: str) -> None:
         }
         assert changed, effect.name
         assert changed <= _TOUCHES[effect.name], effect.name
-    assert "noise" in seen
+    assert "noise" in weakened
     quiet = draw_batch(msgspec.structs.replace(scene, noise=0.0), range(3), seed=5)
     half = draw_batch(msgspec.structs.replace(scene, noise=scene.noise / 2), range(3), seed=5)
     np.testing.assert_allclose(2 * half.force, quiet.force + batch.force, rtol=0, atol=1e-12)
@@ -318,8 +318,8 @@ def test_the_command_writes_what_it_found(run: CommandLine, here: Path) -> None:
     ended = run("ablate", "p.toml", *words, "--markdown", "a.md", "--json", "a.json")
     assert ended.code == 0
     assert "1pendulum: " in ended.out
-    found = json.loads(data.read_text("utf-8"))
-    assert {row["effect"] for row in found["rows"]} >= {"noise", "start velocity"}
+    result = json.loads(data.read_text("utf-8"))
+    assert {row["effect"] for row in result["rows"]} >= {"noise", "start velocity"}
     assert "| noise | dropped |" in page.read_text("utf-8")
 
 

@@ -22,8 +22,8 @@ from mbds_xsim.studies.contact.present import LINES
 from tests.command_line import CommandLine
 
 
-def _value(found: list[ContactFigure], quantity: str, **at: float) -> float:
-    (one,) = [m for m in found if m.quantity == quantity and m.at == at]
+def _value(figures: list[ContactFigure], quantity: str, **at: float) -> float:
+    (one,) = [m for m in figures if m.quantity == quantity and m.at == at]
     assert one.value is not None
     return one.value
 
@@ -60,9 +60,9 @@ def test_energy_by_bounce_is_what_the_heights_show(gain: float) -> None:
         gaps.append(speed * time - 0.5 * PULL * time**2)
         climbs.append(speed - PULL * time)
 
-    found = per_bounce(np.concatenate(gaps), np.concatenate(climbs), 0.05)
+    gains = per_bounce(np.concatenate(gaps), np.concatenate(climbs), 0.05)
 
-    assert found == pytest.approx(gain, abs=1e-9)
+    assert gains == pytest.approx(gain, abs=1e-9)
 
 
 def test_a_ball_that_never_leaves_the_ground_has_lost_its_energy() -> None:
@@ -72,16 +72,16 @@ def test_a_ball_that_never_leaves_the_ground_has_lost_its_energy() -> None:
 
 
 def test_known_laws_of_friction_show() -> None:
-    """DART's own solver has a box: at 45° √2 times as much, and held up to as much."""
+    """DART's own solver has a friction box: at 45° about √2 times as much, sliding and sticking."""
     pytest.importorskip("dartpy")
 
-    found = friction("dart", "native")
+    figures = friction("dart", "native")
 
-    assert _value(found, "ball: sliding friction", heading_deg=0.0) == pytest.approx(FRICTION)
-    diagonal = _value(found, "ball: sliding friction", heading_deg=45.0)
+    assert _value(figures, "ball: sliding friction", heading_deg=0.0) == pytest.approx(FRICTION)
+    diagonal = _value(figures, "ball: sliding friction", heading_deg=45.0)
     assert diagonal == pytest.approx(np.sqrt(2) * FRICTION, rel=1e-3)
-    assert _value(found, "crate: push that starts it", heading_deg=0.0) == 1.05
-    assert _value(found, "crate: push that starts it", heading_deg=45.0) == 1.5
+    assert _value(figures, "crate: push that starts it", heading_deg=0.0) == 1.05
+    assert _value(figures, "crate: push that starts it", heading_deg=45.0) == 1.5
 
 
 def test_friction_under_a_wheel_is_opposite_to_its_slip() -> None:
@@ -119,22 +119,22 @@ def test_figures_without_a_value_keep_the_reason() -> None:
 
     lost = np.full((1, 1, 1, 3), np.nan)
     motion = Trajectory(np.zeros(1), lost, lost, lost, lost, (Failure(0, "lost"),))
-    found = bench.measured("restitution", "1", np.array([np.nan, np.nan]), motion)
+    figure = bench.figure("restitution", "1", np.array([np.nan, np.nan]), motion)
 
-    assert (found.value, found.low, found.note) == (None, None, "lost")
-    assert LINES[0].show(found).text == "–"
+    assert (figure.value, figure.low, figure.note) == (None, None, "lost")
+    assert LINES[0].show(figure).text == "–"
 
 
 @pytest.mark.parametrize(("value", "off"), [(0.9332, False), (0.95, True)])
 def test_what_is_far_from_what_was_asked_is_marked(value: float, off: bool) -> None:
     line = LINES[0]
-    found = ContactFigure("dart", "native", line.quantity, "1", value, line.at)
+    figure = ContactFigure("dart", "native", line.quantity, "1", value, line.at)
 
-    assert (line.show(found).mark == "over") is off
+    assert (line.show(figure).mark == "over") is off
 
 
 def test_the_page_says_what_the_adapters_say() -> None:
-    """Its figures are as old as they are; its words must be today's."""
+    """Figures of the page may be old; its words must be today's."""
     page = (Path(__file__).parents[2] / "docs" / "contact.md").read_text("utf-8")
     laws = {name: registry.load_adapter(name).contact_law for name in registry.installed_engines()}
 
@@ -150,16 +150,16 @@ def test_every_engine_has_a_mark_of_its_own() -> None:
 
 @pytest.mark.usefixtures("in_process")
 def test_the_command_writes_page_figures_and_json(run: CommandLine, here: Path) -> None:
-    """In this process: that parts run apart, the next test says."""
+    """The command runs in this process; the next test covers parts that run apart."""
     pytest.importorskip("mujoco")
     words = ["contact", "--engines", "mujoco", "--settings", "native", "--json", "c.json"]
 
     ended = run(*words, "--markdown", "docs/c.md", "--figures", "docs/images")
 
     assert ended.code == 0
-    told = json.loads((here / "c.json").read_text())
-    assert told["missing"] == []
-    assert {m["engine"] for m in told["figures"]} == {"mujoco"}
+    result = json.loads((here / "c.json").read_text())
+    assert result["missing"] == []
+    assert {m["engine"] for m in result["figures"]} == {"mujoco"}
     page = (here / "docs/c.md").read_text("utf-8")
     assert "(images/contact-restitution.png)" in page
     assert (here / "docs/images/contact-friction.png").read_bytes()[:4] == b"\x89PNG"
@@ -174,13 +174,13 @@ def test_a_part_that_fails_is_told_and_takes_nothing_with_it(
     pytest.importorskip("mujoco")
     monkeypatch.setattr(present, "_PARTS", {"arithmetic": math.sqrt, "limits": limits})
 
-    found = present.study_contact(Choice(("mujoco",), ("native",)), Conduct(1))
+    study = present.study_contact(Choice(("mujoco",), ("native",)), Conduct(1))
 
-    (missing,) = found.missing
+    (missing,) = study.missing
     assert (missing.engine, missing.profile, missing.part) == ("mujoco", "native", "arithmetic")
     assert missing.reason.startswith("TypeError: ")
-    assert [m.quantity for m in found.figures] == ["free spin", "hinge spin", "impact speed held"]
-    page = contact_page(found, {}, Path())
+    assert [m.quantity for m in study.figures] == ["free spin", "hinge spin", "impact speed held"]
+    page = contact_page(study, {}, Path())
     assert f"- mujoco `native`, all of arithmetic: {missing.reason}" in page
 
 

@@ -1,4 +1,4 @@
-"""The limits of contact: each is told where it is broken, and there alone."""
+"""The limits of contact: each is reported where it is broken, and only there."""
 
 from __future__ import annotations
 
@@ -123,9 +123,9 @@ def test_a_first_rebound_is_held_to_its_height(share: float, said: bool) -> None
     place[flight] -= (1.0 - share) * energy / G
 
     motion = moved(exact.trajectory, position=place, velocity=speed)
-    found = {f.check: f for f in contact_findings(scene, motion, exact, EULER)}
-    assert found["height of the first rebound"].figure[0] == pytest.approx(abs(1.0 - share))
-    assert (not found["height of the first rebound"].passed[0]) == said
+    findings = {f.check: f for f in contact_findings(scene, motion, exact, EULER)}
+    assert findings["height of the first rebound"].figure[0] == pytest.approx(abs(1.0 - share))
+    assert (not findings["height of the first rebound"].passed[0]) == said
 
 
 def test_joined_bodies_are_held_to_their_flight_and_to_nothing_after_it() -> None:
@@ -150,12 +150,12 @@ def test_momentum_before_an_impact_is_kept_by_the_order_of_the_method() -> None:
     flight = truth.known
     momentum = np.where(flight, 1e-5, 5e-4)
 
-    def said(method: Method, series: Array) -> list[str]:
+    def faults(method: Method, series: Array) -> list[str]:
         return broken(contact_findings(scene, moved(truth), exact, method, series))
 
-    assert said(EULER, momentum) == []
-    assert said(RK4, momentum) == ["momentum before the first impact"]
-    assert said(RK4, np.where(flight, 1e-7, 2e-3)) == ["momentum in flight"]
+    assert faults(EULER, momentum) == []
+    assert faults(RK4, momentum) == ["momentum before the first impact"]
+    assert faults(RK4, np.where(flight, 1e-7, 2e-3)) == ["momentum in flight"]
 
 
 def test_what_was_lost_breaks_the_limit() -> None:

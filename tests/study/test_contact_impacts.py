@@ -1,4 +1,4 @@
-"""The study of contact measures what is known beforehand."""
+"""The study of contact, on impacts whose outcome is known."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mbds_xsim.studies.contact.impacts import rebounds
 
 @pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
 def test_matched_engines_give_back_what_is_asked(grounded: Adapter, restitution: float) -> None:
-    """Within the scene's budget, and what gravity does in the time that an impact takes."""
+    """The error is within the scene's budget plus gravity's effect during an impact."""
     bench = ContactBench(grounded.name, "matched", "balldrop")
     if value := grounded.cannot_hold(ball(Ground(0.43, restitution), bench.clock(0.01, 0.1))[0]):
         assert reason(rebounds(bench, restitution, 2.0)[2]).endswith(value)
@@ -37,7 +37,7 @@ def test_the_default_contact_of_mujoco_knows_no_restitution() -> None:
 
 
 def test_the_arrival_is_where_and_as_fast_as_asked() -> None:
-    """Seen in an engine of impulses: what comes back does so within a step of the touch."""
+    """Arrivals are seen in an engine of impulses, which rebounds within two steps of the touch."""
     pytest.importorskip("dartpy")
     bench = ContactBench("dart", "native", "balldrop")
     gravity_in_a_step = PULL * bench.settings.step

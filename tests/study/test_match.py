@@ -23,7 +23,7 @@ from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.choice import Choice, settings_for
 from mbds_xsim.simulate.simulator import EngineMethod
-from mbds_xsim.studies.match import Found, Match, matched_toml
+from mbds_xsim.studies.match import Match, MatchedSettings, matched_toml
 from mbds_xsim.studies.match import search as study
 from mbds_xsim.studies.match.search import match
 from tests import plugins
@@ -67,7 +67,7 @@ def test_the_fewest_steps_are_found_in_few_trials(threshold: int) -> None:
         search.tell(count, COUNTS.index(count) >= threshold)
         trials += 1
 
-    assert search.found == (COUNTS[threshold] if threshold < len(COUNTS) else None)
+    assert search.smallest == (COUNTS[threshold] if threshold < len(COUNTS) else None)
     assert trials <= 13
 
 
@@ -76,34 +76,34 @@ def test_what_fails_later_gives_way_to_the_next_shorter_step() -> None:
     search.tell(1, True)
 
     search.refuse(1)
-    assert (search.next, search.found) == (None, 2)
+    assert (search.next, search.smallest) == (None, 2)
     search.refuse(2)
     search.refuse(3)
-    assert search.found is None
+    assert search.smallest is None
 
 
 def test_settings_found_hold_and_fewer_steps_do_not(scene: Scene) -> None:
-    found = _match(scene)
+    result = _match(scene)
 
-    assert [engine.engine for engine in found.engines] == ["mujoco", "exudyn"]
-    for engine in found.engines:
+    assert [engine.engine for engine in result.engines] == ["mujoco", "exudyn"]
+    for engine in result.engines:
         assert engine.meets_budget, engine.reasons
         place = COUNTS.index(engine.steps_per_frame)
         assert _passes(scene, engine, engine.steps_per_frame)
         assert place == 0 or not _passes(scene, engine, COUNTS[place - 1])
-    assert found.engines[0].method == "RK4"
-    assert found.engines[0].steps_per_frame <= 4
+    assert result.engines[0].method == "RK4"
+    assert result.engines[0].steps_per_frame <= 4
 
 
-def _passes(scene: Scene, found: Found, count: int) -> bool:
-    """Whether a number of steps is enough on the starts of the search and on the held-out ones."""
-    settings = Settings(found.method, scene.clock.frame / count, found.options)
+def _passes(scene: Scene, matched: MatchedSettings, count: int) -> bool:
+    """Return whether steps are enough on the starts of the search and on the held-out ones."""
+    settings = Settings(matched.method, scene.clock.frame / count, matched.options)
     batches = [draw_batch(scene, range(3), seed=seed) for seed in (0, 1)]
     return all(
         run_trial(
             scene,
             batch,
-            found.engine,
+            matched.engine,
             settings,
             run_references(scene, batch, HERE),
             3,
@@ -118,15 +118,15 @@ def test_where_no_step_is_good_enough_the_best_is_told(
     monkeypatch.setattr(bisect.Search, "__init__", _few_counts)
     strict = msgspec.structs.replace(scene, budget=Budget(error_1s=1e-15, error=1e-15))
 
-    (found,) = _match(strict, "mujoco").engines
+    (best,) = _match(strict, "mujoco").engines
 
-    assert not found.meets_budget
-    assert "error" in found.reasons[0]
-    assert (found.method, found.steps_per_frame) == ("RK4", 4)
-    assert found.cost_ratio is None
+    assert not best.meets_budget
+    assert "error" in best.reasons[0]
+    assert (best.method, best.steps_per_frame) == ("RK4", 4)
+    assert best.cost_ratio is None
     table = tomllib.loads(matched_toml(_match(strict, "mujoco")))["mujoco"]
     assert table["found"]["meets_budget"] is False
-    assert table["found"]["reason"] == found.reasons[0]
+    assert table["found"]["reason"] == best.reasons[0]
 
 
 def _few_counts(search: Search, counts: tuple[int, ...] = (1, 4)) -> None:
@@ -136,14 +136,14 @@ def _few_counts(search: Search, counts: tuple[int, ...] = (1, 4)) -> None:
 def test_what_is_found_is_not_dearer_than_the_settings_in_use(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where the search tries too many steps only, they win."""
+    """If the search tries only too many steps, the settings in use win."""
     frame = scene.clock.frame
     monkeypatch.setattr(bisect.Search, "__init__", _dear_counts)
     monkeypatch.setattr(study, "settings_for", lambda *_: Settings("RK4", frame / 7))
 
-    (found,) = _match(scene, "mujoco").engines
-    assert found.meets_budget
-    assert (found.method, found.steps_per_frame) == ("RK4", 7)
+    (chosen,) = _match(scene, "mujoco").engines
+    assert chosen.meets_budget
+    assert (chosen.method, chosen.steps_per_frame) == ("RK4", 7)
 
 
 def _dear_counts(search: Search, counts: tuple[int, ...] = (80,)) -> None:
@@ -157,7 +157,7 @@ def _dear_counts(search: Search, counts: tuple[int, ...] = (80,)) -> None:
 def test_a_method_that_shorter_steps_do_not_mend_is_given_up(
     excesses: tuple[float, ...], given_up: bool
 ) -> None:
-    candidate = study._Candidate(EngineMethod("pybullet", "semi-implicit-euler", given={}))
+    candidate = study._Candidate(EngineMethod("pybullet", "semi-implicit-euler", own_options={}))
     for count, excess in enumerate(excesses):
         candidate.proofs[count] = Trial(("wheels",), excess, 1.0, 1.0)
 
@@ -169,7 +169,9 @@ def test_the_best_effort_breaks_the_fewest_checks_and_costs_the_least_of_those(
 ) -> None:
     frame = scene.clock.frame
     used = Settings("semi-implicit-euler", frame / 40)
-    candidate = study._Candidate(EngineMethod("pybullet", used.method, given={}, counts=(40,)))
+    candidate = study._Candidate(
+        EngineMethod("pybullet", used.method, own_options={}, counts=(40,))
+    )
     for count, excess, reasons in (
         (1, 3.0, ("wheels: far", "contact gap: far")),
         (10, 6.2, ("wheels: far", "wheels: farther")),
@@ -178,9 +180,9 @@ def test_the_best_effort_breaks_the_fewest_checks_and_costs_the_least_of_those(
         candidate.proofs[count] = Trial(reasons, excess, 0.1 * count, 0.1 * count)
     proof = study._Field(scene, draw_batch(scene, range(3)), None, 1.0, HERE)  # type: ignore[arg-type]
 
-    found = study._best_effort(proof, [candidate], (used, candidate.proofs[40]))
+    best = study._best_effort(proof, [candidate], (used, candidate.proofs[40]))
 
-    assert (found.steps_per_frame, found.meets_budget) == (10, False)
+    assert (best.steps_per_frame, best.meets_budget) == (10, False)
 
 
 @pytest.mark.parametrize(
@@ -209,19 +211,19 @@ def test_settings_that_keep_the_budgets_and_break_a_limit_of_contact_are_refused
 
 
 def test_the_file_is_what_settings_are_read_from(scene: Scene) -> None:
-    found = _match(scene, "mujoco")
+    result = _match(scene, "mujoco")
     before = '[dart]\nmethod = "semi-implicit-euler"\nsteps_per_frame = 20\n'
 
-    tables = tomllib.loads(matched_toml(found, before))
+    tables = tomllib.loads(matched_toml(result, before))
 
     assert tables["dart"] == {"method": "semi-implicit-euler", "steps_per_frame": 20}
     mujoco = tables["mujoco"]
-    assert mujoco["method"] == found.engines[0].method
-    assert mujoco["steps_per_frame"] == found.engines[0].steps_per_frame
+    assert mujoco["method"] == result.engines[0].method
+    assert mujoco["steps_per_frame"] == result.engines[0].steps_per_frame
     assert mujoco["found"]["trajectories"] == 3
     assert mujoco["found"]["version"] == registry.load_adapter("mujoco").version()
     with pytest.raises(InputError, match="--out"):
-        matched_toml(found, "[dart")
+        matched_toml(result, "[dart")
 
 
 @pytest.mark.parametrize(
@@ -265,10 +267,10 @@ def test_what_is_stored_writes_the_same_file_again_and_scenes_count_once(
     words = ["match", "5pendulum", "5pendulum", "--engines", "mujoco", "--out", "a.toml"]
     monkeypatch.setattr("sys.argv", ["mbds-xsim", *words, "--html=a.html"])
 
-    def told(scene: Scene, *, command: str, **_: object) -> None:
+    def refused(scene: Scene, *, command: str, **_: object) -> None:
         raise InputError(f"{scene.name}: {command}")
 
-    monkeypatch.setattr(study, "match", told)
+    monkeypatch.setattr(study, "match", refused)
     assert run(*words).refusal.strip().endswith(f"5pendulum: mbds-xsim {' '.join(words)}")
     assert not list(here.iterdir())
 
@@ -284,21 +286,21 @@ def test_settings_of_another_packages_engine_stand_in_its_own_package(
     )
     engines, shipped = {"outside": "outside:Outside"}, {"outside": "their_settings"}
     with plugins.installed(folder, {"outside": _OUTSIDE}, engines, matched=shipped):
-        told = run("match", "6pendulum", "--engines", "outside").refusal
+        message = run("match", "6pendulum", "--engines", "outside").refusal
         scene = registry.load_scene("6pendulum")
         theirs, ours = (
             settings_for(scene, registry.load_adapter(name), "matched")
             for name in ("outside", "mujoco")
         )
 
-    assert "outside is another package's engine" in told
+    assert "outside is another package's engine" in message
     assert (theirs.method, theirs.substeps(scene.clock.frame)) == ("Euler", 7)
     assert ours.method == "RK4"
 
 
 @pytest.mark.parametrize("name", registry.scene_names())
 def test_matched_settings_are_of_the_engines_own_stepping(name: str) -> None:
-    """What the toolkit steps on an engine's dynamics says nothing about the engine.
+    """A step of the toolkit on an engine's dynamics says nothing about the engine.
 
     Pinocchio steps nothing itself.
     """
@@ -309,5 +311,5 @@ def test_matched_settings_are_of_the_engines_own_stepping(name: str) -> None:
 
 
 def test_the_search_leaves_the_toolkits_stepping_out(scene: Scene) -> None:
-    (found,) = _match(scene, "dart").engines
-    assert found.method == "semi-implicit-euler"
+    (chosen,) = _match(scene, "dart").engines
+    assert chosen.method == "semi-implicit-euler"

@@ -49,23 +49,23 @@ def cart_pole(name: str = "cart-pole", pull: float = 2.0) -> Scene:
 
 def _searched(scene: Scene, engines: str, conduct: Conduct = HERE) -> dict[str, Matched]:
     choice = searched(scene, Choice.parse(engines=engines), conduct)
-    return dict(choice.given.get("matched", {}))
+    return dict(choice.settings.get("matched", {}))
 
 
 def test_settings_keep_the_budgets_and_cost_a_fraction_of_the_presets() -> None:
     scene = cart_pole()
-    found = _searched(scene, "mujoco,dart")
+    choices = _searched(scene, "mujoco,dart")
 
     for adapter, least in ((MUJOCO, 3.0), (DART, 10.0)):
         preset = adapter.settings(scene, "matched").substeps(scene.clock.frame)
-        assert found[adapter.name].steps_per_frame * least <= preset
-    choice = Choice(("mujoco", "dart"), given={"matched": found})
+        assert choices[adapter.name].steps_per_frame * least <= preset
+    choice = Choice(("mujoco", "dart"), settings={"matched": choices})
     validation, _ = validate_with_evidence(scene, choice=choice, conduct=HERE)
     assert [row.reasons for row in validation.engines] == [(), ()]
 
 
 def test_what_was_found_is_kept_by_physics_not_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = _searched(cart_pole(), "mujoco")
+    choices = _searched(cart_pole(), "mujoco")
     tried: list[str] = []
 
     def search(scene: Scene, *_: object) -> None:
@@ -73,7 +73,7 @@ def test_what_was_found_is_kept_by_physics_not_by_name(monkeypatch: pytest.Monke
 
     monkeypatch.setattr(quick, "_search", search)
 
-    assert _searched(cart_pole("another name"), "mujoco") == found
+    assert _searched(cart_pole("another name"), "mujoco") == choices
     assert tried == []
     _searched(cart_pole("pulled harder", pull=3.0), "mujoco")
     _searched(cart_pole("afresh"), "mujoco", Conduct(0, cache=False))
@@ -124,14 +124,14 @@ def test_few_trials_find_about_the_fewest_steps(magnitude: float, order: int, st
         off = excess(count)
         return Trial(("off",) if off > 1.0 else (), off, 1.0, 1.0)
 
-    found = fewest(tried, order, time.monotonic() + 60.0)
+    steps = fewest(tried, order, time.monotonic() + 60.0)
 
     good = [count for count in COUNTS if excess(count) <= 0.7]
     assert len(tries) <= 9
-    assert (found is None) == (excess(COUNTS[-1]) > 1.0)
+    assert (steps is None) == (excess(COUNTS[-1]) > 1.0)
     if good:
-        assert found in good
-        assert found <= 2.6 * good[0]
+        assert steps in good
+        assert steps <= 2.6 * good[0]
 
 
 def test_a_file_of_settings_is_used_and_names_its_engines(tmp_path: Path) -> None:
@@ -190,7 +190,7 @@ def test_an_engine_that_the_file_does_not_have_is_told(tmp_path: Path) -> None:
 
 def test_a_scene_of_which_nothing_is_drawn_runs_once_and_has_no_interval() -> None:
     scene = cart_pole()
-    choice = Choice(("mujoco",), given={"matched": {"mujoco": Matched("Euler", 1)}})
+    choice = Choice(("mujoco",), settings={"matched": {"mujoco": Matched("Euler", 1)}})
     validation, evidence = validate_with_evidence(
         scene, choice=choice, starts=Starts(4), conduct=HERE
     )

@@ -18,7 +18,7 @@ from mbds_xsim.report.files import to_html, to_markdown
 from mbds_xsim.simulate.registry import PAPER_SCENES, load_adapter
 from mbds_xsim.studies import releases
 from mbds_xsim.studies.releases import ReleaseStudy, environments
-from mbds_xsim.studies.releases.environments import installed, releases_of
+from mbds_xsim.studies.releases.environments import install, releases_of
 from mbds_xsim.studies.releases.present import present, to_png
 from mbds_xsim.studies.releases.steps import (
     History,
@@ -32,8 +32,8 @@ from mbds_xsim.testing import CASES
 from tests import plugins
 from tests.command_line import CommandLine
 
-# An engine is what gravity it makes of MuJoCo's: 2.0 has it wrong, 1.1 does not load, and 1.2 is no
-# wheel at all.
+# The toy engine is MuJoCo with a share of its gravity: 2.0 has it wrong, 1.1 does not load, and 1.2
+# is an empty wheel.
 _ADAPTER = """
 import msgspec
 from mbds_xsim.simulate.claims import Feature
@@ -63,7 +63,7 @@ _RELEASES = {
 
 
 def _wheel(folder: Path, version: str, source: str) -> None:
-    """Pack a module as pip wants it; one without a source is nothing that can be installed."""
+    """Pack a module for pip; without a source the wheel is empty and cannot be installed."""
     folder.mkdir(exist_ok=True)
     info, module = f"toyengine-{version}.dist-info", f"VERSION = {version!r}\n{source}\n"
     facts = f"Metadata-Version: 2.1\nName: toyengine\nVersion: {version}\n"
@@ -77,7 +77,7 @@ def _wheel(folder: Path, version: str, source: str) -> None:
 
 @pytest.fixture(scope="module")
 def toys(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Give an index with the releases; nothing else is asked, and the cache is one of its own."""
+    """Make an index with the releases; pip asks no other, and the cache is its own."""
     folder = tmp_path_factory.mktemp("releases")
     for version, source in _RELEASES.items():
         _wheel(folder / "index", version, source)
@@ -144,7 +144,7 @@ def test_only_the_newest_or_those_since_one_are_listed() -> None:
 
 
 def test_another_release_than_the_folders_is_refused(toys: Path) -> None:
-    place = installed("toyengine", "1.0")
+    place = install("toyengine", "1.0")
     assert isinstance(place, Path)
     study = ReleaseStudy("toyengine", scenes=())
     (toys / "cache" / "releases" / "toyengine-9.9").symlink_to(place)
@@ -182,11 +182,11 @@ def test_what_could_not_be_installed_is_tried_again_where_that_is_asked_for(
 ) -> None:
     monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path))
     monkeypatch.setattr(environments, "_install", lambda *_: "no network")
-    assert installed("toyengine", "1.0") == "no network"
+    assert install("toyengine", "1.0") == "no network"
     monkeypatch.setattr(environments, "_install", lambda *_: "")
-    assert installed("toyengine", "1.0") == "no network"
-    place = installed("toyengine", "1.0", fresh=True)
-    assert place == installed("toyengine", "1.0") == tmp_path / "releases" / "toyengine-1.0"
+    assert install("toyengine", "1.0") == "no network"
+    place = install("toyengine", "1.0", fresh=True)
+    assert place == install("toyengine", "1.0") == tmp_path / "releases" / "toyengine-1.0"
 
 
 @pytest.mark.usefixtures("toys")
@@ -194,7 +194,7 @@ def test_what_could_not_be_installed_is_tried_again_where_that_is_asked_for(
 def test_the_study_asks_for_it_where_it_measures_again(
     fresh: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(releases, "installed", lambda *_, fresh: f"fresh is {fresh}")
+    monkeypatch.setattr(releases, "install", lambda *_, fresh: f"fresh is {fresh}")
     study = ReleaseStudy("toyengine", Conduct(fresh=fresh), scenes=())
     assert study._release("7.0") == f"fresh is {fresh}"
 
@@ -303,8 +303,8 @@ def stored() -> dict[str, History]:
 
 def test_the_stored_page_has_the_steps_of_its_rows(stored: dict[str, History]) -> None:
     again = [
-        msgspec.structs.replace(told, steps=tuple(steps_of(told.rows, known_of(engine))))
-        for engine, told in stored.items()
+        msgspec.structs.replace(history, steps=tuple(steps_of(history.rows, known_of(engine))))
+        for engine, history in stored.items()
     ]
 
     assert again == list(stored.values()), "make reports-releases"
@@ -315,13 +315,13 @@ def test_the_stored_page_has_the_steps_of_its_rows(stored: dict[str, History]) -
 
 def test_changes_of_free_bodies_show_by_the_stored_page_alone(stored: dict[str, History]) -> None:
     """MuJoCo's `implicitfast` had a midpoint rule for them from 3.7 to 3.10."""
-    found = {
+    changes = {
         (step.release, step.course)
         for step in stored["mujoco"].steps
         if step.name == "tumbling, implicitfast" and step.what == "error"
     }
 
-    assert found == {("3.7.0", "better"), ("3.11.0", "worse")}
+    assert changes == {("3.7.0", "better"), ("3.11.0", "worse")}
 
 
 def test_enough_releases_are_driven(stored: dict[str, History]) -> None:

@@ -1,4 +1,4 @@
-"""Maps of stability: known limits are met, every way of failing is told as what it is."""
+"""Maps of stability: known limits are met, every way of failing is reported as what it is."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from mbds_xsim.studies.stability import FRAME, MapCell, Study, Survey
 from mbds_xsim.studies.stability import survey as surveys
 from mbds_xsim.studies.stability.studies import STUDIES, study_named
 from mbds_xsim.studies.stability.survey import SurveyPlan, survey
-from mbds_xsim.studies.stability.verdict import judge, meaning, run_cell, signs_of, who_told
+from mbds_xsim.studies.stability.verdict import judge, meaning, reporter_of, run_cell, signs_of
 from tests.plugins import faulty
 
 
@@ -35,7 +35,7 @@ def _apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 _BLIND = dataclasses.replace(STUDIES["stiffness"], known=False)
-"""Without the reference, which takes longer than all the rest."""
+"""Study without the reference, which takes longer than all the rest."""
 
 
 def _sweep(study: Study, engine: str, method: str, **how: Any) -> Survey:
@@ -114,7 +114,7 @@ def test_the_engine_that_warns_is_told_from_those_that_do_not() -> None:
 def test_reasons_are_read_as_who_noticed_what(reason: str, teller: str, what: str) -> None:
     failure = Failure(3, reason)
 
-    assert (who_told(failure), meaning(failure)) == (teller, what)
+    assert (reporter_of(failure), meaning(failure)) == (teller, what)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -194,19 +194,19 @@ def test_energy_that_comes_or_goes_is_told(known: _Known, factor: float, outcome
 
 def test_what_broke_before_the_end_counts_more_than_the_end(known: _Known) -> None:
     fields = ("position", "orientation", "velocity", "angular_velocity")
-    ended = {name: getattr(known.truth, name).copy() for name in fields}
-    for values in ended.values():
+    motion = {name: getattr(known.truth, name).copy() for name in fields}
+    for values in motion.values():
         values[:, 7:] = np.nan
     failure = (Failure(7, "DART: not finite"),)
-    plain = known.verdict(**ended, failures=failure)
-    ended["position"][:, 5:, 1, 0] += 0.5
+    plain = known.verdict(**motion, failures=failure)
+    motion["position"][:, 5:, 1, 0] += 0.5
 
-    opened = known.verdict(**ended, failures=failure)
+    apart = known.verdict(**motion, failures=failure)
 
     assert (plain.outcome, plain.told) == ("blows up", "engine")
     assert (plain.broke_s, plain.ended_s) == (pytest.approx(0.7), pytest.approx(0.6))
-    assert (opened.outcome, opened.told) == ("comes apart", "engine")
-    assert opened.broke_s == pytest.approx(0.5)
+    assert (apart.outcome, apart.told) == ("comes apart", "engine")
+    assert apart.broke_s == pytest.approx(0.5)
 
 
 def test_a_stable_motion_elsewhere_is_off_course(known: _Known) -> None:

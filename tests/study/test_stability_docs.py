@@ -1,4 +1,4 @@
-"""Every command on the page about failure modes comes to what the page says."""
+"""Every command on the page about failure modes gives the result that the page states."""
 
 from __future__ import annotations
 
@@ -62,9 +62,9 @@ def test_every_command_comes_to_what_the_page_says(
     sweeps = run_tasks(tasks, workers=2)
 
     for claim, sweep in zip(_CLAIMS, sweeps, strict=True):
-        if isinstance(sweep, Crash):  # a process that dies takes the study in it along
+        if isinstance(sweep, Crash):  # a process that dies ends the study in it
             assert (claim["outcome"], claim["told"]) == ("crashed", "process"), sweep
             continue
         (cell,) = sweep.cells
-        told = cell.told if cell.failed or cell.outcome == "off course" else None
-        assert (cell.outcome, told) == (claim["outcome"], claim["told"]), claim["words"]
+        reporter = cell.told if cell.failed or cell.outcome == "off course" else None
+        assert (cell.outcome, reporter) == (claim["outcome"], claim["told"]), claim["words"]

@@ -1,4 +1,4 @@
-"""What a stability study leaves: table, maps, page and rows, and a command for each cell."""
+"""Outputs of a stability study: table, maps, page and rows, and a command for each cell."""
 
 from __future__ import annotations
 
@@ -20,7 +20,14 @@ from mbds_xsim.studies.stability import survey as surveys
 from mbds_xsim.studies.stability.present import present, to_png
 from mbds_xsim.studies.stability.studies import STUDIES
 from mbds_xsim.studies.stability.survey import SurveyPlan, survey
-from mbds_xsim.studies.stability.words import LOOKS, breaking, command_of, conclusion, limit, told
+from mbds_xsim.studies.stability.words import (
+    LOOKS,
+    command_of,
+    conclusion,
+    facts_of,
+    first_failures,
+    limit,
+)
 from tests.command_line import CommandLine
 
 _COUNTS = (2, 10, 50)
@@ -57,7 +64,7 @@ def test_what_breaks_is_counted_with_what_is_silent(sweep: Survey) -> None:
 
     assert conclusion(sweep).startswith(f"{len(failed)} of {len(sweep.cells)} cells fail, ")
     assert f"{len(silent)} of them without a word" in conclusion(sweep)
-    lines = dict(breaking(sweep))
+    lines = dict(first_failures(sweep))
     assert "without a word from the engine" in lines["pybullet semi-implicit-euler"]
 
 
@@ -67,8 +74,8 @@ def test_what_an_engine_cannot_do_makes_it_no_stabler(sweep: Survey) -> None:
     unable = msgspec.structs.replace(
         best, engine="unable", cells=tuple(tuple(refused for _ in row) for row in best.cells)
     )
-    said = conclusion(msgspec.structs.replace(sweep, panels=(unable, *sweep.panels)))
-    assert said.split("; ")[1] == conclusion(sweep).split("; ")[1]
+    sentence = conclusion(msgspec.structs.replace(sweep, panels=(unable, *sweep.panels)))
+    assert sentence.split("; ")[1] == conclusion(sweep).split("; ")[1]
 
 
 def test_what_ran_out_of_time_is_not_measured(sweep: Survey) -> None:
@@ -76,8 +83,8 @@ def test_what_ran_out_of_time_is_not_measured(sweep: Survey) -> None:
 
     def late(outcomes: Sequence[Sequence[str]]) -> Survey:
         cells = tuple(
-            tuple(msgspec.structs.replace(c, outcome=o) for c, o in zip(row, told, strict=True))
-            for row, told in zip(panel.cells, outcomes, strict=True)
+            tuple(msgspec.structs.replace(c, outcome=o) for c, o in zip(row, names, strict=True))
+            for row, names in zip(panel.cells, outcomes, strict=True)
         )
         return msgspec.structs.replace(sweep, panels=(msgspec.structs.replace(panel, cells=cells),))
 
@@ -85,11 +92,13 @@ def test_what_ran_out_of_time_is_not_measured(sweep: Survey) -> None:
     some = late([["stable", *ends[1:]], ends])
     assert limit(some.panels[0], 0) == f"{1e3 * sweep.steps_s[0]:g}"
     assert limit(some.panels[0], 1) == "not measured"
-    assert dict(breaking(some))["mujoco RK4"].startswith(f"not measured {2 * len(ends) - 1}×, of")
-    said = conclusion(late([ends, ends]))
-    assert said.startswith(f"0 of {2 * len(ends)} cells fail, ")
-    assert f"{2 * len(ends)} are not measured (out of time: give more by --limit)" in said
-    assert said.endswith("none is stable")
+    assert dict(first_failures(some))["mujoco RK4"].startswith(
+        f"not measured {2 * len(ends) - 1}×, of"
+    )
+    sentence = conclusion(late([ends, ends]))
+    assert sentence.startswith(f"0 of {2 * len(ends)} cells fail, ")
+    assert f"{2 * len(ends)} are not measured (out of time: give more by --limit)" in sentence
+    assert sentence.endswith("none is stable")
 
 
 def test_every_outcome_has_its_own_look() -> None:
@@ -124,7 +133,7 @@ def test_a_cell_a_line(sweep: Survey) -> None:
 def test_a_cell_is_told_with_what_why_and_how_to_see_it_again(sweep: Survey) -> None:
     cell = next(c for c in sweep.cells if c.engine == "mujoco" and c.told == "engine")
 
-    lines = dict(told(cell, sweep))
+    lines = dict(facts_of(cell, sweep))
 
     assert lines["who told"] == "the engine"
     assert "QACC" in lines["in its words"]
@@ -177,11 +186,11 @@ def test_a_file_in_the_place_of_the_folder_is_refused_before_anything_runs(
 ) -> None:
     (here / "maps").write_text("")
 
-    told = run("stability", "spin", "--engines", "mujoco", "--quick", "--out", "maps").refusal
+    message = run("stability", "spin", "--engines", "mujoco", "--quick", "--out", "maps").refusal
 
-    assert "--out" in told
-    assert "maps" in told
-    assert "mujoco" not in told
+    assert "--out" in message
+    assert "maps" in message
+    assert "mujoco" not in message
 
 
 def test_a_folder_gets_every_file_of_a_study(run: CommandLine, here: Path) -> None:

@@ -1,4 +1,4 @@
-"""Rows that are kept: as they were written, or not at all."""
+"""Stored rows are read as they were written, or not at all."""
 
 from __future__ import annotations
 

@@ -176,14 +176,14 @@ def test_a_row_says_when_the_error_of_its_own_start_was_taken() -> None:
     known = reference.solve(short, starts)
     ends = [failure.frame * short.clock.frame for failure in known.failures if failure]
     truths = [bench.Truth(known[[row]], np.ones((1, starts.steps + 1))) for row in range(2)]
-    board = bench.StartBench(short, starts, truths, 0, 30.0, HERE)
+    workbench = bench.StartBench(short, starts, truths, 0, 30.0, HERE)
 
-    cases = [board._case(bench.Job(EngineMethod("mujoco", "RK4"), 1, row)) for row in range(2)]
+    cases = [workbench._case(bench.Job(EngineMethod("mujoco", "RK4"), 1, row)) for row in range(2)]
 
     last = [pytest.approx(end - short.clock.frame) for end in ends]
     assert [case.row.horizon_s for case in cases] == last
     assert len({case.row.horizon_s for case in cases}) == 2
-    assert board.horizon == min(case.row.horizon_s for case in cases)
+    assert workbench.horizon == min(case.row.horizon_s for case in cases)
 
 
 def test_contact_without_a_unique_answer_ends_the_error_at_the_first_impact() -> None:
@@ -226,7 +226,7 @@ _ROW = Measurement(
 @pytest.mark.parametrize("own_limit", [True, False])
 def test_without_a_limit_of_its_own_nothing_is_near_it(own_limit: bool) -> None:
     car = registry.load_scene("particlecar")
-    curve = EngineMethod("pybullet", "semi-implicit-euler", given={})
+    curve = EngineMethod("pybullet", "semi-implicit-euler", own_options={})
 
     (result,) = curve_results(car, [curve], [[[_ROW]]], own_limit=own_limit)
 
@@ -237,7 +237,7 @@ def test_without_a_limit_of_its_own_nothing_is_near_it(own_limit: bool) -> None:
 def test_a_run_is_not_compared_with_itself(own_limit: bool) -> None:
     """Fifty contact substeps at 1 ms are the same steps as five at 0.1 ms, the limit's own."""
     car = registry.load_scene("particlecar")
-    curve = EngineMethod("exudyn", "trapezoidal", variation="contact_substeps = 50", given={})
+    curve = EngineMethod("exudyn", "trapezoidal", variation="contact_substeps = 50", own_options={})
     row = msgspec.structs.replace(_ROW, error_m=0.0, error_weighted_m=0.0)
 
     (result,) = curve_results(car, [curve], [[[row]]], own_limit=own_limit)
@@ -317,8 +317,8 @@ def test_crash_time_out_and_nan_are_listed_results(
     study = _study(scene, engines, starts=1, workers=8)
 
     def kinds(engine: str) -> set[tuple[str, str]]:
-        found = [curve for curve in study.curves if curve.engine == engine]
-        return {(point.kind, point.reason) for curve in found for point in curve.points}
+        curves = [curve for curve in study.curves if curve.engine == engine]
+        return {(point.kind, point.reason) for curve in curves for point in curve.points}
 
     assert {kind for kind, _ in kinds("mujoco")} == {"done"}
     assert kinds("blowing") == {("failed", "frame 1: a number is not finite")}

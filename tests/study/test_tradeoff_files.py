@@ -1,4 +1,4 @@
-"""What `mbds-xsim tradeoff` prints and writes, from a hand-made study and through the command."""
+"""Output of `mbds-xsim tradeoff`, from a hand-made study and through the command."""
 
 from __future__ import annotations
 
@@ -73,8 +73,8 @@ def test_the_table_compares_costs_at_equal_accuracy(study: Tradeoff) -> None:
 
     (fast,) = (line for line in text.splitlines() if re.match(r" *mujoco +RK4", line))
     (slow,) = (line for line in text.splitlines() if re.match(r" *dart", line))
-    told = "4.0 (4) 10 ms 2× 1× 5.0 ms: 20 ms 10 µm"
-    assert " ".join(fast.split()).endswith(told)
+    row = "4.0 (4) 10 ms 2× 1× 5.0 ms: 20 ms 10 µm"
+    assert " ".join(fast.split()).endswith(row)
     assert "200×" in slow
     assert "142×" in slow
     assert "mujoco RK4 solver = CG: 0.5 × the cost at the budget" in text
@@ -91,33 +91,33 @@ def test_the_table_fits_the_terminal(study: Tradeoff, width: int) -> None:
 
 
 def test_the_cheapest_within_all_budgets_breaks_none(study: Tradeoff) -> None:
-    found = summary.cheapest_within(study)
+    cheapest = summary.cheapest_within(study)
 
-    assert found is not None
-    curve, point = found
+    assert cheapest is not None
+    curve, point = cheapest
     assert (curve.variation, point.wall_s) == ("solver = CG", 0.005)
 
 
 def test_a_busy_machine_is_told(study: Tradeoff) -> None:
-    assert "busy" not in summary.machine_told(study)
+    assert "busy" not in summary.machine_line(study)
     noisy = msgspec.structs.replace(study, busy=2.5)
-    assert "it was busy: times are 2.5 × the processor's" in summary.machine_told(noisy)
+    assert "it was busy: times are 2.5 × the processor's" in summary.machine_line(noisy)
 
 
 def test_words_say_how_far_the_error_goes(study: Tradeoff) -> None:
     impact = msgspec.structs.replace(study, reference_ends_s=0.383, horizon_s=0.38)
     at_once = msgspec.structs.replace(study, reference_ends_s=0.0, own_limit=200)
 
-    assert "at 1 s, the worst of 3 medium starts" in summary.what_is_charted(study)
-    assert "before the first impact (0.38 s" in summary.what_is_charted(impact)
-    assert "the method's own run at 200 steps a frame, at 1 s" in summary.what_is_charted(at_once)
+    assert "at 1 s, the worst of 3 medium starts" in summary.describe_error(study)
+    assert "before the first impact (0.38 s" in summary.describe_error(impact)
+    assert "the method's own run at 200 steps a frame, at 1 s" in summary.describe_error(at_once)
     assert "from its own limit" in summary.conclusion(at_once)
 
 
 def test_an_impact_after_the_error_is_taken_does_not_move_it(study: Tradeoff) -> None:
     late = msgspec.structs.replace(study, reference_ends_s=1.2)
 
-    assert summary.what_is_charted(late) == summary.what_is_charted(study)
+    assert summary.describe_error(late) == summary.describe_error(study)
     assert "error at 1 s" in [title.split(",")[0] for title in _titles(late)]
 
 
@@ -127,7 +127,7 @@ def _titles(study: Tradeoff) -> list[str]:
 
 def test_reasons_that_differ_in_numbers_are_told_once(study: Tradeoff) -> None:
     reasons = {1: "frame 1: residual 1e-01", 2: "frame 2: residual 1e-02", 4: "a clamp"}
-    bad = [_point(n, None, 0.0, kind="failed", reason=told) for n, told in reasons.items()]
+    bad = [_point(n, None, 0.0, kind="failed", reason=reason) for n, reason in reasons.items()]
     failing = msgspec.structs.replace(study, curves=(curve("dart", "RK4", *bad),))
 
     assert summary.failures(failing) == [
@@ -155,8 +155,8 @@ def test_files_are_written(study: Tradeoff, tmp_path: Path) -> None:
     assert "# other: speed against accuracy" in text
     assert "Cheapest within all budgets: mujoco RK4 solver = CG at 10 ms" in text
     assert text.count("![pair, speed against accuracy](out.png)\n") == text.count("![") == 1
-    told = json.loads(results_json([study]))
-    assert told["curves"][0]["points"][0]["kind"] == "crashed"
+    result = json.loads(results_json([study]))
+    assert result["curves"][0]["points"][0]["kind"] == "crashed"
     assert [entry["scene"] for entry in json.loads(results_json([study, other]))] == [
         "pair",
         "other",

@@ -1,7 +1,7 @@
 """Answers in words, computed from the figures.
 
-What a change of engine costs is held against what a change of speed costs on one engine: the shift
-of covariates beside that of domains, as in Koh et al., WILDS, ICML 2021.
+The cost of a change of engine is compared with that of a change of speed on one engine: a shift of
+domains next to a shift of covariates, as in Koh et al., WILDS, ICML 2021.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from mbds_xsim.learn.shift.result import INTERVALS, Answer, BoundedRatio, Gap, v
 from mbds_xsim.learn.trained import TrainedModel
 
 RESOLVABLE, ROBUST, MATCHED, SPEED = "resolvable", "robust", "matched", "speed"
-"""Kinds of answers beside those that are named after a kind of training."""
+"""Kinds of answers, in addition to those that are named after a kind of training."""
 
 _BLIND = (
     "where no gap is resolved, ratios tell how well trainings went, not what a change of engine "
@@ -51,14 +51,14 @@ class _Trainings:
     model: str
     variant: str
     singles: dict[str, TrainedModel]
-    """Single-engine trainings by their domain."""
+    """Single-engine trainings, by domain."""
     without: dict[str, TrainedModel]
     """Leave-one-out trainings, by the domain that is left out."""
     everything: TrainedModel | None
 
 
 def answers_of(draws: Draws, gaps: Sequence[Gap], at: int) -> Iterator[Answer]:
-    """Answer what can be answered at a frame from the trainings that there are."""
+    """Yield the answers at a frame that the available trainings allow."""
     evaluation = draws.evaluation
     place = evaluation.frames.index(at)
     variants = dict.fromkeys(domain.variant for domain in evaluation.test.domains)
@@ -82,13 +82,13 @@ def _trainings(evaluation: Evaluation, model: str, variant: str) -> _Trainings:
         variant,
         {name: t for name, t in singles.items() if name in tests},
         {names[0]: t for t, names in absent.items() if len(names) == 1},
-        # Without tests of some engine, those that left it out have seen all domains, too.
+        # If an engine is not tested, trainings that left it out have seen all domains, too.
         max((t for t, n in absent.items() if not n), key=lambda t: len(t.engines), default=None),
     )
 
 
 def _resolved(gaps: Sequence[Gap], place: int, frame: int) -> Answer:
-    """How many shifts can be told at all."""
+    """Answer how many shifts are resolvable at all."""
     single = [gap for gap in gaps if gap.kind == SINGLE]
     if not single:
         return Answer(RESOLVABLE, "Is a shift resolvable?", _ALONE)
@@ -113,7 +113,7 @@ def _resolved(gaps: Sequence[Gap], place: int, frame: int) -> Answer:
 
 
 def _by_settings(gaps: Sequence[Gap], place: int) -> str:
-    """Tell changes of engine from those of settings, where there are both."""
+    """Count changes of engine and of settings separately, if there are both."""
     same = [g for g in gaps if g.training.rpartition("-")[2] == g.test.rpartition("-")[2]]
     others = [gap for gap in gaps if gap not in same]
     if not others:
@@ -125,10 +125,10 @@ def _by_settings(gaps: Sequence[Gap], place: int) -> str:
 
 
 def _no_harm(resolved: Sequence[Gap], place: int) -> str:
-    """Count models that lose nothing by the change, and yet err more than the target's own."""
+    """Count models that lose nothing by the change, but are worse than the target's own."""
     worse = [gap for gap in resolved if not _is_gain(gap, place)]
-    none = sum(_not_above(gap.transferred[place], gap.own[place]) for gap in worse)
-    return f" (in {none} of these no more than at home: its data teach less)" if none else ""
+    count = sum(_not_above(gap.transferred[place], gap.own[place]) for gap in worse)
+    return f" (in {count} of these no more than at home: its data teach less)" if count else ""
 
 
 def _not_above(here: float | None, there: float | None) -> bool:
@@ -143,7 +143,7 @@ def _is_gain(gap: Gap, place: int) -> bool:
 def _most_robust(
     draws: Draws, groups: Sequence[_Trainings], gaps: Sequence[Gap], place: int
 ) -> Answer:
-    """The model of the smallest worst-engine gap, of those in which a shift can be seen."""
+    """Find the model with the smallest worst-engine gap, among those with a resolved shift."""
     frame, variant = draws.evaluation.frames[place], groups[0].variant
     within = {group.model: _gaps_within(group, group.singles, gaps) for group in groups}
     resolved = {model: [g for g in own if g.resolved[place]] for model, own in within.items()}
@@ -165,7 +165,7 @@ def _most_robust(
 
 
 def _first(able: Sequence[str], ratios: Mapping[str, Bounded], place: int) -> str:
-    """Name the first of those in which a shift can be seen, and how sure that is."""
+    """Name the first of the models with a resolved shift, and say how sure that is."""
     if not able:
         return _UNTOLD
     best, others = ratios[able[0]], able[1:]
@@ -179,7 +179,7 @@ def _first(able: Sequence[str], ratios: Mapping[str, Bounded], place: int) -> st
 def _gaps_within(
     group: _Trainings, trainings: Mapping[str, TrainedModel], gaps: Sequence[Gap]
 ) -> list[Gap]:
-    """Gaps of some of a group's trainings to domains of its variant."""
+    """Return the gaps of some of a group's trainings to domains of its variant."""
     names = {training.training for training in trainings.values()}
     own = [gap for gap in gaps if gap.model == group.model and gap.training in names]
     return [gap for gap in own if gap.test in group.singles]
@@ -190,7 +190,7 @@ def _count_resolved(gaps: Sequence[Gap], place: int) -> str:
 
 
 def _worst_gap(group: _Trainings, gaps: Sequence[Gap]) -> Callable[[Look], Array]:
-    """Largest ratio to the target-trained model."""
+    """Return a function for the largest ratio to the target-trained model."""
     singles = {training.training: training for training in group.singles.values()}
 
     def worst(look: Look) -> Array:
@@ -204,7 +204,7 @@ def _worst_gap(group: _Trainings, gaps: Sequence[Gap]) -> Callable[[Look], Array
 
 
 def _mean_gap(group: _Trainings, look: Look) -> Array:
-    """Geometric mean of the same."""
+    """Compute the geometric mean of the ratios to the target-trained model."""
     singles = group.singles
     pairs = itertools.permutations(singles, 2)
     return _geometric([_over(look(singles[i], j), look(singles[j], j)) for i, j in pairs])
@@ -218,7 +218,7 @@ def _several_engines(
     shared = [name for name in group.without if name in singles]
 
     def left_out(look: Look) -> Array:
-        """Error without the target over that of single other engines, as geometric means."""
+        """Compute the error without the target over that of single others, as geometric means."""
         ratios = []
         for test in shared:
             others = [look(t, test) for name, t in singles.items() if name != test]
@@ -226,7 +226,7 @@ def _several_engines(
         return _geometric(ratios)
 
     def worst_of_all(look: Look) -> Array:
-        """Worst engine of the all-engine training over the mean worst of the single ones."""
+        """Compute the worst error of the all-engine training over the mean worst of single ones."""
         assert everything is not None
         worst, *each = (
             np.max([look(t, test) for test in singles], axis=0)
@@ -280,14 +280,14 @@ def _matched(
 
 
 def _lessening(variants: Mapping[str, _Trainings], look: Look) -> Array:
-    """Mean gap on native data over that on matched data, of the same trajectories."""
+    """Compute the mean gap on native data over that on matched data, for the same trajectories."""
     return _over(_mean_gap(variants["native"], look), _mean_gap(variants["matched"], look))
 
 
 def _removal(
     native: Bounded, matched: Bounded, change: Bounded, gaps: dict[str, list[Gap]], place: int
 ) -> str:
-    """Tell a shift that went from one that an interval of matched data is too wide to show."""
+    """Distinguish a removed shift from one that matched data's interval is too wide to show."""
     if np.isnan(native.low[place]):
         return _UNTOLD
     if not native.low[place] > 1.0:
@@ -306,7 +306,7 @@ def _removal(
 
 
 def answers_by_interval(evaluation: Evaluation, at: int) -> Iterator[Answer]:
-    """Answer for every domain on which models were trained on each interval by itself."""
+    """Yield an answer for every domain on which models were trained on each interval alone."""
     speeds = INTERVALS[1:]
     if not all(evaluation.rows(interval).any() for interval in speeds):
         return
@@ -335,7 +335,7 @@ def answers_by_interval(evaluation: Evaluation, at: int) -> Iterator[Answer]:
 def _worst_speed(
     draws: Mapping[str, Draws], trained: Mapping[str, TrainedModel], domain: str
 ) -> Bounded:
-    """Largest ratio of errors on an interval, of a training on another to that on itself."""
+    """Compute the largest ratio of errors on an interval: trained on another over trained on it."""
 
     def worst(look: str) -> Array:
         error = {
@@ -360,7 +360,7 @@ def _results(ratios: Mapping[str, Bounded]) -> dict[str, BoundedRatio]:
 
 
 def _over(here: Array, there: Array) -> Array:
-    """1 where both are 0: two perfect models do not differ."""
+    """Divide, with 1 for 0 / 0: two perfect models do not differ."""
     return np.asarray(np.where((here == 0.0) & (there == 0.0), 1.0, here / there))
 
 

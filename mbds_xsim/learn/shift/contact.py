@@ -1,8 +1,8 @@
 """Horizons that are counted from the first contact.
 
-Ten frames behind the last known one most balls are still in the air, where engines differ by steps
-and damping alone. What contact does is seen from where it begins: frame 1 is then the first at
-which a contact sphere has touched the ground, in whichever domain it does so first.
+Ten frames after the last known one most balls are still in the air, where engines differ only in
+steps and damping. To see the effect of contact, frames are counted from its beginning: frame 1 is
+the first at which a contact sphere has touched the ground, in whichever domain that is earliest.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 
 _LEAST = 10
-"""Trajectories that a study from the first contact on is made of, and frames that they have."""
+"""Least number of trajectories in a study from the first contact on, and of their frames."""
 
 
 def first_contact(test: Paired, horizon: int) -> Index:
-    """Give the predicted frame, counted from 0, at which each trajectory first touches the ground.
+    """Return the predicted frame, counted from 0, of each trajectory's first ground contact.
 
-    −1 of those that touch it in the frames that are given, `horizon` of those that never do.
+    −1 if that is within the known frames, `horizon` if there is none.
     """
     mechanism, earliest = test.graph.mechanism, np.full(len(test.index), horizon)
     if not len(mechanism.sphere_radius):
@@ -43,7 +43,7 @@ def first_contact(test: Paired, horizon: int) -> Index:
 
 
 def _touches(scene: Scene, states: Array) -> Mask:
-    """Whether a sphere is on the ground at a frame, or free flight would have brought it there.
+    """Return whether a sphere is on the ground at a frame, or would be there by free flight.
 
     A ball may bounce between two frames and be seen in the air at both.
     """
@@ -54,14 +54,14 @@ def _touches(scene: Scene, states: Array) -> Mask:
     arm = rotation.rotate(native[..., mechanism.sphere_body, :], mechanism.sphere_offset)
     rate = carrier[..., 9] + rotation.cross(carrier[..., 10:], arm)[..., 2]
     ahead = gap + frame * rate + 0.5 * frame**2 * scene.gravity[2]
-    flown = np.concatenate([gap[:, :1], ahead[:, :-1]], axis=1)
-    return np.any(np.minimum(gap, flown) <= 0.0, axis=-1)
+    predicted = np.concatenate([gap[:, :1], ahead[:, :-1]], axis=1)
+    return np.any(np.minimum(gap, predicted) <= 0.0, axis=-1)
 
 
 def from_contact(evaluation: Evaluation) -> Evaluation | None:
-    """Count frames from the first contact on, of the trajectories that have it early enough.
+    """Count frames from the first contact on, for trajectories that have it early enough.
 
-    None where fewer than ten do, as where there is no ground or a body starts on it.
+    None if fewer than ten do, as without a ground, or if a body starts on it.
     """
     horizon = max(evaluation.frames)
     first = first_contact(evaluation.test, horizon)

@@ -1,6 +1,6 @@
-"""Test domains of a scene: the same motions in every engine and variant, paired by their number.
+"""Test domains of a scene: the same motions in every engine and variant, paired by number.
 
-The reference is one more of them.
+The reference is one more domain.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from mbds_xsim.dataset.layout import SPLITS, split_of
 from mbds_xsim.dataset.paired import STARTS, check_alike, check_paired, numbers_in
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.dataset.read import Dataset, load_dataset
-from mbds_xsim.dataset.shard import ROLLOUT, spent
+from mbds_xsim.dataset.shard import ROLLOUT, stage_times
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.trained import TrainedModel
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Motions, names_read
@@ -38,12 +38,12 @@ REFERENCE = "reference"
 
 _TEST = "test"
 _PAIRED = (*STARTS, "input/force", "input/torque")
-_TOGETHER = 8  # reference solutions a process
+_TOGETHER = 8  # reference solutions per process
 
 
 @dataclass(frozen=True)
 class Recorded:
-    """What one engine made in one variant: chosen test trajectories of a data file."""
+    """Domain of one engine in one variant: chosen test trajectories of a data file."""
 
     engine: str
     variant: str
@@ -54,11 +54,11 @@ class Recorded:
 
     @property
     def name(self) -> str:
-        """Engine and variant."""
+        """Name of engine and variant."""
         return f"{self.engine}-{self.variant}"
 
     def motions(self, dtype: torch.dtype) -> Motions:
-        """Read them."""
+        """Read the motions."""
         rows = np.array(self.rows, dtype=np.int64)
         data = load_dataset(self.path)
         return Motions.of(data, _TEST, rows=rows, bodies=True, dtype=dtype)
@@ -66,12 +66,12 @@ class Recorded:
 
 @dataclass(frozen=True)
 class Solved:
-    """The independent reference for the same starts and inputs; unknown after a first impact."""
+    """Domain of the independent reference for the same starts and inputs, as far as it is known."""
 
     inputs: Recorded
-    """A domain that has the inputs."""
+    """Domain that has the inputs."""
     path: Path
-    """Where its `ReferenceFrames` are kept."""
+    """File of its `ReferenceFrames`."""
     content: str
     name: ClassVar[str] = REFERENCE
     engine: ClassVar[str] = REFERENCE
@@ -79,16 +79,16 @@ class Solved:
     rows: ClassVar[tuple[int, ...]] = ()
 
     def motions(self, dtype: torch.dtype) -> Motions:
-        """Give the motions; frames that are not known are not numbers."""
-        known, truth = self.inputs.motions(dtype), read_reference(self.path)
+        """Return the motions; unknown frames are NaN."""
+        recorded, truth = self.inputs.motions(dtype), read_reference(self.path)
         frames = truth.position.shape[1]
-        force, torque = known.inputs.force, known.inputs.torque
+        force, torque = recorded.inputs.force, recorded.inputs.torque
         return Motions(
-            graph=known.graph,
+            graph=recorded.graph,
             split=_TEST,
-            index=known.index,
-            position=known.graph.embed(torch.from_numpy(truth.position).to(dtype)),
-            velocity=known.graph.embed(torch.from_numpy(truth.velocity).to(dtype), rest=0.0),
+            index=recorded.index,
+            position=recorded.graph.embed(torch.from_numpy(truth.position).to(dtype)),
+            velocity=recorded.graph.embed(torch.from_numpy(truth.velocity).to(dtype), rest=0.0),
             inputs=KnownInputs(force[:, : frames - 1], torque[:, : frames - 1]),
             body=torch.from_numpy(truth.body),
         )
@@ -103,31 +103,31 @@ class Paired:
 
     scene: Scene
     index: Index
-    """Their numbers, ascending."""
+    """Numbers of the trajectories, ascending."""
     domains: tuple[Recorded, ...]
     batch: Batch
     """Starts and inputs, the noise included; the same in all domains."""
     noise: bool
     """Whether random forces act."""
     quiet: Array
-    """Forces without the noise [N], of the shape of `batch.force`."""
+    """Forces without the noise [N], in the shape of `batch.force`."""
     seed: int
-    """Of the draw: another one has other starts."""
+    """Seed of the draw; another seed has other starts."""
     left_out: Mapping[str, str]
-    """Engines and variants of whose trajectories none were published, with the reason."""
+    """Engines and variants without any published trajectory, with the reason."""
 
     @functools.cached_property
     def graph(self) -> Graph:
-        """Of the scene."""
+        """Graph of the scene."""
         return Graph.of(self.scene)
 
 
 def cost_of(domain: Domain) -> float | None:
-    """Processor time of the engine for one of its trajectories [s]; None where nothing tells.
+    """Return the processor time of the engine per trajectory [s]; None if unknown.
 
-    Older logs tell it with the loading of engine and model.
+    In older logs it includes the loading of engine and model.
     """
-    times = spent(domain.path) if isinstance(domain, Recorded) else {}
+    times = stage_times(domain.path) if isinstance(domain, Recorded) else {}
     seconds = times.get(ROLLOUT, times.get("simulate_s"))
     if seconds is None:
         return None
@@ -135,7 +135,7 @@ def cost_of(domain: Domain) -> float | None:
 
 
 def scenes_in(folder: Path) -> list[str]:
-    """Names of the scenes that a folder has data of."""
+    """Return the names of the scenes that a folder has data of."""
     return sorted({path.parent.name for path in folder.glob("*/*.h5") if _is_joined(path)})
 
 
@@ -145,13 +145,13 @@ def load_paired(
     """Pair the test parts of all data files of a scene.
 
     Args:
-        folder: Of data sets.
+        folder: Folder of data sets.
         scene: Name of the scene's folder in it.
-        trajectories: Take at most so many, the first ones: the intervals take turns.
-        variants: Only files of these settings; left out, all.
+        trajectories: Take at most so many, the first ones, among which the intervals take turns.
+        variants: Take only files of these settings; by default all.
 
     Raises:
-        InputError: Data are missing, not what was written, or do not belong together.
+        InputError: Data are missing, damaged, or do not belong together.
     """
     place = folder / scene
     files = [load_dataset(path) for path in sorted(place.glob("*.h5")) if _is_joined(path)]
@@ -182,14 +182,14 @@ def load_paired(
     rows = [np.flatnonzero(np.isin(file.index, index)) for file in files]
     check_paired(files, rows, _PAIRED)
     batch, first = files[0].batch(rows[0]), files[0]
-    known = "input/known_force"
+    name = "input/known_force"
     return Paired(
         scene=first.scene,
         index=index,
         domains=tuple(_recorded(*pair) for pair in zip(files, rows, strict=True)),
         batch=batch,
         noise=bool(first.attributes["noise"]),
-        quiet=np.asarray(first[known][rows[0]] if known in first else np.zeros_like(batch.force)),
+        quiet=np.asarray(first[name][rows[0]] if name in first else np.zeros_like(batch.force)),
         seed=int(first.attributes["seed"]),
         left_out=lacking,
     )
@@ -201,18 +201,18 @@ def _is_joined(path: Path) -> bool:
 
 def _recorded(file: Dataset, rows: Index) -> Recorded:
     about = file.attributes
-    place, chosen = file.path.resolve(), tuple(rows.tolist())
-    return Recorded(about["engine"], about["profile"], place, chosen, about[CONTENT])
+    path, indices = file.path.resolve(), tuple(rows.tolist())
+    return Recorded(about["engine"], about["profile"], path, indices, about[CONTENT])
 
 
 @dataclass(frozen=True, eq=False)
 class ReferenceFrames:
-    """The reference solution of a test set, up to a last frame."""
+    """Reference solution of a test set, up to a last frame."""
 
     position: Array
-    """Of the particles [m], shape (trajectory, frame, particle, axis); NaN where not known."""
+    """Positions of the particles [m], (trajectory, frame, particle, axis); NaN where unknown."""
     velocity: Array
-    """The same [m/s]."""
+    """Velocities of the particles [m/s], same shape."""
     body: Array
     """Published states of the bodies, shape (trajectory, frame, body, 13)."""
     quiet: Array
@@ -223,7 +223,7 @@ class ReferenceFrames:
 
 
 def solve_domain(test: Paired, horizon: int, conduct: Conduct) -> tuple[Solved | None, str]:
-    """Solve the reference for all test starts; None, with the reason, where it is known nowhere."""
+    """Solve the reference for all test starts; None, with the reason, if it is known nowhere."""
     batch = test.batch.truncated(HISTORY - 1 + horizon)
     path = directory() / "shift" / "truth" / f"{_key(test, batch)}.npz"
     arrays = read_sealed(path) if conduct.cache else None
@@ -249,7 +249,7 @@ def solve_domain(test: Paired, horizon: int, conduct: Conduct) -> tuple[Solved |
 
 
 def read_reference(path: Path) -> ReferenceFrames:
-    """Read what `solve_domain` has kept, or raise InputError."""
+    """Read a solution stored by `solve_domain`, or raise InputError."""
     arrays = read_sealed(path)
     if arrays is None:
         msg = f"{path}: cannot be read; run again"
@@ -272,7 +272,7 @@ def _solved(scene: Scene, batch: Batch, quiet: Array, cache: bool) -> ReferenceF
 def _without_noise(
     scene: Scene, batch: Batch, trajectory: Trajectory, quiet: Array, cache: bool
 ) -> Array:
-    """What a perfect model, which does not see the noise, predicts from the last known frame."""
+    """Predict from the last known frame as a perfect model that does not see the noise."""
     last = HISTORY - 1
     known = np.isfinite(trajectory.position[:, last]).all(axis=(1, 2))
     states = {name: getattr(trajectory, name)[known, last] for name in STATES}
@@ -283,9 +283,9 @@ def _without_noise(
         torque=batch.torque[known, last:],
     )
     position, _ = Points.of(scene).motion(reference.solve(scene, start, cache=cache))
-    whole = np.full((len(batch), *position.shape[1:]), np.nan)
-    whole[known] = position
-    return whole[:, 1:]
+    predicted = np.full((len(batch), *position.shape[1:]), np.nan)
+    predicted[known] = position
+    return predicted[:, 1:]
 
 
 def _key(test: Paired, batch: Batch) -> str:
@@ -297,15 +297,15 @@ def _key(test: Paired, batch: Batch) -> str:
 
 
 def check_data(models: Sequence[TrainedModel], test: Paired) -> None:
-    """Refuse a model that was trained on other data of a domain, or on what it is tested on."""
+    """Raise InputError for models trained on other data of a domain, or on test trajectories."""
     contents = {domain.name: domain.content for domain in test.domains}
     for model in models:
         model.check_scene(test.scene)
         if model.drawn is not None and model.drawn[0] == test.seed:
-            known = split_of(test.index, model.drawn[1]) != SPLITS.index("test")
-            if known.any():
+            used = split_of(test.index, model.drawn[1]) != SPLITS.index("test")
+            if used.any():
                 msg = (
-                    f"{model.path}: was trained or chosen by trajectory {test.index[known][0]} of "
+                    f"{model.path}: was trained or chosen by trajectory {test.index[used][0]} of "
                     f"the test part, being made of {model.drawn[1]} drawn with the same seed; test "
                     "it on as many"
                 )

@@ -1,6 +1,6 @@
-"""All that was measured of a scene: figures of models on domains, their cells, and the floors.
+"""All measurements of a scene: figures of models on domains, their cells, and the floors.
 
-Floors are what the engines, the noise and chaos alone make of identical starts.
+Floors are the distances that engines, noise and chaos alone cause after identical starts.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from mbds_xsim.learn.trained import TrainedModel
 from mbds_xsim.learn.window import HISTORY
 
 ENGINE = "engine"
-"""Stands for a model where an engine's own motion is the prediction."""
+"""Name in place of a model's if the prediction is an engine's own motion."""
 RESTART = "restarted engine"
-"""The same where the engine goes on from the last known frame of the domain."""
-_SHOWN = 4  # digits of figures that are only looked at: they are most of a study's file
+"""Name in place of a model's if an engine restarts from the domain's last known frame."""
+_SHOWN = 4  # digits of figures that are only displayed: they fill most of a study's file
 CHAOS_START = 1e-4
-"""Root mean square displacement of the last known frame that chaos grows from [m]."""
+"""Root mean square displacement at the last known frame, from which chaos grows [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,24 +36,24 @@ class Evaluation:
 
     test: Paired
     frames: tuple[int, ...]
-    """Counted from 1."""
+    """Reported frames, counted from 1."""
     figures: Mapping[tuple[TrainedModel, str], RolloutFigures]
-    """By model and domain."""
+    """Figures by model and domain."""
     oracles: Mapping[tuple[str, str], RolloutFigures]
-    """By the domain that is taken as the prediction, and the domain it is held against."""
+    """Figures by the domain taken as the prediction and the domain it is compared with."""
     restarted: Mapping[tuple[str, str], RolloutFigures] = field(default_factory=dict)
-    """The same, where engines go on from the domain's last known frame."""
+    """Figures of engines that restart from a domain's last known frame, by engine and domain."""
     floors: Mapping[str, Array] = field(default_factory=dict)
     """Floors of noise and chaos, as far as the reference is known, (trajectory, frame) [m²]."""
 
     @property
     def at(self) -> Index:
-        """Places of the frames."""
+        """Indices of the reported frames."""
         return np.array(self.frames) - 1
 
     @property
     def largest(self) -> float:
-        """Squared error that counts for an exploded or lost prediction [m²]."""
+        """Squared error assigned to an exploded or lost prediction [m²]."""
         return (EXPLODED * self.test.scene.length) ** 2
 
     @property
@@ -67,12 +67,12 @@ class Evaluation:
         return list(dict.fromkeys(e.model for e in self.entries if e.path is not None))
 
     def runs(self, run: TrainedModel) -> list[TrainedModel]:
-        """All seeds of a run's training."""
-        same = (run.model, run.training)
-        return [entry for entry in self.entries if (entry.model, entry.training) == same]
+        """Return the runs of all seeds of a run's training."""
+        key = (run.model, run.training)
+        return [entry for entry in self.entries if (entry.model, entry.training) == key]
 
     def rolled(self) -> Iterator[tuple[tuple[str, str, int, str], RolloutFigures]]:
-        """Give model, training, seed and domain of all figures; engines stand behind as models."""
+        """Yield all figures with model, training, seed and domain; engines follow as models."""
         for (entry, test), figures in self.figures.items():
             yield (entry.model, entry.training, entry.seed, test), figures
         for kind, pairs in ((ENGINE, self.oracles), (RESTART, self.restarted)):
@@ -80,45 +80,45 @@ class Evaluation:
                 yield (kind, first, 0, test), figures
 
     def errors(self, training: TrainedModel, test: str) -> Array:
-        """Errors of a training at `frames`, none dropped: lost ones count as exploded [m²].
+        """Return a training's errors at `frames`, none dropped: lost ones count as exploded [m²].
 
-        Shape (seed, trajectory, frame); NaN where the truth is not known.
+        Shape (seed, trajectory, frame); NaN where the truth is unknown.
         """
         errors = [self.figures[run, test].error for run in self.runs(training)]
         return self.counted(np.stack(errors))
 
     def floor(self, first: str, test: str) -> Array:
-        """Distance of an engine from a domain at `frames` [m²], shape (trajectory, frame).
+        """Return an engine's squared distance from a domain at `frames` [m²], (trajectory, frame).
 
-        From the same window where the engine went on from it, else from the same start: that it
-        was lost, as on a state that its constraints forbid, is no distance of two engines.
+        Both share the window if the engine could go on from it, else only the start: an engine that
+        is lost, as on a state that its constraints forbid, does not measure the distance of two.
         """
-        apart = self.oracles[first, test].error
+        distance = self.oracles[first, test].error
         if (first, test) not in self.restarted:
-            return self.counted(apart)
+            return self.counted(distance)
         error = self.restarted[first, test].error
-        return self.counted(np.where(error > self.largest, apart, error))
+        return self.counted(np.where(error > self.largest, distance, error))
 
     def counted(self, error: Array) -> Array:
-        """Errors at `frames` with lost ones counted."""
+        """Return errors at `frames`, with lost ones at their assigned value."""
         return np.asarray(np.minimum(error[..., self.at], self.largest))
 
     def rows(self, interval: str) -> Mask:
-        """Trajectories of an interval."""
+        """Return a mask of the trajectories of an interval."""
         number = self.test.index % (len(INTERVALS) - 1)
         return np.asarray((interval == INTERVALS[0]) | (number == INTERVALS.index(interval) - 1))
 
     def intervals(self) -> Iterator[tuple[str, Mask]]:
-        """Give the intervals that there are trajectories of, and these."""
+        """Yield the intervals that have trajectories, with a mask of these."""
         rows = {interval: self.rows(interval) for interval in INTERVALS}
-        return ((interval, chosen) for interval, chosen in rows.items() if chosen.any())
+        return ((interval, mask) for interval, mask in rows.items() if mask.any())
 
 
 def cells_of(evaluation: Evaluation) -> Iterator[ErrorCell]:
-    """Give a cell for every model and domain.
+    """Yield a cell for every model and domain.
 
-    By interval of starts only where a model is at home, of formulas, and of trainings on one
-    interval: a change of engine is told of all, and four times the cells are four times the file.
+    Single intervals have cells only for models at home, formulas and trainings on one interval: a
+    change of engine is reported for all starts alone, which keeps the file a quarter as large.
     """
     parted = {entry.training for entry in evaluation.entries if entry.interval or not entry.engines}
     for key, figures in evaluation.rolled():
@@ -136,7 +136,7 @@ def _cell(
     rows: Mask,
 ) -> ErrorCell:
     scene, error = evaluation.test.scene, figures.error[rows]
-    at = error[:, evaluation.at]
+    reported = error[:, evaluation.at]
     exploded = np.logical_or.accumulate(error > evaluation.largest, axis=1)[:, evaluation.at]
     time, never = valid_time(error, scene.length, scene.clock.frame)
     begun = ~np.isnan(error[:, 0])
@@ -144,11 +144,11 @@ def _cell(
     one_step = one_step[~np.isnan(one_step)]
     return ErrorCell(
         *key,
-        known=_counts(~np.isnan(at)),
-        finite=_counts(np.isfinite(at)),
-        diverged=_counts(exploded & ~np.isnan(at)),
+        known=_counts(~np.isnan(reported)),
+        finite=_counts(np.isfinite(reported)),
+        diverged=_counts(exploded & ~np.isnan(reported)),
         mse=values(known_mean(evaluation.counted(error))),
-        median=values(median(at), _SHOWN),
+        median=values(median(reported), _SHOWN),
         energy=values(median(figures.energy[rows][:, evaluation.at]), _SHOWN),
         gap=values(median(figures.gap[rows][:, evaluation.at]), _SHOWN),
         one_step=float(one_step.mean()) if len(one_step) and np.isfinite(one_step).all() else None,
@@ -159,9 +159,9 @@ def _cell(
 
 
 def valid_time(error: Array, length: float, frame_s: float) -> tuple[Array, Mask]:
-    """Time until the root mean square error first exceeds `LOST` of the length [s], (trajectory,).
+    """Return the time until the root mean square error exceeds `LOST` lengths [s], (trajectory,).
 
-    The known horizon where it never does; and whether it never does.
+    It is the known horizon if the error never does; a mask of these trajectories comes with it.
     """
     lost = error > (LOST * length) ** 2
     known = (~np.isnan(error)).sum(axis=1)
@@ -170,19 +170,19 @@ def valid_time(error: Array, length: float, frame_s: float) -> tuple[Array, Mask
 
 
 def median(figures: Array) -> Array:
-    """Over the known trajectories, frame by frame; NaN where there is none."""
+    """Return the median over the known trajectories, frame by frame; NaN without any."""
     return _over_known(np.nanmedian, figures)
 
 
 def known_mean(figures: Array) -> Array:
-    """Over the known trajectories, frame by frame; NaN where there is none."""
+    """Return the mean over the known trajectories, frame by frame; NaN without any."""
     return _over_known(np.nanmean, figures)
 
 
 def _over_known(statistic: Callable[..., Array], figures: Array) -> Array:
     result = np.full(figures.shape[1], np.nan)
     known = ~np.isnan(figures).all(axis=0)
-    with np.errstate(invalid="ignore"):  # where two infinite values meet in the middle
+    with np.errstate(invalid="ignore"):  # if the two middle values are infinite
         result[known] = statistic(figures[:, known], axis=0)
     return result
 
@@ -194,7 +194,7 @@ def _counts(flags: Mask) -> tuple[int, ...]:
 def to_csv(evaluations: Sequence[Evaluation]) -> bytes:
     """Write a row for every trajectory, so that statistics can be redone.
 
-    `inf` is a lost prediction, empty what is not known.
+    `inf` is a lost prediction, an empty field an unknown value.
     """
     frames = list(dict.fromkeys(f for evaluation in evaluations for f in evaluation.frames))
     kinds = ("squared_error_m2", "energy_error", "constraint_gap_m")
@@ -207,23 +207,23 @@ def to_csv(evaluations: Sequence[Evaluation]) -> bytes:
 def _raw(evaluation: Evaluation, frames: Sequence[int]) -> Iterator[list[object]]:
     for key, figures in evaluation.rolled():
         series = np.stack([figures.error, figures.energy, figures.gap])
-        shown = np.full((*series.shape[:2], len(frames)), np.nan)
-        there = np.array(frames) <= series.shape[-1]
-        shown[..., there] = series[..., np.array(frames)[there] - 1]
+        columns = np.full((*series.shape[:2], len(frames)), np.nan)
+        covered = np.array(frames) <= series.shape[-1]
+        columns[..., covered] = series[..., np.array(frames)[covered] - 1]
         for row, number in enumerate(evaluation.test.index.tolist()):
             interval = INTERVALS[1 + number % (len(INTERVALS) - 1)]
-            raw = [figures.one_step[row], *shown[:, row].ravel()]
+            raw = [figures.one_step[row], *columns[:, row].ravel()]
             texts = ["" if np.isnan(value) else f"{value:.9g}" for value in raw]
             yield [evaluation.test.scene.name, *key, number, interval, *texts]
 
 
 def oracles(domains: Sequence[Domain], horizon: int) -> dict[tuple[str, str], RolloutFigures]:
-    """Hold every domain against every other, as if it were a prediction.
+    """Compare every domain with every other, as if it were a prediction.
 
-    They share the start at frame 0, not the window: at the first predicted frame they have had
-    `HISTORY` frames to part.
+    They share the start at frame 0, not the window: by the first predicted frame they have had
+    `HISTORY` frames to diverge.
     """
-    # Without the bodies' states, which fill more memory than all the rest of so many domains.
+    # Without the bodies' states, which fill more memory than everything else in the domains.
     motions = {d.name: dataclasses.replace(d.motions(torch.float64), body=None) for d in domains}
     return {
         (first, test): measure(truth, other.position[:, HISTORY : HISTORY + horizon])
@@ -234,27 +234,27 @@ def oracles(domains: Sequence[Domain], horizon: int) -> dict[tuple[str, str], Ro
 
 
 def noise_floor(truth: ReferenceFrames, horizon: int) -> Array:
-    """Squared distance of the reference without the noise from that with it [m²].
+    """Return the squared distance of the reference without the noise from that with it [m²].
 
-    Both are at the same state at the last known frame: what a perfect model, which does not see
-    the noise, gets wrong. Shape (trajectory, frame).
+    Both have the same state at the last known frame, so this is the error of a perfect model that
+    does not see the noise. Shape (trajectory, frame).
     """
     noisy = truth.position[:, HISTORY : HISTORY + horizon]
     return np.asarray(((truth.quiet[:, :horizon] - noisy) ** 2).sum(-1).mean(-1))
 
 
 def chaos_floor(test: Paired, truth: ReferenceFrames, horizon: int) -> Array:
-    """Squared distance that a displacement by `CHAOS_START` at the last known frame grows to [m²].
+    """Return the squared distance to which `CHAOS_START` at the last known frame grows [m²].
 
-    By the reference's growth factor, which is of small errors: it ends at what counts as exploded.
-    Shape (trajectory, frame).
+    It follows the reference's growth factor, which is for small errors, and is capped at the error
+    of an exploded prediction. Shape (trajectory, frame).
     """
     growth = truth.growth[:, HISTORY : HISTORY + horizon] / truth.growth[:, HISTORY - 1, None]
     return np.minimum((CHAOS_START * growth) ** 2, (EXPLODED * test.scene.length) ** 2)
 
 
 def floors_of(evaluation: Evaluation) -> Iterator[ErrorFloor]:
-    """Give all floors."""
+    """Yield all floors."""
     errors = {
         (kind, first, test): figures.error
         for (kind, first, _, test), figures in evaluation.rolled()
@@ -271,39 +271,39 @@ def floors_of(evaluation: Evaluation) -> Iterator[ErrorFloor]:
         )
 
 
-_FRAMES = 10  # as of a validation
+_FRAMES = 10  # as in a validation
 
 
 def nearest_engine(evaluation: Evaluation, home: str) -> float:
-    """Mean squared distance of the nearest other engine over the first ten frames [m²].
+    """Return the mean squared distance of the nearest other engine over ten frames [m²].
 
-    Engines go on from the domain's last known frame; infinite where none does.
+    Engines go on from the domain's last known frame; infinite if none does.
     """
-    apart = [
+    distances = [
         float(np.nanmean(np.minimum(figures.error[:, :_FRAMES], evaluation.largest)))
         for (first, test), figures in evaluation.restarted.items()
         if test == home and first.rpartition("-")[0] != home.rpartition("-")[0]
     ]
-    return min(apart, default=np.inf)
+    return min(distances, default=np.inf)
 
 
 def curve_of(trained: TrainedModel) -> LearningCurve | None:
-    """Read the learning curve beside a model's file, if there is one; InputError: it is damaged."""
+    """Read the learning curve next to a model's file; None if missing, InputError if damaged."""
     path = trained.file.with_suffix(".curve.json") if trained.path else None
     return read_curve(path) if path is not None and path.exists() else None
 
 
 def seconds_to_floor(evaluation: Evaluation, trained: TrainedModel) -> float | None:
-    """Processor time until the validation error was below that distance [s].
+    """Return the processor time until the validation error reached `nearest_engine` [s].
 
-    The validation error is the mean over ten frames, too. None where it never was, where the
-    training is of several engines, and where its curve is not beside its file.
+    The validation error is a mean over ten frames, too. None if it never did, if the training is on
+    several engines, or if its curve or processor time is missing.
     """
     curve = curve_of(trained)
     if not trained.single or curve is None or not trained.facts.get("cpu_s"):
         return None
     floor, points = nearest_engine(evaluation, trained.domains[0]), curve.points
-    reached = [point.step for point in points if np.isfinite(floor) and point.error <= floor]
-    if not reached:
+    steps = [point.step for point in points if np.isfinite(floor) and point.error <= floor]
+    if not steps:
         return None
-    return float(trained.facts["cpu_s"]) * reached[0] / points[-1].step
+    return float(trained.facts["cpu_s"]) * steps[0] / points[-1].step

@@ -1,7 +1,7 @@
-"""What a change of engine costs: models on a domain against those that were trained there.
+"""Cost of a change of engine: models on a domain compared with models that were trained there.
 
-Intervals are by paired bootstrap. Beside the gaps stands whether engines, and the paper, put the
-models in one order.
+Intervals are from a paired bootstrap. In addition to the gaps, agreements show whether engines, and
+the paper, rank the models alike.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from mbds_xsim.learn.trained import TrainedModel
 Errors = dict[tuple[str, int], float]
 """Mean errors by model and frame."""
 Look = Callable[[TrainedModel, str], Array]
-"""Gives errors of a training on a domain: means (frame,), or resampled ones (draw, frame)."""
+"""Function for errors of a training on a domain: means (frame,) or resampled ones (draw, frame)."""
 
 SINGLE, LEAVE_ONE_OUT, ALL = "single", "leave-one-out", "all"
 
@@ -34,20 +34,20 @@ WEAK = "own error exceeds the engine floor"
 UNSURE = "interval contains 0"
 LONELY = "one trajectory gives no interval"
 UNKNOWN = "own domain is not tested, so neither own error nor engine floor is known"
-"""Why gaps tell nothing of a shift."""
+"""Reasons why a gap says nothing about a shift."""
 
 PAPER = "the paper"
 DRAWS = 1000
-"""Of the bootstrap."""
+"""Number of bootstrap draws."""
 _LEVEL = 0.95
 _SEED = 20240607
-_SEVERAL = 2  # trajectories: of one alone nothing tells what another would give
-_LEAST = 3  # models: two can only be in order or out of it
+_SEVERAL = 2  # trajectories: one alone does not show how others would vary
+_LEAST = 3  # models: two can only agree or disagree
 
 
 @dataclass(frozen=True)
 class Bounded:
-    """A figure at the frames with its 95 % interval, each of shape (frame,)."""
+    """Figure at the frames with its 95 % interval, each of shape (frame,)."""
 
     value: Array
     low: Array
@@ -56,11 +56,11 @@ class Bounded:
     @staticmethod
     def of(figure: Callable[[Any], Array], mean: Any, drawn: Any) -> Bounded:
         """Compute a figure from the mean errors, and its bounds from the resampled ones."""
-        with np.errstate(divide="ignore", invalid="ignore"):  # not a number where both are 0
+        with np.errstate(divide="ignore", invalid="ignore"):  # NaN where both are 0
             return Bounded(figure(mean), *bounds_of(figure(drawn)))
 
     def text(self, place: int) -> str:
-        """Write value and interval at a frame."""
+        """Format value and interval at a frame."""
         if np.isnan(self.low[place]):
             return f"{self.value[place]:.3g} [no interval]"
         return f"{self.value[place]:.3g} [{self.low[place]:.3g}, {self.high[place]:.3g}]"
@@ -100,30 +100,30 @@ class Draws:
 
 
 def trainings_of(evaluation: Evaluation, model: str) -> list[TrainedModel]:
-    """Give one run of each training of a model on all starts, in order.
+    """Return one run of each training of a model on all starts, in order.
 
-    To leave one of two engines out is to train on the other.
+    With two engines, a training that leaves one out is the training on the other.
     """
     by_domains: dict[tuple[str, ...], TrainedModel] = {}
     for run in evaluation.entries:
         if run.model == model and not run.interval:
-            known = by_domains.setdefault(run.domains, run)
-            if known.training not in run.domains and run.training in run.domains:
+            current = by_domains.setdefault(run.domains, run)
+            if current.training not in run.domains and run.training in run.domains:
                 by_domains[run.domains] = run
     return list(by_domains.values())
 
 
 def singles_of(evaluation: Evaluation, model: str) -> list[TrainedModel]:
-    """Give the trainings on one domain that is tested, too."""
+    """Return the trainings on one domain that is tested, too."""
     tested = {domain.name for domain in evaluation.test.domains}
     return [t for t in trainings_of(evaluation, model) if t.single and t.domains[0] in tested]
 
 
 def kind_of(training: TrainedModel, test: str, every: Sequence[str]) -> str:
-    """Give what a training is to a test domain; "" where there is no shift between them.
+    """Return the kind of a training for a test domain; "" if there is no shift between them.
 
-    Several engines' trainings count on engines that were left out, in either variant: what other
-    settings of a known engine do, single ones show. `every` names all engine domains.
+    Trainings on several engines count on engines that they left out, in any variant: single ones
+    show the effect of other settings of a known engine. `every` names all engine domains.
     """
     if training.single:
         return "" if test in training.domains else SINGLE
@@ -134,7 +134,7 @@ def kind_of(training: TrainedModel, test: str, every: Sequence[str]) -> str:
 
 
 def gaps_of(draws: Draws) -> Iterator[Gap]:
-    """Give all gaps to models that were trained on the target."""
+    """Yield all gaps to models that were trained on the target."""
     evaluation = draws.evaluation
     every = [domain.name for domain in evaluation.test.domains]
     for model in evaluation.models:
@@ -147,10 +147,10 @@ def gaps_of(draws: Draws) -> Iterator[Gap]:
 
 
 def why_unresolved(own: float, floor: float, low: float, high: float) -> str:
-    """Say why a gap tells nothing of a shift; "" where it does.
+    """Return why a gap says nothing about a shift; "" if it does.
 
-    Given the error of the training on its own domain, the distance of its engine from the target's,
-    both NaN where that is not tested, and the interval of the difference [m²].
+    `own` is the training's error on its own domain and `floor` its engine's distance from the
+    target, both NaN if that domain is not tested; `low` and `high` bound the difference [m²].
     """
     if np.isnan(own) or np.isnan(floor):
         return UNKNOWN
@@ -198,9 +198,9 @@ def _gap(draws: Draws, kind: str, training: TrainedModel, target: TrainedModel) 
 
 
 def own_and_floor(draws: Draws, training: TrainedModel, test: str) -> tuple[Array, Array]:
-    """R_ii and D_ij of the engine i of the training from which √R_ij ≤ √R_ii + √D_ij says most.
+    """Return R_ii and D_ij of the training's engine i with the least bound √R_ii + √D_ij on √R_ij.
 
-    Both are NaN where no other domain of the training is tested.
+    Both are NaN if no other domain of the training is tested.
     """
     evaluation = draws.evaluation
     tested = {domain.name for domain in evaluation.test.domains}
@@ -209,16 +209,16 @@ def own_and_floor(draws: Draws, training: TrainedModel, test: str) -> tuple[Arra
         return (np.full(len(evaluation.frames), np.nan),) * 2
     own = np.stack([draws.mean(training, name) for name in others])
     floor = np.stack([evaluation.floor(name, test).mean(axis=0) for name in others])
-    most = np.sqrt(own) + np.sqrt(floor)
-    least = np.where(np.isnan(most), np.inf, most).argmin(axis=0)[None]
-    return np.take_along_axis(own, least, 0)[0], np.take_along_axis(floor, least, 0)[0]
+    bound = np.sqrt(own) + np.sqrt(floor)
+    index = np.where(np.isnan(bound), np.inf, bound).argmin(axis=0)[None]
+    return np.take_along_axis(own, index, 0)[0], np.take_along_axis(floor, index, 0)[0]
 
 
 class Resampler:
-    """Draws the same trajectories for every model and domain: what they share cancels.
+    """Bootstrap with the same trajectories for every model and domain, so shared errors cancel.
 
-    Runs of a seed share first weights and the order of windows, whatever they are trained on: seeds
-    are drawn together, too.
+    Runs of a seed share first weights and the order of windows, whatever they are trained on, so
+    seeds are drawn together, too.
     """
 
     def __init__(self, trajectories: int, *, draws: int = DRAWS, seed: int = _SEED) -> None:
@@ -226,10 +226,10 @@ class Resampler:
         self._weights = _weights(np.random.default_rng([seed]), draws, trajectories)
 
     def means(self, errors: Array, runs: str) -> Array:
-        """Give resampled means (draw, frame) of finite errors (seed, trajectory, frame).
+        """Return resampled means (draw, frame) of finite errors (seed, trajectory, frame).
 
-        Of the same name of runs the same seeds are drawn. Not numbers of one trajectory alone: by
-        how much others would differ is not known.
+        The same seeds are drawn for the same name of runs. The means of a single trajectory are
+        NaN, because it does not show how much others would differ.
         """
         if errors.shape[1] < _SEVERAL:
             return np.full((self._draws, errors.shape[2]), np.nan)
@@ -240,24 +240,24 @@ class Resampler:
 
 
 def bounds_of(draws: Array) -> tuple[Array, Array]:
-    """Central 95 % of draws, frame by frame; not a number where a draw is none."""
+    """Return the bounds of the central 95 % of draws, frame by frame; NaN if a draw is NaN."""
     tail = 0.5 * (1.0 - _LEVEL)
     low, high = np.quantile(draws, [tail, 1.0 - tail], axis=0)
     return low, high
 
 
 def _weights(rng: np.random.Generator, draws: int, count: int) -> Array:
-    """Draw one fewer than there are, so that means spread as those of new ones would.
+    """Draw `count` − 1 of `count` items as weights, so that means vary as those of new items would.
 
-    As many would take one part in `count` off their variance (Rao and Wu 1988, J. Am. Stat. Assoc.
-    83, 231): little of a hundred trajectories, a third of three seeds.
+    With `count`, their variance would be too small by one part in `count` (Rao and Wu 1988, J. Am.
+    Stat. Assoc. 83, 231): little for a hundred trajectories, but a third for three seeds.
     """
-    drawn = max(count - 1, 1)
-    return np.asarray(rng.multinomial(drawn, np.full(count, 1.0 / count), draws) / drawn)
+    trials = max(count - 1, 1)
+    return np.asarray(rng.multinomial(trials, np.full(count, 1.0 / count), draws) / trials)
 
 
 def agreements_of(draws: Draws) -> Iterator[Agreement]:
-    """Compare the orders of models that were trained where they are tested, and the paper's."""
+    """Compare rankings of models at home between domains, and with the paper's."""
     evaluation, orders = draws.evaluation, _orders(draws)
     paper = paper_errors(evaluation.test.scene.name, flagged=False)
     if orders and paper:
@@ -271,7 +271,7 @@ def agreements_of(draws: Draws) -> Iterator[Agreement]:
 
 
 def ranks_alike(first: Mapping[str, float], second: Mapping[str, float]) -> float | None:
-    """Kendall's τ-b of the models that both have; None of fewer than three, or all ties."""
+    """Return Kendall's τ-b of the models that both have; None if fewer than three, or all tied."""
     both = [model for model in first if model in second]
     if len(both) < _LEAST:
         return None
@@ -280,9 +280,9 @@ def ranks_alike(first: Mapping[str, float], second: Mapping[str, float]) -> floa
 
 
 def paper_errors(scene: str, *, flagged: bool = True) -> Errors:
-    """Give the paper's printed errors of a scene at all speeds [m², if its unit is the metre].
+    """Return the paper's printed errors of a scene over all speeds [m², if its unit is the metre].
 
-    With `flagged` also those that a note says cannot be right as printed.
+    `flagged` includes those that a note says cannot be right as printed.
     """
     return {
         (row["model"].lower(), int(row["t"])): float(row["mean_si"])
@@ -293,13 +293,13 @@ def paper_errors(scene: str, *, flagged: bool = True) -> Errors:
 
 
 def paper_rows() -> list[dict[str, str]]:
-    """Give what the paper's tables print, a row a figure."""
+    """Return the figures that the paper's tables print, one per row."""
     text = resources.files("mbds_xsim.learn.shift").joinpath("paper.csv").read_text("utf-8")
     return list(csv.DictReader(text.splitlines()))
 
 
 def _orders(draws: Draws) -> dict[str, Errors]:
-    """Mean errors at home by domain."""
+    """Return the mean errors of models at home, by domain."""
     evaluation, orders = draws.evaluation, dict[str, Errors]()
     for training in (t for model in evaluation.models for t in singles_of(evaluation, model)):
         home = training.domains[0]

@@ -1,19 +1,19 @@
 """Do training and test engine belong together? The interaction of the two.
 
 The error R_ij of a model that was trained on engine i and is tested on j has three causes: how well
-the training on i went, how hard j is, and whether i's data are like j's. Of two engines the first
+the training on i went, how hard j is, and whether i's data are like j's. For two engines the first
 two cancel in
 
     x_ij = √( R_ij R_ji / (R_ii R_jj) ),
 
-the interaction in a table of two factors whose effects multiply, as an odds ratio is that of counts
-(Fienberg 1980, The Analysis of Cross-Classified Categorical Data, chapter 2). 1 is no loss by the
-change, 2 twice the squared error, whichever way one goes. It needs no engine floor: where a model
-is poor x is near 1, and that is what is told.
+the interaction in a table of two factors whose effects multiply, as an odds ratio is for counts
+(Fienberg 1980, The Analysis of Cross-Classified Categorical Data, chapter 2). x = 1 means that the
+change costs nothing, x = 2 that it doubles the squared error, as a mean of both directions. It
+needs no engine floor: a poor model only pulls x towards 1.
 
-Of many pairs some seem to differ by chance. Resolved are those that the rule of Benjamini and
-Hochberg (1995, J. R. Stat. Soc. B 57, 289) keeps, at each frame among all pairs of a study: of
-these one in twenty may be chance.
+Among many pairs some seem to differ by chance. A pair is resolved if the rule of Benjamini and
+Hochberg (1995, J. R. Stat. Soc. B 57, 289) keeps it, at each frame among all pairs of a study: one
+in twenty of these may be due to chance.
 """
 
 from __future__ import annotations
@@ -34,38 +34,38 @@ from mbds_xsim.learn.shift.result import Answer, Interaction, PairRatio, values
 from mbds_xsim.learn.trained import TrainedModel
 
 Ratio = Callable[[TrainedModel, TrainedModel, Look], Array]
-"""Of errors of two trainings."""
+"""Function that computes a ratio of errors of two trainings."""
 Made = TypeVar("Made", bound=PairRatio)
 
 INTERACTION = "interaction"
 """Kind of answer."""
 FALSE = 0.05
-"""Share of the resolved that may be chance."""
+"""Share of the resolved pairs that may be due to chance."""
 _ROUNDING = 1e-9  # of a logarithm
 BEARABLE = 2.0
-"""Times the squared error: less is called survived."""
-_SEVERAL = 2  # changes that are put side by side
+"""Ratio of squared errors below which a model survives a change."""
+_SEVERAL = 2  # least number of changes to put side by side
 OTHER = {"engine": "another engine", "settings": "other settings"}
-"""Words for changes."""
+"""Words for each kind of change."""
 
 
 def interactions_of(draws: Draws) -> tuple[Interaction, ...]:
-    """Give those of all pairs of engines at the same settings, and of settings of one engine.
+    """Return the interactions of engines at the same settings, and of settings of one engine.
 
-    Each pair of a model that was trained on both, on each alone.
+    A pair needs a model that was trained on each of the two alone.
     """
     pairs = list(_pairs(draws))
-    found = compared(draws, pairs, interaction, Interaction)
+    interactions = compared(draws, pairs, interaction, Interaction)
     return tuple(
         msgspec.structs.replace(each, noticed=_noticed(draws, *pair))
-        for each, pair in zip(found, pairs, strict=True)
+        for each, pair in zip(interactions, pairs, strict=True)
     )
 
 
 def _noticed(draws: Draws, first: TrainedModel, second: TrainedModel) -> tuple[bool, ...]:
-    """Whether one of two trainings, each on one domain, errs less there than both are apart."""
-    ways = ((first, second.domains[0]), (second, first.domains[0]))
-    errors = [own_and_floor(draws, *way) for way in ways]
+    """Return whether the error of either training at home is less than the domains' distance."""
+    directions = ((first, second.domains[0]), (second, first.domains[0]))
+    errors = [own_and_floor(draws, *direction) for direction in directions]
     return tuple(np.any([own < floor for own, floor in errors], axis=0).tolist())
 
 
@@ -75,11 +75,11 @@ def compared(
     ratio: Ratio,
     kind: type[Made],
 ) -> tuple[Made, ...]:
-    """Bound a ratio of errors for pairs of trainings; tell which are no chance, of all together."""
+    """Bound a ratio of errors for pairs of trainings, and find which are significant together."""
     ratios = [partial(ratio, *pair) for pair in pairs]
     bounded = [draws.bounded(each) for each in ratios]
     chances = [_chance(draws, *each) for each in zip(ratios, bounded, strict=True)]
-    kept = _kept(np.array(chances)).tolist() if chances else []
+    resolved = _kept(np.array(chances)).tolist() if chances else []
     return tuple(
         kind(
             model=first.model,
@@ -91,12 +91,12 @@ def compared(
             high=values(bounds.high),
             resolved=tuple(row),
         )
-        for (first, second), bounds, row in zip(pairs, bounded, kept, strict=True)
+        for (first, second), bounds, row in zip(pairs, bounded, resolved, strict=True)
     )
 
 
 def _chance(draws: Draws, ratio: Callable[[Look], Array], bounded: Bounded) -> Array:
-    """Compute how probable so large a logarithm would be where there is none, by its spread."""
+    """Compute the p-value of the ratio's logarithm, from its spread over the draws."""
     with np.errstate(divide="ignore", invalid="ignore"):
         spread = np.log(ratio(draws.drawn)).std(axis=0) + _ROUNDING
         return np.asarray(2.0 * norm.sf(np.abs(np.log(bounded.value)) / spread))
@@ -117,7 +117,7 @@ def _pairs(draws: Draws) -> Iterator[tuple[TrainedModel, TrainedModel]]:
 
 
 def changed(first: str, second: str) -> tuple[str, str] | None:
-    """Say what differs between two domains, and where, if it is one thing alone."""
+    """Return what differs between two domains, and where; None if both engine and settings do."""
     engine, _, variant = first.rpartition("-")
     other_engine, _, other_variant = second.rpartition("-")
     if variant == other_variant:
@@ -126,55 +126,55 @@ def changed(first: str, second: str) -> tuple[str, str] | None:
 
 
 def _kept(chances: Array) -> Array:
-    """Tell which pairs are no chance, frame by frame, (pair, frame)."""
-    kept = np.zeros(chances.shape, dtype=bool)
+    """Return which pairs are significant, frame by frame, shape (pair, frame)."""
+    resolved = np.zeros(chances.shape, dtype=bool)
     for frame, column in enumerate(chances.T):
         known = np.flatnonzero(np.isfinite(column))
         if len(known):
-            kept[known, frame] = false_discovery_control(column[known]) < FALSE
-    return kept
+            resolved[known, frame] = false_discovery_control(column[known]) < FALSE
+    return resolved
 
 
 def answers_of_interactions(
-    found: Sequence[Interaction], place: int, frame: int, since: str = ""
+    interactions: Sequence[Interaction], place: int, frame: int, since: str = ""
 ) -> Iterator[Answer]:
-    """Say of each change, of engine or settings, what it costs whatever else differs.
+    """Yield an answer for each change of engine or settings: its cost to each model.
 
-    `since` are words for where frames are counted from, if not from the last known one.
+    `since` says from where frames are counted, if not from the last known one.
     """
-    for (change, where), own in by_change(found).items():
+    for (change, context), own in by_change(interactions).items():
         models = dict.fromkeys(each.model for each in own)
         parts = [_told([e for e in own if e.model == model], model, place) for model in models]
-        question = f"What does a change of {change} cost {where}{since}?"
-        yield Answer(INTERACTION, question, f"At t = {frame}{since} {where} {'; '.join(parts)}")
+        question = f"What does a change of {change} cost {context}{since}?"
+        yield Answer(INTERACTION, question, f"At t = {frame}{since} {context} {'; '.join(parts)}")
 
 
 def answer_of_factors(
-    found: Sequence[Interaction], place: int, frame: int, since: str = ""
+    interactions: Sequence[Interaction], place: int, frame: int, since: str = ""
 ) -> Iterator[Answer]:
-    """Put the largest costs of all changes side by side, where there are several."""
-    changes = by_change(found)
+    """Put the largest costs of all changes side by side, if there are several."""
+    changes = by_change(interactions)
     if len(changes) < _SEVERAL:
         return
     costs = {
-        f"with {OTHER[change]} {where}": _most(whole, place)
-        for (change, where), whole in changes.items()
+        f"with {OTHER[change]} {context}": _most(whole, place)
+        for (change, context), whole in changes.items()
     }
     ranked = sorted(costs.items(), key=lambda cost: -cost[1])
     dear = ", ".join(f"{_times(most)} {words}" for words, most in ranked if most >= BEARABLE)
     cheap = ", ".join(words for words, most in ranked if most < BEARABLE)
-    told = [f"at most {dear}"] if dear else []
-    told += [f"less than {BEARABLE:g}-fold, if at all, {cheap}"] if cheap else []
-    *others, last = dict.fromkeys(each.model for each in found)
+    parts = [f"at most {dear}"] if dear else []
+    parts += [f"less than {BEARABLE:g}-fold, if at all, {cheap}"] if cheap else []
+    *others, last = dict.fromkeys(each.model for each in interactions)
     models = " and ".join([*filter(None, [", ".join(others)]), last])
-    text = f"At t = {frame}{since} the squared error of {models} grows {'; '.join(told)}"
+    text = f"At t = {frame}{since} the squared error of {models} grows {'; '.join(parts)}"
     yield Answer(INTERACTION, f"Which change costs how much{since}?", text)
 
 
-def by_change(found: Sequence[Interaction]) -> dict[tuple[str, str], list[Interaction]]:
-    """Group them by what differs, first "engine" and then "settings", and where it does."""
+def by_change(interactions: Sequence[Interaction]) -> dict[tuple[str, str], list[Interaction]]:
+    """Group interactions by what differs, first "engine" and then "settings", and by where."""
     changes: dict[tuple[str, str], list[Interaction]] = {}
-    for each in found:
+    for each in interactions:
         change = changed(each.first, each.second)
         if change is not None:
             changes.setdefault(change, []).append(each)
@@ -183,12 +183,12 @@ def by_change(found: Sequence[Interaction]) -> dict[tuple[str, str], list[Intera
 
 
 def _times(value: float) -> str:
-    """Write 8.32-fold or 1021-fold."""
+    """Format a ratio as 8.32-fold or 1021-fold."""
     return f"{value:.3g}-fold" if value < 1000.0 else f"{value:.0f}-fold"
 
 
 def _most(own: Sequence[Interaction], place: int) -> float:
-    """The largest of those interactions that are significant, or 1."""
+    """Return the largest of the significant interactions, or 1."""
     return max((each.value[place] or 1.0 for each in own if each.resolved[place]), default=1.0)
 
 

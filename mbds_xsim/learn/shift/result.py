@@ -1,7 +1,7 @@
-"""What a shift study finds, as it is written to JSON; `docs/shift.md` defines every figure.
+"""Results of a shift study, as they are written to JSON; `docs/shift.md` defines every figure.
 
-Lists beside `frames` have one value a frame. Null stands for what is not known, does not exist, or
-is not finite.
+Lists that go with `frames` have one value per frame. Null stands for a value that is unknown,
+missing, or not finite.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ import msgspec
 
 SCHEMA = "mbds-xsim/shift/1"
 FRAMES = (1, 10, 20, 30, 40, 50, 60, 90, 100)
-"""Frames behind the last known one at which errors are told."""
+"""Frames after the last known one at which errors are reported."""
 INTERVALS = ("all", "low", "medium", "high")
 
 Values = tuple[float | None, ...]
 
 
 class DomainFacts(msgspec.Struct, frozen=True, omit_defaults=True):
-    """What a model can be tested on."""
+    """Domain on which a model can be tested."""
 
     name: str
     engine: str
@@ -28,11 +28,11 @@ class DomainFacts(msgspec.Struct, frozen=True, omit_defaults=True):
     content: str
     """Checksum of the data."""
     cost_s: float | None = None
-    """Processor time that the engine took for a trajectory, where the data's log is beside them."""
+    """Processor time of the engine per trajectory [s]; None if the data have no log."""
 
 
 class TrainedFacts(msgspec.Struct, frozen=True, omit_defaults=True):
-    """A model that was tested."""
+    """Model that was tested."""
 
     model: str
     training: str
@@ -40,22 +40,22 @@ class TrainedFacts(msgspec.Struct, frozen=True, omit_defaults=True):
     seed: int
     profile: str
     steps: int
-    """Of the optimiser; 0 where not stated."""
+    """Number of optimiser steps; 0 if not stated."""
     ended: str
     content: str
     """Checksum of its file; its name for trivial models."""
     interval: str = ""
-    """Of the starts that it was trained on; all when left out."""
+    """Interval of the starts that it was trained on; empty for all."""
     bodies: bool = False
     """Whether it starts from the bodies' states, not from the particles' positions alone."""
     to_floor_s: float | None = None
-    """Processor time of its training until it was as near its engine as the nearest other one."""
+    """Processor time of training until it was as near its engine as the nearest other one [s]."""
     trajectories: int = 0
-    """That it was trained on; 0 where not stated."""
+    """Number of trajectories that it was trained on; 0 if not stated."""
 
 
 class ErrorCell(msgspec.Struct, frozen=True):
-    """One model of one training and seed on one domain, over one interval."""
+    """Figures of one model, training and seed on one domain, over one interval."""
 
     model: str
     training: str
@@ -63,15 +63,15 @@ class ErrorCell(msgspec.Struct, frozen=True):
     test: str
     interval: str
     known: tuple[int, ...]
-    """Trajectories whose truth is known."""
+    """Number of trajectories whose truth is known."""
     finite: tuple[int, ...]
-    """Of them, those whose prediction is."""
+    """Number of known trajectories whose prediction is finite."""
     diverged: tuple[int, ...]
-    """Of them, those that were not finite or had exploded by then."""
+    """Number of known trajectories whose prediction was not finite or had exploded by then."""
     mse: Values
-    """Mean over the known, those lost or exploded counting as exploded [m²]."""
+    """Mean squared error of known trajectories; lost or exploded ones count as exploded [m²]."""
     median: Values
-    """Over the known, the others being infinite [m²]."""
+    """Median squared error of known trajectories; predictions not finite are infinite [m²]."""
     energy: Values
     """Median of the energy error."""
     gap: Values
@@ -79,40 +79,40 @@ class ErrorCell(msgspec.Struct, frozen=True):
     one_step: float | None
     """Mean of the teacher-forced error [m²]."""
     valid_s: float | None
-    """Median valid prediction time [s]; what never was lost counts with the horizon."""
+    """Median valid prediction time [s]; trajectories that are never lost count with the horizon."""
     never_lost: int
-    """Trajectories that stayed valid over the whole horizon."""
+    """Number of trajectories that stayed valid over the whole horizon."""
     curve: Values = ()
-    """Median at every frame [m²]; of interval "all"."""
+    """Median squared error at every frame [m²]; only for interval "all"."""
 
 
 class ErrorFloor(msgspec.Struct, frozen=True):
-    """What no figure on a domain can resolve below."""
+    """Floor below which no figure on a domain resolves anything."""
 
     kind: str
-    """"engine": one domain as the prediction of another; "restarted engine": an engine that goes on
-    from the domain's last known frame; "noise"; "chaos"."""
+    """Kind: "engine", one domain as the prediction of another; "restarted engine", an engine that
+    goes on from the domain's last known frame; "noise"; "chaos"."""
     first: str
     test: str
     interval: str
     mse: Values
-    """Mean [m²]."""
+    """Mean squared distance [m²]."""
     median: Values
     curve: Values = ()
 
 
 class Gap(msgspec.Struct, frozen=True):
-    """A training on a domain against the model trained there, both means over seeds."""
+    """Training compared on a domain with the model trained there, both as means over seeds."""
 
     model: str
     kind: str
-    """"single", "leave-one-out" or "all"."""
+    """Kind of training: "single", "leave-one-out" or "all"."""
     training: str
     test: str
     seeds: tuple[int, int]
-    """Of the training and of the target's."""
+    """Number of seeds of the training and of the target's."""
     own: Values
-    """Error of the training on its own domain [m²]; of several on that whose bound is least."""
+    """Error of the training on its own domain [m²]; with several, on that of the least bound."""
     transferred: Values
     """Error of the training on the target [m²]."""
     target: Values
@@ -121,11 +121,11 @@ class Gap(msgspec.Struct, frozen=True):
     ratio_low: Values
     ratio_high: Values
     difference: Values
-    """[m²]"""
+    """Difference of the errors `transferred` and `target` [m²]."""
     difference_low: Values
     difference_high: Values
     engine_floor: Values
-    """D of that domain's engine, gone on from the target's last known frame [m²]."""
+    """Squared distance D of that domain's engine from the target, restarted in its window [m²]."""
     noise_floor: Values
     chaos_floor: Values
     resolved: tuple[bool, ...]
@@ -134,36 +134,36 @@ class Gap(msgspec.Struct, frozen=True):
 
 
 class PairRatio(msgspec.Struct, frozen=True):
-    """A ratio of errors of one model that learned from two domains, at each frame."""
+    """Ratio of errors of one model that learned from two domains, at each frame."""
 
     model: str
     first: str
     second: str
-    """Domains that taught it."""
+    """Second of the two domains that it learned from."""
     seeds: int
-    """Of the training that has fewer."""
+    """Number of seeds of the training that has fewer."""
     value: Values
     low: Values
     high: Values
     resolved: tuple[bool, ...]
-    """Whether it is told from 1, of all such ratios of the study together."""
+    """Whether it differs from 1 significantly, among all such ratios of the study."""
 
 
 class Interaction(PairRatio, frozen=True):
-    """What a change between two engines costs a model, both ways together.
+    """Cost of a change between two domains to a model, both directions together.
 
-    √(R_ij R_ji / (R_ii R_jj)) of mean squared errors, each domain trained and tested on: the luck
-    of trainings and how hard the domains are cancel in it; 1 is no loss.
+    √(R_ij R_ji / (R_ii R_jj)) of mean squared errors, trained on domain i and tested on j: the luck
+    of trainings and the difficulty of domains cancel; 1 is no loss.
     """
 
     noticed: tuple[bool, ...] = ()
-    """Whether the domains are further apart than the model errs where it learned."""
+    """Whether the domains are further apart than the model's error at home."""
 
 
 class Harm(PairRatio, frozen=True):
-    """What the error of its data costs a model: its error on the truth over the least to be had.
+    """Cost of data errors to a model: its error on the truth, over that after the best data.
 
-    That is where the second taught it, the reference's data that are nearest the truth.
+    The best data are those of `second`, the reference's data that are nearest the truth.
     """
 
 
@@ -179,7 +179,7 @@ class Agreement(msgspec.Struct, frozen=True):
 
 
 class BoundedRatio(msgspec.Struct, frozen=True):
-    """A figure that is 1 where nothing changes, at the frames, with its 95 % interval."""
+    """Figure at each frame that is 1 if nothing changes, with its 95 % interval."""
 
     value: Values
     low: Values
@@ -187,20 +187,20 @@ class BoundedRatio(msgspec.Struct, frozen=True):
 
 
 class Answer(msgspec.Struct, frozen=True, omit_defaults=True):
-    """A question, and its answer from the figures."""
+    """Question, and its answer from the figures."""
 
     kind: str
-    """"worth", "interaction", "resolvable", "robust", "leave-one-out", "all", "matched" or
+    """Kind: "worth", "interaction", "resolvable", "robust", "leave-one-out", "all", "matched" or
     "speed"."""
     question: str
     answer: str
     variant: str = ""
     ratios: dict[str, BoundedRatio] = {}
-    """By model: of "robust" the worst gap, of the others the ratio that decides the answer."""
+    """Ratios by model: the worst gap for "robust", else the ratio that decides the answer."""
 
 
 class Shift(msgspec.Struct, frozen=True, kw_only=True):
-    """A study of one scene."""
+    """Study of one scene."""
 
     schema: str = SCHEMA
     scene: str
@@ -216,10 +216,10 @@ class Shift(msgspec.Struct, frozen=True, kw_only=True):
     lost: float
     exploded: float
     draws: int
-    """Of the bootstrap."""
+    """Number of bootstrap draws."""
     frames: tuple[int, ...]
     at: int
-    """Which of them answers and tables are given at."""
+    """Frame of answers and tables, one of `frames`."""
     index: tuple[int, ...]
     """Numbers of the trajectories."""
     noise: bool
@@ -233,17 +233,17 @@ class Shift(msgspec.Struct, frozen=True, kw_only=True):
     answers: tuple[Answer, ...]
     interactions: tuple[Interaction, ...] = ()
     contact_frames: tuple[int, ...] = ()
-    """Frames from the first contact on, of `after_contact`; none without contact in flight."""
+    """Frames since the first contact, for `after_contact`; empty if too few motions have one."""
     contact_trajectories: int = 0
     after_contact: tuple[Interaction, ...] = ()
-    """As `interactions`, at these frames."""
+    """Interactions at these frames."""
     harms: tuple[Harm, ...] = ()
-    """Of studies that have data of the reference, too."""
+    """Harms by data; only in studies that have data of the reference, too."""
     wall_s: float
     kept: int = 0
-    """How many of the models had been tested before, in no time of this."""
+    """Number of models that had been tested before and took no time of this study."""
 
 
 def values(numbers: Iterable[float], digits: int = 7) -> Values:
-    """Write numbers, to so many digits; those that are not finite become None."""
+    """Round numbers to so many significant digits; those that are not finite become None."""
     return tuple(float(f"{x:.{digits}g}") if math.isfinite(x) else None for x in numbers)

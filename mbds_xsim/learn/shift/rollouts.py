@@ -1,10 +1,10 @@
-"""Roll models and engines out on domains, side by side; what was done is kept and not done again.
+"""Roll out models and engines on domains, in parallel; results are stored and reused.
 
-Engines are models too: each starts from the last known frame of every domain, and goes on. Unlike
-the published motions, which part from frame 0 on, these share the window with a learned model:
-their distance from the domain is what a model that knows its engine by heart would get wrong. An
-engine on its own domain tells what restarting alone costs (velocities that belong to another time
-than positions, solvers that start cold).
+Engines are tested like models: each goes on from the last known frame of every domain. Unlike the
+published motions, which diverge from frame 0 on, these share the window with a learned model: their
+distance from the domain is the error of a model that knows its engine perfectly. An engine on its
+own domain shows what restarting alone costs (velocities that belong to another time than positions,
+solvers that start cold).
 """
 
 from __future__ import annotations
@@ -40,29 +40,29 @@ from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.registry import load_adapter
 from mbds_xsim.simulate.timed import simulate
 
-_TIMEOUT = 4 * 3600.0  # of the work of a process [s]
-_MODELS = 6  # a process: starting one takes seconds
-_RESTARTS = 3  # a process: one engine may take longest by far
-_ROWS = 512  # trajectories at a time: few of one domain alone leave most of a step to its calls
-_STRIDE = 8  # frames from a start of one-step predictions to the next
+_TIMEOUT = 4 * 3600.0  # time limit of a process [s]
+_MODELS = 6  # per process: starting one takes seconds
+_RESTARTS = 3  # per process: one engine may take longest by far
+_ROWS = 512  # trajectories at a time: with few of them, calls take most of a step's time
+_STRIDE = 8  # frames between the starts of one-step predictions
 Paths = dict[tuple[TrainedModel, str], Path]
-"""Where the figures of a model on a domain are kept."""
+"""Files with the figures of each model on each domain."""
 
 
 @dataclass(frozen=True)
 class RolloutPlan:
-    """What to predict, and where."""
+    """Length of predictions, and device."""
 
     horizon: int
-    """Frames of a rollout."""
+    """Number of frames of a rollout."""
     stride: int = _STRIDE
-    """Frames from a window of the teacher-forced prediction to the next."""
+    """Number of frames between the windows of teacher-forced predictions."""
     device: str = "cpu"
-    """Of the models."""
+    """Device of the models."""
 
 
 class Evaluated(Mapping[tuple[TrainedModel, str], RolloutFigures]):
-    """Reads figures when they are asked for: those of a large study together fill the memory."""
+    """Figures that are read on demand, because those of a large study fill the memory."""
 
     def __init__(self, paths: Paths, tested: int) -> None:
         self._paths, self.tested = paths, tested
@@ -88,9 +88,9 @@ def evaluate(
     plan: RolloutPlan,
     conduct: Conduct = USUAL,
 ) -> Evaluated:
-    """Test every model on every domain; without `cache` what was done is done anew.
+    """Test every model on every domain; without `conduct.cache` stored results are discarded.
 
-    InputError where a model cannot be tested; those tested before are kept.
+    Raises InputError if a model cannot be tested; those tested before are kept.
     """
     # Named once: code that is edited meanwhile must not make the tasks look elsewhere.
     paths = {(m, d.name): _path(d, m.model, m.content, plan) for m in models for d in domains}
@@ -99,7 +99,7 @@ def evaluate(
             path.unlink(missing_ok=True)
     missing = [m for m in models if not all(read_figures(paths[m, d.name]) for d in domains)]
     parts = [missing[k : k + _MODELS] for k in range(0, len(missing), _MODELS)]
-    wanted = [{key: path for key, path in paths.items() if key[0] in part} for part in parts]
+    part_paths = [{key: path for key, path in paths.items() if key[0] in part} for part in parts]
     if missing:
         conduct.meter.begin(len(missing))
 
@@ -108,7 +108,7 @@ def evaluate(
         for model in parts[place]:
             conduct.meter.advance(f"{model.model} {model.training}")
 
-    tasks = [Task(_test, (scene, part, domains, plan), _TIMEOUT) for part in wanted]
+    tasks = [Task(_test, (scene, part, domains, plan), _TIMEOUT) for part in part_paths]
     answers = run_tasks(
         tasks, workers=process_count(conduct.workers, plan.device), finished=finished
     )
@@ -130,7 +130,7 @@ def _test(scene: Scene, paths: Paths, domains: Sequence[Domain], plan: RolloutPl
 
     together = max(1, _ROWS // len(domains[0].rows))
     for k in range(0, len(domains), together):
-        # Outermost, so that the motions of one group alone are in memory.
+        # Outermost loop, so that only the motions of one group are in memory.
         group = domains[k : k + together]
         motions = functools.cache(functools.partial(_joined, group, HISTORY + plan.horizon))
         for trained in dict.fromkeys(trained for trained, _ in paths):
@@ -147,16 +147,16 @@ def _joined(domains: Sequence[Domain], frames: int, dtype: torch.dtype) -> Motio
     return Motions.joined([domain.motions(dtype).until(frames) for domain in domains])
 
 
-def _path(domain: Domain, *what: object) -> Path:
-    """Where figures on a domain are kept: by all that decides on them."""
-    known = (MODELS, *what, domain.name, domain.content, domain.rows)
-    key = hashlib.sha256(repr(known).encode()).hexdigest()
+def _path(domain: Domain, *details: object) -> Path:
+    """Return the file of figures on a domain, named by everything that decides them."""
+    identity = (MODELS, *details, domain.name, domain.content, domain.rows)
+    key = hashlib.sha256(repr(identity).encode()).hexdigest()
     return directory() / "shift" / key[:2] / f"{key[2:]}.npz"
 
 
 @dataclass(frozen=True)
 class Restart:
-    """One engine that goes on from one domain."""
+    """Engine that goes on from a domain."""
 
     engine: Recorded
     domain: Domain
@@ -164,12 +164,12 @@ class Restart:
 
     @property
     def name(self) -> str:
-        """For people."""
+        """Name for people."""
         return f"{self.engine.name} on {self.domain.name}"
 
     @functools.cached_property
     def path(self) -> Path:
-        """Where its figures are kept."""
+        """File of its figures."""
         adapter = load_adapter(self.engine.engine)
         versions = (adapter.version(), adapter.revision)
         return _path(self.domain, self.engine.content, versions, self.horizon, _STRIDE)
@@ -178,57 +178,57 @@ class Restart:
 def restarted(
     test: Paired, domains: Sequence[Domain], horizon: int, conduct: Conduct = USUAL
 ) -> tuple[dict[tuple[str, str], RolloutFigures], dict[str, str]]:
-    """Let every engine go on from every domain; with a cache what was done is not done again.
+    """Let every engine go on from every domain; with a cache stored results are reused.
 
-    Beside the figures stands why there are none, by engine or by engine and domain.
+    Returns the figures, and the reasons for missing ones, by engine or by engine and domain.
     """
     restarts: list[Restart] = []
     missing: list[Restart] = []
-    lost: dict[str, str] = {}
+    reasons: dict[str, str] = {}
     for engine in test.domains:
         each = [Restart(engine, domain, horizon) for domain in domains]
         try:
-            # All places are named here: tasks take them along.
+            # All files are named here, and tasks take the names along.
             for one in each if not conduct.cache else []:
                 one.path.unlink(missing_ok=True)
             missing += [one for one in each if read_figures(one.path) is None]
         except Exception as error:  # an engine that is not installed, or does not load
-            lost[engine.name] = str(error)
+            reasons[engine.name] = str(error)
         else:
             restarts += each
     if missing:
         conduct.meter.begin(len(missing))
-    lost |= _run(test.batch, list(_shares(missing)), conduct)
-    kept = {(one.engine.name, one.domain.name): read_figures(one.path) for one in restarts}
-    return {pair: figures for pair, figures in kept.items() if figures is not None}, lost
+    reasons |= _run(test.batch, list(_shares(missing)), conduct)
+    results = {(one.engine.name, one.domain.name): read_figures(one.path) for one in restarts}
+    return {pair: figures for pair, figures in results.items() if figures is not None}, reasons
 
 
 def _run(
     inputs: Batch, shares: Sequence[list[Restart]], conduct: Conduct, *, alone: bool = False
 ) -> dict[str, str]:
-    """Carry restarts out, and say which could not be.
+    """Carry out restarts, and return the reasons for those that failed.
 
-    A process that crashed takes those behind along: each of them is tried once more, alone.
+    A crash of a process also stops its later restarts: each of them is tried once more, alone.
     """
-    lost: dict[Restart, str] = {}
+    reasons: dict[Restart, str] = {}
 
     def finished(place: int, answer: object) -> None:
         for restart in shares[place]:
             if isinstance(answer, Crash) and read_figures(restart.path) is None:
-                lost[restart] = answer.reason
-            if alone or restart not in lost:
+                reasons[restart] = answer.reason
+            if alone or restart not in reasons:
                 conduct.meter.advance(restart.name)
 
     tasks = [Task(_go_on, (inputs, share), _TIMEOUT) for share in shares]
     run_tasks(tasks, workers=conduct.workers, finished=finished)
-    failed = [restart for share in shares for restart in share if restart in lost]
+    failed = [restart for share in shares for restart in share if restart in reasons]
     if alone or not failed:
-        return {restart.name: lost[restart] for restart in failed}
+        return {restart.name: reasons[restart] for restart in failed}
     return _run(inputs, [[restart] for restart in failed], conduct, alone=True)
 
 
 def _shares(restarts: Sequence[Restart]) -> Iterator[list[Restart]]:
-    """Deal them out, a few of one engine to a process."""
+    """Yield the restarts of each process, a few of one engine."""
     for _, group in itertools.groupby(restarts, key=lambda restart: restart.engine.name):
         each = list(group)
         yield from (each[k : k + _RESTARTS] for k in range(0, len(each), _RESTARTS))
@@ -243,15 +243,15 @@ def _go_on(inputs: Batch, restarts: Sequence[Restart]) -> None:
 
 
 def _one_step(restart: Restart, motions: Motions, inputs: Batch) -> Array:
-    """Error of going on by one frame from all over the motions, as models do, (trajectory,) [m²].
+    """Return the one-frame error of restarts from all over the motions [m²], (trajectory,).
 
-    The first windows alone would have no contact in them.
+    Models are tested in the same way; the first windows alone would contain no contact.
     """
     errors = []
     for last in range(HISTORY - 1, HISTORY - 1 + restart.horizon, _STRIDE):
-        after = _predicted(restart, motions, inputs, 1, last)[:, 0]
-        apart = (after - motions.position[:, last + 1]).square().sum(-1).mean(-1)
-        errors.append(apart.numpy())
+        predicted = _predicted(restart, motions, inputs, 1, last)[:, 0]
+        error = (predicted - motions.position[:, last + 1]).square().sum(-1).mean(-1)
+        errors.append(error.numpy())
     whole = np.stack(errors)
     known = np.isfinite(whole)
     count = np.where(known.any(axis=0), known.sum(axis=0), np.nan)
@@ -261,21 +261,21 @@ def _one_step(restart: Restart, motions: Motions, inputs: Batch) -> Array:
 def _predicted(
     restart: Restart, motions: Motions, inputs: Batch, frames: int, last: int = HISTORY - 1
 ) -> torch.Tensor:
-    """Positions of so many frames behind the last known one, (trajectory, frame, particle, 3)."""
+    """Return positions in `frames` frames after `last`, (trajectory, frame, particle, 3)."""
     assert motions.body is not None
     state = motions.body[:, last].numpy()
     known = np.flatnonzero(np.isfinite(state).all(axis=(1, 2)))
     shape = (len(state), frames, motions.graph.particle_count, 3)
-    whole = motions.position.new_full(shape, torch.nan)
-    if not len(known):  # as of the truth, where no motion is unique any more
-        return whole
+    predicted = motions.position.new_full(shape, torch.nan)
+    if not len(known):  # such as a reference that has ended before
+        return predicted
     steps = slice(last, last + frames)
-    placed, turned, moving, spinning = np.split(state[known], (3, 7, 10), axis=-1)
-    acting = inputs.force[known, steps], inputs.torque[known, steps]
-    start = Batch(inputs.index[known], placed, turned, moving, spinning, *acting)
+    centre, orientation, velocity, spin = np.split(state[known], (3, 7, 10), axis=-1)
+    loads = inputs.force[known, steps], inputs.torque[known, steps]
+    start = Batch(inputs.index[known], centre, orientation, velocity, spin, *loads)
     scene, about = motions.graph.scene, attributes_of(restart.engine.path)
     settings = Settings(about["method"], about["step_s"], msgspec.json.decode(about["options"]))
     trajectory = simulate(scene, start, restart.engine.engine, settings).trajectory
     position, _ = Points.of(scene).motion(trajectory)
-    whole[known] = motions.graph.embed(torch.from_numpy(position[:, 1:]))
-    return whole
+    predicted[known] = motions.graph.embed(torch.from_numpy(position[:, 1:]))
+    return predicted

@@ -87,7 +87,7 @@ class ShiftQuestion:
 
 @dataclass(frozen=True, eq=False)
 class ShiftStudy:
-    """A study, and the raw figures that it was made from."""
+    """Study, and the raw figures that it was made from."""
 
     shift: Shift
     evaluation: Evaluation
@@ -101,9 +101,9 @@ def question_of(
     trajectories: int | None = None,
     part: Selection = WHOLE,
 ) -> ShiftQuestion:
-    """Find what is to be studied: models and data of a scene that belong together.
+    """Find the models and data of a scene for a study, and check that they belong together.
 
-    InputError says what is missing or does not belong.
+    Raises InputError with the reason if something is missing or does not belong.
     """
     check_writable(directory() / "shift" / f"{scene}.npz", "MBDS_XSIM_CACHE")
     test = load_paired(data, scene, trajectories, part.variants)
@@ -123,12 +123,12 @@ def study(
     device: str = "cpu",
     command: str = "",
 ) -> ShiftStudy:
-    """Test all models of a scene on all domains, and say what a change of engine does.
+    """Test all models of a scene on all domains, and assess the effect of a change of engine.
 
-    Answers and tables are at a frame: 10, or the last where there are fewer. What was predicted and
-    simulated before is a stored solution, too.
+    Answers and tables are for frame `at`; by default 10, or the last if there are fewer. Stored
+    predictions and simulations are reused if `conduct.cache` allows it.
     """
-    began = time.perf_counter()
+    begin = time.perf_counter()
     test, models = question.test, [*trivial_models(), *question.trained]
     plan = RolloutPlan(min(max(FRAMES), test.batch.steps + 1 - HISTORY), device=device)
     frames = tuple(frame for frame in FRAMES if frame <= plan.horizon)
@@ -136,13 +136,13 @@ def study(
     solved, reason = solve_domain(test, plan.horizon, conduct)
     domains: tuple[Domain, ...] = (*test.domains, *([solved] if solved else []))
     figures = evaluate(test.scene, models, domains, plan, conduct)
-    gone_on, refused = restarted(test, domains, plan.horizon, conduct)
-    apart, floors = oracles(domains, plan.horizon), {}
+    restart_figures, reasons = restarted(test, domains, plan.horizon, conduct)
+    engine_figures, floors = oracles(domains, plan.horizon), {}
     if solved is not None:
         truth = read_reference(solved.path)
         floors["noise"] = noise_floor(truth, plan.horizon)
         floors["chaos"] = chaos_floor(test, truth, plan.horizon)
-    evaluation = Evaluation(test, frames, figures, apart, gone_on, floors)
+    evaluation = Evaluation(test, frames, figures, engine_figures, restart_figures, floors)
     shift = _shift(
         evaluation,
         plan,
@@ -154,22 +154,22 @@ def study(
         left_out={
             **test.left_out,
             **({} if solved else {REFERENCE: reason}),
-            **{f"{RESTART} {name}": why for name, why in refused.items()},
+            **{f"{RESTART} {name}": why for name, why in reasons.items()},
             **_left_out(evaluation),
         },
         models=tuple(_facts(evaluation, model) for model in models),
         kept=len(models) - figures.tested,
     )
-    answers, wall_s = (*answer_of_harms(shift), *shift.answers), time.perf_counter() - began
+    answers, wall_s = (*answer_of_harms(shift), *shift.answers), time.perf_counter() - begin
     return ShiftStudy(msgspec.structs.replace(shift, answers=answers, wall_s=wall_s), evaluation)
 
 
 def _shift(evaluation: Evaluation, plan: RolloutPlan, at: int, **facts: Any) -> Shift:
-    """Say what was measured and what follows from it."""
+    """Collect all measurements and the conclusions from them."""
     test, draws = evaluation.test, Draws(evaluation)
     gaps, interactions = tuple(gaps_of(draws)), interactions_of(draws)
     later = from_contact(evaluation)
-    touched = interactions_of(Draws(later)) if later else ()
+    after_contact = interactions_of(Draws(later)) if later else ()
     return Shift(
         scene=test.scene.name,
         description=test.scene.description,
@@ -194,11 +194,11 @@ def _shift(evaluation: Evaluation, plan: RolloutPlan, at: int, **facts: Any) -> 
         interactions=interactions,
         contact_frames=later.frames if later else (),
         contact_trajectories=len(later.test.index) if later else 0,
-        after_contact=touched,
+        after_contact=after_contact,
         harms=harms_of(draws),
         answers=(
             *_changes(interactions, evaluation.frames, at),
-            *(_changes(touched, later.frames, at, _SINCE) if later else ()),
+            *(_changes(after_contact, later.frames, at, _SINCE) if later else ()),
             *answers_of(draws, gaps, at),
             *answers_by_interval(evaluation, at),
         ),
@@ -208,12 +208,12 @@ def _shift(evaluation: Evaluation, plan: RolloutPlan, at: int, **facts: Any) -> 
 
 
 def _changes(
-    found: Sequence[Interaction], frames: Sequence[int], at: int, since: str = ""
+    interactions: Sequence[Interaction], frames: Sequence[int], at: int, since: str = ""
 ) -> Iterator[Answer]:
-    """What changes cost: all side by side, which a table follows; or the only one."""
+    """Yield the costs of changes: all side by side if there are several, else the only one."""
     place = max(k for k, frame in enumerate(frames) if frame <= at)
-    side_by_side = list(answer_of_factors(found, place, frames[place], since))
-    yield from side_by_side or answers_of_interactions(found, place, frames[place], since)
+    side_by_side = list(answer_of_factors(interactions, place, frames[place], since))
+    yield from side_by_side or answers_of_interactions(interactions, place, frames[place], since)
 
 
 def _facts(evaluation: Evaluation, model: TrainedModel) -> TrainedFacts:
@@ -223,18 +223,18 @@ def _facts(evaluation: Evaluation, model: TrainedModel) -> TrainedFacts:
     return msgspec.structs.replace(facts, to_floor_s=seconds, trajectories=count)
 
 
-def _frame_of(frames: tuple[int, ...], chosen: int | None) -> int:
-    """Choose the frame of the answers: early enough not to be chaos everywhere."""
-    if chosen is None:
+def _frame_of(frames: tuple[int, ...], at: int | None) -> int:
+    """Choose the frame of the answers, early enough that not all motion is chaotic."""
+    if at is None:
         return _AT if _AT in frames else frames[-1]
-    if chosen not in frames:
-        msg = f"--at: got {chosen}, allowed is {', '.join(map(str, frames))}"
+    if at not in frames:
+        msg = f"--at: got {at}, allowed is {', '.join(map(str, frames))}"
         raise InputError(msg)
-    return chosen
+    return at
 
 
 def _left_out(evaluation: Evaluation) -> dict[str, str]:
-    """Say which engines did not go on from which domains, and why models are not there."""
+    """Return the reasons why restarted engines or models are left out."""
     lost = {
         pair: np.any(figures.error > evaluation.largest, axis=1)
         for pair, figures in evaluation.restarted.items()
@@ -262,7 +262,7 @@ class SampleRollout:
     at_home: bool
     """Whether it was trained on the domain that is shown."""
     position: Array
-    """[m], shape (trajectory, frame, particle, 3); NaN where lost."""
+    """Positions [m], shape (trajectory, frame, particle, 3); NaN where lost."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,28 +274,28 @@ class Samples:
     index: Index
     """Numbers of the trajectories, one of each interval."""
     truth: Array
-    """[m], shape (trajectory, frame, particle, 3)."""
+    """True positions [m], shape (trajectory, frame, particle, 3)."""
     models: tuple[SampleRollout, ...]
 
 
 def samples_of(evaluation: Evaluation) -> Samples:
     """Predict one trajectory of each interval, on the first domain that a model was trained on.
 
-    Of each model the first seed of the training there, and of the training on the engine that is
-    furthest from it.
+    Each model takes part with the first seed of its training there, and of its training on the
+    engine that is furthest away.
     """
     homes = [entry.training for entry in evaluation.entries if entry.single]
     domains = evaluation.test.domains
     domain = next((d for d in domains if d.name in homes), domains[0])
     firsts = [np.flatnonzero(r)[0] for name, r in evaluation.intervals() if name != INTERVALS[0]]
     rows = torch.tensor(firsts)
-    whole = domain.motions(torch.float64)[rows]
-    horizon = min(whole.frame_count - HISTORY, max(evaluation.frames))
+    motions = domain.motions(torch.float64)[rows]
+    horizon = min(motions.frame_count - HISTORY, max(evaluation.frames))
     return Samples(
         evaluation=evaluation,
         domain=domain,
-        index=whole.index,
-        truth=whole.position[:, HISTORY - 1 : HISTORY + horizon].numpy(),
+        index=motions.index,
+        truth=motions.position[:, HISTORY - 1 : HISTORY + horizon].numpy(),
         models=tuple(
             SampleRollout(
                 model.model,
@@ -309,24 +309,24 @@ def samples_of(evaluation: Evaluation) -> Samples:
 
 
 def _chosen(evaluation: Evaluation, domain: Recorded) -> list[TrainedModel]:
-    chosen = []
+    models = []
     for model in evaluation.models:
         singles = [entry for entry in evaluation.entries if entry.model == model and entry.single]
-        away = [e for e in singles if e.variant == domain.variant and e.training != domain.name]
-        away = [e for e in away if (e.training, domain.name) in evaluation.oracles]
+        others = [e for e in singles if e.variant == domain.variant and e.training != domain.name]
+        others = [e for e in others if (e.training, domain.name) in evaluation.oracles]
         furthest = sorted(
-            away, key=lambda e: -float(evaluation.floor(e.training, domain.name).mean())
+            others, key=lambda e: -float(evaluation.floor(e.training, domain.name).mean())
         )
-        chosen += [e for e in singles if e.training == domain.name][:1] + furthest[:1]
-    return chosen
+        models += [e for e in singles if e.training == domain.name][:1] + furthest[:1]
+    return models
 
 
 def _predicted(
     evaluation: Evaluation, trained: TrainedModel, domain: Domain, rows: Tensor, horizon: int
 ) -> Array:
-    """Start with the last known frame."""
+    """Return predicted positions, starting with the last known frame."""
     model = trained.load(evaluation.test.scene)
     motions = domain.motions(model.dtype)[rows]
-    rolled = rollout(model, motions, steps=horizon)
-    whole = torch.cat([motions.position[:, HISTORY - 1 : HISTORY], rolled], dim=1)
-    return np.asarray(whole.double().numpy())
+    predicted = rollout(model, motions, steps=horizon)
+    positions = torch.cat([motions.position[:, HISTORY - 1 : HISTORY], predicted], dim=1)
+    return np.asarray(positions.double().numpy())

@@ -1,13 +1,13 @@
-"""How good must data be? What their error costs the models that learn from them.
+"""How good must data be? The cost of their errors to the models that learn from them.
 
-A model is held against itself: its error on the truth after one domain taught it, over its error
-after the reference's own data did. 1 is no harm, 2 twice the squared error. Both are tested on the
-same trajectories, and runs of a seed share their first weights and windows: what is left is what
-the data do.
+A model is compared with itself: its error on the truth after training on one domain, over its error
+after training on the reference's data. A ratio of 1 is no harm, 2 is twice the squared error. Both
+are tested on the same trajectories, and runs of a seed share their first weights and windows, so
+the rest is due to the data.
 
-Data harm a model where the ratio is told from 1 and at least 1.1: less is what another run of the
-same training makes. That no harm is told proves nothing by itself: data are called harmless where
-the interval, too, is below what is bearable.
+Data harm a model if the ratio differs from 1 significantly and is at least 1.1: less can come from
+another run of the same training. That no harm is found proves nothing by itself: data are called
+harmless only if the interval, too, is below the bearable ratio.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from mbds_xsim.learn.trained import TrainedModel
 WORTH = "worth"
 """Kind of answer."""
 HARMFUL, UNTOLD, HARMLESS = "harmful", "cannot be told", "harmless"
-"""What data are to a model, the worst first."""
+"""Verdicts on data for a model, the worst first."""
 NOTABLE = 1.1
-"""Times the squared error: less may be told from 1, and is no more than another run makes."""
+"""Least harmful ratio of squared errors: less can come from another run, even if significant."""
 
 
 def harms_of(draws: Draws) -> tuple[Harm, ...]:
-    """Hold every training on one domain against that on the reference's data, if there are any."""
+    """Compare every training on one domain with that on the reference's data, if there are any."""
     evaluation = draws.evaluation
     pairs = [pair for model in evaluation.models for pair in _pairs(evaluation, model)]
     return compared(draws, pairs, _ratio, Harm)
@@ -44,21 +44,21 @@ def _ratio(training: TrainedModel, best: TrainedModel, look: Look) -> Array:
 
 
 def _pairs(evaluation: Evaluation, model: str) -> Iterator[tuple[TrainedModel, TrainedModel]]:
-    """Give each training on one domain with the one that learned from the best data."""
+    """Yield each training on one domain with the one that learned from the best data."""
     oracles = evaluation.oracles
-    taught = [
+    singles = [
         training
         for training in trainings_of(evaluation, model)
         if training.single and (training.domains[0], REFERENCE) in oracles
     ]
-    true = [training for training in taught if training.engines == (REFERENCE,)]
-    if true:
-        best = min(true, key=lambda t: np.nanmean(oracles[t.domains[0], REFERENCE].error))
-        yield from ((training, best) for training in taught if training is not best)
+    references = [training for training in singles if training.engines == (REFERENCE,)]
+    if references:
+        best = min(references, key=lambda t: np.nanmean(oracles[t.domains[0], REFERENCE].error))
+        yield from ((training, best) for training in singles if training is not best)
 
 
 def verdict(harm: Harm, place: int) -> str:
-    """Say what the data are to the model at a frame."""
+    """Return the verdict on the data for the model at a frame."""
     value, high = harm.value[place], harm.high[place]
     if harm.resolved[place] and value is not None and value >= NOTABLE:
         return HARMFUL
@@ -66,46 +66,46 @@ def verdict(harm: Harm, place: int) -> str:
 
 
 def verdicts(harms: Sequence[Harm], place: int) -> dict[str, str]:
-    """Say of all data at a frame what they are to the model that they are worst for."""
-    found = {harm.second: HARMLESS for harm in harms}
+    """Return the verdict on all data at a frame, for the model that they are worst for."""
+    worst = {harm.second: HARMLESS for harm in harms}
     for harm in harms:
-        each = (found.get(harm.first, HARMLESS), verdict(harm, place))
-        found[harm.first] = min(each, key=(HARMFUL, UNTOLD, HARMLESS).index)
-    return found
+        pair = (worst.get(harm.first, HARMLESS), verdict(harm, place))
+        worst[harm.first] = min(pair, key=(HARMFUL, UNTOLD, HARMLESS).index)
+    return worst
 
 
 def distances(shift: Shift, place: int) -> dict[str, float]:
-    """Give the mean squared distance of all data from the truth at a frame [m²], by domain."""
+    """Return the mean squared distance of all data from the truth at a frame [m²], by domain."""
     return {
-        floor.first: apart
+        floor.first: distance
         for floor in shift.floors
         if (floor.kind, floor.test, floor.interval) == (ENGINE, REFERENCE, INTERVALS[0])
-        and (apart := floor.mse[place]) is not None
+        and (distance := floor.mse[place]) is not None
     }
 
 
 def noise_of(shift: Shift, place: int) -> float | None:
-    """Mean squared distance that the random forces, which no model is told, make [m²]."""
+    """Return the mean squared distance due to the random forces, which no model knows [m²]."""
     return next((floor.mse[place] for floor in shift.floors if floor.kind == "noise"), None)
 
 
 def answer_of_harms(shift: Shift) -> Iterator[Answer]:
     """Name the cheapest data that harm no model, and say how far from the truth data may be."""
     place, cheapest = shift.frames.index(shift.at), dict[str, DomainFacts]()
-    found, apart = verdicts(shift.harms, place), distances(shift, place)
-    dear = sorted((d for d in shift.domains if d.name in found and d.cost_s), key=_milliseconds)
-    for domain in dear:
-        if found[domain.name] == HARMLESS and domain.name in apart:
+    worst, apart = verdicts(shift.harms, place), distances(shift, place)
+    by_cost = sorted((d for d in shift.domains if d.name in worst and d.cost_s), key=_milliseconds)
+    for domain in by_cost:
+        if worst[domain.name] == HARMLESS and domain.name in apart:
             cheapest.setdefault(domain.engine, domain)
     if not cheapest:
         return
     first, *others = (f"{d.name}, {_milliseconds(d):.3g} ms" for d in cheapest.values())
-    none = [f"none of {e}" for e in dict.fromkeys(d.engine for d in dear) if e not in cheapest]
+    none = [f"none of {e}" for e in dict.fromkeys(d.engine for d in by_cost) if e not in cheapest]
     models = ", ".join(dict.fromkeys(harm.model for harm in shift.harms))
     text = (
         f"At t = {shift.at} the cheapest data that harm none of {models} are {first} of processor "
         f"time for a trajectory{''.join(f'; {engine}' for engine in (*others, *none))}. "
-        f"{_reach(found, apart)}"
+        f"{_reach(worst, apart)}"
     )
     noise = noise_of(shift, place)
     text += f", the random forces, which no model is told, {noise:.2g} m²" if noise else ""
@@ -116,10 +116,10 @@ def _milliseconds(domain: DomainFacts) -> float:
     return 1e3 * (domain.cost_s or 0.0)
 
 
-def _reach(found: Mapping[str, str], apart: Mapping[str, float]) -> str:
-    """Say how far from the truth data are that harm, and that do not."""
+def _reach(worst: Mapping[str, str], apart: Mapping[str, float]) -> str:
+    """Say how far from the truth harmful and harmless data are."""
     harmful, harmless = (
-        [apart[name] for name, word in found.items() if word == kind and name in apart]
+        [apart[name] for name, word in worst.items() if word == kind and name in apart]
         for kind in (HARMFUL, HARMLESS)
     )
     begin = f"Data that harm are at least {min(harmful):.2g} m²" if harmful else "No data harm"

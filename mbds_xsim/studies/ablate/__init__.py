@@ -1,4 +1,4 @@
-"""No more than a scene needs: what each modelled effect is worth beside engines' disagreement."""
+"""Ablation of a scene: how much each modelled effect matters against engines' disagreement."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from mbds_xsim.studies.ablate.analyse import (
     Size,
     WeakenedEffect,
     Window,
-    compared,
+    compare_size,
     disagreement,
     floor_of,
     impossible,
@@ -56,18 +56,18 @@ def ablate(
     conduct: Conduct = USUAL,
     command: str = "mbds_xsim.studies.ablate.ablate",
 ) -> Ablation:
-    """Drop and halve each effect of a scene and hold the change of motion to the floor.
+    """Drop and halve each effect of a scene, and compare the change of motion with the floor.
 
     Args:
-        scene: What to take apart.
-        choice: Engines and settings that give the floor; all at matched settings when left out.
-        effects: What may be dropped; those that the scene does not have are passed over.
-        starts: What is drawn.
-        conduct: How.
-        command: What is told to make the study again.
+        scene: Scene to take apart.
+        choice: Engines and settings that give the floor; by default all at matched settings.
+        effects: Effects to drop; those that the scene does not have are skipped.
+        starts: Starts to draw.
+        conduct: How the work is carried out.
+        command: Command to report for repeating the study.
 
     Raises:
-        InputError: Something that was given cannot be used, or no engine delivered anything.
+        InputError: An argument cannot be used, or no engine delivered a motion.
     """
     begin, conduct = time.perf_counter(), replace(conduct, meter=_Phases(conduct.meter))
     chosen = searched(scene, choice or Choice.parse(), conduct)
@@ -108,15 +108,15 @@ def ablate(
 def _sizes(
     scene: Scene, contenders: Sequence[Contender], least: Least, workers: int | None
 ) -> Iterator[Size]:
-    """Compare the engines' own models with the smallest one; those that tell none are left out."""
+    """Compare the engines' models with the smallest one; engines that report none are left out."""
     tasks = [Task(native_size, (scene, c.engine, c.settings)) for c in contenders]
     for contender, size in zip(contenders, run_tasks(tasks, workers=workers), strict=True):
         if isinstance(size, ModelSize):
-            yield compared(contender.engine, size, least)
+            yield compare_size(contender.engine, size, least)
 
 
 class _Phases:
-    """Tells the progress of one piece of work after another as one."""
+    """Meter that reports successive pieces of work as one."""
 
     def __init__(self, meter: Meter) -> None:
         self._begin, self._before = meter.begin, 0
@@ -128,16 +128,16 @@ class _Phases:
         self._begin(self._before)
 
 
-_TIMEOUT = 600.0  # of one ablated scene, all its starts [s]
+_TIMEOUT = 600.0  # for all starts of one ablated scene [s]
 
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """What simulates ablated scenes, the full scene's motion in it, and the floor."""
+    """Judge that simulates ablated scenes, its motion of the full scene, and the floor."""
 
     scene: Scene
     judge: Contender | None
-    """None: the reference."""
+    """Engine that simulates the scenes; None for the reference."""
     judge_name: str
     full: Trajectory
     window: Window
@@ -146,7 +146,7 @@ class Bench:
 
     @staticmethod
     def of(validation: Validation, evidence: Evidence, contenders: Sequence[Contender]) -> Bench:
-        """Choose the judge by what engines delivered on the full scene."""
+        """Choose the judge: the reference, or the best engine if the reference ends early."""
         runs = {
             result.engine: run
             for result, run in zip(validation.engines, evidence.trajectories, strict=True)
@@ -178,21 +178,21 @@ class Bench:
     def rows(self, variants: list[AblatedScene], conduct: Conduct) -> list[WeakenedEffect]:
         """Simulate all variants and judge them."""
         meter = conduct.meter
-        able = [variant for variant in variants if not variant.reason]
-        meter.begin(len(able))
+        possible = [variant for variant in variants if not variant.reason]
+        meter.begin(len(possible))
         answers = run_tasks(
-            [self._task(variant, conduct.cache) for variant in able],
+            [self._task(variant, conduct.cache) for variant in possible],
             workers=conduct.workers,
-            finished=lambda place, _: meter.advance(f"without {able[place].effect.name}"),
+            finished=lambda place, _: meter.advance(f"without {possible[place].effect.name}"),
         )
-        told = dict(zip(map(id, able), answers, strict=True))
-        return [self._row(variant, told.get(id(variant))) for variant in variants]
+        answer_by_id = dict(zip(map(id, possible), answers, strict=True))
+        return [self._row(variant, answer_by_id.get(id(variant))) for variant in variants]
 
     def _task(self, variant: AblatedScene, cache: bool) -> Task:
         if self.judge is None:
-            return Task(_solved, (variant.scene, variant.batch, cache), _TIMEOUT)
+            return Task(_solve, (variant.scene, variant.batch, cache), _TIMEOUT)
         batch = variant.batch.truncated(max(self.window.frames - 1, 1))
-        return Task(_simulated, (variant.scene, batch, self.judge), self.judge.limit)
+        return Task(_simulate, (variant.scene, batch, self.judge), self.judge.limit)
 
     def _row(self, variant: AblatedScene, answer: Trajectory | Crash | None) -> WeakenedEffect:
         effect, factor = variant.effect, variant.factor
@@ -200,35 +200,35 @@ class Bench:
             reason = variant.reason if answer is None else answer.reason
             return impossible(effect, factor, reason)
         change = agreement.particle_error(Mechanism.of(self.scene), answer, self.full)
-        whole = np.full(self.window.judged.shape, np.nan)
-        whole[:, : change.shape[1]] = change
-        return row_of(effect, factor, whole, self.window, self.floor, _lost(answer))
+        padded = np.full(self.window.judged.shape, np.nan)
+        padded[:, : change.shape[1]] = change
+        return row_of(effect, factor, padded, self.window, self.floor, _describe_failures(answer))
 
 
 def _inaccuracy(result: EngineResult) -> tuple[bool, float]:
-    """Rank engines: by their error where there is a reference, else by their worst check."""
+    """Rank an engine by its error against the reference, or by its worst check without one."""
     if result.error_weighted_m is not None and result.error_weighted_m > 0:
         return False, result.error_weighted_m
-    judged = [finding for finding in result.findings if finding.budget]
-    return True, max((f.figure / (f.budget or 1.0) for f in judged), default=np.inf)
+    budgeted = [finding for finding in result.findings if finding.budget]
+    return True, max((f.figure / (f.budget or 1.0) for f in budgeted), default=np.inf)
 
 
-def _solved(scene: Scene, batch: Batch, cache: bool) -> Trajectory:
+def _solve(scene: Scene, batch: Batch, cache: bool) -> Trajectory:
     return reference.solve(scene, batch, cache=cache)
 
 
-def _simulated(scene: Scene, batch: Batch, judge: Contender) -> Trajectory:
+def _simulate(scene: Scene, batch: Batch, judge: Contender) -> Trajectory:
     return simulate(scene, batch, judge.engine, judge.settings).trajectory
 
 
-def _lost(run: Trajectory) -> str:
-    """Say which ablated runs ended early."""
+def _describe_failures(run: Trajectory) -> str:
+    """Report how many ablated runs ended early, and why."""
     ends = [failure for failure in run.failures if failure is not None]
     if not ends:
         return ""
     impacts = all(isinstance(end, FirstImpact) for end in ends)
-    what = "known up to the first impact only" if impacts else ends[0].reason
-    return f"{len(ends)} of {len(run.failures)} starts: {what}"
+    cause = "known up to the first impact only" if impacts else ends[0].reason
+    return f"{len(ends)} of {len(run.failures)} starts: {cause}"
 
 
 _MARKS: dict[str, Mark] = {"needed": "strong", "not possible": "muted"}
@@ -254,7 +254,7 @@ _COLUMNS = (
 
 
 def present(ablation: Ablation) -> Report:
-    """Say what the scene could do without, and what it is held against."""
+    """Report which effects the scene needs, and which floor their changes are compared with."""
     versions = ", ".join(f"{name} {version}" for name, version in ablation.versions.items())
     return Report(
         title=ablation.scene,
@@ -290,7 +290,7 @@ def _row(row: WeakenedEffect) -> Row:
         *map(quantity.number, (row.over_floor, row.over_disagreement)),
     )
     above = row.over_floor is not None and row.over_floor > 1.0
-    # Figures often say all that led to a verdict.
+    # The sentence is left out where the figures explain the verdict.
     plain = row.verdict == ("needed" if above else "not needed") or not row.sentence
     verdict = Cell(row.verdict, _MARKS.get(row.verdict, ""))
     return Row((*map(Cell, texts), verdict), reasons=() if plain else (row.sentence,))
@@ -314,7 +314,7 @@ def _conclusion(ablation: Ablation) -> str:
 
 
 def _judge(ablation: Ablation) -> str:
-    """Say what simulated the scene with and without each effect, and for how long."""
+    """Name the simulator of the scene with and without each effect, and the time compared."""
     low, high = (quantity.span(value) for value in ablation.judged_s)
     span = high if low == high else f"{low} to {high}"
     text = f"{ablation.judge}, {counted(len(ablation.trajectories), 'start')} compared over {span}"
@@ -322,7 +322,7 @@ def _judge(ablation: Ablation) -> str:
 
 
 def _floors(ablation: Ablation) -> str:
-    """Say what a change must exceed, and where that comes from."""
+    """Report the floors that a change must exceed, and their origin."""
     floor = ablation.floor
     at_one = "none"
     if floor.disagreement_1s_m is not None:
@@ -348,14 +348,14 @@ def _smallest(ablation: Ablation) -> str:
 
 
 def _more(size: Size) -> str:
-    """Say what an engine's model has more than the scene needs."""
-    more = [
-        counted(count, what)
-        for count, what in (
+    """Report how much larger an engine's model is than the scene needs."""
+    excess = [
+        counted(count, noun)
+        for count, noun in (
             (size.more_coordinates, "coordinate"),
             (size.more_constraints, "constraint"),
             (size.more_pairs, "contact pair"),
         )
         if count > 0
     ]
-    return f"models {' and '.join(more)} more than needed" if more else "no more than needed"
+    return f"models {' and '.join(excess)} more than needed" if excess else "no more than needed"

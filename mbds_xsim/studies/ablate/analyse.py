@@ -1,4 +1,4 @@
-"""What `ablate` finds: from changes of motion to verdicts, and how large a model must be."""
+"""Results of `ablate`: verdicts on changes of motion, and the size that a model needs."""
 
 from __future__ import annotations
 
@@ -25,30 +25,30 @@ from mbds_xsim.studies.ablate.effects import Effect
 SCHEMA = "mbds-xsim/ablate/1"
 
 Need = Literal["needed", "not needed", "not resolvable", "not possible"]
-"""The change is above the floor, or where engines have parted clearly above their distance; below
-the floor; not to be told, as motions can be compared, or last, for less than 1 s; there is no such
-scene, start or simulation."""
+"""Verdict on an effect, in this order: its change is above the floor (or clearly above the distance
+of engines that have parted); it is below the floor; motions last, or can be compared, for less
+than 1 s; there is no such scene, start or simulation."""
 
 
 class Floor(msgspec.Struct, frozen=True):
-    """What a change must exceed: the engines' own disagreement, or the budget if that is larger."""
+    """Threshold of a change: the engines' own disagreement, or the budget if that is larger."""
 
     disagreement_1s_m: float | None
-    """Largest RMS particle distance of two engines at 1 s, low and medium starts [m]; None where
+    """Largest RMS particle distance of two engines at 1 s, low and medium starts [m]; None if
     motions cannot be compared for so long."""
     disagreement_m: float
-    """The same over all starts and judged frames, over max(1, growth) [m]."""
+    """Largest such distance, over max(1, growth), of all starts and judged frames [m]."""
     budget_1s_m: float
     budget_m: float
 
     @property
     def at_1s(self) -> float:
-        """What a change at 1 s must exceed [m]."""
+        """Threshold of a change at 1 s [m]."""
         return max(self.disagreement_1s_m or 0.0, self.budget_1s_m)
 
     @property
     def overall(self) -> float:
-        """What a growth-weighted change must exceed [m]."""
+        """Threshold of a growth-weighted change [m]."""
         return max(self.disagreement_m, self.budget_m)
 
 
@@ -57,9 +57,9 @@ class WeakenedEffect(msgspec.Struct, frozen=True):
 
     effect: str
     factor: float
-    """0: dropped, 0.5: halved."""
+    """Remaining share of the effect: 0 if dropped, 0.5 if halved."""
     left: str
-    """What is left without the effect."""
+    """Description of the model without the effect."""
     verdict: Need
     sentence: str
     change_1s_m: float | None = None
@@ -75,49 +75,49 @@ class WeakenedEffect(msgspec.Struct, frozen=True):
 
 
 class Size(msgspec.Struct, frozen=True):
-    """The native model of one engine, and what it has more than the scene needs."""
+    """Size of one engine's native model, and its excess over what the scene needs."""
 
     engine: str
     coordinates: int
-    """Velocity coordinates."""
+    """Number of velocity coordinates."""
     constraints: int
     contact_pairs: int
     more_coordinates: int
-    """Beyond joint coordinates (in the plane, beyond the degrees of freedom)."""
+    """Excess over joint coordinates (in one and two dimensions, over the degrees of freedom)."""
     more_constraints: int
-    """Beyond the independent conditions of closed loops."""
+    """Excess over the independent conditions of closed loops."""
     more_pairs: int
-    """Beyond contact spheres."""
+    """Excess over the pairs that may touch in the scene."""
 
 
 class Ablation(msgspec.Struct, frozen=True, kw_only=True):
-    """A scene's effects."""
+    """Result of an ablation: the effects of one scene."""
 
     schema: str = SCHEMA
     scene: str
     description: str
     judge: str
-    """What simulated both scenes: the reference, or an engine with its method and step."""
+    """Simulator of both scenes: the reference, or an engine with its method and step."""
     judged_s: tuple[float, float]
     """Shortest and longest time over which a start was compared [s]."""
     ends: str
-    """What ends the comparison before the last frame; empty where nothing does."""
+    """Reason why the comparison ends before the last frame; empty if it does not."""
     duration_s: float
     length_m: float
     floor: Floor
     floor_engines: tuple[str, ...]
     """Engines whose disagreement is the floor."""
     failed: dict[str, str]
-    """Engines that failed on these starts, with the first reason; they are no part of the floor
+    """Engines that failed on these starts, with the first reason; they do not count in the floor
     unless fewer than two pass."""
     left_out: dict[str, str]
-    """Engines that cannot do the scene, with the reason."""
+    """Engines that cannot simulate the scene, with the reason."""
     rows: tuple[WeakenedEffect, ...]
     degrees_of_freedom: int
     joint_coordinates: int
     """Fewest coordinates of a model that opens closed loops."""
     loop_conditions: int
-    """Independent conditions that close them."""
+    """Number of independent conditions that close the loops."""
     contact_spheres: int
     sizes: tuple[Size, ...]
     trajectories: tuple[int, ...]
@@ -129,24 +129,24 @@ class Ablation(msgspec.Struct, frozen=True, kw_only=True):
 
 
 _INSTANT = 1.0
-_APART = 0.01  # of the scene's length, as for the agreement time
+_APART = 0.01  # part of the scene's length, as for the agreement time
 
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """Over which frames of each start changes are judged, and how."""
+    """Frames of each start in which changes are judged, and their weights."""
 
     judged: Mask
-    """Shape (start, frame)."""
+    """Whether each frame is judged, shape (start, frame)."""
     weight: Array
-    """What changes are divided by, max(1, growth); shape (start, frame)."""
+    """Divisor of changes, max(1, growth), shape (start, frame)."""
     time: Array
     apart: Array
     """Largest distance of two engines [m], shape (start, frame)."""
     regular: Mask
     """Starts that are judged at 1 s: all but those of the high interval, shape (start,)."""
     ends: str
-    """What ends the comparison before the last frame; empty where nothing does."""
+    """Reason why the comparison ends before the last frame; empty if it does not."""
 
     @property
     def spans(self) -> Array:
@@ -155,11 +155,11 @@ class Window:
 
     @property
     def reaches(self) -> bool:
-        """Whether any start is compared for 1 s, or all of a shorter scene."""
+        """Whether any start is compared for 1 s, or for all of a shorter scene."""
         return bool(self.spans.max() >= min(_INSTANT, self.time[-1]) * (1 - 1e-9))
 
     def at_instant(self, error: Array) -> Array:
-        """Give errors at 1 s [m] of the regular starts that are judged there, shape (any,)."""
+        """Return errors at 1 s [m] of the regular starts that are judged there, shape (count,)."""
         frame = int(np.argmin(np.abs(self.time - _INSTANT)))
         if abs(self.time[frame] - _INSTANT) > 1e-9:
             return np.zeros(0)
@@ -167,27 +167,27 @@ class Window:
 
     @property
     def frames(self) -> int:
-        """Frames that are looked at: all that are judged, and the first second."""
+        """Number of frames needed: all that are judged, and the first second."""
         second = int(np.searchsorted(self.time, _INSTANT * (1 - 1e-9)))
         return min(max(int(self.judged.sum(axis=1).max()), second + 1), len(self.time))
 
     def beyond(self, error: Array) -> float:
-        """Give the errors over the engines' distance at 1 s, whether judged or not: the median."""
+        """Return the median ratio of error to engines' distance at 1 s, whether judged or not."""
         frame = min(int(np.searchsorted(self.time, _INSTANT * (1 - 1e-9))), len(self.time) - 1)
         known = np.isfinite(error[:, frame]) & (self.apart[:, frame] > 0)
         ratio = error[known, frame] / self.apart[known, frame]
         return float(np.median(ratio)) if ratio.size else 0.0
 
     def weighted(self, error: Array) -> Array:
-        """Give the largest weighted error of each start over the judged frames [m], (start,)."""
+        """Return the largest weighted error of each start over the judged frames [m], (start,)."""
         return np.asarray(np.nanmax(np.where(self.judged, error / self.weight, 0.0), axis=1))
 
 
 def window_of(evidence: Evidence, apart: Array) -> Window:
-    """Settle where motions can be compared.
+    """Determine how long motions can be compared.
 
-    With a reference to the end: as long as disturbances grow less than a hundredfold. Where
-    contact leaves no unique solution: until the engines are 1 % of the scene's length apart.
+    They can as long as disturbances grow less than a hundredfold. If contact leaves no unique
+    solution, engines must also be within 1 % of the scene's length of each other.
     """
     known = evidence.reference.known
     growth = np.where(np.isfinite(evidence.growth), evidence.growth, 1.0)
@@ -210,7 +210,7 @@ def window_of(evidence: Evidence, apart: Array) -> Window:
 def disagreement(scene: Scene, runs: list[Trajectory]) -> Array:
     """Compute the largest RMS particle distance of two runs [m], shape (start, frame).
 
-    Where a run has ended it no longer counts; 0 where fewer than two are left.
+    A run that has ended no longer counts; the distance is 0 if fewer than two are left.
     """
     mechanism = Mechanism.of(scene)
     pairs = [agreement.particle_error(mechanism, *pair) for pair in combinations(runs, 2)]
@@ -220,7 +220,7 @@ def disagreement(scene: Scene, runs: list[Trajectory]) -> Array:
 
 
 def floor_of(scene: Scene, window: Window, apart: Array) -> Floor:
-    """Give what a change must exceed."""
+    """Compute the thresholds that a change must exceed."""
     at_one = window.at_instant(apart)
     return Floor(
         disagreement_1s_m=float(at_one.max()) if at_one.size else None,
@@ -231,21 +231,21 @@ def floor_of(scene: Scene, window: Window, apart: Array) -> Floor:
 
 
 _CLEARLY = 3.0
-"""A change so many times the engines' distance shows even where these have parted."""
+"""Ratio to the engines' distance from which a change is clear even after they have parted."""
 
 
 def row_of(
     effect: Effect, factor: float, change: Array, window: Window, floor: Floor, lost: str
 ) -> WeakenedEffect:
-    """Hold a change to the floor.
+    """Compare a change with the floor, and return the row of its effect.
 
     Args:
-        effect: What was weakened.
-        factor: How much of it was left.
+        effect: Effect that was weakened.
+        factor: Remaining share of the effect.
         change: RMS particle change [m], shape (start, frame); NaN where a run had ended.
-        window: Where it is judged.
-        floor: What it must exceed.
-        lost: Why the ablated runs ended early; empty where none did.
+        window: Frames in which it is judged.
+        floor: Thresholds that it must exceed.
+        lost: Why the ablated runs ended early; empty if none did.
     """
     at_one, weighted = window.at_instant(change), window.weighted(change)
     at_one = at_one[np.isfinite(at_one)]
@@ -255,19 +255,19 @@ def row_of(
     apart = max(
         _over(worst, floor.disagreement_m), _over(worst_one or 0.0, floor.disagreement_1s_m)
     )
-    beyond, seen = window.beyond(change), np.isfinite(change)
-    seen[:, 0] = True
-    known = replace(window, judged=window.judged & seen)
-    verdict = _verdict(excess, beyond, known)
-    told = _sentence(verdict, excess, apart, beyond, window)
+    beyond, finite = window.beyond(change), np.isfinite(change)
+    finite[:, 0] = True
+    finite_window = replace(window, judged=window.judged & finite)
+    verdict = _verdict(excess, beyond, finite_window)
+    sentence = _sentence(verdict, excess, apart, beyond, window)
     if verdict == "not resolvable" and window.reaches:
-        told = f"{_share(excess)} until what is left without it ends"
+        sentence = f"{_share(excess)} until what is left without it ends"
     return WeakenedEffect(
         effect=effect.name,
         factor=factor,
         left=effect.dropped,
         verdict=verdict,
-        sentence="; ".join(filter(None, (told, lost))),
+        sentence="; ".join(filter(None, (sentence, lost))),
         change_1s_m=worst_one,
         change_1s_median_m=float(np.median(at_one)) if at_one.size else None,
         change_m=worst,
@@ -278,7 +278,7 @@ def row_of(
 
 
 def impossible(effect: Effect, factor: float, reason: str) -> WeakenedEffect:
-    """Give the row of an effect that this scene cannot be without."""
+    """Return the row of an effect that this scene cannot do without."""
     return WeakenedEffect(effect.name, factor, effect.dropped, "not possible", reason)
 
 
@@ -296,20 +296,20 @@ def _verdict(excess: float, beyond: float, window: Window) -> Need:
 
 def _sentence(verdict: Need, excess: float, apart: float, beyond: float, window: Window) -> str:
     if excess > 1.0:
-        return f"motion changes by {_told(excess)} × the floor"
+        return f"motion changes by {_digits(excess)} × the floor"
     share = _share(excess)
     if not window.reaches:
         instant = min(_INSTANT, float(window.time[-1]))
-        past = f"{share} until {window.ends}; {_told(beyond)} × their distance at {instant:g} s"
-        return past if verdict == "needed" else f"{past}, clear is {_CLEARLY:g} ×"
-    return f"{share}, though {_told(apart)} × what engines differ by" if apart > 1.0 else share
+        text = f"{share} until {window.ends}; {_digits(beyond)} × their distance at {instant:g} s"
+        return text if verdict == "needed" else f"{text}, clear is {_CLEARLY:g} ×"
+    return f"{share}, though {_digits(apart)} × what engines differ by" if apart > 1.0 else share
 
 
 def _share(excess: float) -> str:
-    return f"{_told(excess)} of the floor" if excess else "no change"
+    return f"{_digits(excess)} of the floor" if excess else "no change"
 
 
-def _told(ratio: float) -> str:
+def _digits(ratio: float) -> str:
     return f"{ratio:.0f}" if 10 <= ratio < 1e4 else f"{ratio:.2g}"
 
 
@@ -325,14 +325,14 @@ class Least:
 
     degrees_of_freedom: int
     coordinates: int
-    """Of the spanning tree; in one and two dimensions the degrees of freedom."""
+    """Coordinates of the spanning tree; in one and two dimensions, the degrees of freedom."""
     conditions: int
     """Independent conditions of the loops."""
     spheres: int
 
 
 def least_size(scene: Scene) -> Least:
-    """Count what a model cannot do without."""
+    """Compute the size of the smallest model of a scene."""
     mechanism = Mechanism.of(scene)
     if scene.dimension < 3:
         freedom = _planar_freedom(mechanism, _IN_LINE if scene.dimension == 1 else _IN_PLANE)
@@ -344,13 +344,13 @@ def least_size(scene: Scene) -> Least:
 
 
 def native_size(scene: Scene, engine: str, settings: Settings) -> ModelSize:
-    """Load a scene and tell the size of the engine's model."""
+    """Load a scene and return the size of the engine's model."""
     with load_adapter(engine).open(scene, settings) as run:
         return run.size
 
 
-def compared(engine: str, size: ModelSize, least: Least) -> Size:
-    """Tell what a model has more than the smallest."""
+def compare_size(engine: str, size: ModelSize, least: Least) -> Size:
+    """Compute the excess of a model over the smallest one."""
     return Size(
         engine=engine,
         coordinates=size.coordinates,
@@ -363,7 +363,7 @@ def compared(engine: str, size: ModelSize, least: Least) -> Size:
 
 
 def _planar_freedom(mechanism: Mechanism, moving: tuple[int, ...]) -> int:
-    """Degrees of freedom at the reference pose of bodies that move in some coordinates only."""
+    """Count the degrees of freedom at the reference pose, if bodies move in `moving` only."""
     count = mechanism.body_count
     still = np.zeros((count, 3))
     native = np.broadcast_to(rotation.IDENTITY, (count, 4))

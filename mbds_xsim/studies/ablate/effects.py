@@ -1,7 +1,7 @@
-"""What a scene models and could do without: each effect, and the scene in which it is weaker.
+"""Effects that a scene may do without, each with the scene in which it is weaker.
 
 An effect is a function of the scene and a factor: 0 drops it, ½ halves it. It is found in the
-scene itself; where there is no such effect the function gives None. Gravity is none of them.
+scene itself; the function returns None if there is no such effect. Gravity is not among them.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from mbds_xsim.scene.state import Batch
 DROP, HALF = 0.0, 0.5
 Weaken = Callable[[Scene, float], Scene | None]
 _replace = msgspec.structs.replace
-_TURNED = ("hinge", "fixed")
+_PLANAR_KINDS = ("hinge", "fixed")
 
 
 @dataclass(frozen=True)
@@ -38,64 +38,66 @@ class Effect:
 
     name: str
     dropped: str
-    """What is left without it."""
+    """Description of the model without it."""
     weaken: Weaken
-    """The scene in which the effect is the factor times as strong; None where there is none.
+    """Function that returns the scene with the effect scaled by a factor; None if it has none.
 
-    Raises SceneError where no such scene can be."""
+    Raises SceneError if no such scene is possible."""
     factors: tuple[float, ...] = (DROP, HALF)
     starts: Literal["kept", "redrawn", "in plane"] = "kept"
-    """Whether starts and inputs stay those of the full scene; or the effect is a part of them,
-    which are then drawn from the same random numbers; or only forces along y are weaker."""
+    """Origin of starts and inputs: "kept" from the full scene; "redrawn" from the same random
+    numbers, as the effect is a part of them; or "in plane", with only forces along y weaker."""
 
 
 def _part(*paths: str, least: float = 0.0) -> Weaken:
-    """Scale numbers of a scene: ranges too, so that the same random numbers give the same start.
+    """Return a function that scales numbers of a scene.
+
+    It scales ranges too, so that the same random numbers give the same start but for the factor.
 
     Args:
-        paths: Names of fields from the scene on, with dots between them; of a tuple all members are
-            meant, or those of the kind that stands before a colon: `sampling.wind:mean`.
-        least: What is left at least of what may not be zero.
+        paths: Field names from the scene on, joined by dots. In a tuple all members count, or only
+            those of the kind that stands before a colon, as in `sampling.wind:mean`.
+        least: Smallest factor, for numbers that may not be zero.
     """
 
     def weaken(scene: Scene, factor: float) -> Scene | None:
         def scaled(share: float) -> Any:
             steps = (path.split(".") for path in paths)
-            return functools.reduce(lambda one, path: _scaled_at(one, path, share), steps, scene)
+            return functools.reduce(lambda one, path: _scale_at(one, path, share), steps, scene)
 
-        # Halved, they differ exactly where there is something to scale.
+        # Halving changes the scene exactly if there is something to scale.
         return None if scaled(HALF) == scene else scaled(max(factor, least))
 
     return weaken
 
 
-def _scaled_at(value: Any, path: Sequence[str], factor: float) -> Any:
-    """Scale what a path leads to: a number, a range, ranges by interval, or a tuple of these."""
+def _scale_at(value: Any, path: Sequence[str], factor: float) -> Any:
+    """Scale the value at a path: a number, a range, ranges by interval, or a tuple of these."""
     if isinstance(value, tuple):
-        return tuple(_scaled_at(part, path, factor) for part in value)
+        return tuple(_scale_at(part, path, factor) for part in value)
     if isinstance(value, Levels):
-        return Levels(*(_scaled_at(getattr(value, name), path, factor) for name in INTERVALS))
+        return Levels(*(_scale_at(getattr(value, name), path, factor) for name in INTERVALS))
     if not path or value is None:
         return None if value is None else factor * value
     kind, _, name = path[0].rpartition(":")
     if kind and value.__struct_config__.tag != kind:
         return value
-    return _replace(value, **{name: _scaled_at(getattr(value, name), path[1:], factor)})
+    return _replace(value, **{name: _scale_at(getattr(value, name), path[1:], factor)})
 
 
 def _ground(scene: Scene, _: float) -> Scene | None:
     draws = tuple(draw for draw in scene.sampling if draw.__struct_config__.tag != "roll")
-    left = {"ground": None, "collisions": None, "contacts": (), "sampling": draws}
-    return _replace(scene, **left) if scene.contacts else None
+    changes = {"ground": None, "collisions": None, "contacts": (), "sampling": draws}
+    return _replace(scene, **changes) if scene.contacts else None
 
 
 def _loops(scene: Scene, _: float) -> Scene | None:
-    """Open all loops: the joints that close them go, and so do distance links."""
+    """Open all loops: remove the joints that close them, and distance links."""
     closing = {joint.name for joint in Mechanism.of(scene).loops}
     if not closing and not scene.distance_links:
         return None
-    kept = tuple(joint for joint in scene.joints if joint.name not in closing)
-    return _replace(scene, joints=kept, distance_links=())
+    joints = tuple(joint for joint in scene.joints if joint.name not in closing)
+    return _replace(scene, joints=joints, distance_links=())
 
 
 def _gears(scene: Scene, _: float) -> Scene | None:
@@ -103,9 +105,9 @@ def _gears(scene: Scene, _: float) -> Scene | None:
 
 
 def _stops(scene: Scene, _: float) -> Scene | None:
-    stopped = {joint.name for joint in scene.joints if joint.limits}
-    replaced = functools.partial(msgspec.structs.replace, limits=None, restitution=0.0)
-    return _with_joints(scene, stopped, replaced)
+    limited = {joint.name for joint in scene.joints if joint.limits}
+    without_limits = functools.partial(msgspec.structs.replace, limits=None, restitution=0.0)
+    return _with_joints(scene, limited, without_limits)
 
 
 def _saturation(scene: Scene, _: float) -> Scene | None:
@@ -116,8 +118,8 @@ def _saturation(scene: Scene, _: float) -> Scene | None:
 
 
 def _loop_axes(scene: Scene, _: float) -> Scene | None:
-    """Close loops by points alone."""
-    closing = {joint.name for joint in Mechanism.of(scene).loops if joint.kind in _TURNED}
+    """Replace hinges and fixed joints that close loops by ball joints."""
+    closing = {joint.name for joint in Mechanism.of(scene).loops if joint.kind in _PLANAR_KINDS}
     return _with_joints(
         scene, closing, lambda j: Joint(j.name, "ball", j.parent, j.child, j.anchor)
     )
@@ -147,23 +149,23 @@ def _with_joints(
 
 
 def _sideways(scene: Scene, _: float) -> Scene | None:
-    blown = any(draw.__struct_config__.tag == "wind" for draw in scene.sampling)
-    return scene if scene.dimension == 3 and (scene.noise or scene.forces or blown) else None
+    windy = any(draw.__struct_config__.tag == "wind" for draw in scene.sampling)
+    return scene if scene.dimension == 3 and (scene.noise or scene.forces or windy) else None
 
 
-# Bodies with less inertia, with the same masses and centres of mass. No body can do without any:
-# its spin would be undefined. Dropped means that a thousandth is left.
+# Bodies with less inertia, but the same masses and centres of mass. A body without inertia would
+# have an undefined spin, so a thousandth of a dropped inertia remains.
 
-LEAST = 1e-3  # of an inertia that is dropped
-_ON_LINE = 1e-9  # of the longest arm
+LEAST = 1e-3  # remaining share of a dropped inertia
+_ON_LINE = 1e-9  # largest offset from a line, over the longest arm
 
 
 def rotary_inertia(scene: Scene, factor: float) -> Scene | None:
-    """Weaken the whole inertia of bodies; None where it is their particles' own alone."""
+    """Weaken the whole inertia of bodies; None if every body is a single particle."""
     if all(len(body.particles) == 1 for body in scene.bodies):
         return None
-    mechanism, kept = Mechanism.of(scene), max(factor, LEAST)
-    return _with_inertia(mechanism, {k: kept * t for k, t in enumerate(mechanism.inertia)})
+    mechanism, share = Mechanism.of(scene), max(factor, LEAST)
+    return _with_inertia(mechanism, {k: share * t for k, t in enumerate(mechanism.inertia)})
 
 
 def rod_inertia(scene: Scene, factor: float) -> Scene | None:
@@ -189,21 +191,21 @@ def _about_axes(
     return _with_inertia(mechanism, tensors) if tensors else None
 
 
-def _less_about(tensor: Array, axis: Array, kept: float) -> Array:
-    """Scale the moment about a unit axis; the moments about normals of it stay."""
-    return np.asarray(tensor - (1.0 - kept) * (axis @ tensor @ axis) * np.outer(axis, axis))
+def _less_about(tensor: Array, axis: Array, share: float) -> Array:
+    """Scale the moment about a unit axis; moments about its normals stay."""
+    return np.asarray(tensor - (1.0 - share) * (axis @ tensor @ axis) * np.outer(axis, axis))
 
 
 def _rod_axis(mechanism: Mechanism, body: int) -> Array | None:
-    """Direction of a rod; None for a body that another joint holds, or that is no rod."""
+    """Return the direction of a rod; None if a joint is no ball joint or off the line."""
     own = [joint for joint in mechanism.joints if body in (joint.parent, joint.child)]
     arms = np.array([j.in_child if j.child == body else j.in_parent for j in own]).reshape(-1, 3)
     lengths = np.linalg.norm(arms, axis=1)
     if any(joint.kind != "ball" for joint in own) or not lengths.max(initial=0.0) > 0:
         return None
     axis = np.asarray(arms[lengths.argmax()] / lengths.max())
-    off = np.linalg.norm(np.cross(arms, axis), axis=1).max()
-    return axis if off <= _ON_LINE * lengths.max() else None
+    offset = np.linalg.norm(np.cross(arms, axis), axis=1).max()
+    return axis if offset <= _ON_LINE * lengths.max() else None
 
 
 def _hinge_axis(mechanism: Mechanism, body: int) -> Array | None:
@@ -212,15 +214,15 @@ def _hinge_axis(mechanism: Mechanism, body: int) -> Array | None:
 
 
 def _with_inertia(mechanism: Mechanism, tensors: Mapping[int, Array]) -> Scene:
-    """Give bodies the inertia about their centres of mass in N, in place of their particles."""
+    """Replace particles of bodies by inertia tensors about their centres of mass, in N."""
     bodies = list(mechanism.scene.bodies)
     for k, tensor in tensors.items():
-        bodies[k] = _given(bodies[k], mechanism.mass[k], mechanism.com[k], tensor)
+        bodies[k] = _with_mass(bodies[k], mechanism.mass[k], mechanism.com[k], tensor)
     # The skeleton is drawn between particles, and some are gone.
     return _replace(mechanism.scene, bodies=tuple(bodies), edges=(), anchors=())
 
 
-def _given(body: Body, mass: float, com: Array, tensor: Array) -> Body:
+def _with_mass(body: Body, mass: float, com: Array, tensor: Array) -> Body:
     turn = rotation.matrix(np.array(body.orientation))
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = (turn.T @ tensor @ turn).tolist()
     x, y, z = (turn.T @ (com - np.array(body.position))).tolist()
@@ -308,7 +310,7 @@ EFFECTS = (
 
 @dataclass(frozen=True, eq=False)
 class AblatedScene:
-    """An effect made weaker: the scene and its starts, or why there are none."""
+    """A weakened effect: the scene and its starts, or the reason why there are none."""
 
     effect: Effect
     factor: float
@@ -320,8 +322,8 @@ class AblatedScene:
 def variants_of(
     scene: Scene, effects: Sequence[Effect], batch: Batch, seed: int
 ) -> list[AblatedScene]:
-    """Weaken each effect that a scene has by each of its factors, for starts drawn with a seed."""
-    found = []
+    """Weaken each effect of a scene by each of its factors, for starts drawn with a seed."""
+    variants = []
     for effect in effects:
         for factor in effect.factors:
             try:
@@ -331,10 +333,10 @@ def variants_of(
                 starts = _starts(scene, ablated, effect, factor, batch, seed)
             except SceneError as error:
                 reason = str(error).removeprefix("sampling: ").split(", allowed")[0]
-                found.append(AblatedScene(effect, factor, scene, batch, reason))
+                variants.append(AblatedScene(effect, factor, scene, batch, reason))
             else:
-                found.append(AblatedScene(effect, factor, ablated, starts))
-    return found
+                variants.append(AblatedScene(effect, factor, ablated, starts))
+    return variants
 
 
 def _starts(
@@ -344,11 +346,11 @@ def _starts(
         return draw_batch(ablated, batch.index, seed=seed)
     if effect.starts == "in plane":
         return dataclasses.replace(batch, force=batch.force * [1.0, factor, 1.0])
-    return _kept(scene, ablated, batch)
+    return _fit_batch(scene, ablated, batch)
 
 
-def _kept(scene: Scene, ablated: Scene, batch: Batch) -> Batch:
-    """Give the full scene's starts and inputs to the ablated one; raise where joints forbid it."""
+def _fit_batch(scene: Scene, ablated: Scene, batch: Batch) -> Batch:
+    """Fit the full scene's starts and inputs to the ablated one; raise if joints forbid it."""
     mechanism, other = Mechanism.of(scene), Mechanism.of(ablated)
     native = mechanism.native_rotation(batch.orientation)
     check_joints(other, BodyStates(batch.position, native, batch.velocity, batch.angular_velocity))

@@ -1,4 +1,4 @@
-"""An engine at the settings of a built-in scene, put to other scenes on the same ground."""
+"""Contact bench: an engine with the settings of a built-in scene simulates simple test scenes."""
 
 from __future__ import annotations
 
@@ -49,11 +49,11 @@ class ContactFigure(msgspec.Struct, frozen=True):
     unit: str
     """"1" for a plain number."""
     value: float | None
-    """None where there is none; the note says why."""
+    """None if there is none; `note` says why."""
     at: dict[str, float] = {}
-    """Under which conditions, SI units."""
+    """Conditions of the measurement, in SI units; headings in degrees."""
     low: float | None = None
-    """Of several starts: the smallest; the value is their median then."""
+    """Smallest value of several starts, of which `value` is the median; else None."""
     high: float | None = None
     note: str = ""
 
@@ -65,36 +65,36 @@ class ContactBench:
     engine: str
     profile: Profile
     like: str
-    """The built-in scene whose settings are taken, whatever is run."""
+    """Built-in scene whose settings are used for all scenes."""
 
     @property
     def settings(self) -> Settings:
-        """What the engine gets."""
+        """Settings of the engine in every run."""
         return settings_for(load_scene(self.like), load_adapter(self.engine), self.profile)
 
     @property
     def lag(self) -> float:
-        """Recorded velocities belong to frame time + lag [s]."""
+        """Time lag of recorded velocities, which belong to frame time + lag [s]."""
         settings = self.settings
         return load_adapter(self.engine).methods[settings.method].velocity_lag * settings.step
 
     def clock(self, frame: float, duration: float) -> Clock:
-        """Record whole steps, about a frame [s] apart and never less than one, for a time [s]."""
+        """Return a clock with about this frame [s], in whole steps, that covers a duration [s]."""
         step = self.settings.step
-        whole = step * max(1, round(frame / step))
-        return Clock(whole, math.ceil(duration / whole))
+        rounded = step * max(1, round(frame / step))
+        return Clock(rounded, math.ceil(duration / rounded))
 
     def motion(self, scene: Scene, batch: Batch) -> Trajectory:
-        """Let the engine run a batch; velocities are as recorded, all NaN if it cannot do it."""
+        """Simulate a batch; velocities are as recorded. All are NaN if the engine cannot do it."""
         try:
             with load_adapter(self.engine).open(scene, self.settings) as run:
                 return checked(run.rollout(batch), batch)
         except Unsupported as refusal:
             time = scene.clock.frame * np.arange(batch.steps + 1, dtype=np.float64)
-            lost = Trajectory.empty(time, len(batch), len(scene.bodies))
-            return dataclasses.replace(lost, failures=(Failure(0, str(refusal)),) * len(batch))
+            empty = Trajectory.empty(time, len(batch), len(scene.bodies))
+            return dataclasses.replace(empty, failures=(Failure(0, str(refusal)),) * len(batch))
 
-    def measured(
+    def figure(
         self,
         quantity: str,
         unit: str,
@@ -103,41 +103,41 @@ class ContactBench:
         at: dict[str, float] | None = None,
         note: str = "",
     ) -> ContactFigure:
-        """Put a figure of a motion down; of several the median, NaN passed over.
+        """Record a figure of a motion: the median of its values, without NaN.
 
         Args:
             quantity: What was measured.
             unit: "1" for a plain number.
-            values: One or several.
-            motion: What was looked at; why it failed goes before any other note.
-            at: Under which conditions, SI units.
-            note: What else is to be said of the figure.
+            values: One value or several, NaN where unknown; None if there are none.
+            motion: Motion that was measured; if it failed, the reason replaces the note.
+            at: Conditions, in SI units; headings in degrees.
+            note: Remark on the figure.
         """
         note = reason(motion) or note
-        known = np.atleast_1d(np.nan if values is None else values).astype(np.float64)
-        known = known[np.isfinite(known)]
-        several = len(known) > 1
+        finite = np.atleast_1d(np.nan if values is None else values).astype(np.float64)
+        finite = finite[np.isfinite(finite)]
+        several = len(finite) > 1
         return ContactFigure(
             self.engine,
             self.profile,
             quantity,
             unit,
-            float(np.median(known)) if len(known) else None,
+            float(np.median(finite)) if len(finite) else None,
             at or {},
-            low=float(known.min()) if several else None,
-            high=float(known.max()) if several else None,
-            note=note if len(known) else note or "not seen",
+            low=float(finite.min()) if several else None,
+            high=float(finite.max()) if several else None,
+            note=note if len(finite) else note or "not seen",
         )
 
 
 def ball(ground: Ground, clock: Clock, **start: Array) -> tuple[Scene, Batch]:
-    """Make one particle and its starts, fields of shape (row, 3); at rest on the ground if none."""
+    """Make one particle and its starts, with fields of shape (row, 3); by default at rest."""
     body = Body("ball", particles=(Particle(_CENTRE),))
     return _sphere(body, ground, clock, start)
 
 
 def wheel(ground: Ground, clock: Clock, **start: Array) -> tuple[Scene, Batch]:
-    """Make a ball that turns about y as a particle does, and about x and z ten times harder."""
+    """Make a ball with a particle's inertia about y and ten times as much about x and z."""
     moment = 0.4 * RADIUS**2
     inertia = Inertia(1.0, (10.0 * moment, moment, 10.0 * moment))
     return _sphere(Body("wheel", inertia=inertia, position=_CENTRE), ground, clock, start)
@@ -154,11 +154,11 @@ def _sphere(
         ground=ground,
         clock=clock,
     )
-    return scene, _started(scene, start)
+    return scene, _batch_of(scene, start)
 
 
 def crate(ground: Ground, clock: Clock, **start: Array) -> tuple[Scene, Batch]:
-    """Make a cube with a contact sphere at each corner and its starts; at rest on four if none."""
+    """Make a cube with spheres at its corners, and its starts; by default at rest on four."""
     middle = (0.0, 0.0, _HALF_EDGE + RADIUS)
     corners = np.array(list(product((-_HALF_EDGE, _HALF_EDGE), repeat=3))) + middle
     moment = CRATE_MASS * (2.0 * _HALF_EDGE) ** 2 / 6.0
@@ -171,16 +171,16 @@ def crate(ground: Ground, clock: Clock, **start: Array) -> tuple[Scene, Batch]:
         ground=ground,
         clock=clock,
     )
-    return scene, _started(scene, start)
+    return scene, _batch_of(scene, start)
 
 
 def reason(motion: Trajectory) -> str:
-    """Say why the first trajectory that failed did; nothing where all ran to the end."""
+    """Return why the first failed trajectory failed; "" if all ran to the end."""
     return next((failure.reason for failure in motion.failures if failure), "")
 
 
-def _started(scene: Scene, start: dict[str, Array]) -> Batch:
-    """Start as many rows as are given; a force is held throughout."""
+def _batch_of(scene: Scene, start: dict[str, Array]) -> Batch:
+    """Build a batch of starts; positions are offsets, and a force stays constant."""
     rows = len(next(iter(start.values()))) if start else 1
     batch = draw_batch(scene, range(rows), noise=False)
     fields: dict[str, Any] = {key: value[:, None] for key, value in start.items()}

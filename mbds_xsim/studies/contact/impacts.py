@@ -1,9 +1,9 @@
-"""Impacts: what they give back, what becomes of energy, and up to which speeds engines hold.
+"""Impacts: restitution, energy, rest afterwards, and the speeds up to which engines are right.
 
 A ball falls onto the ground at a known speed. Both flights are parabolas, so the restitution and
-the time between touch and take-off follow from frames outside of the impact, be it a single
-impulse or a spring's. Starts differ in where within a step the ball touches, and none does so just
-at the end of one.
+the time from touch to take-off follow from frames outside of the impact, whether it is a single
+impulse or the push of a spring. Starts differ in the phase of the step at which the ball touches;
+none touches exactly at the end of a step.
 """
 
 from __future__ import annotations
@@ -42,62 +42,62 @@ SPEEDS = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 DEPTH_SPEEDS = (1.0, 5.0)
 _STARTS = 8
 _BEFORE = 1e-3  # the shortest fall to the ground [s]
-_DURATION = 0.04  # within which the ball must have left the ground [s]
+_DURATION = 0.04  # time by which the ball must be off the ground again [s]
 _FRAME = 1e-3
-_LEAST = 0.02  # of the impact's speed: what comes back slower is at rest
+_LEAST = 0.02  # part of the impact's speed: a ball that returns slower is at rest
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
-# Times from touch to frame [s] and how many: together they sample impacts of any duration.
+# Shortest time from touch to frame [s], and number of times: they sample impacts of any duration.
 _SHORTEST, _SAMPLES = 2e-6, 96
 
 
 def impacts(engine: str, profile: Profile) -> list[ContactFigure]:
     """Measure restitution, duration and depth of a ball's impacts."""
     bench = ContactBench(engine, profile, "balldrop")
-    found = [m for e in RESTITUTIONS for v in SPEEDS for m in _rebound(bench, e, v)]
-    return found + [_depth(bench, speed) for speed in DEPTH_SPEEDS]
+    figures = [m for e in RESTITUTIONS for v in SPEEDS for m in _rebound(bench, e, v)]
+    return figures + [_depth(bench, speed) for speed in DEPTH_SPEEDS]
 
 
 def rebounds(
     bench: ContactBench, restitution: float, speed: float
 ) -> tuple[Array, Array, Trajectory]:
-    """Give restitution and duration of impacts that begin at other phases of a step, (row,)."""
+    """Measure restitution and duration [s] of impacts at several phases of a step, each (row,)."""
     fall = _BEFORE + bench.settings.step * np.mod(_GOLDEN * np.arange(1, _STARTS + 1), 1.0)
-    motion = _dropped(bench, restitution, speed, fall)
+    motion = _drop(bench, restitution, speed, fall)
     gap, raw = _height(motion)
-    climb = raw + PULL * bench.lag  # at the frame's time, in flight
+    climb = raw + PULL * bench.lag  # speed at the frame's time, in flight
     moves = gap + raw**2 / (2 * PULL) > (_LEAST * speed) ** 2 / (2 * PULL)
     flying = (motion.time > fall[:, None]) & (gap > 0.0) & moves
     first, row = flying.argmax(axis=1), np.arange(_STARTS)
-    gone = climb[row, first] ** 2 + 2 * PULL * gap[row, first]
-    off = motion.time[first] - (np.sqrt(gone) - climb[row, first]) / PULL
+    squared = climb[row, first] ** 2 + 2 * PULL * gap[row, first]
+    take_off = motion.time[first] - (np.sqrt(squared) - climb[row, first]) / PULL
     lost = np.isnan(gap).any(axis=1)
-    kept = np.where(flying.any(axis=1), np.sqrt(gone) / speed, np.where(lost, np.nan, 0.0))
-    return kept, np.where(flying.any(axis=1), off - fall, np.nan), motion
+    ratio = np.where(flying.any(axis=1), np.sqrt(squared) / speed, np.where(lost, np.nan, 0.0))
+    return ratio, np.where(flying.any(axis=1), take_off - fall, np.nan), motion
 
 
 def _rebound(bench: ContactBench, restitution: float, speed: float) -> list[ContactFigure]:
-    kept, duration, motion = rebounds(bench, restitution, speed)
+    ratio, duration, motion = rebounds(bench, restitution, speed)
     at, note = {"restitution": restitution, "speed": speed}, "does not come back"
     return [
-        bench.measured("restitution", "1", kept, motion, at),
-        bench.measured("impact duration", "s", duration, motion, at, note),
+        bench.figure("restitution", "1", ratio, motion, at),
+        bench.figure("impact duration", "s", duration, motion, at, note),
     ]
 
 
 def _depth(bench: ContactBench, speed: float) -> ContactFigure:
-    """Look at the ball at many times after the touch; the deepest place is what counts."""
+    """Measure the largest depth of a ball, sampled at many times after the touch."""
     clock = bench.clock(_FRAME, _DURATION)
     fall = 2 * clock.frame - np.geomspace(_SHORTEST, clock.frame, _SAMPLES)
-    motion = _dropped(bench, RESTITUTION, speed, fall)
+    motion = _drop(bench, RESTITUTION, speed, fall)
     deepest = np.nanmax(-_height(motion)[0]) if np.isfinite(motion.position).any() else None
     at = {"restitution": RESTITUTION, "speed": speed}
-    return bench.measured("impact depth", "m", deepest, motion, at)
+    return bench.figure("impact depth", "m", deepest, motion, at)
 
 
-def _dropped(bench: ContactBench, restitution: float, speed: float, fall: Array) -> Trajectory:
-    """Let a ball arrive at a speed [m/s] after falls of some times [s], shape (row,)."""
+def _drop(bench: ContactBench, restitution: float, speed: float, fall: Array) -> Trajectory:
+    """Let a ball hit the ground at a speed [m/s] after falls of given times [s], shape (row,)."""
     position = speed * fall - 0.5 * PULL * fall**2
-    # As the method records it, so that the ball arrives as it should.
+    # Shifted as the method records it, so that the ball arrives at the right speed.
     velocity = PULL * fall - speed - PULL * bench.lag
     ground, clock = Ground(FRICTION, restitution), bench.clock(_FRAME, _DURATION)
     start = {"position": np.outer(position, UP), "velocity": np.outer(velocity, UP)}
@@ -105,23 +105,23 @@ def _dropped(bench: ContactBench, restitution: float, speed: float, fall: Array)
 
 
 def _height(motion: Trajectory) -> tuple[Array, Array]:
-    """Height of the lowest point [m] and vertical speed [m/s], shape (row, frame)."""
+    """Return height of the lowest point [m] and vertical speed [m/s], shape (row, frame)."""
     return motion.position[:, :, 0, 2] - RADIUS, motion.velocity[:, :, 0, 2]
 
 
-# What becomes of energy in impacts, and how still bodies lie in the end.
+# Energy in impacts, and how still bodies lie afterwards.
 
-_HEIGHTS = (0.05, 0.06, 0.07)  # of an elastic ball's drops: flights of 0.2 s and more [m]
+_HEIGHTS = (0.05, 0.06, 0.07)  # drops of an elastic ball, with flights of 0.2 s and more [m]
 _BOUNCING = 3.0  # [s]
 _ENERGY_FRAME = 0.01
-_STOPPED = 1e-3  # of the drop's energy
+_STOPPED = 1e-3  # part of the drop's energy at which a ball has stopped
 _CUBLI = "simplecubli"
 _CUBLIS, _CUBLI_STEPS = 3, 75
-_FAST = 0.5  # slower impacts have too much of gravity in them [m/s]
+_FAST = 0.5  # in slower impacts gravity matters too much [m/s]
 
 
 def energy(engine: str, profile: Profile) -> list[ContactFigure]:
-    """Measure an elastic ball's change by bounce, and what a thrown cubli gains."""
+    """Measure energy: an elastic ball's change per bounce, and a thrown cubli's gain."""
     return [
         _elastic(ContactBench(engine, profile, "balldrop")),
         *_eccentric(ContactBench(engine, profile, _CUBLI)),
@@ -134,16 +134,16 @@ def _elastic(bench: ContactBench) -> ContactFigure:
     gap = motion.position[:, :, 0, 2] - RADIUS
     climb = motion.velocity[:, :, 0, 2] + PULL * bench.lag
     change = [per_bounce(g, c, h) for g, c, h in zip(gap, climb, _HEIGHTS, strict=True)]
-    return bench.measured("elastic ball: energy by bounce", "1", np.array(change), motion)
+    return bench.figure("elastic ball: energy by bounce", "1", np.array(change), motion)
 
 
 def per_bounce(gap: Array, climb: Array, height: float) -> float:
-    """Give the mean relative change of energy in a bounce, −1 where none comes back.
+    """Return the mean relative change of energy per bounce; −1 if the ball does not come back.
 
     Args:
-        gap: Of the ball's lowest point [m], shape (frame,).
-        climb: Its vertical speed [m/s], shape (frame,).
-        height: It was dropped from [m].
+        gap: Height of the ball's lowest point [m], shape (frame,).
+        climb: Vertical speed of the ball [m/s], shape (frame,).
+        height: Height from which the ball was dropped [m].
     """
     top = np.where(gap > 0.0, gap + climb**2 / (2 * PULL), np.nan)
     turned = (climb[1:] > 0.0) & (climb[:-1] < 0.0)
@@ -161,7 +161,7 @@ def _median(values: Array) -> float:
 
 
 def _eccentric(bench: ContactBench) -> list[ContactFigure]:
-    """Throw cublis: one corner at a time hits, beside the centre of mass."""
+    """Throw cublis so that single corners hit the ground, off the centre of mass."""
     scene = load_scene(_CUBLI)
     batch = draw_batch(scene, range(_CUBLIS), noise=False, inputs=False).truncated(_CUBLI_STEPS)
     motion = bench.motion(scene, batch)
@@ -175,35 +175,35 @@ def _eccentric(bench: ContactBench) -> list[ContactFigure]:
     gained, rise = (float(each.figure.max()) if begun else None for each in (unexplained, whole))
     hits = [impacts_of(record, push) for push in pushes_of(record)]
     ratio = np.concatenate([(h.leaving / h.arriving)[h.arriving > _FAST] for h in hits])
-    alone = "" if len(ratio) else "no corner hits once and alone between two frames in flight"
+    note = "" if len(ratio) else "no corner hits once and alone between two frames in flight"
     return [
-        bench.measured("cubli: energy that no law explains", "1", gained, motion),
-        bench.measured("cubli: largest rise of energy", "1", rise, motion),
-        bench.measured("cubli: restitution of corners", "1", ratio, motion, note=alone),
+        bench.figure("cubli: energy that no law explains", "1", gained, motion),
+        bench.figure("cubli: largest rise of energy", "1", rise, motion),
+        bench.figure("cubli: restitution of corners", "1", ratio, motion, note=note),
     ]
 
 
 _LIVELY = Ground(FRICTION, 0.5)
 _HEIGHT = 0.05  # dropped from here, a ball of e = 0.5 is at rest after 0.3 s [m]
-_FROM, _LONG = 1.0, 0.2  # when it is looked at, and for how long [s]
+_FROM, _LONG = 1.0, 0.2  # start and duration of the observation [s]
 _WAYS = ("placed", "dropped")
 
 
 def rest(engine: str, profile: Profile) -> list[ContactFigure]:
-    """Measure a ball and a crate after 1 s, placed on the ground and dropped onto it."""
+    """Measure how still a ball and a crate lie after 1 s, placed on the ground or dropped."""
     start = np.outer([0.0, _HEIGHT], UP)
-    found: list[ContactFigure] = []
-    for what, make, like in (("ball", ball, "balldrop"), ("crate", crate, "simplecubli")):
+    figures: list[ContactFigure] = []
+    for body, make, like in (("ball", ball, "balldrop"), ("crate", crate, "simplecubli")):
         bench = ContactBench(engine, profile, like)
         scene, batch = make(_LIVELY, bench.clock(_ENERGY_FRAME, _FROM + _LONG), position=start)
-        found += _stillness(bench, what, scene, bench.motion(scene, batch))
-    return found
+        figures += _stillness(bench, body, scene, bench.motion(scene, batch))
+    return figures
 
 
 def _stillness(
-    bench: ContactBench, what: str, scene: Scene, motion: Trajectory
+    bench: ContactBench, body: str, scene: Scene, motion: Trajectory
 ) -> list[ContactFigure]:
-    """Look at the lowest sphere and at the centre of mass."""
+    """Measure depth and hops of the lowest sphere, and the speed of the centre of mass."""
     mechanism, late = Mechanism.of(scene), motion.time >= _FROM - 1e-9
     native = mechanism.native_rotation(motion.orientation)
     states = BodyStates(motion.position, native, motion.velocity, motion.angular_velocity)
@@ -211,32 +211,32 @@ def _stillness(
     speed = np.linalg.norm(motion.velocity[:, late, 0], axis=-1).max(axis=1)
     figures = (("sinks by", "m", -lowest.min(axis=1)), ("hops by", "m", np.ptp(lowest, axis=1)))
     return [
-        bench.measured(f"{what} {start}: {name}", unit, values[row], motion)
+        bench.figure(f"{body} {start}: {name}", unit, values[row], motion)
         for row, start in enumerate(_WAYS)
         for name, unit, values in (*figures, ("moves at", "m/s", speed))
     ]
 
 
-# How fast things may move before an engine delivers something else, and whether it says so.
+# Speeds up to which an engine is right, and whether it reports a failure beyond.
 
 SPINS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0)
-"""[rad/s]"""
+"""Spins to try [rad/s]."""
 DROPS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0)
-"""Speeds of impacts [m/s]."""
+"""Impact speeds to try [m/s]."""
 _BOUNCY = Ground(FRICTION, RESTITUTION)
 _AXIS = np.array([0.0, 1.0, 0.0])
 _LIMIT_DURATION = 0.1  # [s]
 _LIMIT_FRAME = 0.02
-_WRONG = 0.01  # relative
-_FALL = 0.01  # to the ground [s]
+_WRONG = 0.01  # relative error
+_FALL = 0.01  # time of the fall to the ground [s]
 
 
 def limits(engine: str, profile: Profile) -> list[ContactFigure]:
-    """Find the fastest spin of a free ball and of a hinged wheel, and the fastest impact."""
+    """Find the fastest correct spin of a free ball and a hinged wheel, and the fastest impact."""
     free, hinged = (ContactBench(engine, profile, like) for like in ("balldrop", "particlecar"))
     return [
         _spinning(free, "free spin", *_flying(free)),
-        _spinning(hinged, "hinge spin", *_hinged(hinged)),
+        _spinning(hinged, "hinge spin", *_hinged_wheel(hinged)),
         _falling(free),
     ]
 
@@ -247,8 +247,8 @@ def _flying(bench: ContactBench) -> tuple[Scene, Batch]:
     return ball(_BOUNCY, clock, position=position, angular_velocity=spin)
 
 
-def _hinged(bench: ContactBench) -> tuple[Scene, Batch]:
-    """Make a wheel on an axle that stands still."""
+def _hinged_wheel(bench: ContactBench) -> tuple[Scene, Batch]:
+    """Make a wheel on a fixed axle."""
     wheel = Body("wheel", inertia=Inertia(1.0, (0.01, 0.02, 0.01)), position=(0.0, 0.0, 1.0))
     axle = Joint("axle", "hinge", "world", "wheel", anchor=(0.0, 0.0, 1.0), axis=(0.0, 1.0, 0.0))
     clock = bench.clock(_LIMIT_FRAME, _LIMIT_DURATION)
@@ -258,46 +258,46 @@ def _hinged(bench: ContactBench) -> tuple[Scene, Batch]:
 
 
 def _spinning(bench: ContactBench, quantity: str, scene: Scene, batch: Batch) -> ContactFigure:
-    """Hold rates against the start's, and turns against rate times time."""
+    """Compare rates with those at the start, and turns with rate times time."""
     motion = bench.motion(scene, batch)
-    angle = batch.angular_velocity[:, 0] @ _AXIS
-    wanted = rotation.from_vector((angle[:, None] * motion.time)[..., None] * _AXIS)
-    error = rotation.multiply(rotation.conjugate(wanted), motion.orientation[:, :, 0])
-    turned = np.linalg.norm(rotation.to_vector(error), axis=-1)
+    spin = batch.angular_velocity[:, 0] @ _AXIS
+    expected = rotation.from_vector((spin[:, None] * motion.time)[..., None] * _AXIS)
+    error = rotation.multiply(rotation.conjugate(expected), motion.orientation[:, :, 0])
+    deviation = np.linalg.norm(rotation.to_vector(error), axis=-1)
     rate = motion.angular_velocity[:, :, 0] @ _AXIS
-    right = np.abs(rate - angle[:, None]) <= _WRONG * angle[:, None]
-    # A turn of a frame that is 1 % short shows at every speed, though whole turns do not.
-    right &= turned <= _WRONG * angle[:, None] * np.maximum(motion.time, motion.time[1])
-    whole = np.logical_and.reduce(right, axis=1)
-    return _highest(bench, quantity, "rad/s", SPINS, whole, rate[:, -1], motion)
+    right = np.abs(rate - spin[:, None]) <= _WRONG * spin[:, None]
+    # A turn 1 % short in one frame shows at every speed, although missing whole turns do not.
+    right &= deviation <= _WRONG * spin[:, None] * np.maximum(motion.time, motion.time[1])
+    correct = np.logical_and.reduce(right, axis=1)
+    return _highest(bench, quantity, "rad/s", SPINS, correct, rate[:, -1], motion)
 
 
 def _falling(bench: ContactBench) -> ContactFigure:
-    """Ask whether the ground still holds: it is not whether the rebound is right."""
+    """Find the fastest impact that the ground holds, whether or not the rebound is right."""
     start, clock = np.outer(DROPS, UP), bench.clock(_LIMIT_FRAME, _LIMIT_DURATION)
     motion = bench.motion(*ball(_BOUNCY, clock, position=_FALL * start, velocity=-start))
     height = motion.position[:, :, 0, 2]
-    held = np.logical_and.reduce(height > 0.0, axis=1)
-    return _highest(bench, "impact speed held", "m/s", DROPS, held, height[:, -1] - RADIUS, motion)
+    above = np.logical_and.reduce(height > 0.0, axis=1)
+    return _highest(bench, "impact speed held", "m/s", DROPS, above, height[:, -1] - RADIUS, motion)
 
 
 def _highest(
     bench: ContactBench,
     quantity: str,
     unit: str,
-    asked: tuple[float, ...],
+    speeds: tuple[float, ...],
     right: Mask,
-    got: Array,
+    delivered: Array,
     motion: Trajectory,
 ) -> ContactFigure:
-    """Give the last that is right, with what the engine does, or says, beyond."""
+    """Return the highest correct speed, with a note on what the engine does beyond it."""
     failed = np.array([failure is not None for failure in motion.failures])
     beyond = np.flatnonzero(failed | ~right)
-    first = int(beyond[0]) if len(beyond) else len(asked)
-    note = f"all up to {asked[-1]:g} {unit} delivered"
-    if first < len(asked):
+    first = int(beyond[0]) if len(beyond) else len(speeds)
+    note = f"all up to {speeds[-1]:g} {unit} delivered"
+    if first < len(speeds):
         failure = motion.failures[first]
-        silent = f"silent at {asked[first]:g} {unit}: {got[first]:.4g}"
-        note = silent if failure is None else f"told at {asked[first]:g} {unit}: {failure.reason}"
-    reached = asked[first - 1] if first else None
+        silent = f"silent at {speeds[first]:g} {unit}: {delivered[first]:.4g}"
+        note = silent if failure is None else f"told at {speeds[first]:g} {unit}: {failure.reason}"
+    reached = speeds[first - 1] if first else None
     return ContactFigure(bench.engine, bench.profile, quantity, unit, reached, note=note)

@@ -1,4 +1,4 @@
-"""The page `docs/contact.md`, every figure of it written from a study."""
+"""The page `docs/contact.md`, with all its figures taken from a study."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ measured from trajectories alone: written, with its figures, by
 
 {made}
 """
-_MADE = """
+_ORIGIN = """
 on {machine}, with {versions}. `native` is what an ordinary user of the engine gets, `matched`
 what data are published with; both run through the same adapter. {judged} What the checks of
 `validate` make of contact stands in [checks.md](checks.md), what an engine can represent at all
@@ -92,55 +92,55 @@ without a word, if only for a drag that is on by default. An impact counts as he
 does not lose the ball.
 """
 
-# Notes that a table shows itself.
+# Notes that the tables already show.
 _NO_FAILURE = ("all up to", "told at", "silent at", "does not come back")
 
 Show = Callable[[ContactStudy, str, str], Cell]
-"""What a cell says of a study, an engine and a profile."""
+"""Function that returns the cell for a study, an engine and a profile."""
 Columns: TypeAlias = list[ContactLine | tuple[str, Show]]
 
 
 def _furthest(asked: float) -> tuple[str, Show]:
-    """Worst median over the speeds."""
+    """Make a column with the median furthest from `asked` over the speeds."""
 
     def cell(study: ContactStudy, engine: str, profile: str) -> Cell:
-        found = [
+        deviations = [
             (abs(m.value - asked), m.at["speed"])
             for m in study.find(engine, profile, "restitution", restitution=asked)
             if m.value is not None
         ]
-        if not found:
+        if not deviations:
             return Cell(quantity.NONE)
-        off, where = max(found)
-        text = f"{off:.3f}" if off < 5e-4 else f"{off:.3f} at {where:g}"
-        return Cell(text, "over" if off > 0.01 else "")
+        deviation, speed = max(deviations)
+        text = f"{deviation:.3f}" if deviation < 5e-4 else f"{deviation:.3f} at {speed:g}"
+        return Cell(text, "over" if deviation > 0.01 else "")
 
     return f"e = {asked:g}", cell
 
 
 def _range(label: str, name: str) -> tuple[str, Show]:
-    """From the least of the starts to the most."""
+    """Make a column with the range over the starts."""
 
     def cell(study: ContactStudy, engine: str, profile: str) -> Cell:
-        found = figure_of(study, engine, profile, name)
-        if found is None or found.low is None or found.high is None:
+        figure = figure_of(study, engine, profile, name)
+        if figure is None or figure.low is None or figure.high is None:
             return Cell(quantity.NONE)
-        return Cell(f"{found.low:.2f} … {found.high:.2f}")
+        return Cell(f"{figure.low:.2f} … {figure.high:.2f}")
 
     return label, cell
 
 
 def _limit(name: str, unit: str) -> tuple[str, Show]:
-    """Up to where it is right, and what happens beyond."""
+    """Make a column with the highest correct speed, and what happens beyond it."""
 
     def cell(study: ContactStudy, engine: str, profile: str) -> Cell:
-        found = figure_of(study, engine, profile, name)
-        if found is None:
+        figure = figure_of(study, engine, profile, name)
+        if figure is None:
             return Cell(quantity.NONE)
-        reached = quantity.NONE if found.value is None else f"{found.value:g}"
-        if found.note.startswith("all"):
-            return Cell(reached)
-        return Cell(f"{reached}; {found.note}", "over" if "silent" in found.note else "")
+        text = quantity.NONE if figure.value is None else f"{figure.value:g}"
+        if figure.note.startswith("all"):
+            return Cell(text)
+        return Cell(f"{text}; {figure.note}", "over" if "silent" in figure.note else "")
 
     return f"{name} [{unit}]", cell
 
@@ -185,10 +185,10 @@ _UPPER = [
 
 
 def contact_page(study: ContactStudy, figures: dict[str, Path], folder: Path) -> str:
-    """Write the page, whose links to the figures, if there are any, start from its folder."""
+    """Return the page as Markdown; links to the figures, if any, are relative to `folder`."""
     versions = ", ".join(f"{engine} {version}" for engine, version in study.versions.items())
     judged = JUDGED.replace("Marked", "Bold")
-    made = _MADE.format(machine=study.machine, versions=versions, judged=judged)
+    made = _ORIGIN.format(machine=study.machine, versions=versions, judged=judged)
     picture = {name: _picture(name, path, folder) for name, path in figures.items()}
     return "\n".join(
         [
@@ -221,13 +221,13 @@ def _picture(name: str, path: Path, folder: Path) -> str:
 
 def _summary(study: ContactStudy) -> Iterator[str]:
     for profile in study.profiles:
-        rows = (map(_marked, row.cells) for row in rows_of(study, profile))
+        rows = (map(_mark, row.cells) for row in rows_of(study, profile))
         yield f"## In short: `{profile}`\n"
         yield table_text(["", ">asked", *(f">{engine}" for engine in study.versions)], rows)
 
 
 def words_of(engine: str, law: ContactLaw) -> str:
-    """Lay out what an adapter says of its engine's contact."""
+    """List what an adapter states about its engine's contact."""
     return (
         f"**{engine}**\n\n"
         f"- Non-penetration: {law.normal}.\n"
@@ -239,30 +239,30 @@ def words_of(engine: str, law: ContactLaw) -> str:
 
 
 def _missing(study: ContactStudy) -> Iterator[str]:
-    """Say why cells are empty, and where trajectories ended early."""
+    """List the reasons for empty cells and for trajectories that ended early."""
     study = in_markdown(study)
     lines = [f"- {m.engine} `{m.profile}`, all of {m.part}: {m.reason}" for m in study.missing]
     early: dict[str, list[str]] = {}
     for m in study.figures:
         if m.note and not m.note.startswith(_NO_FAILURE):
             early.setdefault(f"{m.engine} `{m.profile}`: {m.note}", []).append(m.quantity)
-    lines += [f"- {why} ({'; '.join(dict.fromkeys(what))})" for why, what in early.items()]
+    lines += [f"- {note} ({'; '.join(dict.fromkeys(names))})" for note, names in early.items()]
     if lines:
         yield "\n## Cells with a reason\n"
         yield "\n".join(lines) + "\n"
 
 
 def _table(study: ContactStudy, columns: Sequence[ContactLine | tuple[str, Show]]) -> str:
-    """One row an engine and profile."""
+    """Lay out a table with one row per engine and profile."""
     shown = [(c.label, c.cell) if isinstance(c, ContactLine) else c for c in columns]
     rows = (
-        [profile, engine, *(_marked(cell(study, engine, profile)) for _, cell in shown)]
+        [profile, engine, *(_mark(cell(study, engine, profile)) for _, cell in shown)]
         for profile in study.profiles
         for engine in study.versions
     )
     return table_text(["", ">", *(f">{label}" for label, _ in shown)], rows)
 
 
-def _marked(cell: Cell) -> str:
+def _mark(cell: Cell) -> str:
     text = in_markdown(cell.text)
     return f"**{text}**" if cell.mark else text

@@ -1,4 +1,4 @@
-"""What contact means in each engine: measured, a line a quantity, a column an engine, and figures.
+"""Contact as measured in each engine: tables of one row per quantity, and two figures.
 
 The figures show rebound over speed and friction over heading.
 """
@@ -45,15 +45,15 @@ _REPEATS = 3
 
 
 def cost(engine: str, profile: Profile) -> list[ContactFigure]:
-    """Time one trajectory, set-up apart, by one core that may have other work."""
+    """Time one trajectory without its set-up, on a core that may have other work."""
     bench, scene = ContactBench(engine, profile, _SCENE), load_scene(_SCENE)
     batch = draw_batch(scene, [1], noise=False)
     runs = [simulate(scene, batch, engine, bench.settings) for _ in range(_REPEATS)]
-    spent = np.array([run.rollout_s for run in runs]) / scene.clock.duration
-    return [bench.measured("cost of a simulated second", "s", spent, runs[0].trajectory)]
+    costs = np.array([run.rollout_s for run in runs]) / scene.clock.duration
+    return [bench.figure("cost of a simulated second", "s", costs, runs[0].trajectory)]
 
 
-# The longest first, which leaves no core without work at the end.
+# The longest first, so that no core is idle at the end.
 _PARTS: dict[str, Callable[[str, Profile], list[ContactFigure]]] = {
     "impacts": impacts,
     "rest": rest,
@@ -65,7 +65,7 @@ _PARTS: dict[str, Callable[[str, Profile], list[ContactFigure]]] = {
 
 
 class Missing(msgspec.Struct, frozen=True):
-    """A part of the study that an engine did not come through."""
+    """A part of the study that an engine did not complete."""
 
     engine: str
     profile: Profile
@@ -74,13 +74,13 @@ class Missing(msgspec.Struct, frozen=True):
 
 
 class ContactStudy(msgspec.Struct, frozen=True):
-    """All that was measured."""
+    """Result of the study: all figures of all engines."""
 
     versions: dict[str, str]
-    """Of the engines, in the order of the tables."""
+    """Versions of the engines, in the order of the tables."""
     profiles: tuple[Profile, ...]
     laws: dict[str, ContactLaw]
-    """What each adapter says of its engine's contact."""
+    """Each adapter's description of its engine's contact."""
     figures: tuple[ContactFigure, ...]
     missing: tuple[Missing, ...]
     command: str
@@ -88,7 +88,7 @@ class ContactStudy(msgspec.Struct, frozen=True):
     wall_s: float
 
     def find(self, engine: str, profile: str, quantity: str, **at: float) -> list[ContactFigure]:
-        """List figures of a quantity under some conditions."""
+        """List the figures of a quantity under given conditions."""
         return [
             m
             for m in self.figures
@@ -98,7 +98,7 @@ class ContactStudy(msgspec.Struct, frozen=True):
 
 
 def study_contact(choice: Choice, conduct: Conduct, command: str = "") -> ContactStudy:
-    """Measure every engine at every profile, each part in a process of its own.
+    """Measure every engine at every profile, each part in its own process.
 
     Methods and steps are those of the profiles.
 
@@ -115,7 +115,7 @@ def study_contact(choice: Choice, conduct: Conduct, command: str = "") -> Contac
     }
     adapters = {engine: adapters[engine] for engine in adapters if engine not in without}
     if not adapters:
-        msg = "; ".join(f"--engines: got {engine}: {why}" for engine, why in without.items())
+        msg = "; ".join(f"--engines: got {engine}: {reason}" for engine, reason in without.items())
         raise InputError(msg)
     work = [
         (engine, profile, part) for part in _PARTS for profile in profiles for engine in adapters
@@ -127,17 +127,17 @@ def study_contact(choice: Choice, conduct: Conduct, command: str = "") -> Contac
         finished=lambda place, _: conduct.meter.advance(f"{work[place][0]}: {work[place][2]}"),
     )
     laws = {engine: adapter.contact_law for engine, adapter in adapters.items()}
-    told = list(zip(work, answers, strict=True))
+    results = list(zip(work, answers, strict=True))
     return ContactStudy(
         versions={engine: adapter.version() for engine, adapter in adapters.items()},
         profiles=profiles,
         laws={engine: law for engine, law in laws.items() if law is not None},
-        figures=tuple(m for _, part in told if not isinstance(part, Crash) for m in part),
+        figures=tuple(m for _, part in results if not isinstance(part, Crash) for m in part),
         missing=(
-            *(Missing(*w, part.reason) for w, part in told if isinstance(part, Crash)),
+            *(Missing(*w, part.reason) for w, part in results if isinstance(part, Crash)),
             *(
-                Missing(engine, profile, "the study", why)
-                for engine, why in (without | dict(choice.faulty)).items()
+                Missing(engine, profile, "the study", reason)
+                for engine, reason in (without | dict(choice.faulty)).items()
                 for profile in profiles
             ),
         ),
@@ -154,9 +154,9 @@ JUDGED = (
 )
 
 
-def _near(asked: float, within: float) -> Callable[[float], bool]:
-    """Judge by the distance from what was asked."""
-    return lambda value: abs(value - asked) <= within
+def _near(asked: float, tolerance: float) -> Callable[[float], bool]:
+    """Return a function that judges whether a value is close to `asked`."""
+    return lambda value: abs(value - asked) <= tolerance
 
 
 def _any(_: float) -> bool:
@@ -181,7 +181,7 @@ def _percent(value: float) -> str:
 
 
 _FIRST_ABOVE = min(push for push in PUSHES if push > 1.0)
-"""The first push over what friction bears should start what stands."""
+"""Smallest push above the limit of friction, which should start a standing body."""
 _STILL = _near(0.0, 1e-3)
 _WAYS: dict[str, tuple[Callable[[float], str], Callable[[float], bool]]] = {
     "restitution": ("{:.3f}".format, _near(RESTITUTION, 0.01)),
@@ -201,28 +201,28 @@ _WAYS: dict[str, tuple[Callable[[float], str], Callable[[float], bool]]] = {
     "moves at": (_speed, _STILL),
     "cost of a simulated second": (quantity.span, _any),
 }
-"""How figures are written and judged, by what is measured, of whatever body."""
+"""Functions that format and judge a figure, keyed by quantity without the body."""
 
 
 @dataclass(frozen=True)
 class ContactLine:
-    """A quantity under one condition."""
+    """A line of a table: one quantity under one condition."""
 
     label: str
     quantity: str
     at: dict[str, float] = field(default_factory=dict)
-    asked: str = ""
+    nominal: str = ""
     most: float | None = None
-    """The largest that was tried, of what is a limit."""
+    """Largest value tried, if the quantity is a limit."""
     write: Callable[[float], str] | None = None
-    """In place of the usual way."""
+    """Format in place of the usual one."""
 
     def cell(self, study: ContactStudy, engine: str, profile: str) -> Cell:
-        """Show what was measured in an engine."""
+        """Return the cell of an engine at a profile."""
         return self.show(figure_of(study, engine, profile, self.quantity, **self.at))
 
     def show(self, measured: ContactFigure | None) -> Cell:
-        """Write a figure; one that is far from what was asked is marked."""
+        """Format a figure; one that is far from the requested value is marked."""
         if measured is None:
             return Cell(quantity.NONE)
         usual, right = _WAYS.get(self.quantity.rpartition(": ")[2], ("{:g}".format, _any))
@@ -230,25 +230,25 @@ class ContactLine:
         text = quantity.NONE if value is None else (self.write or usual)(value)
         if self.most is None:
             return Cell(text, "" if value is None or right(value) else "over")
-        how = measured.note.split(" ")[0]  # how it ends: told or silent
-        text = f"≥ {self.most:g}" if value == self.most else f"{text} {how}".rstrip()
+        ending = measured.note.split(" ")[0]  # how it ends: told or silent
+        text = f"≥ {self.most:g}" if value == self.most else f"{text} {ending}".rstrip()
         return Cell(text, "over" if text.endswith("silent") else "")
 
 
 def figure_of(
     study: ContactStudy, engine: str, profile: str, name: str, **at: float
 ) -> ContactFigure | None:
-    """Find one figure; None where the engine did not come through."""
+    """Find one figure; None if the engine did not deliver it."""
     return next(iter(study.find(engine, profile, name, **at)), None)
 
 
 def impact(at: float) -> dict[str, float]:
-    """Give the conditions of an impact at a speed [m/s]."""
+    """Return the conditions of an impact at a speed [m/s]."""
     return {"restitution": RESTITUTION, "speed": at}
 
 
 def heading(angle: float) -> dict[str, float]:
-    """Give the condition of a slip in a direction from x [°]."""
+    """Return the condition of a slip at an angle from x [°]."""
     return {"heading_deg": angle}
 
 
@@ -270,30 +270,30 @@ LINES = (
     ContactLine(
         "under a wheel, aside at 30°", "wheel: friction aside of the slip", heading(30.0), "0"
     ),
-    ContactLine("sliding ball hops by", "ball: hops while it slides", asked="0"),
+    ContactLine("sliding ball hops by", "ball: hops while it slides", nominal="0"),
     ContactLine("creep at 0.9 μ m g, 45°", "crate: creep at 0.9 of the limit", heading(45.0), "0"),
     ContactLine("slides from × μ m g, 45°", _START, heading(45.0), f"{_FIRST_ABOVE:g}"),
-    ContactLine("elastic ball, energy/bounce", "elastic ball: energy by bounce", asked="0"),
-    ContactLine("cubli, energy from nowhere", "cubli: energy that no law explains", asked="0"),
-    ContactLine("cubli, rebound of corners", "cubli: restitution of corners", asked=_E),
-    ContactLine("ball at rest sinks by", "ball dropped: sinks by", asked="0"),
-    ContactLine("crate at rest trembles at", "crate dropped: moves at", asked="0"),
+    ContactLine("elastic ball, energy/bounce", "elastic ball: energy by bounce", nominal="0"),
+    ContactLine("cubli, energy from nowhere", "cubli: energy that no law explains", nominal="0"),
+    ContactLine("cubli, rebound of corners", "cubli: restitution of corners", nominal=_E),
+    ContactLine("ball at rest sinks by", "ball dropped: sinks by", nominal="0"),
+    ContactLine("crate at rest trembles at", "crate dropped: moves at", nominal="0"),
     ContactLine("spin up to, rad/s", "free spin", most=SPINS[-1]),
     ContactLine("impacts held up to, m/s", "impact speed held", most=DROPS[-1]),
     ContactLine("cost of 1 s of balldrop", "cost of a simulated second"),
 )
-"""What the summary shows, in this order."""
+"""Rows of the summary, in this order."""
 
 
 def rows_of(study: ContactStudy, profile: Profile) -> Iterator[Row]:
-    """List the summary's rows at a profile: label, what was asked, a cell an engine."""
+    """Yield the summary's rows at a profile: label, requested value, one cell per engine."""
     for line in LINES:
         cells = (line.cell(study, engine, profile) for engine in study.versions)
-        yield row_of((line.label, line.asked, *cells))
+        yield row_of((line.label, line.nominal, *cells))
 
 
 def present(study: ContactStudy) -> Iterator[Block]:
-    """Say in short what each engine makes of contact, one table a profile."""
+    """Summarise contact in each engine, with one table per profile."""
     columns = (Column("", words=True), *map(Column, ("asked", *study.versions)))
     for profile in study.profiles:
         yield table_of(columns, rows_of(study, profile), title=f"{profile} settings")
@@ -302,9 +302,9 @@ def present(study: ContactStudy) -> Iterator[Block]:
 
 
 _MARKS = "12x+34|_"
-"""As many as engines have colours."""
+"""Markers, one per engine colour."""
 _BOUNCING = [e for e in RESTITUTIONS if e > 0.0]
-_ASKED = DOTTED | {"label": "asked"}
+_NOMINAL_LINE = DOTTED | {"label": "asked"}
 
 
 def draw_study(study: ContactStudy, files: dict[str, Path]) -> None:
@@ -334,7 +334,7 @@ def _draw(
 
 
 def _restitution(figure: Any, study: ContactStudy) -> Any:
-    """Lay out a row a profile, a column a restitution; returns a panel with all the names."""
+    """Draw a row per profile and a column per restitution; return a panel with all labels."""
     panels = figure.subplots(
         len(study.profiles), len(_BOUNCING), sharex=True, sharey="col", squeeze=False
     )
@@ -350,19 +350,19 @@ def _restitution(figure: Any, study: ContactStudy) -> Any:
 
 def _rebounds(axes: Any, study: ContactStudy, profile: Profile, asked: float) -> None:
     """Draw the medians, and the spread over the starts."""
-    axes.axhline(asked, **_ASKED)
-    for found, look in _curves(study, profile, "restitution", restitution=asked):
-        speeds = [m.at["speed"] for m in found]
-        lows = [m.value if m.low is None else m.low for m in found]
-        highs = [m.value if m.high is None else m.high for m in found]
-        axes.fill_between(speeds, lows, highs, color=look["color"], alpha=0.15, linewidth=0)
-        axes.plot(speeds, [m.value for m in found], linewidth=1.2, **look)
+    axes.axhline(asked, **_NOMINAL_LINE)
+    for figures, style in _curves(study, profile, "restitution", restitution=asked):
+        speeds = [m.at["speed"] for m in figures]
+        lows = [m.value if m.low is None else m.low for m in figures]
+        highs = [m.value if m.high is None else m.high for m in figures]
+        axes.fill_between(speeds, lows, highs, color=style["color"], alpha=0.15, linewidth=0)
+        axes.plot(speeds, [m.value for m in figures], linewidth=1.2, **style)
     axes.set_xscale("log")
     axes.set_ylim(-0.05 * asked, 1.22 * asked)
 
 
 def _friction(figure: Any, study: ContactStudy) -> Any:
-    """Lay out a panel a profile; returns the first."""
+    """Draw a panel per profile; return the first."""
     panels = figure.subplots(1, len(study.profiles), sharey=True, squeeze=False)[0]
     for axes, profile in zip(panels, study.profiles, strict=True):
         _headings(axes, study, profile)
@@ -373,9 +373,9 @@ def _friction(figure: Any, study: ContactStudy) -> Any:
 
 
 def _headings(axes: Any, study: ContactStudy, profile: Profile) -> None:
-    axes.axhline(FRICTION, **_ASKED)
-    for found, look in _curves(study, profile, "ball: sliding friction"):
-        axes.plot([m.at["heading_deg"] for m in found], [m.value for m in found], **look)
+    axes.axhline(FRICTION, **_NOMINAL_LINE)
+    for figures, style in _curves(study, profile, "ball: sliding friction"):
+        axes.plot([m.at["heading_deg"] for m in figures], [m.value for m in figures], **style)
     axes.set_ylim(0.0, 0.7)
     axes.set_xticks(range(0, 91, 15))
 
@@ -383,9 +383,9 @@ def _headings(axes: Any, study: ContactStudy, profile: Profile) -> None:
 def _curves(
     study: ContactStudy, profile: Profile, quantity: str, **at: float
 ) -> Iterator[tuple[list[ContactFigure], dict[str, Any]]]:
-    """Give each engine's figures and its look, with thin marks: engines that agree stay visible."""
+    """Yield each engine's figures and style; thin markers keep engines that agree visible."""
     for engine in study.versions:
-        found = [m for m in study.find(engine, profile, quantity, **at) if m.value is not None]
+        figures = [m for m in study.find(engine, profile, quantity, **at) if m.value is not None]
         place = engine_style(engine, study.versions).colour
-        look = {"color": ENGINES[place], "marker": _MARKS[place], "label": engine}
-        yield found, look | {"markersize": 8, "markeredgewidth": 1.3}
+        style = {"color": ENGINES[place], "marker": _MARKS[place], "label": engine}
+        yield figures, style | {"markersize": 8, "markeredgewidth": 1.3}

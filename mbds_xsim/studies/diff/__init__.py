@@ -1,4 +1,4 @@
-"""What a stored result says, in a form that two of them can be compared in."""
+"""Stored results in a common form, in which two of them can be compared."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from dataclasses import dataclass, field
 Value = float | int | bool | str | None
 
 FAILING = 2
-"""Rank from which on a verdict is a failure."""
+"""Lowest rank of a verdict that is a failure."""
 
 
 @dataclass(frozen=True)
 class PhysicalFigure:
-    """A figure of physics; None: there is none."""
+    """A figure of physics; its value is None if there is none."""
 
     value: float | None
     unit: str = "1"
     scale: float = 0.0
-    """Its budget in its unit, so that a difference far below it is no change; 0: it has none."""
+    """Budget in the same unit: differences far below it are no changes; 0 if there is none."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """An engine, a curve, a point of a curve, a cell of a map: whatever has figures of its own."""
+    """A part of a result with figures of its own: an engine, a curve or a point of it, a cell."""
 
     verdict: str
     rank: int | None
@@ -33,31 +33,31 @@ class Entry:
     settings: Mapping[str, Value] = field(default_factory=dict)
     reasons: tuple[str, ...] = ()
     broken: frozenset[str] = frozenset()
-    """Checks whose budget is not kept."""
+    """Checks that exceed their budgets."""
     judged: frozenset[str] | None = frozenset()
-    """Checks that have a budget; None: all there are."""
+    """Checks that have a budget; None: all checks."""
     figures: Mapping[str, PhysicalFigure] = field(default_factory=dict)
     timings: Mapping[str, float | None] = field(default_factory=dict)
-    """Times [s], or factors of them."""
+    """Times [s], and other figures that the machine decides."""
 
     def keeps(self, check: str) -> bool:
-        """Tell whether a check was judged and its budget kept."""
+        """Return whether a check was judged and kept its budget."""
         return check not in self.broken and (self.judged is None or check in self.judged)
 
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """One scene's result."""
+    """The result of one scene."""
 
     scene: str
-    """Name of the scene; of a study of stability, the study's."""
+    """Name of the scene; for a study of stability, the name of the study."""
     command: str
     identity: Mapping[str, Value]
-    """What is equal where the scene is the same; a value that is not known is None."""
+    """Properties that are equal if the scene is the same; a value is None if unknown."""
     sample: Mapping[str, Value]
-    """What was drawn, and how it was judged: seed, starts, budgets."""
+    """Sample and how it was judged: seed, starts, budgets."""
     circumstances: Mapping[str, Value]
     """Versions and machine."""
     entries: Mapping[str, Entry]
     left_out: Mapping[str, str]
-    """What cannot do the scene, each with the reason."""
+    """Engines or methods that were left out, each with the reason."""

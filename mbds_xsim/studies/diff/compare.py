@@ -1,4 +1,4 @@
-"""What changed from one stored result to another: verdicts, reasons, settings, figures, times."""
+"""Changes between two stored results: verdicts, reasons, settings, figures, times."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from mbds_xsim.studies.diff.read import read_views
 
 SCHEMA = "mbds-xsim/diff/1"
 RTOL = 1e-6
-"""Relative difference of a figure of physics up to which it is the same."""
+"""Largest relative difference at which figures of physics count as the same."""
 FACTOR = 1.5
-"""Factor between two times up to which they are the same."""
+"""Largest factor between two times at which they count as the same."""
 
 _ROUNDING = 1e-14  # figures that differ by less are the same, whatever their unit
-_NO_TIME = re.compile(r"core|rate|bytes|_mb\b")  # beside times, what else the machine decides
+_NO_TIME = re.compile(r"core|rate|bytes|_mb\b")  # figures other than times that the machine decides
 _NUMBER = re.compile(r"\d[\d.]*(e[+-]?\d+)?( ?[mµn]?[ms]\b)?")
 
 
 class Change(msgspec.Struct, frozen=True):
-    """A word or a setting that is another now; None: there was, or is, none."""
+    """A setting or another value that has changed; None where it is missing."""
 
     what: str
     old: Value
@@ -35,7 +35,7 @@ class Change(msgspec.Struct, frozen=True):
 
 
 class FigureChange(msgspec.Struct, frozen=True):
-    """A figure that is another now."""
+    """A figure that has changed."""
 
     what: str
     unit: str
@@ -46,7 +46,7 @@ class FigureChange(msgspec.Struct, frozen=True):
 
 
 class EntryDiff(msgspec.Struct, frozen=True, kw_only=True):
-    """What changed of one engine, curve, point or cell."""
+    """Changes of one engine, curve, point or cell."""
 
     name: str
     old_verdict: str
@@ -57,14 +57,14 @@ class EntryDiff(msgspec.Struct, frozen=True, kw_only=True):
     settings: tuple[Change, ...]
     reasons_new: tuple[str, ...]
     reasons_gone: tuple[str, ...]
-    """Reasons that differ in numbers only are in neither."""
+    """Reasons that are gone; those that differ in numbers only are neither new nor gone."""
     figures: tuple[FigureChange, ...]
-    """Physics."""
+    """Figures of physics."""
     timings: tuple[FigureChange, ...]
 
     @property
     def changed(self) -> bool:
-        """Whether anything but times did."""
+        """Whether anything but times changed."""
         verdict = self.old_verdict != self.new_verdict
         reasons = self.reasons_new or self.reasons_gone
         return bool(verdict or self.worse or self.settings or reasons or self.figures)
@@ -76,41 +76,41 @@ class OnlyIn(msgspec.Struct, frozen=True):
     name: str
     verdict: str
     why: str
-    """Reason of an engine's being left out in the other; empty where it was not asked for."""
+    """Reason why the other file left it out; empty if it was not asked for."""
 
 
 class Diff(msgspec.Struct, frozen=True, kw_only=True):
-    """What changed of one scene."""
+    """Changes of one scene."""
 
     scene: str
     old_command: str
     new_command: str
     sample: tuple[Change, ...]
-    """Starts, seed or budgets: where they differ, figures may differ through them alone."""
+    """Changes of starts, seed or budgets, which alone may explain why figures differ."""
     circumstances: tuple[Change, ...]
-    """Versions and machine."""
+    """Changes of versions and machine."""
     entries: tuple[EntryDiff, ...]
-    """Those of which anything changed."""
+    """Entries in which anything changed, times included."""
     unchanged: int
     only_old: tuple[OnlyIn, ...]
     only_new: tuple[OnlyIn, ...]
     worse: tuple[str, ...]
-    """All that is worse, one line each."""
+    """One line for each verdict or budget that is worse, and each good entry now left out."""
     better: tuple[str, ...]
 
 
 class Comparison(msgspec.Struct, frozen=True, kw_only=True):
-    """Two files compared."""
+    """Comparison of two files."""
 
     schema: str
     compared: str
-    """Schema of both."""
+    """Schema of both files."""
     old: str
     new: str
     rtol: float
     factor: float
     verdict: Literal["worse", "changed", "same"]
-    """Times apart: `same` where nothing else changed."""
+    """Verdict that ignores times: `same` if nothing else changed."""
     scenes: tuple[Diff, ...]
     scenes_only_old: tuple[str, ...]
     scenes_only_new: tuple[str, ...]
@@ -124,12 +124,12 @@ def compare_files(
     Args:
         old: The earlier one.
         new: The later one.
-        rtol: Relative difference of a figure of physics, or of the budget it has, up to which it
-            is the same.
-        factor: The same for times.
+        rtol: Largest difference at which figures of physics count as the same, relative to the
+            figures or to their budget.
+        factor: Largest factor between two times at which they count as the same.
 
     Raises:
-        InputError: A file cannot be used, or they are not of the same command and scene.
+        InputError: A file cannot be used, or the two are not of the same command and scene.
     """
     schema, before = read_views(old)
     other_schema, after = read_views(new)
@@ -139,8 +139,8 @@ def compare_files(
     both = [name for name in after if name in before]
     alone = [name for name in (*before, *after) if name not in both]
     if not both:
-        there, here = ", ".join(before), ", ".join(after)
-        msg = f"{old} is about {there} and {new} about {here}; give two of one"
+        old_names, new_names = ", ".join(before), ", ".join(after)
+        msg = f"{old} is about {old_names} and {new} about {new_names}; give two of one"
         raise InputError(msg)
     scenes = tuple(_diff(before[name], after[name], rtol, factor) for name in both)
     return Comparison(
@@ -202,20 +202,20 @@ def _diff(old: View, new: View, rtol: float, factor: float) -> Diff:
 
 
 def _only_in(view: View, other: View) -> Iterator[OnlyIn]:
-    """Name the entries that the other lacks, a whole without its parts."""
+    """List the entries that the other view lacks, without the parts of those listed."""
     for name, entry in view.entries.items():
         if name in other.entries or (entry.parent and entry.parent not in other.entries):
             continue
         reasons = (
             reason
-            for what, reason in other.left_out.items()
-            if what not in view.left_out and f"{name} ".startswith(f"{what} ")
+            for omitted, reason in other.left_out.items()
+            if omitted not in view.left_out and f"{name} ".startswith(f"{omitted} ")
         )
         yield OnlyIn(name, entry.verdict, next(reasons, ""))
 
 
 def entry_diff(name: str, old: Entry, new: Entry, rtol: float, factor: float) -> EntryDiff:
-    """Say what changed of an entry; the thresholds are those of `compare_files`."""
+    """Return the changes of an entry; the thresholds are those of `compare_files`."""
     return EntryDiff(
         name=name,
         old_verdict=old.verdict,
@@ -236,7 +236,7 @@ def _losses(
     verdict: str = "{old} → {new}",
     budget: str = "{check} no longer keeps its budget",
 ) -> Iterator[str]:
-    """Say what the old one had that the new one has not."""
+    """Yield a line for each verdict or budget that is worse in the new entry."""
     if old.rank is not None and new.rank is not None and new.rank > old.rank:
         yield verdict.format(old=old.verdict, new=new.verdict)
     for check in sorted(new.broken):
@@ -245,13 +245,13 @@ def _losses(
 
 
 def _changes(old: Mapping[str, Value], new: Mapping[str, Value]) -> Iterator[Change]:
-    for what in dict.fromkeys((*old, *new)):
-        if old.get(what) != new.get(what):
-            yield Change(what, old.get(what), new.get(what))
+    for name in dict.fromkeys((*old, *new)):
+        if old.get(name) != new.get(name):
+            yield Change(name, old.get(name), new.get(name))
 
 
 def _without(reasons: tuple[str, ...], others: tuple[str, ...]) -> tuple[str, ...]:
-    """Keep the reasons that the others do not have with other numbers or at another place."""
+    """Keep the reasons that the others lack, whatever their numbers and places."""
     known = {_kind(reason) for reason in others}
     return tuple(reason for reason in reasons if _kind(reason) not in known)
 
@@ -263,21 +263,21 @@ def _kind(reason: str) -> str:
 def _figure_changes(
     old: Mapping[str, PhysicalFigure], new: Mapping[str, PhysicalFigure], rtol: float
 ) -> Iterator[FigureChange]:
-    for what in dict.fromkeys((*old, *new)):
-        one, other = old.get(what, PhysicalFigure(None)), new.get(what, PhysicalFigure(None))
+    for name in dict.fromkeys((*old, *new)):
+        one, other = old.get(name, PhysicalFigure(None)), new.get(name, PhysicalFigure(None))
         if not _same(one.value, other.value, rtol, max(one.scale, other.scale)):
-            unit = other.unit if what in new else one.unit
-            yield FigureChange(what, unit, one.value, other.value, _ratio(one.value, other.value))
+            unit = other.unit if name in new else one.unit
+            yield FigureChange(name, unit, one.value, other.value, _ratio(one.value, other.value))
 
 
 def _timing_changes(
     old: Mapping[str, float | None], new: Mapping[str, float | None], factor: float
 ) -> Iterator[FigureChange]:
-    for what in dict.fromkeys((*old, *new)):
-        ratio = _ratio(old.get(what), new.get(what))
+    for name in dict.fromkeys((*old, *new)):
+        ratio = _ratio(old.get(name), new.get(name))
         if ratio is not None and not 1.0 / factor <= ratio <= factor:
-            unit = "1" if _NO_TIME.search(what) else "s"
-            yield FigureChange(what, unit, old.get(what), new.get(what), ratio)
+            unit = "1" if _NO_TIME.search(name) else "s"
+            yield FigureChange(name, unit, old.get(name), new.get(name), ratio)
 
 
 def _same(one: float | None, other: float | None, rtol: float, scale: float) -> bool:

@@ -1,4 +1,4 @@
-"""A comparison of two results as reports, one a scene."""
+"""Reports of a comparison of two results, one for each scene."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from mbds_xsim.studies.diff.compare import (
 _HEADINGS = ("entry", "what", "before", "now", "change")
 _COLUMNS = tuple(blocks.Column(heading, words=heading != "change") for heading in _HEADINGS)
 _MOST_FIGURES, _MOST_TIMES = 40, 12
-"""Rows of a table on a terminal; Markdown and JSON have them all."""
+"""Most rows of a table on a terminal; Markdown and JSON have them all."""
 
 
 def present(comparison: Comparison) -> Iterator[blocks.Report]:
-    """Say of each scene what changed, and whether anything is worse."""
+    """Report for each scene what changed, and whether anything is worse."""
     for diff in comparison.scenes:
         first = (_scenes_apart(comparison),) if diff is comparison.scenes[0] else ()
         yield blocks.Report(
@@ -38,11 +38,11 @@ def present(comparison: Comparison) -> Iterator[blocks.Report]:
 
 
 def _command(comparison: Comparison) -> str:
-    given = (
+    flags = (
         ("--rtol", comparison.rtol, RTOL),
         ("--factor", comparison.factor, FACTOR),
     )
-    options = (word for name, value, usual in given if value != usual for word in (name, value))
+    options = (word for name, value, usual in flags if value != usual for word in (name, value))
     words = ("mbds-xsim", "diff", comparison.old, comparison.new, *options)
     return shlex.join(map(str, words))
 
@@ -76,11 +76,11 @@ def _entry_rows(entry: EntryDiff) -> Iterator[blocks.Row]:
     name = entry.name
     if entry.worse or entry.old_verdict != entry.new_verdict:
         words = "worse" if entry.worse else "better" if entry.better else ""
-        told = (name, "verdict", entry.old_verdict, entry.new_verdict, words)
-        yield blocks.row_of(told, "over" if entry.worse else "")
+        texts = (name, "verdict", entry.old_verdict, entry.new_verdict, words)
+        yield blocks.row_of(texts, "over" if entry.worse else "")
     for change in entry.settings:
-        told = (name, change.what, _value(change.old), _value(change.new), "")
-        yield blocks.row_of(told)
+        texts = (name, change.what, _value(change.old), _value(change.new), "")
+        yield blocks.row_of(texts)
     for figure in entry.figures:
         yield _figure(name, figure)
     for reason in entry.reasons_gone:
@@ -95,7 +95,7 @@ def _figure(name: str, figure: FigureChange) -> blocks.Row:
 
 
 def _change(figure: FigureChange) -> str:
-    """A factor, or where that is next to 1, the relative difference."""
+    """Write the factor, or the relative difference if the factor is close to 1."""
     if figure.ratio is None:
         return quantity.NONE
     if abs(figure.ratio - 1.0) < 0.01:
@@ -104,16 +104,16 @@ def _change(figure: FigureChange) -> str:
 
 
 def _remarks(diff: Diff) -> Iterator[tuple[str, str]]:
-    """What else is to be said of a scene: a subject, and a sentence of it."""
+    """Yield further remarks on a scene, each a subject and a sentence about it."""
     if diff.sample:
-        told = f"{_told(diff.sample)}; figures may differ through this alone"
-        yield "not the same question", told
-    yield "versions and machine", _told(diff.circumstances) or "the same"
-    for which, found in (("the old", diff.only_old), ("the new", diff.only_new)):
-        asked = [f"{one.name} ({one.verdict})" for one in found if not one.why]
+        text = f"{_describe_changes(diff.sample)}; figures may differ through this alone"
+        yield "not the same question", text
+    yield "versions and machine", _describe_changes(diff.circumstances) or "the same"
+    for which, entries in (("the old", diff.only_old), ("the new", diff.only_new)):
+        asked = [f"{one.name} ({one.verdict})" for one in entries if not one.why]
         if asked:
             yield f"only in {which} one", ", ".join(asked)
-        for one in found:
+        for one in entries:
             if one.why:
                 yield f"only in {which} one", f"{one.name} ({one.verdict}); {one.why}"
     for line in diff.better:
@@ -131,7 +131,7 @@ def _conclusion(diff: Diff) -> str:
 
 
 def _thresholds(comparison: Comparison) -> str:
-    """Say what counts as a change."""
+    """State which differences count as changes."""
     return (
         f"figures of physics that differ by {comparison.rtol:g} or less, of themselves or of their "
         f"budget, are the same; so are times within a factor of {comparison.factor:g}, and no time "
@@ -139,7 +139,7 @@ def _thresholds(comparison: Comparison) -> str:
     )
 
 
-def _told(changes: tuple[Change, ...]) -> str:
+def _describe_changes(changes: tuple[Change, ...]) -> str:
     return ", ".join(f"{c.what} {_value(c.old)} → {_value(c.new)}" for c in changes)
 
 

@@ -1,6 +1,6 @@
-"""Stored results read into views, a reader for each schema.
+"""Readers that turn stored results into views, one for each schema.
 
-Of a result without a reader of its own every number is a figure, named by where it stands.
+In a result without a reader of its own, every number is a figure, named by its place.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ T = TypeVar("T")
 _RESULT = re.compile("mbds-xsim/[a-z]+/1")
 _VERDICTS = {"pass": 0, "warn": 1, "fail": FAILING}
 _POINTS = {"failed": FAILING + 1, "crashed": FAILING + 1, "refused": FAILING + 1}
-"""Points that were too slow or timed out tell of the machine: they have no rank."""
+"""Ranks of points; those that were too slow or timed out have none: the machine decides that."""
 _LARGEST = 100 * 10**6  # bytes of a file
 _OUTCOMES = {"stable": 0, "off course": FAILING, "refused": None}
 
@@ -34,22 +34,22 @@ def read_views(path: Path) -> tuple[str, dict[str, View]]:
     """Read a file that a command wrote with `--json`.
 
     Returns:
-        The schema, and the views by name of the scene.
+        The schema, and the views keyed by scene name.
 
     Raises:
-        InputError: It cannot be read, or is not such a file.
+        InputError: The file cannot be read, or does not hold results of one command.
     """
     content = _content(path)
     parts = content if isinstance(content, list) else [content]
     schemas = {_schema(part, path) for part in parts}
     if len(schemas) != 1:
-        found = ", ".join(sorted(schemas)) or "an empty list"
-        msg = f"{path}: holds {found}; give a file of one command"
+        names = ", ".join(sorted(schemas)) or "an empty list"
+        msg = f"{path}: holds {names}; give a file of one command"
         raise InputError(msg)
     (schema,) = schemas
     try:
         views = list(map(READERS[schema], parts)) if schema in READERS else [plain_view(parts)]
-        return schema, _named((view.scene, view) for view in views)
+        return schema, _keyed_by_name((view.scene, view) for view in views)
     except (msgspec.ValidationError, InputError, OverflowError) as error:
         msg = f"{path}: is not what {schema} stands for: {error}"
         raise InputError(msg) from error
@@ -79,14 +79,14 @@ def _schema(part: object, path: Path) -> str:
     raise InputError(msg)
 
 
-def _named(pairs: Iterable[tuple[str, T]]) -> dict[str, T]:
-    found: dict[str, T] = {}
-    for name, what in pairs:
-        if name in found:
+def _keyed_by_name(pairs: Iterable[tuple[str, T]]) -> dict[str, T]:
+    by_name: dict[str, T] = {}
+    for name, item in pairs:
+        if name in by_name:
             msg = f"it has {name!r} twice"
             raise InputError(msg)
-        found[name] = what
-    return found
+        by_name[name] = item
+    return by_name
 
 
 def _validation(part: object) -> View:
@@ -149,15 +149,15 @@ def _curve_entries(study: tradeoff.Tradeoff) -> Iterator[tuple[str, Entry]]:
 
 def _curve_entry(curve: tradeoff.CurveResult, cost: float | None, budget: float) -> Entry:
     done = [point for point in curve.points if point.kind == "done"]
-    kept = [point.step_s for point in done if not point.broken]
+    steps = [point.step_s for point in done if not point.broken]
     errors = [point.error_m for point in done if point.error_m is not None]
     return Entry(
-        verdict="keeps all budgets" if kept else "keeps them at no step" if done else "not run",
-        rank=0 if kept else FAILING if done else None,
+        verdict="keeps all budgets" if steps else "keeps them at no step" if done else "not run",
+        rank=0 if steps else FAILING if done else None,
         settings={"version": curve.version, "order declared": curve.order, **curve.options},
         figures={
             "order measured": PhysicalFigure(curve.measured_order),
-            "longest step within all budgets": PhysicalFigure(max(kept, default=None), "s"),
+            "longest step within all budgets": PhysicalFigure(max(steps, default=None), "s"),
             "smallest error": PhysicalFigure(min(errors, default=None), "m", budget),
         },
         timings={"wall time per simulated second at the budget": cost},
@@ -166,9 +166,9 @@ def _curve_entry(curve: tradeoff.CurveResult, cost: float | None, budget: float)
 
 def _point_entry(point: tradeoff.Point, curve: str, scales: Mapping[str, float]) -> Entry:
     done = point.kind == "done"
-    kept = "over budget" if point.broken else "all budgets kept"
+    verdict = "over budget" if point.broken else "all budgets kept"
     return Entry(
-        verdict=kept if done else point.kind,
+        verdict=verdict if done else point.kind,
         rank=FAILING * bool(point.broken) if done else _POINTS.get(point.kind),
         parent=curve,
         reasons=(point.reason,) if point.reason else (),
@@ -187,20 +187,20 @@ def _match(part: object) -> View:
         "starts of the search": stored.trajectories,
         "starts held out": stored.held_out,
     }
-    entries = ((found.engine, _found_entry(found)) for found in stored.engines)
+    entries = ((engine.engine, _matched_entry(engine)) for engine in stored.engines)
     return _view(stored, entries, identity={}, sample=sample)
 
 
-def _found_entry(found: match.Found) -> Entry:
-    settings = _fields(found, "version", "method", "steps_per_frame", "step_s")
+def _matched_entry(engine: match.MatchedSettings) -> Entry:
+    settings = _fields(engine, "version", "method", "steps_per_frame", "step_s")
     return Entry(
-        verdict="keeps all budgets" if found.meets_budget else "over budget",
-        rank=0 if found.meets_budget else FAILING,
-        settings={**settings, **found.options},
-        reasons=found.reasons,
-        figures=_figures(found, *result.FIGURES),
+        verdict="keeps all budgets" if engine.meets_budget else "over budget",
+        rank=0 if engine.meets_budget else FAILING,
+        settings={**settings, **engine.options},
+        reasons=engine.reasons,
+        figures=_figures(engine, *result.FIGURES),
         timings={
-            _LABELS[name]: _finite(getattr(found, name))
+            _LABELS[name]: _finite(getattr(engine, name))
             for name in ("wall_per_simulated_s", "cpu_per_simulated_s")
         },
     )
@@ -220,8 +220,8 @@ def _panel_entries(sweep: stability.Survey) -> Iterator[tuple[str, Entry]]:
     for panel in sweep.panels:
         cells = [cell for row in panel.cells for cell in row]
         stable = sum(cell.outcome == "stable" for cell in cells)
-        told = f"{stable} of {len(cells)} stable"
-        yield panel.name, Entry(verdict=told, rank=None, settings={"version": panel.version})
+        verdict = f"{stable} of {len(cells)} stable"
+        yield panel.name, Entry(verdict=verdict, rank=None, settings={"version": panel.version})
         for cell in cells:
             where = f"{sweep.quantity} {cell.value} {sweep.unit}".rstrip()
             name = f"{panel.name}, {where}, {cell.step_s:.12g} s"
@@ -247,7 +247,7 @@ def _view(
     identity: dict[str, Value],
     sample: Mapping[str, Value],
 ) -> View:
-    """Make a view of what results of all commands have, and of what is this one's own."""
+    """Make a view from the fields that results of all commands have, and from those given."""
     if hasattr(stored, "fingerprint"):
         identity = identity | {"fingerprint": stored.fingerprint or None}
     return View(
@@ -256,7 +256,7 @@ def _view(
         identity=identity,
         sample=sample,
         circumstances={**getattr(stored, "versions", {}), "machine": stored.machine},
-        entries=_named(entries),
+        entries=_keyed_by_name(entries),
         left_out=stored.left_out,
     )
 
@@ -281,7 +281,7 @@ _LABELS = {
     "cpu_per_simulated_s": "processor time per simulated second",
     "setup_s": "set-up",
 }
-"""What fields are called; others by their names."""
+"""Labels of fields; others keep their names."""
 
 
 def _fields(stored: msgspec.Struct, *names: str) -> dict[str, Any]:
@@ -289,7 +289,7 @@ def _fields(stored: msgspec.Struct, *names: str) -> dict[str, Any]:
 
 
 def _figures(stored: msgspec.Struct, *names: str, **scales: float) -> dict[str, PhysicalFigure]:
-    """Take figures, with the units that their names end with, and budgets where they have any."""
+    """Collect figures, with units from the suffixes of their names, and budgets if any."""
     ends = {"m": "m", "s": "s"}
     return {
         _LABELS.get(name, name): PhysicalFigure(
@@ -309,20 +309,20 @@ READERS: dict[str, Callable[[Any], View]] = {
     match.SCHEMA: _match,
     stability.SCHEMA: _stability,
 }
-"""Readers that know what is better and what is a budget, by `schema`; `plain_view` has the rest."""
+"""Readers by `schema` that know ranks and budgets; `plain_view` reads all other results."""
 
 
 _ABOUT = ("scene", "scenes", "study")
 _SAMPLE = ("seed", "trajectories", "index", "budget", "limit_s", "duration_s", "length_m")
 _CIRCUMSTANCES = ("versions", "machine", "workers")
-_SPENT = re.compile(r"wall|cpu|core|setup|elapsed|rate|seconds|bytes|_mb\b")
-"""Names of figures that the machine decides."""
+_TIMINGS = re.compile(r"wall|cpu|core|setup|elapsed|rate|seconds|bytes|_mb\b")
+"""Pattern of the names of figures that the machine decides."""
 _REASONS = ("reasons", "reason", "failures", "left_out")
-_JUDGED = (*_REASONS, "verdict")
+_VERDICT_KEYS = (*_REASONS, "verdict")
 
 
 def plain_view(parts: list[Any]) -> View:
-    """See a result of any command: an entry for each record in it, named by its own words."""
+    """Make a view of any command's result, with an entry for each record, named by its texts."""
     part = parts[0] if len(parts) == 1 else {"result": parts}
     scene = next((str(part[key]) for key in _ABOUT if part.get(key)), "all")
     rest = {key: part[key] for key in part if key not in (*_ABOUT, "schema", "command", "note")}
@@ -344,7 +344,7 @@ def _entries(name: str, record: Mapping[str, Any]) -> Iterator[tuple[str, Entry]
     if own:
         yield name or "result", _entry(own)
     for key, value in inner.items():
-        records = value.items() if isinstance(value, dict) else _labelled(value)
+        records = value.items() if isinstance(value, dict) else _label_records(value)
         for label, one in records:
             yield from _entries(" ".join(filter(None, (name, key, str(label)))), one)
 
@@ -355,15 +355,16 @@ def _holds_records(value: Any) -> bool:
     return all(isinstance(v, dict) for v in (value.values() if isinstance(value, dict) else value))
 
 
-def _labelled(records: list[dict[str, Any]]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Name records by their words, where no two have the same, or else by their place."""
+def _label_records(records: list[dict[str, Any]]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Label records by their texts if these are unique, or else by their position."""
     words = [
-        [v for k, v in one.items() if isinstance(v, str) and k not in _JUDGED] for one in records
+        [v for k, v in one.items() if isinstance(v, str) and k not in _VERDICT_KEYS]
+        for one in records
     ]
-    said = [" ".join(some) for some in words]
-    unique = len(set(said)) == len(said)
+    labels = [" ".join(texts) for texts in words]
+    unique = len(set(labels)) == len(labels)
     for place, one in enumerate(records):
-        yield said[place] if unique and said[place] else str(place), one
+        yield labels[place] if unique and labels[place] else str(place), one
 
 
 def _entry(own: Mapping[str, Any]) -> Entry:
@@ -378,8 +379,8 @@ def _entry(own: Mapping[str, Any]) -> Entry:
         rank=FAILING * failed if passed is not None or "verdict" in own else None,
         settings={k: v for k, v in leaves.items() if k not in numbers and k != "verdict"},
         reasons=tuple(str(v) for k, v in _leaves({k: own[k] for k in own if k in _REASONS}) if v),
-        figures={k: PhysicalFigure(float(v)) for k, v in numbers.items() if not _SPENT.search(k)},
-        timings={k: float(v) for k, v in numbers.items() if _SPENT.search(k)},
+        figures={k: PhysicalFigure(float(v)) for k, v in numbers.items() if not _TIMINGS.search(k)},
+        timings={k: float(v) for k, v in numbers.items() if _TIMINGS.search(k)},
     )
 
 

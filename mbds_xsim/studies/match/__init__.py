@@ -1,4 +1,4 @@
-"""Matched settings: as they are stored with the figures that they gave, and as a report."""
+"""Matched settings, as stored with their figures, and as a report."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from mbds_xsim.report.blocks import Cell, Column, Remarks, Report, table_of
 SCHEMA = "mbds-xsim/match/1"
 
 
-class Found(msgspec.Struct, frozen=True, kw_only=True):
-    """What the search found for one engine."""
+class MatchedSettings(msgspec.Struct, frozen=True, kw_only=True):
+    """Settings that the search found for one engine, with their figures."""
 
     engine: str
     version: str
@@ -31,11 +31,11 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
     step_s: float
     options: dict[str, float | int | bool | str]
     meets_budget: bool
-    """On the held-out trajectories; else these settings are the best it does."""
+    """Whether the held-out trajectories keep all budgets; if not, nothing better was found."""
     reasons: tuple[str, ...]
-    """What fails, where the budget is not met."""
+    """Failures, if the budget is not met."""
     held_out: int
-    """Trajectories that were not searched with."""
+    """Number of trajectories that the search did not use."""
     wall_per_simulated_s: float
     cpu_per_simulated_s: float
     error_1s_m: float | None
@@ -43,11 +43,11 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
     constraint_gap_m: float | None
     energy_balance: float | None
     used_method: str
-    """Of the settings in use until now."""
+    """Method of the settings in use before the search."""
     used_steps_per_frame: int
     cost_ratio: float | None
-    """Processor time over that of the settings in use, on the trajectories of the search; None
-    where those failed or these were not tried there."""
+    """Processor time over that of the settings in use, on the trajectories of the search; None if
+    the settings in use failed there or the new ones were not tried there."""
     trials: int
 
 
@@ -60,14 +60,14 @@ class Match(msgspec.Struct, frozen=True, kw_only=True):
     seed: int
     held_out_seed: int
     trajectories: int
-    """Starts of each interval that were searched with."""
+    """Number of starts per interval that the search used."""
     held_out: int
-    """Starts of each interval that were held out."""
+    """Number of starts per interval that were held out."""
     machine: str
-    engines: tuple[Found, ...]
+    engines: tuple[MatchedSettings, ...]
     left_out: dict[str, str]
     fingerprint: str = ""
-    """Stands for the scene's physics and starts; empty in results of earlier versions."""
+    """Hash of the scene's physics and starts; empty in results of earlier versions."""
 
 
 _COLUMNS = (
@@ -85,8 +85,8 @@ _COLUMNS = (
 
 
 def present(match: Match) -> Report:
-    """Say who keeps the budgets, and at what cost."""
-    met = all(found.meets_budget for found in match.engines)
+    """Report which engines keep the budgets, and at what cost."""
+    met = all(result.meets_budget for result in match.engines)
     note = (
         f"figures of {counted(match.held_out, 'held-out start')} of each interval (seed "
         f"{match.held_out_seed}); searched with {match.trajectories} (seed {match.seed})"
@@ -106,43 +106,43 @@ def present(match: Match) -> Report:
 
 
 def _conclusion(match: Match) -> str:
-    """Say in one sentence who keeps the budgets, and who does so at the least cost."""
-    met = [found for found in match.engines if found.meets_budget]
-    missed = [found.engine for found in match.engines if not found.meets_budget]
+    """Summarise in one sentence which engines keep the budgets, and which is the cheapest."""
+    met = [result for result in match.engines if result.meets_budget]
+    missed = [result.engine for result in match.engines if not result.meets_budget]
     if not met:
         return "no engine keeps all budgets"
-    best = min(met, key=lambda found: found.wall_per_simulated_s)
-    but = f"; not {', '.join(missed)}" if missed else ""
+    best = min(met, key=lambda result: result.wall_per_simulated_s)
+    rest = f"; not {', '.join(missed)}" if missed else ""
     return (
-        f"{len(met)} of {counted(len(match.engines), 'engine')} within all budgets{but}; cheapest "
+        f"{len(met)} of {counted(len(match.engines), 'engine')} within all budgets{rest}; cheapest "
         f"is {best.engine} {best.method} at {quantity.span(best.step_s)}, "
         f"{quantity.span(best.wall_per_simulated_s)} a simulated second"
     )
 
 
-def _row(found: Found) -> tuple[Cell | str, ...]:
+def _row(result: MatchedSettings) -> tuple[Cell | str, ...]:
     return (
-        found.engine,
-        found.method,
-        quantity.span(found.step_s),
-        quantity.span(found.wall_per_simulated_s),
-        quantity.length(found.error_1s_m),
-        quantity.length(found.constraint_gap_m),
-        quantity.number(found.energy_balance),
-        f"{found.used_method}, {found.used_steps_per_frame} a frame",
-        quantity.number(found.cost_ratio),
-        Cell("holds", "pass") if found.meets_budget else Cell("misses", "fail"),
+        result.engine,
+        result.method,
+        quantity.span(result.step_s),
+        quantity.span(result.wall_per_simulated_s),
+        quantity.length(result.error_1s_m),
+        quantity.length(result.constraint_gap_m),
+        quantity.number(result.energy_balance),
+        f"{result.used_method}, {result.used_steps_per_frame} a frame",
+        quantity.number(result.cost_ratio),
+        Cell("holds", "pass") if result.meets_budget else Cell("misses", "fail"),
     )
 
 
 def _remarks(match: Match) -> Iterator[tuple[str, str]]:
-    """Give options that were found, what fails where a budget is not met, and who is left out."""
-    for found in match.engines:
-        if found.options:
-            options = ", ".join(f"{key} = {value}" for key, value in found.options.items())
-            yield found.engine, options
-        if not found.meets_budget:
-            yield f"{found.engine}, the best it does", found.reasons[0]
+    """Yield the options found, the first failure where a budget is missed, and engines left out."""
+    for result in match.engines:
+        if result.options:
+            options = ", ".join(f"{key} = {value}" for key, value in result.options.items())
+            yield result.engine, options
+        if not result.meets_budget:
+            yield f"{result.engine}, the best it does", result.reasons[0]
     yield from (("left out", reason) for reason in match.left_out.values())
 
 
@@ -156,15 +156,15 @@ _HEAD = """\
 
 
 def stored_path(scene: str) -> Path:
-    """Say where the settings of a built-in scene stand."""
+    """Return the path of the matched settings of a built-in scene."""
     return Path(str(files("mbds_xsim_scenes"))) / "matched" / f"{scene}.toml"
 
 
 def settings_there(path: Path) -> str:
-    """Read the file that settings are to be written to; "" where there is none.
+    """Read the file to which settings will be written; "" if there is none.
 
     Raises:
-        InputError: It is no file of settings, and would be lost.
+        InputError: The file is unreadable or not one of settings; it must not be overwritten.
     """
     try:
         text = read_file(path).decode() if path.is_file() else ""
@@ -189,13 +189,13 @@ def _tables_of(text: str) -> dict[str, Any]:
 
 
 def matched_toml(match: Match, before: str = "") -> str:
-    """Give the file; engines that were not searched keep what the file had before.
+    """Return the file's text; engines that were not searched keep their settings in `before`.
 
     Raises:
-        InputError: What was there before cannot be read.
+        InputError: `before` is no file of settings.
     """
     tables = _tables_of(before)
-    tables |= {found.engine: _table(found) for found in match.engines}
+    tables |= {result.engine: _table(result) for result in match.engines}
     head = _HEAD.format(
         held_out=counted(match.held_out, "held-out start"),
         command=" ".join(match.command.split()),
@@ -204,24 +204,24 @@ def matched_toml(match: Match, before: str = "") -> str:
     return head + tomli_w.dumps(tables)
 
 
-def _table(found: Found) -> dict[str, Any]:
+def _table(result: MatchedSettings) -> dict[str, Any]:
     settings: dict[str, Any] = {
-        "method": found.method,
-        "steps_per_frame": found.steps_per_frame,
+        "method": result.method,
+        "steps_per_frame": result.steps_per_frame,
     }
-    if found.options:
-        settings["options"] = dict(found.options)
+    if result.options:
+        settings["options"] = dict(result.options)
     figures = {
-        "version": found.version,
-        "meets_budget": found.meets_budget,
-        "reason": found.reasons[0] if found.reasons else None,
-        "trajectories": found.held_out,
-        "wall_per_simulated_s": _short(found.wall_per_simulated_s),
-        **{name: _short(getattr(found, name)) for name in FIGURES},
+        "version": result.version,
+        "meets_budget": result.meets_budget,
+        "reason": result.reasons[0] if result.reasons else None,
+        "trajectories": result.held_out,
+        "wall_per_simulated_s": _short(result.wall_per_simulated_s),
+        **{name: _short(getattr(result, name)) for name in FIGURES},
     }
     return settings | {"found": {key: value for key, value in figures.items() if value is not None}}
 
 
 def _short(value: float | None) -> float | None:
-    """Three digits are all that such a figure has."""
+    """Round a figure to three digits, as it has no more significant ones."""
     return None if value is None else float(f"{value:.3g}")

@@ -1,4 +1,4 @@
-"""Matched settings: the cheapest of each engine that keep all of a scene's budgets, by search."""
+"""Search for matched settings: the cheapest of each engine that keep all budgets of a scene."""
 
 from __future__ import annotations
 
@@ -24,21 +24,20 @@ from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.choice import Choice, settings_for
 from mbds_xsim.simulate.simulator import NATIVE, EngineMethod
-from mbds_xsim.studies.match import SCHEMA, Found, Match
+from mbds_xsim.studies.match import SCHEMA, Match, MatchedSettings
 from mbds_xsim.studies.tradeoff import curves_of
 
 _STARTS = Starts(2)
-_SAMPLE = 3  # trajectories that run at other steps too
+_SAMPLE = 3  # trajectories that also run at other steps
 _DEAREST = 3.0
-"""A method that costs so many times another one of its engine and has not passed is given up."""
+"""A method that has not passed is given up at so many times the cost of its engine's cheapest."""
 _IN_USE = "in use"
 _WORTH = 1.1
-"""What differs from a plain search over steps must be cheaper by this factor."""
+"""Factor by which changed options and settings in use must be cheaper than plain methods."""
 _NEAR = 1.1
-"""Where nothing passes, the cheapest is taken that is at most so many times as far off as the best.
-"""
+"""If nothing passes, the cheapest setting within this factor of the smallest excess is taken."""
 _FAR = 2.0
-"""So many times a budget is no matter of a little shorter steps."""
+"""Excess over a budget that slightly shorter steps cannot remove."""
 _CHUNKS = 6
 _GRACE = 60.0
 _PATIENCE = 8.0
@@ -46,30 +45,30 @@ _PATIENCE = 8.0
 
 @dataclass
 class _Candidate:
-    """A curve on which the fewest steps are looked for."""
+    """A curve that is searched for the fewest steps that pass."""
 
     curve: EngineMethod
     search: Search = field(default_factory=Search)
     trials: dict[int, Trial] = field(default_factory=dict)
-    """On the trajectories of the search, by steps a frame."""
+    """Trials on the trajectories of the search, keyed by steps per frame."""
     proofs: dict[int, Trial] = field(default_factory=dict)
-    """On those that were held out."""
+    """Trials on the held-out trajectories, keyed by steps per frame."""
     least: float = 0.0
-    """Cost that is known otherwise; what was measured may only be more."""
+    """Lower bound of the cost, known from another candidate."""
 
     @property
     def cost(self) -> float:
-        """Processor time per simulated second of what was found; infinite where nothing was."""
-        count = self.search.found
+        """Processor time per simulated second at the steps found; infinite if none were found."""
+        count = self.search.smallest
         return math.inf if count is None else max(self.least, self.cost_at(count))
 
     @property
     def rank(self) -> float:
-        """The cost by which it competes: no option is changed for what may be noise."""
+        """Cost for the ranking, raised for changed options: a small gain may be noise."""
         return self.cost * (_WORTH if self.curve.variation else 1.0)
 
     def cost_at(self, count: int) -> float:
-        """Measured, or by the trial of the next number of steps."""
+        """Return the cost at a number of steps, scaled from the nearest trial; 0 if unknown."""
         known = {k: t.cpu_s for k, t in self.trials.items() if math.isfinite(t.cpu_s)}
         if not known:
             return 0.0
@@ -79,7 +78,7 @@ class _Candidate:
 
 @dataclass
 class _Field:
-    """Trajectories to try settings on, and where."""
+    """Trajectories on which settings are tried, with their reference."""
 
     scene: Scene
     batch: Batch
@@ -87,23 +86,23 @@ class _Field:
     limit: float
     conduct: Conduct
 
-    def run(self, asked: Sequence[tuple[EngineMethod, int]]) -> list[Trial]:
-        """Try settings on all trajectories, each in a process of its own."""
+    def run(self, pairs: Sequence[tuple[EngineMethod, int]]) -> list[Trial]:
+        """Try settings on all trajectories, each setting in its own process."""
         rows = list(range(len(self.batch)))
-        return self._run([(curve, count, rows, _SAMPLE) for curve, count in asked])
+        return self._run([(curve, count, rows, _SAMPLE) for curve, count in pairs])
 
     def run_spread(self, curve: EngineMethod, count: int) -> Trial:
-        """Try one setting, its trajectories spread over processes."""
+        """Try one setting, with its trajectories spread over processes."""
         places = list(range(len(self.batch)))
         parts = [places[k::_CHUNKS] for k in range(min(_CHUNKS, len(places)))]
-        asked = [(curve, count, part, _SAMPLE if not k else 0) for k, part in enumerate(parts)]
-        return joined(self._run(asked))
+        jobs = [(curve, count, part, _SAMPLE if not k else 0) for k, part in enumerate(parts)]
+        return joined(self._run(jobs))
 
-    def _run(self, asked: Sequence[tuple[EngineMethod, int, list[int], int]]) -> list[Trial]:
+    def _run(self, jobs: Sequence[tuple[EngineMethod, int, list[int], int]]) -> list[Trial]:
         def finished(place: int, _: Any) -> None:
-            self.conduct.meter.advance(asked[place][0].name)
+            self.conduct.meter.advance(jobs[place][0].name)
 
-        tasks = [self._task(*what) for what in asked]
+        tasks = [self._task(*job) for job in jobs]
         answers = run_tasks(tasks, workers=self.conduct.workers, finished=finished)
         return [failed_trial(a) if isinstance(a, Crash) else a for a in answers]
 
@@ -125,31 +124,31 @@ def match(
     conduct: Conduct = USUAL,
     command: str = "",
 ) -> Match:
-    """Search the cheapest settings of each engine that keep all budgets, and verify them.
+    """Search for the cheapest settings of each engine that keep all budgets, and verify them.
 
-    For each method the fewest steps a frame are found by bisection, judged as `validate` judges,
-    consistency included, and by the limits of contact. The settings in use compete. The cheapest
-    is verified on trajectories of another seed; where it fails there it gets the next shorter
-    step, and another method its turn when that one is cheaper by now.
+    For each method, bisection finds the fewest steps per frame that pass the checks of `validate`,
+    including consistency, and the limits of contact. The settings in use compete. The cheapest
+    candidate is verified on trajectories of another seed. If it fails there, it gets the next
+    shorter step; if another method is then cheaper, that one is verified first.
 
     Args:
-        scene: What to simulate.
-        choice: Which engines.
-        starts: To search with.
-        held_out: Starts of each interval to verify with, by the next seed.
+        scene: Scene to simulate.
+        choice: Engines to search.
+        starts: Starts of the search.
+        held_out: Number of starts per interval for the verification, drawn with the next seed.
         limit: Longest rollout of a trajectory [s].
         options: Whether the options that adapters declare worth trying are varied too.
-        conduct: How.
-        command: For the record.
+        conduct: How the work is carried out.
+        command: Command to record in the result.
 
     Raises:
-        InputError: Something that was given cannot be used.
+        InputError: An argument cannot be used.
     """
     curves, left_out = _curves(scene, choice, options=options)
     field_of = partial(_field, scene, limit=limit, conduct=conduct)
     ground, seed = field_of(starts), starts.seed
-    used = _used(ground, {curve.engine for curve in curves})
-    candidates = _searched(ground, curves, used)
+    used = _try_settings_in_use(ground, {curve.engine for curve in curves})
+    candidates = _search_all(ground, curves, used)
     proof = field_of(dataclasses.replace(starts, trajectories=held_out, seed=seed + 1))
     engines = dict.fromkeys(curve.engine for curve in curves)
     return Match(
@@ -168,7 +167,7 @@ def match(
 
 
 def _field(scene: Scene, starts: Starts, *, limit: float, conduct: Conduct) -> _Field:
-    """Draw starts, and solve what they are held against."""
+    """Draw starts, and solve their references."""
     batch = starts.draw(scene)
     return _Field(scene, batch, run_references(scene, batch, conduct), limit, conduct)
 
@@ -176,7 +175,7 @@ def _field(scene: Scene, starts: Starts, *, limit: float, conduct: Conduct) -> _
 def _curves(
     scene: Scene, choice: Choice, *, options: bool
 ) -> tuple[list[EngineMethod], dict[str, str]]:
-    """List the engines' own methods, with other options if asked for, and what is left out."""
+    """List the engines' own methods, with changed options if asked for, and methods left out."""
     curves, left_out = curves_of(scene, choice.engines)
     left_out |= choice.faulty
     curves = [c for c in curves if c.variation != NATIVE and (options or not c.variation)]
@@ -187,26 +186,26 @@ def _curves(
     return curves, left_out
 
 
-def _used(ground: _Field, engines: set[str]) -> dict[str, tuple[Settings, Trial]]:
-    """Try the settings in use until now."""
-    scene, found = ground.scene, {}
-    asked = []
+def _try_settings_in_use(ground: _Field, engines: set[str]) -> dict[str, tuple[Settings, Trial]]:
+    """Try each engine's settings in use."""
+    scene, by_engine = ground.scene, {}
+    jobs = []
     for name in sorted(engines):
         settings = settings_for(scene, registry.load_adapter(name), "matched")
         count = settings.substeps(scene.clock.frame)
-        curve = EngineMethod(name, settings.method, given=settings.options, counts=(count,))
-        asked.append((curve, count))
-        found[name] = settings
-    trials = ground.run(asked)
-    pairs = zip(asked, trials, strict=True)
-    return {curve.engine: (found[curve.engine], trial) for (curve, _), trial in pairs}
+        curve = EngineMethod(name, settings.method, own_options=settings.options, counts=(count,))
+        jobs.append((curve, count))
+        by_engine[name] = settings
+    trials = ground.run(jobs)
+    pairs = zip(jobs, trials, strict=True)
+    return {curve.engine: (by_engine[curve.engine], trial) for (curve, _), trial in pairs}
 
 
 def _in_use(scene: Scene, engine: str, settings: Settings, trial: Trial) -> _Candidate:
-    """Let the settings in use compete, so that what is found is never dearer than they are."""
+    """Make a candidate of the settings in use, so that the result never costs more than they do."""
     count = settings.substeps(scene.clock.frame)
     curve = EngineMethod(
-        engine, settings.method, variation=_IN_USE, given=settings.options, counts=(count,)
+        engine, settings.method, variation=_IN_USE, own_options=settings.options, counts=(count,)
     )
     own = registry.load_adapter(engine).methods[settings.method].own
     search = Search(counts=(count,))
@@ -215,49 +214,49 @@ def _in_use(scene: Scene, engine: str, settings: Settings, trial: Trial) -> _Can
 
 
 def _rate_alike(candidates: Sequence[_Candidate]) -> None:
-    """Let no clock say that the settings in use are cheaper than fewer steps of the same."""
+    """Keep timing noise from ranking the settings in use below the same with fewer steps."""
 
     def settings(candidate: _Candidate) -> tuple[str, str, dict[str, Any]]:
         curve = candidate.curve
-        return curve.engine, curve.method, dict(curve.given or {})
+        return curve.engine, curve.method, dict(curve.own_options or {})
 
     for used in (c for c in candidates if c.curve.variation == _IN_USE):
         (count,) = used.search.counts
         for other in candidates:
-            fewer = other is not used and (other.search.found or math.inf) <= count
+            fewer = other is not used and (other.search.smallest or math.inf) <= count
             if fewer and settings(other) == settings(used):
                 used.least = other.cost_at(count)
 
 
-def _searched(
+def _search_all(
     ground: _Field, curves: Sequence[EngineMethod], used: Mapping[str, tuple[Settings, Trial]]
 ) -> list[_Candidate]:
-    """Search on all curves; the settings in use compete."""
+    """Search all curves, with the settings in use as competitors."""
     candidates = [_Candidate(curve) for curve in curves]
-    candidates += [_in_use(ground.scene, name, *tried) for name, tried in used.items()]
+    candidates += [_in_use(ground.scene, name, *pair) for name, pair in used.items()]
     _search(ground, candidates)
     _rate_alike(candidates)
     return candidates
 
 
 def _search(ground: _Field, candidates: list[_Candidate]) -> None:
-    """Advance all searches together, a trial each at a time."""
+    """Advance all searches together, one trial of each at a time."""
     while True:
         for candidate in candidates:
             if _hopeless(ground, candidate, candidates):
                 candidate.search.closed = True
-        asked = [(c, count) for c in candidates if (count := c.search.next) is not None]
-        if not asked:
+        pending = [(c, count) for c in candidates if (count := c.search.next) is not None]
+        if not pending:
             return
-        ground.conduct.meter.forecast(_left(ground, asked))
-        trials = ground.run([(candidate.curve, count) for candidate, count in asked])
-        for (candidate, count), trial in zip(asked, trials, strict=True):
+        ground.conduct.meter.forecast(_remaining_work(ground, pending))
+        trials = ground.run([(candidate.curve, count) for candidate, count in pending])
+        for (candidate, count), trial in zip(pending, trials, strict=True):
             candidate.trials[count] = trial
             candidate.search.tell(count, trial.passed)
 
 
 def _hopeless(ground: _Field, candidate: _Candidate, candidates: list[_Candidate]) -> bool:
-    """Whether the next trial would take too long, or another method has won already."""
+    """Return whether the next trial would take too long, or another method has already won."""
     count = candidate.search.next
     if count is None or candidate.search.passed is not None or not candidate.trials:
         return False
@@ -266,34 +265,34 @@ def _hopeless(ground: _Field, candidate: _Candidate, candidates: list[_Candidate
     return cost * ground.scene.clock.duration > ground.limit or cost > _DEAREST * min(rivals)
 
 
-def _left(ground: _Field, asked: list[tuple[_Candidate, int]]) -> float:
-    """Work of some rounds more [s of one worker]."""
+def _remaining_work(ground: _Field, pending: list[tuple[_Candidate, int]]) -> float:
+    """Predict the work of a few more rounds [s of one worker]."""
     simulated = len(ground.batch) * ground.scene.clock.duration
-    return 3.0 * sum(2.0 + 2.0 * simulated * c.cost_at(count) for c, count in asked)
+    return 3.0 * sum(2.0 + 2.0 * simulated * c.cost_at(count) for c, count in pending)
 
 
 def _settle(
     ground: _Field,
     proof: _Field,
     every: list[_Candidate],
-    tried: Mapping[str, tuple[Settings, Trial]],
+    by_engine: Mapping[str, tuple[Settings, Trial]],
     engine: str,
-) -> Found:
-    """Verify the cheapest; after a failure the next shorter step, or a method cheaper by now."""
-    candidates, used = [c for c in every if c.curve.engine == engine], tried[engine]
+) -> MatchedSettings:
+    """Verify the cheapest; if it fails, its next shorter step, or a method that is now cheaper."""
+    candidates, used = [c for c in every if c.curve.engine == engine], by_engine[engine]
     queue = [(c.rank, place) for place, c in enumerate(candidates) if c.cost < math.inf]
     heapq.heapify(queue)
     while queue:
         _, place = heapq.heappop(queue)
         candidate = candidates[place]
-        count = candidate.search.found
+        count = candidate.search.smallest
         assert count is not None
         trial = proof.run_spread(candidate.curve, count)
         candidate.proofs[count] = trial
         if trial.passed:
-            if count not in candidate.trials:  # told apart from the settings until now
+            if count not in candidate.trials:  # for its cost ratio to the settings in use
                 (candidate.trials[count],) = ground.run([(candidate.curve, count)])
-            return _found(proof, candidate, count, trial, candidates, used)
+            return _matched_settings(proof, candidate, count, trial, candidates, used)
         candidate.search.refuse(count)
         if _stuck(candidate):
             continue
@@ -303,9 +302,9 @@ def _settle(
 
 
 def _stuck(candidate: _Candidate) -> bool:
-    """Whether the last proof was far off, and no nearer than one with half as many steps.
+    """Return whether the last proof was far off, and no nearer than one with half as many steps.
 
-    Between neighbouring steps it may be: errors of long steps follow no order.
+    Neighbouring steps are not compared: errors of long steps follow no order.
     """
     *before, (count, last) = ((n, trial.excess) for n, trial in candidate.proofs.items())
     coarse = [excess for n, excess in before if 2 * n <= count]
@@ -314,43 +313,43 @@ def _stuck(candidate: _Candidate) -> bool:
 
 def _best_effort(
     proof: _Field, candidates: list[_Candidate], used: tuple[Settings, Trial]
-) -> Found:
-    """Give the setting that came nearest to the budgets, with its figures on what was held out.
+) -> MatchedSettings:
+    """Return the setting nearest to the budgets, with its figures on held-out trajectories.
 
-    It breaks as few checks as any and is near on those. What came as far as the held-out
-    trajectories, having passed the others, is judged by them; else by the others.
+    Of the settings that break the fewest checks, it is the cheapest of the nearest. If any setting
+    passed the search and was verified, only verified ones count; else the search's trials do.
     """
-    proved = [(t, k, n) for k, c in enumerate(candidates) for n, t in c.proofs.items()]
-    every = [(t, k, n) for k, c in enumerate(candidates) for n, t in c.trials.items()]
-    fewest = min(trial.broken for trial, *_ in proved or every)
-    tried = [what for what in proved or every if what[0].broken == fewest]
-    most = _NEAR * min(trial.excess for trial, *_ in tried)
-    near = [what for what in tried if what[0].excess <= most]
-    _, place, count = min(near, key=lambda what: what[0].cpu_s)
+    proofs = [(t, k, n) for k, c in enumerate(candidates) for n, t in c.proofs.items()]
+    trials = [(t, k, n) for k, c in enumerate(candidates) for n, t in c.trials.items()]
+    fewest = min(trial.broken for trial, *_ in proofs or trials)
+    best = [entry for entry in proofs or trials if entry[0].broken == fewest]
+    largest = _NEAR * min(trial.excess for trial, *_ in best)
+    near = [entry for entry in best if entry[0].excess <= largest]
+    _, place, count = min(near, key=lambda entry: entry[0].cpu_s)
     candidate = candidates[place]
     trial = candidate.proofs.get(count) or proof.run_spread(candidate.curve, count)
-    if trial.passed:  # not on the starts of the search
+    if trial.passed:  # it failed only on the starts of the search
         trial = dataclasses.replace(trial, reasons=candidate.trials[count].reasons)
-    return _found(proof, candidate, count, trial, candidates, used)
+    return _matched_settings(proof, candidate, count, trial, candidates, used)
 
 
-def _found(
+def _matched_settings(
     proof: _Field,
     candidate: _Candidate,
     count: int,
     trial: Trial,
     candidates: list[_Candidate],
     used: tuple[Settings, Trial],
-) -> Found:
+) -> MatchedSettings:
     curve, (settings, until_now) = candidate.curve, used
     here = candidate.trials.get(count)
-    return Found(
+    return MatchedSettings(
         engine=curve.engine,
         version=registry.load_adapter(curve.engine).version(),
         method=curve.method,
         steps_per_frame=count,
         step_s=proof.scene.clock.frame / count,
-        options=dict(curve.given or {}),
+        options=dict(curve.own_options or {}),
         meets_budget=trial.passed,
         reasons=trial.reasons,
         held_out=len(proof.batch),

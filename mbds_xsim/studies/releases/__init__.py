@@ -1,8 +1,8 @@
-"""Every release of an engine at the same settings: what is measured, and how it is carried out.
+"""Measurement of an engine's releases, all at the same settings.
 
-A release stands in a folder of packages (`environments`). Its cases run in processes that have the
-folder's packages in place of this environment's: the ladder of small cases with exact answers, the
-paper's scenes, and a ball's rebound. What is true of them is computed here.
+A release is a folder of packages (`environments`). Its cases run in processes that use these in
+place of this environment's packages: the ladder of small cases with exact answers, the paper's
+scenes, and a ball's rebound. References are computed in this environment.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from mbds_xsim.simulate.registry import PAPER_SCENES, engine_names, load_adapter
 from mbds_xsim.simulate.simulator import EngineMethod, Simulator
 from mbds_xsim.studies.contact import RESTITUTION, ContactBench, reason
 from mbds_xsim.studies.contact.impacts import rebounds
-from mbds_xsim.studies.releases.environments import add, installed, releases_of
+from mbds_xsim.studies.releases.environments import add, install, releases_of
 from mbds_xsim.studies.releases.steps import (
     SCHEMA,
     History,
@@ -56,22 +56,22 @@ from mbds_xsim.testing.ladder import EXACT, STEPS_PER_FRAME, case_settings, meas
 PROFILES: tuple[Profile, ...] = ("native", "matched")
 
 _VERSION = 1
-"""To be raised when what is measured of a case becomes another."""
-_START = 1  # of the medium interval
+"""Version of the measurement; raise it when figures of a case change their meaning."""
+_START = 1  # index of a start in the medium interval
 _SPEEDS = (0.5, 2.0)  # at which a ball hits the ground [m/s]
 _BOUNCING = "balldrop"
 _OLD_NUMPY = "numpy.core.multiarray failed to import"
-"""What says that an engine was compiled for numpy 1."""
+"""Message by which an engine compiled for numpy 1 is recognised."""
 _LAST = 10
-"""Releases where neither they nor their number are asked for."""
+"""Number of releases if no number is given, and no first release is given or known."""
 _LIMIT = 120.0
-"""Longest that a case, or the cases of a method, may take [s]."""
+"""Time limit of a case, or of the cases of one process together [s]."""
 _MIDDLE = STEPS_PER_FRAME.index(8)
 
 
 @dataclass
 class ReleaseStudy:
-    """An engine, and the scenes that its releases are put to."""
+    """An engine, and the scenes on which its releases are measured."""
 
     engine: str
     conduct: Conduct = USUAL
@@ -82,12 +82,12 @@ class ReleaseStudy:
         """Measure the releases since one of them, or the last ones.
 
         Args:
-            since: The first; if left out, where is known to begin.
-            last: How many at most, the newest ones.
-            command: For the record.
+            since: First release; if empty, the one listed in `changes.toml`, if any.
+            last: Largest number of releases, the newest ones.
+            command: Command to record in the result.
 
         Raises:
-            InputError: There is no such engine or release, or the index cannot be asked.
+            InputError: There is no such engine or release, or the index cannot be read.
         """
         begin = time.perf_counter()
         check_name("engine", self.engine, engine_names())
@@ -104,7 +104,7 @@ class ReleaseStudy:
             machine=machine(),
             versions=versions_of({}),
             measured=self._runner.measured,
-            kept=self._runner.kept,
+            kept=self._runner.reused,
             wall_s=time.perf_counter() - begin,
             change_log=known.source,
             releases=tuple(
@@ -117,51 +117,53 @@ class ReleaseStudy:
 
     @cached_property
     def adapter(self) -> Adapter:
-        """The engine's, in this environment."""
+        """Adapter of the engine, in this environment."""
         return load_adapter(self.engine)
 
     @cached_property
     def _runner(self) -> Runner[ReleaseRow]:
         return Runner(
             Store.of("releases", self.engine, ReleaseRow),
-            crashed=_crashed,
+            crashed=_crash_row,
             conduct=self.conduct,
         )
 
     def _release(self, version: str) -> list[ReleaseRow] | str:
-        """Give the rows of a release, or why there are none."""
-        cases = [*self._ladder(version), *self._played(version), *self._bounces(version)]
+        """Return the rows of a release, or the reason why there are none."""
+        cases = [*self._ladder(version), *self._scene_cases(version), *self._bounces(version)]
         if self._runner.missing(cases):
-            place = installed(self.adapter.package, version, fresh=self.conduct.fresh)
-            if isinstance(place, str):
-                return place
-            driven = [Task(drive, (self.engine, version, place), _LIMIT)]
-            (answer,) = run_tasks(driven, packages=place)
+            folder = install(self.adapter.package, version, fresh=self.conduct.fresh)
+            if isinstance(folder, str):
+                return folder
+            tasks = [Task(drive, (self.engine, version, folder), _LIMIT)]
+            (answer,) = run_tasks(tasks, packages=folder)
             if isinstance(answer, Crash) and _OLD_NUMPY in answer.reason:
-                add(place, "numpy<2")
-                (answer,) = run_tasks(driven, packages=place)
+                add(folder, "numpy<2")
+                (answer,) = run_tasks(tasks, packages=folder)
             if isinstance(answer, Crash):
                 return on_a_line(answer.reason)
-            self._runner.packages = place
+            self._runner.packages = folder
         return self._runner.rows(cases)
 
     def _ladder(self, version: str) -> Iterator[StudyCase[ReleaseRow]]:
-        """Every method on every small case."""
+        """Yield the cases of every method on every small case."""
         for case in CASES:
             for name, method in self.adapter.methods.items():
                 if not self.adapter.refusals(case.scene, name) and not method.adaptive:
                     settings = case_settings(self.adapter, case, method, STEPS_PER_FRAME[-1])
-                    ran = EngineMethod(self.engine, name, given=settings.options, release=version)
+                    ran = EngineMethod(
+                        self.engine, name, own_options=settings.options, release=version
+                    )
                     start = draw_batch(case.scene, [0])
                     key = _key("case", case.scene, start, ran, STEPS_PER_FRAME[-1])
                     row = ReleaseRow(key=key, release=version, case=case.name, way=name)
                     arguments = (self.engine, case.name, name)
                     yield _case(row, climb, arguments, (version, "ladder", name))
 
-    def _played(self, version: str) -> Iterator[StudyCase[ReleaseRow]]:
-        """Every scene at native and matched settings."""
+    def _scene_cases(self, version: str) -> Iterator[StudyCase[ReleaseRow]]:
+        """Yield the cases of every scene at native and matched settings."""
         for scene in map(load_scene, self.scenes):
-            for ran, count in self._settled(scene, version):
+            for ran, count in self._profile_settings(scene, version):
                 start, truth = self._truth(scene)
                 key = _key("scene", scene, start, ran, count)
                 row = ReleaseRow(key=key, release=version, case=scene.name, way=ran.profile)
@@ -169,9 +171,9 @@ class ReleaseStudy:
                 yield _case(row, play, arguments, (version, "scenes", ran.profile))
 
     def _bounces(self, version: str) -> Iterator[StudyCase[ReleaseRow]]:
-        """A ball's impacts."""
+        """Yield the cases of a ball's impacts."""
         scene = load_scene(_BOUNCING)
-        for ran, count in self._settled(scene, version):
+        for ran, count in self._profile_settings(scene, version):
             for speed in _SPEEDS:
                 key = _key(f"rebound {speed}", scene, draw_batch(scene, [0]), ran, count)
                 name = f"rebound at {speed:g} m/s"
@@ -179,8 +181,8 @@ class ReleaseStudy:
                 arguments = (self.engine, ran.profile, speed)
                 yield _case(row, bounce, arguments, (version, "rebounds", ran.profile))
 
-    def _settled(self, scene: Scene, version: str) -> Iterator[tuple[EngineMethod, int]]:
-        """Give the engine at the settings of each profile, and its steps a frame."""
+    def _profile_settings(self, scene: Scene, version: str) -> Iterator[tuple[EngineMethod, int]]:
+        """Yield the engine at the settings of each profile, with its steps per frame."""
         able = any(not self.adapter.refusals(scene, name) for name in self.adapter.methods)
         for profile in PROFILES if able else ():
             settings = settings_for(scene, self.adapter, profile)
@@ -188,14 +190,14 @@ class ReleaseStudy:
                 ran = EngineMethod(
                     self.engine,
                     settings.method,
-                    given=settings.options,
+                    own_options=settings.options,
                     profile=profile,
                     release=version,
                 )
                 yield ran, settings.substeps(scene.clock.frame)
 
     def _truth(self, scene: Scene) -> tuple[Batch, Truth]:
-        """Give a start of a scene, and what is true of it."""
+        """Return a start of a scene, and its truth."""
         if scene.name not in self._truths:
             start = draw_batch(scene, [_START])
             (truth,) = references(scene, start, self.conduct)
@@ -203,8 +205,8 @@ class ReleaseStudy:
         return self._truths[scene.name]
 
 
-def _key(what: str, scene: Scene, start: Batch, ran: Simulator, count: int) -> str:
-    words = f"{_VERSION} {what} {row_key(scene, start, ran, count)}"
+def _key(label: str, scene: Scene, start: Batch, ran: Simulator, count: int) -> str:
+    words = f"{_VERSION} {label} {row_key(scene, start, ran, count)}"
     return hashlib.sha256(words.encode()).hexdigest()
 
 
@@ -219,18 +221,18 @@ def _case(
     return StudyCase(row, name, function, lambda: arguments, _LIMIT, group, pace)
 
 
-def _crashed(row: ReleaseRow, crash: Crash) -> ReleaseRow:
+def _crash_row(row: ReleaseRow, crash: Crash) -> ReleaseRow:
     return msgspec.structs.replace(row, kind=crash.kind, reason=on_a_line(crash.reason))
 
 
-# What runs in a process of a release.
+# Functions that run in a process of a release.
 
 
 def drive(engine: str, release: str, packages: Path) -> None:
-    """Let a release move one body.
+    """Simulate a small case with a release, to check that it can be driven.
 
     Raises:
-        InputError: What moves it is not the release of the folder.
+        InputError: The engine that runs is not the release of the folder.
     """
     adapter = load_adapter(engine)
     case = next(case for case in CASES if any(_able(adapter, case)))
@@ -255,7 +257,7 @@ def climb(engine: str, name: str, method: str) -> dict[str, Any]:
     case = next(case for case in CASES if case.name == name)
     try:
         order, errors = measured_order(load_adapter(engine), case, method)
-    except Exception as error:  # whatever a release raises is what there is of it
+    except Exception as error:  # old releases may raise anything; it becomes the reason
         return {"kind": "failed", "reason": on_a_line(f"{type(error).__name__}: {error}")}
     return {"error_m": errors[_MIDDLE], "order": order if errors[-1] > EXACT else None}
 
@@ -263,15 +265,15 @@ def climb(engine: str, name: str, method: str) -> dict[str, Any]:
 def play(
     simulator: Simulator, scene: Scene, start: Batch, count: int, truth: Truth
 ) -> dict[str, Any]:
-    """Measure a start of a scene as charts of speed against accuracy do."""
-    found = measure(simulator, scene, start, count, truth)
-    told = ("kind", "reason", "error_m", "gap_m", "energy")
-    return {key: found[key] for key in told if key in found} | {"cpu_s": min(found["cpu_s"])}
+    """Measure a start of a scene as the trade-off study does."""
+    figures = measure(simulator, scene, start, count, truth)
+    names = ("kind", "reason", "error_m", "gap_m", "energy")
+    return {key: figures[key] for key in names if key in figures} | {"cpu_s": min(figures["cpu_s"])}
 
 
 def bounce(engine: str, profile: Profile, speed: float) -> dict[str, Any]:
     """Measure the restitution of a ball that hits the ground."""
-    kept, _, motion = rebounds(ContactBench(engine, profile, _BOUNCING), RESTITUTION, speed)
-    if lost := reason(motion):
-        return {"kind": "failed", "reason": lost}
-    return {"restitution": float(np.median(kept))}
+    ratio, _, motion = rebounds(ContactBench(engine, profile, _BOUNCING), RESTITUTION, speed)
+    if failure := reason(motion):
+        return {"kind": "failed", "reason": failure}
+    return {"restitution": float(np.median(ratio))}

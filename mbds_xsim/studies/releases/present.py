@@ -22,8 +22,8 @@ from mbds_xsim.studies.releases.steps import (
 )
 
 _MOST = 40
-"""Steps that a terminal shows."""
-_SHOWN = {
+"""Largest number of steps that a terminal shows."""
+_KINDS = {
     "error": "Error",
     "order": "Order",
     "gap": "Gaps of joints",
@@ -32,12 +32,12 @@ _SHOWN = {
     "time": "Processor time per simulated second",
 }
 _DECADES = 3.0
-"""Of colours, either way."""
+"""Range of the colours, in decades above the best."""
 _CELL, _LINE, _LEFT, _HEAD = 0.27, 0.16, 3.2, 1.5  # [in]
 
 
 def present(history: History, picture: str = "") -> blocks.Report:
-    """Say what changed between releases."""
+    """Report what changed between releases."""
     return blocks.Report(
         title=f"{history.engine}, release by release",
         what="newest release is worse" if history.verdict == "fail" else "nothing new is worse",
@@ -67,11 +67,11 @@ def _conclusion(history: History) -> str:
     rows = len({step.name for step in steps})
     newest, regressions = history.releases[-1], len(history.regressions)
     worse = counted(regressions, "figure is", "figures are") if regressions else "nothing is"
-    told = "it is not driven" if newest.reason else f"{worse} worse without an explanation"
+    state = "it is not driven" if newest.reason else f"{worse} worse without an explanation"
     return (
         f"{len(history.driven)} of {counted(len(history.releases), 'release')} driven; "
         f"{counted(len(steps), 'step')} in {rows} of {counted(len(history.names), 'row')}, "
-        f"{unexplained} of them unexplained, times apart; of {newest.version}, the newest, {told}"
+        f"{unexplained} of them unexplained, times apart; of {newest.version}, the newest, {state}"
     )
 
 
@@ -84,7 +84,7 @@ def _blocks(history: History) -> Iterator[blocks.Block]:
             _title(history), lambda f: draw(f, history), size_of(history), wide=True
         )
         yield blocks.Section("At a glance", (blocks.FigureGroup((figure,)),), on=page)
-    tables = tuple(table for what in _SHOWN if (table := _figures(history, what)) is not None)
+    tables = tuple(table for kind in _KINDS if (table := _figures(history, kind)) is not None)
     yield blocks.Section("All figures", tables, folded=True, on=page)
 
 
@@ -103,20 +103,20 @@ def _steps(history: History) -> blocks.Table:
 
 
 def _step(step: Step) -> blocks.Row:
-    told = {"lost": ("runs", "lost"), "runs": ("lost", "runs")}
-    both = (_written(step.what, value, step.unit) for value in (step.old, step.new))
-    before, now = told.get(step.course) or both
+    courses = {"lost": ("runs", "lost"), "runs": ("lost", "runs")}
+    texts = (_format_figure(step.what, value, step.unit) for value in (step.old, step.new))
+    before, now = courses.get(step.course) or texts
     factor = quantity.NONE if step.factor is None else f"{quantity.number(step.factor)}×"
-    said = f"before: {step.reason}" if step.course == "runs" else step.reason
-    known = "unexplained" if step.unexplained else step.explanation
+    reason = f"before: {step.reason}" if step.course == "runs" else step.reason
+    explanation = "unexplained" if step.unexplained else step.explanation
     mark: blocks.Mark = "over" if step.worse else ""
-    why = "; ".join(filter(None, (known, said)))
-    cells = (step.release, step.name, step.what, before, now, factor, why)
+    remark = "; ".join(filter(None, (explanation, reason)))
+    cells = (step.release, step.name, step.what, before, now, factor, remark)
     return blocks.row_of(cells, mark)
 
 
-def _written(what: str, value: float | None, unit: str) -> str:
-    if what in ("order", "restitution") and value is not None:
+def _format_figure(kind: str, value: float | None, unit: str) -> str:
+    if kind in ("order", "restitution") and value is not None:
         return f"{value:.2f}"
     return quantity.with_unit(value, unit)
 
@@ -125,66 +125,66 @@ def _remarks(history: History) -> Iterator[tuple[str, str]]:
     for release in history.releases:
         if release.reason:
             yield f"{release.version} is not driven", release.reason
-    for version, rows in groupby(_lost(history), lambda row: row.release):
+    for version, rows in groupby(_failed_rows(history), lambda row: row.release):
         reasons = Counter(row.reason for row in rows)
-        told = (f"{reason} ({counted(count, 'row')})" for reason, count in reasons.items())
-        yield f"{version} does not do all", "; ".join(told)
+        texts = (f"{reason} ({counted(count, 'row')})" for reason, count in reasons.items())
+        yield f"{version} does not do all", "; ".join(texts)
     times = [step for step in history.steps if step.what == "time"]
     for version, steps in groupby(times, lambda step: step.release):
-        told = (f"{step.name} {quantity.number(step.factor)}×" for step in steps)
-        yield f"{version} takes another time", ", ".join(told)
+        texts = (f"{step.name} {quantity.number(step.factor)}×" for step in steps)
+        yield f"{version} takes another time", ", ".join(texts)
     if history.change_log:
         yield "change log", history.change_log
 
 
-def _lost(history: History) -> Iterator[ReleaseRow]:
+def _failed_rows(history: History) -> Iterator[ReleaseRow]:
     for version in history.driven:
         yield from (r for r in history.rows if r.release == version and r.kind != "done")
 
 
-def _figures(history: History, what: str) -> blocks.Table | None:
+def _figures(history: History, kind: str) -> blocks.Table | None:
     """Lay out one figure of all rows over all releases."""
     columns = [blocks.Column("case", words=True), *map(blocks.Column, history.driven)]
     rows = []
     for name in history.names:
-        found = history.by_release(name)
-        texts = [_cell(found.get(version), what) for version in history.driven]
+        by_release = history.by_release(name)
+        texts = [_cell(by_release.get(version), kind) for version in history.driven]
         if any(text != quantity.NONE for text in texts):
             rows.append([name, *texts])
-    return blocks.table_of(columns, rows, title=_SHOWN[what]) if rows else None
+    return blocks.table_of(columns, rows, title=_KINDS[kind]) if rows else None
 
 
-def _cell(row: ReleaseRow | None, what: str) -> str:
-    return quantity.NONE if row is None else _written(what, *figures_of(row)[what])
+def _cell(row: ReleaseRow | None, kind: str) -> str:
+    return quantity.NONE if row is None else _format_figure(kind, *figures_of(row)[kind])
 
 
 def to_png(histories: list[History], stored: bytes = b"") -> bytes:
-    """Give a picture of all engines, one below the other; `stored` is the JSON that keeps it."""
+    """Draw a PNG picture of all engines, one below the other; `stored` is their JSON file."""
     parts = [(partial(draw, history=each), size_of(each)) for each in histories]
     return themed.stacked(parts, stored)
 
 
 def size_of(history: History) -> tuple[float, float]:
-    """Width and height of a picture [in]."""
+    """Return width and height of a picture [in]."""
     wide = _LEFT + _CELL * max(len(history.driven), 8) + 1.0
     return wide, _HEAD + _LINE * max(len(_stepping(history)), 4)
 
 
 def _stepping(history: History) -> list[tuple[str, str]]:
-    """Name the rows and figures that have a step, by kind of figure; times are told apart."""
+    """List the rows and figures that have a step, by kind of figure; times are left out."""
     shown = (
         (s.name, _telling(history, s.name) if s.what == "motion" else s.what) for s in history.steps
     )
-    found = {(name, what) for name, what in shown if what != "time"}
+    pairs = {(name, kind) for name, kind in shown if kind != "time"}
     order = {name: place for place, name in enumerate(history.names)}
-    kinds = list(_SHOWN)
-    return sorted(found, key=lambda pair: (kinds.index(pair[1]), order[pair[0]]))
+    kinds = list(_KINDS)
+    return sorted(pairs, key=lambda pair: (kinds.index(pair[1]), order[pair[0]]))
 
 
 def _telling(history: History, name: str) -> str:
-    """Name the first figure that a row has where its motion is not lost."""
+    """Return the first kind of figure that a row has in any release."""
     rows = [figures_of(row) for row in history.by_release(name).values()]
-    return next((what for what in _SHOWN if any(row[what][0] is not None for row in rows)), "error")
+    return next((kind for kind in _KINDS if any(row[kind][0] is not None for row in rows)), "error")
 
 
 def _title(history: History) -> str:
@@ -195,25 +195,25 @@ def _title(history: History) -> str:
 
 
 def draw(figure: Any, history: History) -> None:
-    """Draw figures that have a step over releases: each over its best, in decades."""
+    """Draw figures that have a step over the releases, in decades above each one's best."""
     import numpy as np
 
     pairs, versions = _stepping(history), history.driven
     values = np.full((max(len(pairs), 1), len(versions)), np.nan)
-    for y, (name, what) in enumerate(pairs):
+    for y, (name, kind) in enumerate(pairs):
         rows = history.by_release(name)
         for x, version in enumerate(versions):
             row = rows.get(version)
-            value = None if row is None else figures_of(row)[what][0]
+            value = None if row is None else figures_of(row)[kind][0]
             if value is not None:
-                values[y, x] = math.log10(max(comparable(what, value), 1e-12))
+                values[y, x] = math.log10(max(comparable(kind, value), 1e-12))
     values -= np.fmin.reduce(values, axis=1, keepdims=True)
     axes = figure.subplots()
     axes.grid(visible=False)
     axes.set_facecolor(GREY)
-    shown = axes.imshow(values, aspect="auto", cmap="YlOrRd", vmin=0.0, vmax=_DECADES)
+    image = axes.imshow(values, aspect="auto", cmap="YlOrRd", vmin=0.0, vmax=_DECADES)
     axes.set_xticks(range(len(versions)), versions, rotation=90, fontsize=7)
-    axes.set_yticks(range(len(pairs)), [f"{what}: {name}" for name, what in pairs], fontsize=7)
-    bar = figure.colorbar(shown, ax=axes, ticks=range(int(_DECADES) + 1), shrink=0.9, pad=0.01)
+    axes.set_yticks(range(len(pairs)), [f"{kind}: {name}" for name, kind in pairs], fontsize=7)
+    bar = figure.colorbar(image, ax=axes, ticks=range(int(_DECADES) + 1), shrink=0.9, pad=0.01)
     bar.ax.set_yticklabels(["best", *(f"{10**n}×" for n in range(1, int(_DECADES) + 1))])
     figure.suptitle(_title(history), fontsize=10, x=0.01, ha="left", color=INK)

@@ -1,4 +1,4 @@
-"""Where a release differs from the one before it by more than a factor of two, and why."""
+"""Steps: figures that differ by more than a factor of two between releases, and why."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from mbds_xsim.studies.diff.compare import entry_diff
 
 SCHEMA = "mbds-xsim/releases/1"
 FACTOR = 2.0
-"""Two figures that differ by more are a step."""
+"""Factor between two figures above which their difference is a step."""
 
 _SAME = 1.0 - 1.0 / FACTOR
 _QUARTER = 4.0
-"""Orders are compared by what a quarter of the step makes of the error: half an order is a step."""
+"""Orders are compared by the error's fall at a quarter of the step: half an order is a step."""
 _LEAST = {"error": 1e-9, "gap": 1e-9, "energy": 1e-9, "restitution": 0.01}
-"""Smaller differences are none, in the figures' units."""
+"""Differences below these do not count, in the figures' units."""
 
 
 class ReleaseRow(Keyed, frozen=True, kw_only=True):
@@ -37,13 +37,13 @@ class ReleaseRow(Keyed, frozen=True, kw_only=True):
     kind: Literal["done", "failed", "crashed", "timed out", "refused"] = "done"
     reason: str = ""
     error_m: float | None = None
-    """Largest on a small case at 8 steps a frame; of the particles at 1 s on a scene [m]."""
+    """Largest error on a small case at 8 steps per frame; particle error at 1 s on a scene [m]."""
     order: float | None = None
-    """Power of the step with which the error falls, where it is not met to rounding."""
+    """Measured order of convergence; None if the answer is met to rounding."""
     gap_m: float | None = None
     energy: float | None = None
     restitution: float | None = None
-    """Of a ball's impact for which 0.9332 was asked."""
+    """Measured restitution of a ball's impact; 0.9332 was asked for."""
     cpu_s: float | None = None
     """Processor time per simulated second, the least of the repeats."""
 
@@ -58,15 +58,15 @@ class Release(msgspec.Struct, frozen=True):
 
     version: str
     reason: str = ""
-    """Why there is nothing of it: it cannot be installed, or driven."""
+    """Reason why it has no rows: it cannot be installed or driven."""
 
 
 class Step(msgspec.Struct, frozen=True, kw_only=True):
-    """A figure of a release that is another than in the release before."""
+    """A figure that differs between a release and the one before."""
 
     release: str
     before: str
-    """The release before, of those that have the row."""
+    """Previous release that has the row."""
     name: str
     """Case and way."""
     what: str
@@ -74,16 +74,16 @@ class Step(msgspec.Struct, frozen=True, kw_only=True):
     old: float | None
     new: float | None
     factor: float | None
-    """New over old; of an order, what became of the error's fall at a quarter of the step."""
+    """New over old figure, both by `comparable`; None if a motion is lost or runs again."""
     course: Literal["worse", "better", "lost", "runs"]
     reason: str = ""
-    """Why the motion is lost in one of them."""
+    """Reason why the motion is lost in one of the two releases."""
     explanation: str = ""
-    """What the change log says of it; empty: nothing is known."""
+    """Explanation in the change log; empty if there is none."""
 
     @property
     def unexplained(self) -> bool:
-        """Whether nothing is known of it; why a motion was lost before says why it runs now."""
+        """Whether there is no explanation; a motion that was lost and now runs needs none."""
         return not self.explanation and self.course != "runs"
 
     @property
@@ -93,7 +93,7 @@ class Step(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class History(msgspec.Struct, frozen=True, kw_only=True):
-    """What a study of an engine's releases came to: the documented JSON."""
+    """Result of a study of an engine's releases: the documented JSON."""
 
     schema: str
     engine: str
@@ -105,7 +105,7 @@ class History(msgspec.Struct, frozen=True, kw_only=True):
     kept: int
     wall_s: float
     change_log: str
-    """Its address, where it is known."""
+    """Address of the change log; empty if unknown."""
     releases: tuple[Release, ...]
     steps: tuple[Step, ...]
     rows: tuple[ReleaseRow, ...]
@@ -122,67 +122,67 @@ class History(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def regressions(self) -> list[Step]:
-        """What is worse in the newest release, and nobody explains; times are the machine's."""
+        """Unexplained worse steps of the newest release, without times, which vary by machine."""
         newest = [step for step in self.steps if step.release == self.releases[-1].version]
         return [step for step in newest if step.worse and step.what != "time"]
 
     @property
     def verdict(self) -> Literal["pass", "fail"]:
-        """Whether the newest release is driven, and nothing of it is worse."""
+        """Verdict: "pass" if the newest release is driven and has no regressions."""
         return "fail" if self.releases[-1].reason or self.regressions else "pass"
 
     def by_release(self, name: str) -> dict[str, ReleaseRow]:
-        """Give the rows of a name by release, in the order of the releases."""
+        """Return the rows of a name keyed by release, in the order of the releases."""
         return {row.release: row for row in self.rows if row.name == name}
 
 
 class LogLine(msgspec.Struct, frozen=True):
-    """What a change log says of some rows."""
+    """Explanation of some rows' steps from a change log."""
 
     release: str
     rows: str
-    """Regular expression that is looked for in a row's name and figure."""
+    """Regular expression that is searched for in a row's name and figure."""
     line: str
 
 
 class KnownReleases(msgspec.Struct, frozen=True):
-    """What is known of an engine's releases."""
+    """Known facts about an engine's releases."""
 
     since: str = ""
-    """The first that is measured where no other is asked for."""
+    """First release to measure if no other is asked for."""
     source: str = ""
     """Address of the change log."""
     lines: tuple[LogLine, ...] = ()
 
     def explanation(self, release: str, row: str) -> str:
-        """Give what the change log says of a row in a release; empty: nothing is known."""
-        found = (e.line for e in self.lines if e.release == release and re.search(e.rows, row))
-        return next(found, "")
+        """Return the change log's explanation of a row in a release; empty if there is none."""
+        lines = (e.line for e in self.lines if e.release == release and re.search(e.rows, row))
+        return next(lines, "")
 
 
 def known_of(engine: str) -> KnownReleases:
-    """Give what is known of an engine."""
-    return _known().get(engine, KnownReleases())
+    """Return the known facts about an engine's releases."""
+    return _known_releases().get(engine, KnownReleases())
 
 
 @cache
-def _known() -> dict[str, KnownReleases]:
+def _known_releases() -> dict[str, KnownReleases]:
     text = (files(__package__ or "") / "changes.toml").read_text("utf-8")
     return msgspec.convert(tomllib.loads(text), dict[str, KnownReleases])
 
 
 def steps_of(rows: Sequence[ReleaseRow], known: KnownReleases) -> Iterator[Step]:
-    """Compare every row with that of the release before that has it, the oldest first."""
+    """Compare every row with that of the previous release that has it, the oldest first."""
     last: dict[str, ReleaseRow] = {}
     for row in rows:
-        for step in _compared(last[row.name], row) if row.name in last else ():
-            why = known.explanation(step.release, f"{step.name}: {step.what}")
-            yield msgspec.structs.replace(step, explanation=why)
+        for step in _steps_between(last[row.name], row) if row.name in last else ():
+            explanation = known.explanation(step.release, f"{step.name}: {step.what}")
+            yield msgspec.structs.replace(step, explanation=explanation)
         last[row.name] = row
 
 
 def figures_of(row: ReleaseRow) -> dict[str, tuple[float | None, str]]:
-    """Name the figures of a row, each with its unit."""
+    """Return the figures of a row by name, each with its unit."""
     return {
         "error": (row.error_m, "m"),
         "order": (row.order, "1"),
@@ -193,14 +193,14 @@ def figures_of(row: ReleaseRow) -> dict[str, tuple[float | None, str]]:
     }
 
 
-def comparable(what: str, value: float) -> float:
-    """Give what of a figure is compared: errors as they are, others by what is good in them."""
-    if what == "order":
+def comparable(kind: str, value: float) -> float:
+    """Convert a figure to the number that is compared, of which smaller is always better."""
+    if kind == "order":
         return _QUARTER**-value
-    return abs(value - RESTITUTION) if what == "restitution" else abs(value)
+    return abs(value - RESTITUTION) if kind == "restitution" else abs(value)
 
 
-def _compared(old: ReleaseRow, new: ReleaseRow) -> Iterator[Step]:
+def _steps_between(old: ReleaseRow, new: ReleaseRow) -> Iterator[Step]:
     at = {"release": new.release, "before": old.release, "name": new.name}
     if (old.kind == "done") != (new.kind == "done"):
         lost = new.kind != "done"
@@ -222,16 +222,16 @@ def _compared(old: ReleaseRow, new: ReleaseRow) -> Iterator[Step]:
 
 
 def _entry(row: ReleaseRow) -> Entry:
-    """See a row as an entry of what `diff` compares."""
-    known = {
-        what: comparable(what, value)
-        for what, (value, _) in figures_of(row).items()
+    """Convert a row into an entry that `diff` can compare."""
+    numbers = {
+        kind: comparable(kind, value)
+        for kind, (value, _) in figures_of(row).items()
         if value is not None
     }
-    time = known.pop("time", None)
+    time = numbers.pop("time", None)
     return Entry(
         verdict=row.kind,
         rank=0 if row.kind == "done" else FAILING,
-        figures={w: PhysicalFigure(v, "1", _LEAST.get(w, 0.0) / _SAME) for w, v in known.items()},
+        figures={w: PhysicalFigure(v, "1", _LEAST.get(w, 0.0) / _SAME) for w, v in numbers.items()},
         timings={} if time is None else {"time": time},
     )

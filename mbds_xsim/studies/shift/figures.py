@@ -22,7 +22,7 @@ Pick = Callable[[ErrorCell], float | None]
 
 @dataclass(frozen=True)
 class Matrix:
-    """Trainings of a model by test domains: means over seeds."""
+    """Figures of a model by training (row) and test domain (column): means over seeds."""
 
     model: str
     rows: tuple[str, ...]
@@ -31,30 +31,30 @@ class Matrix:
 
     @property
     def values(self) -> list[list[float | None]]:
-        """Rows of figures; None where there is none."""
+        """Rows of figures; None if there is none."""
         return [[self.entry(row, column) for column in self.columns] for row in self.rows]
 
     @property
     def homes(self) -> list[str]:
-        """Trainings on what is a test domain, too."""
+        """Trainings on a single domain that is also a test domain."""
         return [row for row in self.rows if row in self.columns]
 
     def entry(self, training: str, test: str) -> float | None:
-        """Give a figure; None where there is none."""
+        """Return a figure; None if there is none."""
         return self.figures.get((training, test))
 
     def at_home(self, training: str) -> float | None:
-        """Give that of a training on its own domain."""
+        """Return the figure of a training on its own domain; None if there is none."""
         return self.entry(training, training)
 
 
 def trained_models(shift: Shift) -> list[str]:
-    """Names of the models that were trained."""
+    """Return the names of the models that were trained."""
     return list(dict.fromkeys(m.model for m in shift.models if m.engines))
 
 
 def matrix_of(shift: Shift, model: str, pick: Pick, interval: str = INTERVALS[0]) -> Matrix:
-    """Give one figure of all trainings of a model on all domains."""
+    """Return one figure of all trainings of a model on all domains."""
     cells: dict[tuple[str, str], list[float | None]] = {}
     for cell in shift.cells:
         if (cell.model, cell.interval) == (model, interval):
@@ -65,54 +65,54 @@ def matrix_of(shift: Shift, model: str, pick: Pick, interval: str = INTERVALS[0]
 
 
 def maps_at(shift: Shift, frame: int) -> list[Matrix]:
-    """Errors at a frame of each trained model that there are any of."""
+    """Return the errors at a frame of each trained model that has any."""
     every = [matrix_of(shift, model, at(shift, frame)) for model in trained_models(shift)]
     return [matrix for matrix in every if any(x is not None for x in matrix.figures.values())]
 
 
 def best_formula(shift: Shift, pick: Pick, interval: str = INTERVALS[0]) -> dict[str, float]:
-    """Give the least figure of the models that learn nothing, by domain, where all have one."""
+    """Return by domain the least figure of the trivial models, if all of them have one."""
     matrices = [matrix_of(shift, name, pick, interval) for name in TRIVIAL]
-    found: dict[str, float] = {}
+    best: dict[str, float] = {}
     for domain in matrices[0].columns:
-        # Where no trajectory is of the interval there is no row.
+        # There is no row if no trajectory is of the interval.
         row = [matrix.entry(name, domain) for matrix in matrices for name in matrix.rows[:1]]
         known = [figure for figure in row if figure is not None]
         if len(known) == len(TRIVIAL):
-            found[domain] = min(known)
-    return found
+            best[domain] = min(known)
+    return best
 
 
 def at(shift: Shift, frame: int) -> Pick:
-    """Pick the mean squared error at a frame."""
+    """Return a function that picks the mean squared error at a frame."""
     place = shift.frames.index(frame)
     return lambda cell: cell.mse[place]
 
 
 def mean(figures: Sequence[float | None]) -> float | None:
-    """Average; None where one of them is: a run that was lost is not dropped."""
+    """Average figures; None if one of them is None, so that lost runs are not dropped."""
     known = [x for x in figures if x is not None]
     return statistics.fmean(known) if known and len(known) == len(figures) else None
 
 
 _CELL = (0.95, 0.34)  # width and height [in]
 _MARGIN = (2.4, 1.5)
-_LEAST_SPREAD = 0.5  # decades to either side: differences by little must not look large
-_FORMULAS = dict(zip(TRIVIAL, (":", "--", "-."), strict=True))  # their lines
-_PALEST = 0.6  # of the colours' range that is used: text is read on all of it
-_MIDDLE = 0.55  # of the colours' range: darker cells have white text
+_LEAST_SPREAD = 0.5  # decades to either side: small differences must not look large
+_FORMULAS = dict(zip(TRIVIAL, (":", "--", "-."), strict=True))  # line styles
+_PALEST = 0.6  # used share of the colours' range: text is legible on all of it
+_MIDDLE = 0.55  # share of the colours' range: darker cells have white text
 
 
 def map_size(matrix: Matrix) -> tuple[float, float]:
-    """Width and height of a heat map [in]."""
+    """Return width and height of a heat map [in]."""
     width = _MARGIN[0] + _CELL[0] * len(matrix.columns)
     return width, _MARGIN[1] + _CELL[1] * len(matrix.rows)
 
 
 def draw_matrix(axes: Any, matrix: Matrix, spread: tuple[float, float]) -> None:
-    """Draw the errors [m²] of a model, a training a row, a test domain a column.
+    """Draw the errors [m²] of a model, one row per training, one column per test domain.
 
-    The colours' scale has its ends where `spread` says, as logarithms to base 10.
+    `spread` has the ends of the colour scale, as logarithms to base 10.
     """
     logs = [[_log(value) for value in row] for row in matrix.values]
     axes.imshow(logs, cmap="cividis", vmin=spread[0], vmax=spread[1], aspect="auto")
@@ -131,20 +131,20 @@ def draw_matrix(axes: Any, matrix: Matrix, spread: tuple[float, float]) -> None:
 
 
 def pairs_of(shift: Shift) -> list[tuple[str, str]]:
-    """Give the pairs of domains that there are interactions of, by what differs in them."""
+    """Return the pairs of domains that have interactions, grouped by what differs in them."""
     ranked = by_change(shift.interactions).values()
     return list(dict.fromkeys((each.first, each.second) for own in ranked for each in own))
 
 
 def interactions_size(shift: Shift) -> tuple[float, float]:
-    """Width and height of the picture of interactions [in]."""
+    """Return width and height of the picture of interactions [in]."""
     models = {each.model for each in shift.interactions}
     width = _MARGIN[0] + _CELL[0] * len(models)
     return width, _MARGIN[1] + _CELL[1] * len(pairs_of(shift))
 
 
 def draw_interactions(axes: Any, shift: Shift, frame: int) -> None:
-    """Draw what changes of engine cost, a pair of engines a row, a model a column."""
+    """Draw the costs of changes, one row per pair of domains, one column per model."""
     place, pairs = shift.frames.index(frame), pairs_of(shift)
     models = list(dict.fromkeys(each.model for each in shift.interactions))
     costs: Costs = {
@@ -158,23 +158,23 @@ def draw_interactions(axes: Any, shift: Shift, frame: int) -> None:
 
 
 Costs = Mapping[tuple[int, int], tuple[float | None, bool]]
-"""By row and column: how many times the error it is, and whether that is significant."""
+"""Factor by which the error grows, and whether it is significant, keyed by row and column."""
 
 
 def draw_costs(
     axes: Any, costs: Costs, rows: Sequence[str], columns: Sequence[str], most: float = 1.0
 ) -> None:
-    """Draw a table of costs: colours diverge around 1, at least to `most`; told ones are framed."""
+    """Draw costs in colours that diverge around 1, at least to `most`; frame significant ones."""
     from matplotlib.patches import Rectangle
 
     logs = [[math.nan for _ in columns] for _ in rows]
-    for (row, column), (value, told) in costs.items():
+    for (row, column), (value, significant) in costs.items():
         logs[row][column] = _log(value)
         axes.text(
             column, row, f"× {number(value)}", ha="center", va="center", fontsize=8, color="black",
-            weight="bold" if told else "normal",
+            weight="bold" if significant else "normal",
         )  # fmt: skip
-        if told:
+        if significant:
             axes.add_patch(Rectangle((column - 0.46, row - 0.44), 0.92, 0.88, fill=False, lw=1.2))
     known = [abs(x) for line in logs for x in line if math.isfinite(x)]
     ends = max([_LEAST_SPREAD, math.log10(most), *known]) / _PALEST
@@ -186,7 +186,7 @@ def draw_costs(
 
 
 def spread_of(matrices: Sequence[Matrix]) -> tuple[float, float]:
-    """Ends of a scale of colours that maps share."""
+    """Return the ends of a colour scale that maps share, as logarithms to base 10."""
     logs = [_log(value) for m in matrices for row in m.values for value in row]
     known = [x for x in logs if math.isfinite(x)] or [0.0]
     middle = 0.5 * (min(known) + max(known))
@@ -195,7 +195,7 @@ def spread_of(matrices: Sequence[Matrix]) -> tuple[float, float]:
 
 
 def curves_of(shift: Shift, model: str, test: str) -> list[ErrorCell]:
-    """Give what there is to draw of a model on one domain: trainings of its variant."""
+    """Return the cells to draw for a model on one domain: trainings of the domain's variant."""
     variant = test.rpartition("-")[2]
     return [
         cell
@@ -207,12 +207,12 @@ def curves_of(shift: Shift, model: str, test: str) -> list[ErrorCell]:
 
 
 def draw_curves(axes: Any, shift: Shift, model: str, test: str) -> None:
-    """Draw the errors of a model's trainings, those of a domain's variant, over time on it.
+    """Draw errors over time on one domain, for a model's trainings of that domain's variant.
 
-    Beside them are trivial models and floors.
+    Trivial models and floors are drawn as well.
     """
     time = [shift.frame_s * (k + 1) for k in range(shift.horizon)]
-    here = [c for c in shift.cells if (c.test, c.interval) == (test, INTERVALS[0])]
+    on_test = [c for c in shift.cells if (c.test, c.interval) == (test, INTERVALS[0])]
     cells = curves_of(shift, model, test)
     names = {cell.training: cell.training.rpartition("-")[0] for cell in cells}
     styles = looks(list(dict.fromkeys(names.values())))
@@ -223,7 +223,7 @@ def draw_curves(axes: Any, shift: Shift, model: str, test: str) -> None:
         labelled.add(cell.training)
         width = 2.2 if cell.training == test else 1.0
         axes.plot(time, _line(cell.curve), ls=style, color=colour, lw=width, label=label)
-    for cell in (cell for cell in here if cell.model in TRIVIAL):
+    for cell in (cell for cell in on_test if cell.model in TRIVIAL):
         label, style = cell.model.replace("_", " "), _FORMULAS[cell.model]
         axes.plot(time, _line(cell.curve), style, color=themed.GREY, lw=1, label=label)
     _draw_floors(axes, shift, test, time)
@@ -234,10 +234,10 @@ def draw_curves(axes: Any, shift: Shift, model: str, test: str) -> None:
 
 
 def _draw_floors(axes: Any, shift: Shift, test: str, time: Sequence[float]) -> None:
-    """Other engines, from the least to the greatest; noise; chaos."""
+    """Draw the range of other engines, and the noise and chaos floors."""
     floors = [floor for floor in shift.floors if floor.interval == INTERVALS[0]]
     restarts = [f for f in floors if (f.kind, f.test) == (RESTART, test)]
-    engine = test.rpartition("-")[0]  # which at other settings is none of the others
+    engine = test.rpartition("-")[0]  # at other settings it is no other engine
     engines = [f.curve for f in restarts if f.first.rpartition("-")[0] != engine]
     if engines:
         each = list(zip(*map(_line, engines), strict=True))

@@ -1,4 +1,4 @@
-"""A shift study as a report: the answers, then errors by training and test domain, and rollouts.
+"""Report of a shift study: the answers, then errors by training and test domain, and rollouts.
 
 Rollouts over the truth are packed for the viewer in the page, or drawn as a picture.
 """
@@ -60,12 +60,12 @@ _BESIDE = EVERYWHERE - {"terminal"}
 def present(
     shift: Shift, samples: Samples | None = None, *, played: bool = False, picture: str = ""
 ) -> Report:
-    """Say which models survive a change of engine.
+    """Report which models survive a change of engine.
 
     Args:
         shift: The study.
         samples: Rollouts to show; without them the page has neither maps nor curves.
-        played: Whether the page has this scene's motions: it has one viewer.
+        played: Whether the page's only viewer plays this scene's motions.
         picture: Link to the heat maps, for Markdown.
     """
     before = f", {shift.kept} of {len(shift.models)} models tested before" if shift.kept else ""
@@ -98,22 +98,22 @@ def _blocks(shift: Shift, samples: Samples | None, *, played: bool) -> Iterator[
 
 
 def answers(shift: Shift) -> Iterator[tuple[str, str]]:
-    """Give the questions with their answers, and what was left out."""
+    """Yield the questions with their answers, then what was left out and why."""
     yield from ((answer.question, f"{answer.answer}.") for answer in shift.answers)
     yield from ((f"{name} left out", f"{reason}.") for name, reason in shift.left_out.items())
 
 
 def protocol(shift: Shift) -> str:
-    """Say what was done, in a line."""
+    """Describe the protocol of the study."""
     seeds = sorted({m.seed for m in shift.models if m.engines})
     profiles = ", ".join(sorted({m.profile for m in shift.models if m.profile})) or "not stated"
     steps = sorted({m.steps for m in shift.models if m.steps})
     ends = sorted({*steps[:1], *steps[-1:]})
     budget = f", {' to '.join(map(str, ends))} steps" if ends else ""
-    budget += _learned_from(shift)
+    budget += _training_sizes(shift)
     few = "" if len(seeds) >= _ENOUGH else ", too few to tell of other runs of the same trainings"
-    told = sorted({m.model for m in shift.models if m.bodies})
-    bodies = f" ({', '.join(told)}: the bodies' states, too)" if told else ""
+    with_bodies = sorted({m.model for m in shift.models if m.bodies})
+    bodies = f" ({', '.join(with_bodies)}: the bodies' states, too)" if with_bodies else ""
     tested = counted(len(shift.index), "trajectory")
     starts = {k % len(INTERVALS) for k in shift.index}
     if len(starts) < len(INTERVALS):
@@ -129,8 +129,8 @@ def protocol(shift: Shift) -> str:
     )
 
 
-def _learned_from(shift: Shift) -> str:
-    """Say from how many trajectories trainings on one engine learned; data sets differ in them."""
+def _training_sizes(shift: Shift) -> str:
+    """State how many trajectories trainings on one engine learned from, as data sets differ."""
     variants = dict[int, list[str]]()
     for facts in shift.models:
         variant = facts.training.rpartition("-")[2]
@@ -141,19 +141,19 @@ def _learned_from(shift: Shift) -> str:
 
 
 def _change(shift: Shift) -> Section:
-    """The picture that one looks at first."""
+    """Return the section with the picture to look at first: the costs of changes."""
 
     def draw(figure: Any) -> None:
         draw_interactions(figure.subplots(), shift, shift.at)
 
-    told = (
+    text = (
         "How many times the squared error grows where a model was trained on one's data and is "
         "tested on the other's, both ways together; the luck of single trainings and how hard data "
         "are cancel. Framed: significant."
     )
     title = f"What a change of engine, or of its settings, costs, t = {shift.at}"
     return Section(
-        title, (Text(told), FigureGroup((Figure(title, draw, interactions_size(shift)),))), on=_PAGE
+        title, (Text(text), FigureGroup((Figure(title, draw, interactions_size(shift)),))), on=_PAGE
     )
 
 
@@ -162,11 +162,11 @@ def _figures(shift: Shift, samples: Samples, *, played: bool) -> Iterator[Sectio
         Section(f"t = {frame}", (_maps(shift, frame),), folded=True, opened=frame == shift.at)
         for frame in shift.frames
     ]
-    told = (
+    text = (
         "Mean squared position error [m²], mean over seeds; rows: trained on, columns: tested on; "
         "bold: at home. Colours are logarithmic, the same for all models."
     )
-    yield Section("Error by training and test domain", (Text(told), *maps), on=_PAGE)
+    yield Section("Error by training and test domain", (Text(text), *maps), on=_PAGE)
     yield Section(
         "Rollouts over the truth", tuple(_rollouts(shift, samples, played=played)), on=_PAGE
     )
@@ -174,11 +174,11 @@ def _figures(shift: Shift, samples: Samples, *, played: bool) -> Iterator[Sectio
         Section(model, (_curves(shift, model),), folded=True, opened=not k)
         for k, model in enumerate(trained_models(shift))
     ]
-    told = (
+    text = (
         "Medians over trajectories; a line a seed, thick at home. The band is the other engines, "
         "going on from the same frame."
     )
-    yield Section("Error over time", (Text(told), *curves), on=_PAGE)
+    yield Section("Error over time", (Text(text), *curves), on=_PAGE)
 
 
 def _rollouts(shift: Shift, samples: Samples, *, played: bool) -> Iterator[Block]:
@@ -197,7 +197,7 @@ def _rollouts(shift: Shift, samples: Samples, *, played: bool) -> Iterator[Block
 
 
 def _maps(shift: Shift, frame: int) -> FigureGroup:
-    """A heat map a model, on one scale of colours."""
+    """Draw a heat map for each model, on one scale of colours."""
     matrices = maps_at(shift, frame)
     spread = spread_of(matrices)
     drawn = []
@@ -214,7 +214,7 @@ def _maps(shift: Shift, frame: int) -> FigureGroup:
 
 
 def _curves(shift: Shift, model: str) -> FigureGroup:
-    """Errors over time on all engines' domains."""
+    """Draw a model's errors over time, a figure for each domain."""
     drawn = []
     for test in [domain.name for domain in shift.domains if curves_of(shift, model, domain.name)]:
 
@@ -227,9 +227,9 @@ def _curves(shift: Shift, model: str) -> FigureGroup:
 
 
 def to_png(studies: Sequence[Shift], stored: bytes = b"") -> bytes:
-    """Give a picture: a block for each study of its first answer, else of all errors.
+    """Return a PNG with a block for each study: harms if all have them, else costs, else errors.
 
-    `stored` is the JSON that keeps it.
+    `stored` is the JSON behind it.
     """
     if all(shift.harms for shift in studies):
         worths = [(partial(_draw_worth, shift=shift), SIZE) for shift in studies]
@@ -248,14 +248,14 @@ def to_png(studies: Sequence[Shift], stored: bytes = b"") -> bytes:
 
 def _draw_worth(figure: Any, shift: Shift) -> None:
     draw_worth(figure, shift)
-    what = "what data cost, how good they are, and what is learned from them (full: they harm)"
-    figure.suptitle(f"{in_figure(shift.scene)}: {what}", fontsize=11, x=0.01, ha="left")
+    subject = "what data cost, how good they are, and what is learned from them (full: they harm)"
+    figure.suptitle(f"{in_figure(shift.scene)}: {subject}", fontsize=11, x=0.01, ha="left")
 
 
 def _draw_costs(figure: Any, shift: Shift) -> None:
     draw_interactions(figure.subplots(), shift, shift.at)
-    what = f"what a change of engine or settings costs at t = {shift.at}"
-    figure.suptitle(f"{in_figure(shift.scene)}: {what}", fontsize=11, x=0.01, ha="left")
+    subject = f"what a change of engine or settings costs at t = {shift.at}"
+    figure.suptitle(f"{in_figure(shift.scene)}: {subject}", fontsize=11, x=0.01, ha="left")
 
 
 def _size_of_costs(shift: Shift) -> tuple[float, float]:
@@ -277,24 +277,24 @@ def _draw_block(figure: Any, shift: Shift, shape: tuple[int, int]) -> None:
     )
 
 
-_ROOM = 0.6  # half a side of a picture, of the truth's extent
-_SHOTS = 5  # frames of a picture
-_PICTURE = (11.0, 2.1, 0.4)  # width, height a trajectory, and of titles [in]
-_LEGEND = 0.2, 3  # height of a row of the legend [in], and its columns
+_ROOM = 0.6  # half the side of a chart over the truth's extent
+_SHOTS = 5  # frames shown in a picture
+_PICTURE = (11.0, 2.1, 0.4)  # width, height per trajectory, height of titles [in]
+_LEGEND = 0.2, 3  # height of a row of the legend [in], number of columns
 
 
 def name_of(sample: SampleRollout) -> str:
-    """How a rollout is told from the others."""
+    """Name a rollout by its model and training."""
     return f"{sample.model}, trained on {sample.training}"
 
 
 def styles_of(samples: Samples) -> tuple[Style, ...]:
-    """A colour a model; dashed where it was trained elsewhere."""
+    """Return the rollouts' styles: the model's colour, dashed if trained on another domain."""
     return tuple(model_style(s.model, dashed=not s.at_home) for s in samples.models)
 
 
 def pack(samples: Samples) -> dict[str, Any]:
-    """Give what the viewer reads, ready for JSON."""
+    """Return the viewer's data, ready for JSON."""
     graph, truth = samples.evaluation.test.graph, samples.truth
     motions = [("truth", truth), *((name_of(s), s.position) for s in samples.models)]
     entries = (
@@ -318,14 +318,14 @@ def pack(samples: Samples) -> dict[str, Any]:
 
 
 def picture_size(samples: Samples) -> tuple[float, float]:
-    """Width and height of a picture [in]."""
+    """Return width and height of a picture [in]."""
     (width, each, titles), (height, columns) = _PICTURE, _LEGEND
     rows = math.ceil((1 + len(samples.models)) / columns)
     return width, each * len(samples.index) + titles + height * rows
 
 
 def samples_png(studies: Sequence[Samples]) -> bytes:
-    """Give the pictures of all studies, one below the other."""
+    """Return a PNG of the rollouts of all studies, one below the other."""
 
     def draw(figure: Any, samples: Samples) -> None:
         draw_samples(figure, samples)
@@ -337,7 +337,7 @@ def samples_png(studies: Sequence[Samples]) -> bytes:
 
 
 def draw_samples(figure: Any, samples: Samples) -> None:
-    """Draw x and z of the particles: a row a trajectory, a few frames from left to right."""
+    """Draw x and z of the particles: one row per trajectory, a few frames from left to right."""
     graph = samples.evaluation.test.graph
     shots = np.linspace(0, samples.truth.shape[1] - 1, _SHOTS).round().astype(int)
     charts = figure.subplots(len(samples.index), _SHOTS, squeeze=False)
@@ -374,11 +374,11 @@ def _draw_nodes(axes: Any, edges: Index, nodes: Array, look: dict[str, Any]) -> 
     for one, two in edges:
         axes.plot(nodes[[one, two], 0], nodes[[one, two], 2], **look)
     loose = np.setdiff1d(np.arange(len(nodes)), edges)
-    hollow = {} if look["ls"] == "-" else {"mfc": "none"}  # as dashed lines are
+    hollow = {} if look["ls"] == "-" else {"mfc": "none"}  # for dashed lines
     axes.plot(nodes[loose, 0], nodes[loose, 2], "o", ms=4, **{**look, "lw": 0.0}, **hollow)
 
 
 def _edges(graph: Graph) -> Index:
-    """Pairs of nodes, each once, shape (edge, 2)."""
+    """Return the pairs of connected nodes, each once, shape (edge, 2)."""
     edges = np.stack([graph.senders.numpy(), graph.receivers.numpy()], axis=1)
     return edges[edges[:, 0] < edges[:, 1]]

@@ -15,7 +15,7 @@ from mbds_xsim.learn.shift.interaction import changed
 from mbds_xsim.learn.shift.result import INTERVALS, Gap, Shift
 from mbds_xsim.report.blocks import Table
 from mbds_xsim.report.quantity import NONE, number
-from mbds_xsim.studies.shift.changes import change_tables, titled
+from mbds_xsim.studies.shift.changes import change_tables, titled_table
 from mbds_xsim.studies.shift.figures import Pick, at, best_formula, matrix_of, mean, trained_models
 from mbds_xsim.studies.shift.worth import worth_table
 
@@ -23,7 +23,7 @@ _NEAR_AT = (10, 20, 50)  # frames at which models and engines are compared
 
 
 def tables(shift: Shift) -> Iterator[Table]:
-    """Give all tables that there are figures for."""
+    """Yield all tables that have figures."""
     yield from (table for table in _tables(shift) if table.rows)
 
 
@@ -62,10 +62,10 @@ def _errors(shift: Shift, model: str, place: int) -> Table:
                 lost[cell.model, cell.training, cell.test] += cell.diverged[place]
     rows = list(_rows(shift, at(shift, frame), (model, ENGINE, RESTART, *TRIVIAL), lost))
     for kind in ("noise", "chaos"):  # of the reference: the same for all domains
-        found = [f for f in shift.floors if f.kind == kind and f.interval == INTERVALS[0]]
-        text = number(found[0].mse[place]) if found else NONE
+        floors = [f for f in shift.floors if f.kind == kind and f.interval == INTERVALS[0]]
+        text = number(floors[0].mse[place]) if floors else NONE
         rows.append((f"{kind} floor", *(text for _ in headings)))
-    return titled(
+    return titled_table(
         f"{model}: position error at t = {frame}",
         "Mean squared distance [m²], mean over seeds; predictions that were lost or had been off "
         f"by over {shift.exploded:g} lengths of the scene count as {shift.exploded:g} lengths, "
@@ -76,7 +76,7 @@ def _errors(shift: Shift, model: str, place: int) -> Table:
 
 
 def _one_step(shift: Shift, model: str) -> Table:
-    return titled(
+    return titled_table(
         f"{model}: teacher-forced error",
         f"Squared distance [m²] of predictions by one frame from true windows, every "
         f"{shift.stride} frames: not chaotic",
@@ -91,7 +91,7 @@ def _rows(
     models: Sequence[str],
     lost: Mapping[tuple[str, str, str], int] = MappingProxyType({}),
 ) -> Iterator[tuple[str, ...]]:
-    """Figures of all trainings of models, engines and formulas, with the number of lost ones."""
+    """Yield figures of all trainings of models, engines and formulas, with counts of lost ones."""
     for model in models:
         matrix = matrix_of(shift, model, pick)
         for training, values in zip(matrix.rows, matrix.values, strict=True):
@@ -104,7 +104,7 @@ def _rows(
 
 
 def _transfer(shift: Shift, frame: int) -> Table:
-    """Rows and columns of the matrices of single engines in short."""
+    """Summarise the rows and columns of the error matrices of single engines."""
     pick = at(shift, frame)
     rows = []
     for model in trained_models(shift):
@@ -126,7 +126,7 @@ def _transfer(shift: Shift, frame: int) -> Table:
                     number(mean(into)),
                 )
             )
-    return titled(
+    return titled_table(
         f"From engine to engine at t = {frame}",
         "Mean squared distance [m²]. Out: a training on the variant's other engines, mean and "
         "worst. In: the other engines' trainings here. Spread: standard deviation over seeds; the "
@@ -137,15 +137,15 @@ def _transfer(shift: Shift, frame: int) -> Table:
 
 
 def _over_seeds(shift: Shift, model: str, name: str, pick: Pick) -> float | None:
-    """Standard deviation of a training's errors at home; None of one seed."""
+    """Return the standard deviation over seeds of a training's error at home; None for one seed."""
     key = (model, name, name, INTERVALS[0])
-    found = [pick(c) for c in shift.cells if (c.model, c.training, c.test, c.interval) == key]
-    known = [x for x in found if x is not None]
+    errors = [pick(c) for c in shift.cells if (c.model, c.training, c.test, c.interval) == key]
+    known = [x for x in errors if x is not None]
     return statistics.stdev(known) if len(known) > 1 else None
 
 
 def _gaps(shift: Shift, place: int) -> Table:
-    return titled(
+    return titled_table(
         f"Gaps to the target-trained model at t = {shift.frames[place]}",
         "Errors [m²] are means over trajectories and seeds, lost predictions counting as exploded; "
         "ratio and its 95 % interval by paired bootstrap over trajectories and seeds. A shift is "
@@ -177,13 +177,13 @@ def _gap_row(gap: Gap, place: int) -> tuple[str, ...]:
 
 
 def nearness(shift: Shift) -> Table:
-    """Whether a model is nearer to the engine that taught it than any other engine is.
+    """Tabulate whether a model is nearer to its training engine than any other engine is.
 
-    A row for each training on one domain; those that nothing can be told of are left out.
+    The table has a row for each training on one domain; rows without figures are left out.
     """
     frames = [frame for frame in _NEAR_AT if frame in shift.frames]
     rows = (row for model in trained_models(shift) for row in _nearness_rows(shift, model, frames))
-    return titled(
+    return titled_table(
         "Is a model nearer to its engine than any other engine is?",
         "Mean squared distance [m²] of the model from the domain that taught it, below or above "
         "that of the nearest other engine that goes on from the same frame; nothing where that is "
@@ -210,7 +210,7 @@ def _beside(own: float | None, other: float | None) -> str:
 
 
 def _nearest(shift: Shift, home: str, frame: int) -> float | None:
-    """Distance of the nearest other engine [m²]; None where it drowns in the noise."""
+    """Return the distance of the nearest other engine [m²]; None if not above the noise floor."""
     place, engine = shift.frames.index(frame), home.rpartition("-")[0]
     whole = [floor for floor in shift.floors if floor.interval == INTERVALS[0]]
     noise = [f.mse[place] or 0.0 for f in whole if f.kind == "noise"]
@@ -226,7 +226,7 @@ def _nearest(shift: Shift, home: str, frame: int) -> float | None:
 
 
 def _effort(shift: Shift) -> Table:
-    """How long models learned until they were as near their engine as other engines are."""
+    """Tabulate how long models trained until they were as near to their engine as others are."""
     single = [facts for facts in shift.models if len(facts.engines) == 1]
     rows = []
     for model, training in dict.fromkeys((facts.model, facts.training) for facts in single):
@@ -235,7 +235,7 @@ def _effort(shift: Shift) -> Table:
         if reached:
             seeds = f"{len(reached)} of {len(own)}"
             rows.append((f"{model}, {training}", seeds, *map(number, (min(reached), max(reached)))))
-    return titled(
+    return titled_table(
         "Processor time to the engine floor",
         "Seconds of training, validations included, until the validation error, a mean over ten "
         "frames, was below the distance of the nearest other engine that goes on from the same "
@@ -250,12 +250,12 @@ def _floors(shift: Shift) -> Table:
     for floor in shift.floors:
         first, test = floor.first, floor.test
         names = {ENGINE: f"{first} and {test}", RESTART: f"{first} restarted from {test}"}
-        # A distance is the same both ways, and stands once.
+        # A distance is the same both ways, so it is listed once.
         twice = floor.kind == ENGINE and test != REFERENCE and first > test
         alike = not first or test in (first, REFERENCE) or changed(first, test)
         if floor.interval == INTERVALS[0] and alike and not twice:
             rows.append((names.get(floor.kind, floor.kind), *map(number, floor.mse)))
-    return titled(
+    return titled_table(
         "Floors",
         "Mean squared distance [m²] of the published motions of two domains, from identical "
         "starts; of an engine that goes on from a domain's last known frame from that domain "
@@ -269,7 +269,7 @@ def _floors(shift: Shift) -> Table:
 
 
 def _across_intervals(shift: Shift, frame: int) -> Table:
-    """Trainings on an interval of starts, on their own engine: a change of speed alone."""
+    """Tabulate trainings on one interval of starts, on their own engine: only speed changes."""
     pick = at(shift, frame)
     rows = []
     for model in trained_models(shift):
@@ -278,13 +278,13 @@ def _across_intervals(shift: Shift, frame: int) -> Table:
         for facts in {each.training: each for each in own}.values():  # whatever their seeds
             home = f"{facts.engines[0]}-{facts.training.rpartition('-')[2]}"
             errors = [matrix.entry(facts.training, home) for matrix in tests.values()]
-            there = [
+            baselines = [
                 matrix.entry(facts.training.replace(f"-{facts.interval}-", f"-{name}-"), home)
                 for name, matrix in tests.items()
             ]
-            figures = [*errors, *map(_over, errors, there)]
+            figures = [*errors, *map(_over, errors, baselines)]
             rows.append((f"{model}, {facts.training}", *map(number, figures)))
-    return titled(
+    return titled_table(
         f"The covariate axis: trained on one interval, tested on all, t = {frame}",
         "Mean squared distance [m²] on the training's own engine, of models that were trained on "
         "the starts of one interval alone, a third as many at as many steps; and over the error of "
@@ -296,14 +296,14 @@ def _across_intervals(shift: Shift, frame: int) -> Table:
 
 
 def _by_interval(shift: Shift, frame: int) -> Table:
-    """Each training at home, by interval: no change of engine."""
+    """Tabulate each training at home by interval, without a change of engine."""
     pick, names = at(shift, frame), INTERVALS[1:]
     formulas = [best_formula(shift, pick, name) for name in names]
     rows = []
     for label, training, errors in _at_home(shift, [(pick, name) for name in names]):
         parts = [_over(e, f.get(training)) for e, f in zip(errors, formulas, strict=True)]
         rows.append((label, *map(number, [*errors, *parts])))
-    return titled(
+    return titled_table(
         f"Error at home by interval of starts, t = {frame}",
         "Mean squared distance [m²] on the training's own engine: how much the interval of starts "
         "and inputs matters, without any change of engine; and as a part of the least that hold, "
@@ -318,7 +318,7 @@ def _over(error: float | None, other: float | None) -> float | None:
 
 
 def _quality(shift: Shift, place: int) -> Table:
-    """Other figures of each training at home."""
+    """Tabulate other figures of each training at home."""
     picks: tuple[Pick, ...] = (
         lambda cell: cell.valid_s,
         lambda cell: cell.energy[place],
@@ -326,7 +326,7 @@ def _quality(shift: Shift, place: int) -> Table:
         lambda cell: _over(cell.diverged[-1], cell.known[-1]),
     )
     homes = _at_home(shift, [(pick, INTERVALS[0]) for pick in picks])
-    return titled(
+    return titled_table(
         "What else rollouts keep, each training at home",
         f"Valid prediction time: until the error first exceeds {shift.lost:g} of the scene's "
         f"length ({shift.length_m:.3g} m), median, at most {shift.horizon * shift.frame_s:.3g} s. "
@@ -340,21 +340,21 @@ def _quality(shift: Shift, place: int) -> Table:
 def _at_home(
     shift: Shift, picks: Sequence[tuple[Pick, str]]
 ) -> Iterator[tuple[str, str, list[float | None]]]:
-    """Label, training and figures, each over an interval, of all trainings on their own domain."""
+    """Yield label, training and figures, each over its interval, of all trainings at home."""
     for model in trained_models(shift):
-        found = [matrix_of(shift, model, pick, interval) for pick, interval in picks]
+        matrices = [matrix_of(shift, model, pick, interval) for pick, interval in picks]
         for training in matrix_of(shift, model, picks[0][0]).homes:
-            yield f"{model}, {training}", training, [each.at_home(training) for each in found]
+            yield f"{model}, {training}", training, [each.at_home(training) for each in matrices]
 
 
 def _agreements(shift: Shift) -> Table:
     pairs = dict.fromkeys((a.first, a.second) for a in shift.agreements)
-    found = {(a.first, a.second, a.frame): a.tau for a in shift.agreements}
+    taus = {(a.first, a.second, a.frame): a.tau for a in shift.agreements}
     rows = [
-        (f"{one}, {two}", *(number(found.get((one, two, frame))) for frame in shift.frames))
+        (f"{one}, {two}", *(number(taus.get((one, two, frame))) for frame in shift.frames))
         for one, two in pairs
     ]
-    return titled(
+    return titled_table(
         "Rank agreement",
         "Kendall's τ-b of the orders that two domains give the models, each trained where it is "
         "tested: 1 the same, −1 reversed; from three models on",
@@ -364,7 +364,7 @@ def _agreements(shift: Shift) -> Table:
 
 
 def _paper(shift: Shift) -> Table:
-    """The paper's figures beside ours, as data."""
+    """Tabulate the paper's figures next to ours."""
     paper, sound = paper_errors(shift.scene), paper_errors(shift.scene, flagged=False)
     frames = sorted({frame for _, frame in paper})
     rows = []
@@ -378,7 +378,7 @@ def _paper(shift: Shift) -> Table:
             matrix = matrix_of(shift, model, at(shift, frame))
             homes[frame] = number(mean([matrix.at_home(row) for row in matrix.homes]))
         rows.append((f"{model}, here", *homes.values()))
-    return titled(
+    return titled_table(
         "The paper's figures beside these",
         "Not comparable in absolute value: the paper's unit, averaging, masses, noise and test "
         "part are not stated, its figures are of the set that steered training, and its values "

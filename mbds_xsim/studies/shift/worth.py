@@ -1,4 +1,4 @@
-"""How good must data be? Errors on the truth beside what the data cost and how good they are."""
+"""How good must data be? Errors on the truth against the cost and accuracy of the data."""
 
 from __future__ import annotations
 
@@ -15,38 +15,38 @@ from mbds_xsim.learn.shift.worth import HARMFUL, NOTABLE, distances, noise_of, v
 from mbds_xsim.report import themed
 from mbds_xsim.report.blocks import Figure, FigureGroup, Section, Table, Text
 from mbds_xsim.report.quantity import number, with_unit
-from mbds_xsim.studies.shift.changes import titled
+from mbds_xsim.studies.shift.changes import titled_table
 from mbds_xsim.studies.shift.figures import at, matrix_of, trained_models
 
 SIZE = (10.4, 4.6)
 _SINGLE = 2.0**-24
-"""Of the scene's length: data nearer the truth than this are so by the rounding of positions."""
+"""Rounding of positions over the scene's length: no data are drawn nearer to the truth."""
 
 _NAME = 0.045
-"""Of a chart's width: distance of the names above it."""
+"""Least distance between the names above a chart, over the chart's width."""
 
 Point = tuple[str, float, float]
-"""A training's name, what its data cost [s] or their distance from the truth [m²], its error."""
+"""A training: name, cost of its data [s] or their distance from the truth [m²], error [m²]."""
 
 
 def costs_of(shift: Shift, model: str) -> list[Point]:
-    """Give single-engine trainings by what their data cost: name, cost [s], error on the truth."""
+    """Return single-engine trainings by data cost: name, cost [s], error on the truth [m²]."""
     costs = {domain.name: domain.cost_s for domain in shift.domains}
     return _points(shift, model, costs)
 
 
 def _points(shift: Shift, model: str, places: dict[str, float | None]) -> list[Point]:
     matrix = matrix_of(shift, model, at(shift, shift.at))
-    found = [(name, places.get(name), matrix.entry(name, REFERENCE)) for name in matrix.homes]
-    known = [(name, place, error) for name, place, error in found if place and error]
+    points = [(name, places.get(name), matrix.entry(name, REFERENCE)) for name in matrix.homes]
+    known = [(name, place, error) for name, place, error in points if place and error]
     return sorted(known, key=lambda each: each[1])
 
 
 def worth_table(shift: Shift, place: int) -> Table:
-    """What data cost and how good they are, beside what models that learned from them err."""
+    """Make a table of the data's cost and accuracy, and of the errors of models trained on them."""
     models, pick = trained_models(shift), at(shift, shift.frames[place])
     matrices = [matrix_of(shift, model, pick) for model in models]
-    told = [d for d in shift.domains if d.cost_s is not None]
+    domains = [d for d in shift.domains if d.cost_s is not None]
     harms = {(harm.model, harm.first): harm for harm in shift.harms}
     apart = distances(shift, place)
     rows = (
@@ -60,10 +60,10 @@ def worth_table(shift: Shift, place: int) -> Table:
                 for matrix in matrices
             ),
         )
-        for domain in sorted(told, key=lambda d: d.cost_s or 0.0)
+        for domain in sorted(domains, key=lambda d: d.cost_s or 0.0)
         if any(domain.name in matrix.rows for matrix in matrices)
     )
-    return titled(
+    return titled_table(
         f"What training data cost, and what is learned from them, t = {shift.frames[place]}",
         "Processor time of the engine for a trajectory of its data, their mean squared distance "
         "[m²] from the independent reference, and the error against it of each model that was "
@@ -85,16 +85,16 @@ def _harm(harm: Harm | None, place: int) -> str:
 
 
 def worth_section(shift: Shift) -> Section:
-    """Give the chart with its words."""
+    """Return the chart of `draw_worth` with an explanation."""
     title = f"What data cost, and what is learned from them, t = {shift.at}"
-    told = (
+    text = (
         "A point is a model that learned from one engine's data, held against the reference: over "
         "what a trajectory of the data cost, and over their own distance from the truth. Full "
         "where such data harm the model, with 95 % intervals. A line is the least error that so "
         "dear data, or cheaper ones, have brought: where it is level, cheaper data do as well."
     )
     group = FigureGroup((Figure(title, partial(draw_worth, shift=shift), SIZE, wide=True),))
-    return Section(title, (Text(told), group), folded=not shift.harms, on=frozenset({"page"}))
+    return Section(title, (Text(text), group), folded=not shift.harms, on=frozenset({"page"}))
 
 
 def draw_worth(figure: Any, shift: Shift) -> None:
@@ -127,7 +127,7 @@ def draw_worth(figure: Any, shift: Shift) -> None:
 def _draw_points(
     axes: Any, shift: Shift, model: str, points: Sequence[Point], label: str | None = None
 ) -> None:
-    """Draw a model's errors with their intervals; full where the data harm it."""
+    """Draw a model's errors with their intervals, filled if the data harm it or harm is unknown."""
     place, colour = shift.frames.index(shift.at), themed.model_colour(model)
     harms = {harm.first: harm for harm in shift.harms if harm.model == model}
     for name, x, error in points:
@@ -141,13 +141,13 @@ def _draw_points(
 
 
 def _ends(harm: Harm, place: int, error: float) -> list[float]:
-    """Give the interval of an error, that of the model it is held against being given [m²]."""
+    """Return the interval of an error [m²], taking the error it is compared with as exact."""
     value, low, high = (each[place] for each in (harm.value, harm.low, harm.high))
     return [error * end / value for end in (low, high) if end is not None] if value else []
 
 
 def _name_lines(axes: Any, named: dict[str, float]) -> None:
-    """Say above the chart which data stand where; names keep their distance."""
+    """Name the data above the chart at their places, with a least distance between names."""
     (low, high), last = map(math.log10, axes.get_xlim()), -1.0
     line = {"color": themed.GREY, "lw": 0.4}
     for name, x in sorted(named.items(), key=lambda each: each[1]):

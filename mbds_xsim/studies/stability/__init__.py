@@ -1,4 +1,4 @@
-"""What a stability study is, and what it records: a cell a setting, the map made of the cells."""
+"""Stability studies: their definition, and their results as maps of one cell per setting."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from mbds_xsim.simulate.simulator import LEARNED, Options
 Value = float | str
 
 FRAME = 0.1
-"""Between recorded frames [s]."""
+"""Time between recorded frames [s]."""
 COUNTS = (2, 5, 10, 20, 50, 100)
-"""Steps a frame that are tried: 50 ms to 1 ms."""
+"""Numbers of steps per frame that are tried: steps of 50 ms to 1 ms."""
 MOST = 1000
-"""Bodies, links or rungs that a scene is made of: more would take its memory."""
+"""Largest number of bodies, links or rungs in a scene: more would exhaust the memory."""
 
 
 @dataclass(frozen=True)
@@ -31,23 +31,23 @@ class Study:
 
     name: str
     sentence: str
-    """What it is about, in one line."""
+    """Subject of the study, in one line."""
     quantity: str
-    """What is swept."""
+    """Quantity that is swept."""
     unit: str
-    """Of the values; empty where they have none, or are names."""
+    """Unit of the values; empty if they have none or are names."""
     values: tuple[Value, ...]
-    """From harmless to harsh; numbers, or names."""
+    """Numbers or names, from harmless to harsh."""
     make: Callable[[Any], Scene]
-    """The scene at a value; its clock is set by `scene`."""
+    """Function that makes the scene at a value; `scene` sets its clock."""
     frames: int = 10
-    """Of `FRAME` seconds."""
+    """Number of recorded frames, `FRAME` seconds apart."""
     start: int = 1
     """Index of the trajectory, which decides its interval."""
     known: bool = True
-    """Whether the reference solution is cheap, so that wrong motion can be told."""
+    """Whether the reference solution is cheap, so that wrong motion can be detected."""
     least: int = 0
-    """The fewest, where values are counts of something; 0: they are no counts."""
+    """Smallest allowed value if values are counts; 0 if they are not counts."""
 
     @property
     def clock(self) -> Clock:
@@ -55,18 +55,18 @@ class Study:
         return Clock(FRAME, self.frames)
 
     def scene(self, value: Value, clock: Clock | None = None) -> Scene:
-        """Make the scene of a value, with a clock of its own or another one."""
+        """Make the scene at a value, with the study's clock unless another one is given."""
         return msgspec.structs.replace(self.make(value), clock=clock or self.clock, noise=0.0)
 
     def batch(self, scene: Scene) -> Batch:
-        """Draw the one start that is simulated."""
+        """Draw the only start that is simulated."""
         return draw_batch(scene, [self.start], seed=0)
 
     def parse(self, text: str) -> Value:
-        """Read a value from a user's words.
+        """Parse a value that a user typed.
 
         Raises:
-            InputError: It is neither a number of allowed size nor one of the names.
+            InputError: The text is neither a number of allowed size nor one of the names.
         """
         names = [value for value in self.values if isinstance(value, str)]
         if names:
@@ -85,7 +85,7 @@ class Study:
 
 
 def text_of(value: Value, unit: str = "") -> str:
-    """Write a value as people read it."""
+    """Write a value for people to read."""
     if isinstance(value, str):
         return value
     return f"{value:g} {unit}".rstrip()
@@ -97,14 +97,14 @@ Outcome = Literal[
     "stable", "off course", "gains energy", "loses energy", "comes apart", "sinks in", "stuck",
     "clamped", "blows up", "gives up", "ends early", "crashed", "timed out", "refused",
 ]  # fmt: skip
-"""What became of a run, or what broke first in it; `verdict` defines them."""
+"""Outcome of a run, or the first thing that broke in it; `verdict` defines each."""
 FAILED = frozenset(get_args(Outcome)) - {"stable", "off course", "timed out", "refused"}
-"""Outcomes that are not stable. A motion that is off course is stable, and wrong; what ran out of
-its time is neither stable nor not: it is not measured."""
-Told = Literal["engine", "adapter", "process", "nobody"]
-"""Who said that something was wrong: the engine by a warning or an error; only this project's
-adapter, which watches the states; the process, which died or did not end; or nobody, so that only
-the checks saw it."""
+"""Outcomes that are not stable. A motion that is off course is stable but wrong; a run that timed
+out is not measured, so neither stable nor unstable."""
+Reporter = Literal["engine", "adapter", "process", "nobody"]
+"""Who reported the failure: the engine, by a warning or an error; only this project's adapter,
+which watches the states; the process, which died or did not end; or nobody, so that only the checks
+detected it."""
 
 
 class MapCell(Keyed, frozen=True, kw_only=True):
@@ -113,46 +113,45 @@ class MapCell(Keyed, frozen=True, kw_only=True):
     study: str
     value: float | str
     engine: str
-    """Of a trained model its name, as `gns`."""
+    """Name of the engine, or of the trained model, such as `gns`."""
     version: str
-    """Of a trained model that of torch."""
+    """Version of the engine; of torch for a trained model."""
     method: str
-    """Of a trained model what it was trained on, and its seed."""
+    """Method of the engine; training data and seed for a trained model."""
     family: str
     profile: str
-    """matched or native; of a trained model that of its data, which may be a file's name."""
+    """Matched or native; for a trained model the variant of its data, maybe a file's name."""
     options: Options
     step_s: float
-    """Of a trained model its frame."""
+    """Integration step [s]; the time between frames for a trained model."""
     duration_s: float
-    """That was to be simulated."""
+    """Time to simulate [s]."""
     limit_s: float
-    """Time that the run was given: the processor's, and the clock's while it slept."""
+    """Time limit of the run [s]: processor time, and wall-clock time while it sleeps."""
     machine: str
     outcome: Outcome
-    told: Told
+    told: Reporter
     reason: str = ""
-    """In whose words: the engine's, the adapter's or the process's; empty where nobody said
-    anything."""
+    """Message of the engine, the adapter or the process; empty if nobody reported anything."""
     broke_s: float | None = None
-    """Simulated time of the first frame at which something was wrong."""
+    """Simulated time of the first frame at which something was wrong [s]."""
     ended_s: float | None = None
-    """Simulated time of the last frame with numbers."""
+    """Simulated time of the last frame with finite numbers [s]."""
     energy: float | None = None
-    """Largest deviation of the energy balance over the scale, with its sign; with contact the
-    largest unexplained rise."""
+    """Largest deviation of the energy balance over the energy scale, with its sign; with contact,
+    the largest unexplained rise."""
     gap: float | None = None
     """Largest gap of a joint over the scene's length, or angle between its axes [rad]."""
     sunk: float | None = None
     """Deepest overlap of a contact sphere with what it touches, over the scene's length."""
     way: float | None = None
-    """Way of the particles over that of the reference."""
+    """Path length of the particles over the reference's, at the end."""
     error: float | None = None
     """Largest RMS particle error over the scene's length."""
     wall_s: float | None = None
-    """Of the rollout, in that process."""
+    """Wall time of the rollout, in its own process [s]."""
     source: str = ""
-    """File of a trained model."""
+    """File of a trained model; empty for engines."""
 
     @property
     def failed(self) -> bool:
@@ -161,12 +160,12 @@ class MapCell(Keyed, frozen=True, kw_only=True):
 
     @property
     def unmeasured(self) -> bool:
-        """Whether the run was not waited for, so that nothing is known of it."""
+        """Whether the run ran out of time, so that nothing is known about it."""
         return self.outcome == "timed out"
 
     @property
     def silent(self) -> bool:
-        """Whether it went wrong and the engine did not say so."""
+        """Whether the run went wrong with no warning from the engine."""
         wrong = self.failed or self.outcome == "off course"
         return wrong and self.told in ("adapter", "nobody")
 
@@ -188,21 +187,21 @@ class Panel(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def learned(self) -> bool:
-        """Whether it is a trained model's: it has one step, its frame."""
+        """Whether the panel is a trained model's, whose only step is its frame."""
         return self.family == LEARNED
 
     @property
     def name(self) -> str:
-        """Engine, method and profile."""
+        """Engine, method, and profile unless it is matched."""
         words = (self.engine, self.method, "" if self.profile == "matched" else self.profile)
         return " ".join(filter(None, words))
 
     def largest_stable(self, row: int) -> float | None:
-        """Longest step at which this and all shorter ones are stable, of those measured [s]."""
+        """Return the longest step such that it and all shorter ones measured are stable [s]."""
         return _longest(self.cells[row], frozenset({"stable", "off course"}))
 
     def largest_on_course(self, row: int) -> float | None:
-        """Longest step at which this and all shorter ones measured are stable and on course [s]."""
+        """Return the longest step such that it and all shorter ones measured stay on course [s]."""
         return _longest(self.cells[row], frozenset({"stable"}))
 
 
@@ -218,7 +217,7 @@ def _longest(cells: tuple[MapCell, ...], good: frozenset[str]) -> float | None:
 
 
 class Survey(msgspec.Struct, frozen=True, kw_only=True):
-    """A study carried out."""
+    """Results of a study."""
 
     schema: str
     study: str
@@ -231,10 +230,10 @@ class Survey(msgspec.Struct, frozen=True, kw_only=True):
     criteria: str
     panels: tuple[Panel, ...]
     left_out: dict[str, str]
-    """Methods that cannot do the scene, each with the reason."""
+    """Engines and methods that were left out, each with the reason."""
     unknown: dict[str, str]
-    """Values without a reference solution, each with the reason: being off course or stuck cannot
-    be told there."""
+    """Values without a reference solution, each with the reason; off course and stuck cannot be
+    detected there."""
     command: str
     versions: dict[str, str]
     machine: str

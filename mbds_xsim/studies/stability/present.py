@@ -1,4 +1,4 @@
-"""A stability study as a report, cells of it in words, and a picture of its maps."""
+"""Report of a stability study, descriptions of its cells, and a picture of its maps."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from mbds_xsim.studies.stability.words import (
 )
 
 _ACROSS = 4
-"""Maps side by side in a picture."""
+"""Largest number of maps side by side in a picture."""
 _CELL = 0.5
 """Width of a cell of the map of models in a picture [in]."""
 _NARROW = 11.0
@@ -32,7 +32,7 @@ _HEAD = 0.9
 
 
 def listing(studies: Iterable[Study]) -> blocks.Table:
-    """List the studies there are, a row each."""
+    """List the studies, one per row."""
     columns = [
         blocks.Column(h, words=True)
         for h in ("study", "what is swept", "values", "what it is about")
@@ -50,7 +50,7 @@ def listing(studies: Iterable[Study]) -> blocks.Table:
 
 
 def present(sweep: Survey) -> blocks.Report:
-    """Say what a study comes to, and show what is behind it."""
+    """Report the conclusion of a study, with the limits, maps and cells behind it."""
     versions = ", ".join(f"{name} {version}" for name, version in sweep.versions.items())
     return blocks.Report(
         title=sweep.study,
@@ -71,8 +71,8 @@ def _blocks(sweep: Survey) -> Iterator[blocks.Block]:
         [
             ("reading", words.reading(sweep)),
             ("stable", sweep.criteria.removeprefix("stable: ")),
-            *words.breaking(sweep),
-            *words.holding(sweep),
+            *words.first_failures(sweep),
+            *words.stable_ranges(sweep),
             *((f"{name} left out", reason) for name, reason in sweep.left_out.items()),
             *((f"no reference at {name}", reason) for name, reason in sweep.unknown.items()),
         ]
@@ -85,7 +85,7 @@ def _blocks(sweep: Survey) -> Iterator[blocks.Block]:
 
 
 def _limits(sweep: Survey) -> blocks.Table:
-    first = blocks.Column(f"engine and method / {words.swept(sweep)}", words=True)
+    first = blocks.Column(f"engine and method / {words.axis_label(sweep)}", words=True)
     rows = [
         [panel.name, *(words.limit(panel, row) for row in range(len(sweep.values)))]
         for panel in sweep.panels
@@ -97,7 +97,7 @@ def _limits(sweep: Survey) -> blocks.Table:
 
 def _maps(sweep: Survey) -> Iterator[blocks.Block]:
     yield blocks.Text(
-        f"Across: the step; upwards: {words.swept(sweep)}. The colour says what breaks first "
+        f"Across: the step; upwards: {words.axis_label(sweep)}. The colour says what breaks first "
         f"within {sweep.duration_s:g} s; hatched cells go wrong without a word from the engine. "
         "Point at a cell for its figures and the command that runs it again"
     )
@@ -108,19 +108,19 @@ def _maps(sweep: Survey) -> Iterator[blocks.Block]:
         if outcome in present_ones
     ]
     yield blocks.Legend((*keys, blocks.Key("without a word from the engine", hatched=True)))
-    told = tips(sweep)
+    tooltips = tips(sweep)
     yield blocks.FigureGroup(
-        tuple(_map(sweep, places, told) for places in charts_of(sweep)), least=275
+        tuple(_map(sweep, places, tooltips) for places in charts_of(sweep)), least=275
     )
 
 
-def _map(sweep: Survey, places: tuple[int, ...], told: dict[str, str]) -> blocks.Figure:
+def _map(sweep: Survey, places: tuple[int, ...], tooltips: dict[str, str]) -> blocks.Figure:
     title = f"{sweep.study}: {', '.join(sweep.panels[place].name for place in places)}"
 
     def draw(figure: Any) -> None:
         draw_map(figure.subplots(), sweep, places)
 
-    return blocks.Figure(title, draw, size_of(sweep, places), told)
+    return blocks.Figure(title, draw, size_of(sweep, places), tooltips)
 
 
 def _cells(sweep: Survey) -> blocks.Table:
@@ -139,10 +139,10 @@ def _cells(sweep: Survey) -> blocks.Table:
             f"{cell.engine} {cell.method}{'' if cell.profile == 'matched' else f' {cell.profile}'}",
             text_of(cell.value),
             quantity.span(cell.step_s),
-            words.what_happened(cell),
+            words.outcome_text(cell),
             blocks.Cell(cell.told, "over" if cell.silent else ""),
             cell.reason,
-            dict(words.told(cell, sweep)).get("figures", ""),
+            dict(words.facts_of(cell, sweep)).get("figures", ""),
         ]
         for cell in sweep.cells
         if cell.outcome != "stable"
@@ -151,13 +151,13 @@ def _cells(sweep: Survey) -> blocks.Table:
 
 
 def cells_of(sweep: Survey) -> Iterator[blocks.Block]:
-    """Say what happened in each cell of a few, and why."""
+    """Describe what happened in each cell, and why."""
     for cell in sweep.cells:
         yield blocks.Text(words.name_of(cell, sweep), "strong")
         yield blocks.Remarks(
             tuple(
                 blocks.Remark(subject, text, "fail" if cell.failed and subject == "outcome" else "")
-                for subject, text in words.told(cell, sweep)
+                for subject, text in words.facts_of(cell, sweep)
             )
         )
     yield blocks.Remarks.of(
@@ -169,13 +169,13 @@ def cells_of(sweep: Survey) -> Iterator[blocks.Block]:
 
 
 def to_png(sweeps: list[Survey], stored: bytes = b"") -> bytes:
-    """Give a picture: the maps of each study with their legend; `stored` is the CSV behind it."""
+    """Return a PNG of the maps of each study with their legend; `stored` is the CSV behind it."""
     parts = [(partial(_draw_study, sweep=sweep), _picture(sweep)) for sweep in sweeps]
     return themed.stacked(parts, stored)
 
 
 def _picture(sweep: Survey) -> tuple[float, float]:
-    _, engines, models = _parted(sweep)
+    _, engines, models = _layout(sweep)
     width, height = size_of(sweep)
     rows = math.ceil(len(engines) / _ACROSS)
     below = size_of(sweep, models) if models else (0.0, 0.0)
@@ -183,8 +183,8 @@ def _picture(sweep: Survey) -> tuple[float, float]:
     return wide, height * rows + below[1] + _HEAD
 
 
-def _parted(sweep: Survey) -> tuple[int, list[tuple[int, ...]], tuple[int, ...]]:
-    """Give how many maps stand side by side, those of engines, and the places of models."""
+def _layout(sweep: Survey) -> tuple[int, list[tuple[int, ...]], tuple[int, ...]]:
+    """Return the number of maps side by side, the engines' maps, and the places of models."""
     charts = charts_of(sweep)
     models = next((places for places in charts if sweep.panels[places[0]].learned), ())
     engines = [places for places in charts if places != models]
@@ -192,7 +192,7 @@ def _parted(sweep: Survey) -> tuple[int, list[tuple[int, ...]], tuple[int, ...]]
 
 
 def _draw_study(figure: Any, sweep: Survey) -> None:
-    across, engines, models = _parted(sweep)
+    across, engines, models = _layout(sweep)
     rows = math.ceil(len(engines) / _ACROSS)
     grid = figure.add_gridspec(rows + bool(models), max(across, 1))
     for k, places in enumerate(engines):

@@ -1,6 +1,6 @@
-"""All studies: scenes made harder by one value.
+"""All stability studies: scenes made harder by one value.
 
-A further one is a `Study` beside these, and a word in `STUDIES`.
+To add a study, define a `Study` here and list it in `STUDIES`.
 """
 
 from __future__ import annotations
@@ -37,20 +37,20 @@ SCENES = Study(
 #
 # The load stretches the ropes and so decides how fast they swing sideways: with a tension T, rods
 # of length l and particles of mass m the fastest rate is 2 √(T / (m l)), 1400 rad/s at a ratio of
-# 1e4. An explicit method's step is limited by it, however still the ropes hang.
+# 1e4. That rate limits an explicit method's step, however still the ropes hang.
 
 _LADDER_TILT = (math.radians(20.0),) * 2
 _RUNG = "rung1"
 
 
-def _loaded_ladder(ratio: float) -> Scene:
+def _heavy_ladder(ratio: float) -> Scene:
     scene = load_scene("1ladder")
-    bodies = tuple(_loaded(body, ratio) if body.name == _RUNG else body for body in scene.bodies)
+    bodies = tuple(_heavy(body, ratio) if body.name == _RUNG else body for body in scene.bodies)
     swing = Turn((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), angle=_LADDER_TILT, rate=(1.0, 1.0))
     return msgspec.structs.replace(scene, bodies=bodies, sampling=(swing,))
 
 
-def _loaded(rung: Body, ratio: float) -> Body:
+def _heavy(rung: Body, ratio: float) -> Body:
     share = ratio / len(rung.particles)
     particles = tuple(
         msgspec.structs.replace(p, mass=share, inertia=share * PARTICLE_INERTIA)
@@ -61,7 +61,7 @@ def _loaded(rung: Body, ratio: float) -> Body:
 
 MASS_RATIO = Study(
     "mass-ratio", "a heavy rung on two ropes of light particles, which close a loop",
-    "mass of the rung over that of a neighbour", "", (1.0, 10.0, 100.0, 1e3, 1e4), _loaded_ladder,
+    "mass of the rung over that of a neighbour", "", (1.0, 10.0, 100.0, 1e3, 1e4), _heavy_ladder,
 )  # fmt: skip
 
 
@@ -114,8 +114,8 @@ LOOPS = Study(
 
 # Ever more links of the paper's pendulum, at one of its medium starts.
 #
-# Unlike the rope of `chain-length` it grows: links keep their length and mass. So it asks of a
-# model that was trained on one length whether it learned links, or that chain.
+# Unlike the rope of `chain-length` it grows: links keep their length and mass. So it shows whether
+# a model that was trained on one length has learned links, or only that chain.
 
 
 def _chain(links: float) -> Scene:
@@ -150,7 +150,7 @@ SWING = Study(
 # interval is, so that the last particle is up to six times as fast.
 
 
-def _paced(factor: float) -> Scene:
+def _fast_links(factor: float) -> Scene:
     scene = load_scene("6pendulum")
     (drawn,) = (draw for draw in scene.sampling if isinstance(draw, Swing))
     speed = factor * span_of(drawn.speed, "high")[1]
@@ -161,17 +161,17 @@ def _paced(factor: float) -> Scene:
 
 PACE = Study(
     "pace", "the paper's sixfold pendulum, up to ten times as fast as its fastest starts",
-    "speed over the fastest of the paper's", "", (0.0, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0), _paced,
+    "speed over the fastest of the paper's", "", (0.0, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0), _fast_links,
 )  # fmt: skip
 
 
 # Stiff springs: a pendulum on a spring whose own oscillation is of no interest.
 #
-# It is fast and small, and limits the step all the same. At the rate ω = √(k/m), semi-implicit
-# Euler bears h ω < 2 and RK4 h ω < 2.78; the trapezoidal rule and generalised-alpha bear any step
-# (Hairer & Wanner, Solving ODEs II, IV.2).
+# It is fast and small, yet it limits the step. At the rate ω = √(k/m), semi-implicit Euler is
+# stable for h ω < 2 and RK4 for h ω < 2.78; the trapezoidal rule and generalised-alpha are stable
+# at any step (Hairer & Wanner, Solving ODEs II, IV.2).
 
-_SPRING_LENGTH = 1.0  # of the spring, unstretched at the start [m]
+_SPRING_LENGTH = 1.0  # unstretched length, which is the spring's at the start [m]
 _SPRING_TILT = math.radians(60.0)
 
 
@@ -189,10 +189,10 @@ STIFFNESS = Study(
 )  # fmt: skip
 
 
-# Spin of a body in free flight, about no axis in particular: it tumbles, without chaos.
+# Spin of a body in free flight, not about a principal axis: it tumbles, without chaos.
 #
-# The rotation has a step limit of its own: an explicit method makes energy with ω h, as the
-# gyroscopic moment is that of the last step, and an engine may cut the turn of a step or the rate.
+# The rotation has a step limit of its own: an explicit method gains energy with ω h, as it uses
+# the gyroscopic moment of the last step, and an engine may limit the turn per step or the rate.
 
 _DIRECTION = (0.6, 0.3, 0.74161984870956629)  # unit
 _ARM = 0.5  # [m]
@@ -220,7 +220,7 @@ SPIN = Study(
 # Bodies that meet the ground, made harder by one value.
 
 _SLOWEST = 0.7
-"""Of the fastest wheel's rate: they are unequal, as the paper's are."""
+"""Rate of the slowest wheel over the fastest's: rates are unequal, as the paper's are."""
 
 
 def _fast_car(rate: float) -> Scene:
@@ -242,21 +242,21 @@ _UP = (_NONE, _NONE, (1.0, 1.0))  # [m]
 
 
 def _ball(throw: Throw, dimension: Literal[2, 3] = 2, ground: Ground | None = None) -> Scene:
-    """Make the ball start as thrown, above its usual ground or another."""
+    """Make the scene of a ball that starts as thrown, above its usual ground or another."""
     scene = load_scene("ballscroll")
     return msgspec.structs.replace(
         scene, sampling=(throw,), ground=ground or scene.ground, dimension=dimension
     )
 
 
-def _thrown(speed: float) -> Scene:
+def _thrown_ball(speed: float) -> Scene:
     down = (_NONE, _NONE, (-speed, -speed))
     return _ball(Throw("ball", displacement=_UP, velocity=down))
 
 
 THROW = Study(
     "throw", "a ball thrown down at the ground, up to ten times as fast as the paper's falls",
-    "speed", "m/s", (0.0, 5.0, 15.0, 50.0, 80.0, 150.0), _thrown,
+    "speed", "m/s", (0.0, 5.0, 15.0, 50.0, 80.0, 150.0), _thrown_ball,
 )  # fmt: skip
 
 
@@ -274,13 +274,13 @@ FRICTION = Study(
 )  # fmt: skip
 
 
-def _dropped(restitution: float) -> Scene:
+def _dropped_ball(restitution: float) -> Scene:
     return _ball(Throw("ball", displacement=_UP), ground=Ground(0.43, restitution))
 
 
 RESTITUTION = Study(
     "restitution", "a ball dropped from 1 m, for 2 s: up to three impacts",
-    "coefficient of restitution", "", (0.0, 0.2, 0.5, 0.8, 0.95, 1.0), _dropped, frames=20,
+    "coefficient of restitution", "", (0.0, 0.2, 0.5, 0.8, 0.95, 1.0), _dropped_ball, frames=20,
 )  # fmt: skip
 
 
@@ -288,7 +288,7 @@ RESTITUTION = Study(
 
 _CRANK = 1.0  # length [m]
 _APART = 1.0  # between cranks [m]
-_THIN = 1e-3  # of a rod's inertia about its own line
+_THIN = 1e-3  # inertia of a rod about its own line over that across it
 _AXIS = (0.0, -1.0, 0.0)
 
 
@@ -296,9 +296,9 @@ def _cranks(count: int, angle: float, rate: float) -> Scene:
     """Make the linkage of uniform rods of 1 kg per metre, in the x–z plane.
 
     Args:
-        count: Cranks, 2 or more.
-        angle: Of the cranks above the horizontal [rad].
-        rate: At which it grows [rad/s].
+        count: Number of cranks, 2 or more.
+        angle: Angle of the cranks above the horizontal [rad].
+        rate: Rate at which the angle grows [rad/s].
     """
     reach = (_CRANK * math.cos(angle), 0.0, _CRANK * math.sin(angle))
     speed = (-rate * reach[2], 0.0, rate * reach[0])
@@ -345,10 +345,10 @@ def _rod(length: float) -> Inertia:
 
 # Ever more constraints than there are coordinates to constrain.
 #
-# Hinges in a plane constrain what the plane keeps anyway, and every crank beyond the second holds a
-# rod that two hold already: with n cranks 4 n − 5 constraints are redundant. The multipliers have
-# no unique solution, the motion has: that of one pendulum, which turns over here. Twice in a turn
-# all rods lie in line, where still more constraints hang on each other.
+# Hinges also constrain directions in which a planar mechanism cannot move anyway, and every crank
+# beyond the second holds a rod that two hold already: with n cranks 4 n − 5 constraints are
+# redundant. The multipliers are not unique, but the motion is: that of one pendulum, which turns
+# over here. Twice in a turn all rods lie in line, where even more constraints are dependent.
 
 _START = math.radians(-50.0)
 _RATE = 7.0  # [rad/s]
@@ -368,8 +368,8 @@ REDUNDANCY = Study(
 # Through a pose in which a mechanism could go on in two ways.
 #
 # Where both cranks of a parallelogram lie in line with its rod, their constraints lose rank: from
-# there it may move on as a parallelogram or turn into an antiparallelogram, in which the cranks
-# turn against each other. The rates at the start lead through that pose as a parallelogram.
+# there it may move on as a parallelogram or turn into an antiparallelogram, whose cranks turn in
+# opposite directions. The rates at the start lead through that pose as a parallelogram.
 
 _SINGULAR_RATE = -2.0  # [rad/s]
 
@@ -388,7 +388,7 @@ STUDIES: dict[str, Study] = {study.name: study for study in (
     SCENES, MASS_RATIO, CHAIN_LENGTH, LOOPS, REDUNDANCY, SINGULAR, STIFFNESS, SPIN, WHEELS, THROW,
     SWING, PACE, LINKS, FRICTION, RESTITUTION,
 )}  # fmt: skip
-"""In the order in which they are listed and run."""
+"""Studies by name, in the order in which they are listed and run."""
 
 
 def study_named(name: str) -> Study:

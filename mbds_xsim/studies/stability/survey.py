@@ -1,7 +1,7 @@
-"""A study carried out: every simulator at every value and step, each run isolated.
+"""Execution of a study: all simulators at all values and steps, isolated in processes.
 
-The steps of one engine's method at one value share a process, as all values of one trained model
-do, whose torch takes longer to start than a prediction.
+The steps of one engine's method at one value share a process. All values of one trained model do
+so, too, because torch takes longer to start than a prediction.
 """
 
 from __future__ import annotations
@@ -47,36 +47,36 @@ from mbds_xsim.studies.stability import (
 from mbds_xsim.studies.stability.verdict import CRITERIA, run_cell
 
 LIMIT = 30.0
-"""Longest that a cell may take [s]."""
+"""Time limit of a cell [s]."""
 _REFERENCE_LIMIT = 120.0  # [s]
 
 
 @dataclass(frozen=True)
 class SurveyPlan:
-    """What of a study is carried out, and how."""
+    """Plan of a study: the parts to carry out, and how."""
 
     study: Study
     engines: tuple[str, ...] = ()
     methods: tuple[str, ...] = ()
-    """All of an engine's where none is named."""
+    """Methods to try; empty: all of each engine."""
     profiles: tuple[Profile, ...] = ("matched", "native")
     values: tuple[Value, ...] = ()
-    """The study's where none is given."""
+    """Values to try; empty: the study's own."""
     counts: tuple[int, ...] = COUNTS
-    """Steps a frame, the fewest first."""
+    """Numbers of steps per frame, the fewest first."""
     limit: float = LIMIT
-    """Longest that a cell may take [s]."""
+    """Time limit of a cell [s]."""
     conduct: Conduct = USUAL
     command: str = ""
     others: tuple[Simulator, ...] = ()
-    """Who takes part beside the engines' methods."""
+    """Simulators in addition to the engines' methods."""
     faulty: Mapping[str, str] = field(default_factory=dict)
     """Engines that would take part but cannot be used, each with the reason."""
 
 
 @dataclass(frozen=True, eq=False)
 class Instance:
-    """The scene at one value."""
+    """The scene at one value, with its start and its reference if known."""
 
     value: Value
     scene: Scene
@@ -85,10 +85,10 @@ class Instance:
 
 
 def survey(plan: SurveyPlan) -> Survey:
-    """Carry out a study; what was measured earlier is taken from the store.
+    """Carry out a study; cells that were measured earlier are taken from the store.
 
     Raises:
-        InputError: No method can do any of the scenes, or settings are not allowed.
+        InputError: No method can simulate any of the scenes, or settings are not allowed.
     """
     begin = time.perf_counter()
     plan = replace(plan, values=plan.values or plan.study.values)
@@ -96,7 +96,7 @@ def survey(plan: SurveyPlan) -> Survey:
     instances, unknown = _instances(plan, simulators)
     runner = Runner(
         store=Store.of("stability", plan.study.name, MapCell),
-        crashed=_crashed,
+        crashed=_crash_cell,
         labels=("value", "profile", "source"),
         lasts=_lasts,
         conduct=plan.conduct,
@@ -120,20 +120,20 @@ def survey(plan: SurveyPlan) -> Survey:
         machine=machine(),
         workers=plan.conduct.processes,
         measured=runner.measured,
-        kept=runner.kept,
+        kept=runner.reused,
         wall_s=time.perf_counter() - begin,
     )
 
 
 def simulators_of(plan: SurveyPlan) -> tuple[list[Simulator], dict[str, str]]:
-    """List who takes part, and who can do none of the scenes, with the reason.
+    """List the simulators that take part, and those that are left out, with the reason.
 
-    `matched` takes every method, `native` the one that a user of the engine gets.
+    `matched` takes every method, `native` the one that a user of the engine gets by default.
 
     Raises:
-        InputError: Nobody takes part, or a method that is named belongs to none of the engines.
+        InputError: No simulator takes part, or a named method belongs to none of the engines.
     """
-    asked: list[Simulator] = []
+    candidates: list[Simulator] = []
     left_out: dict[str, str] = {}
     scenes = [plan.study.scene(value) for value in plan.values]
     for name, profile in itertools.product(plan.engines, plan.profiles):
@@ -146,30 +146,30 @@ def simulators_of(plan: SurveyPlan) -> tuple[list[Simulator], dict[str, str]]:
         variation = NATIVE if profile == "native" else ""
         for method in [usual] if profile == "native" else adapter.methods:
             if not plan.methods or method in plan.methods:
-                asked.append(
+                candidates.append(
                     EngineMethod(
                         name, method, variation=variation, counts=plan.counts, profile=profile
                     )
                 )
-    found: list[Simulator] = []
-    for simulator in [*asked, *plan.others]:
+    simulators: list[Simulator] = []
+    for simulator in [*candidates, *plan.others]:
         reasons = [_refusal(plan.study, simulator, scene) for scene in scenes]
         if all(reasons):
             left_out[simulator.name] = reasons[0]
         else:
-            found.append(simulator)
+            simulators.append(simulator)
     known = {method for name in plan.engines for method in registry.load_adapter(name).methods}
     for method in plan.methods:
         check_name("method of these engines", method, sorted(known))
-    if not found:
+    if not simulators:
         reason = next(iter(left_out.values()), "no method that is named belongs to these settings")
         msg = f"nothing to run in {plan.study.name}: {reason}"
         raise InputError(msg)
-    return found, left_out
+    return simulators, left_out
 
 
 def _refusal(study: Study, simulator: Simulator, scene: Scene) -> str:
-    if simulator.shown and not study.known:
+    if simulator.context and not study.known:
         return f"{simulator.name}: no reference is known that could give it its first frames"
     return simulator.refusal(scene)
 
@@ -177,7 +177,7 @@ def _refusal(study: Study, simulator: Simulator, scene: Scene) -> str:
 def _instances(
     plan: SurveyPlan, simulators: Sequence[Simulator]
 ) -> tuple[dict[Clock, list[Instance]], dict[str, str]]:
-    """Make the scenes at the frames that each simulator records, with what is true there."""
+    """Make the scenes, with their references, for each clock that simulators record with."""
     instances: dict[Clock, list[Instance]] = {}
     unknown: dict[str, str] = {}
     for clock in dict.fromkeys(simulator.clock(plan.study.clock) for simulator in simulators):
@@ -194,7 +194,7 @@ def _instances(
 def _truths(
     plan: SurveyPlan, scenes: dict[Value, Scene]
 ) -> tuple[dict[Value, Trajectory], dict[str, str]]:
-    """Solve what has a reference; a value that has none is told, and goes without."""
+    """Solve the references; values that have none are returned with the reason."""
     if not plan.study.known:
         reason = "rigid contact of several spheres has no unique solution"
         return {}, dict.fromkeys(map(text_of, scenes), reason)
@@ -203,7 +203,7 @@ def _truths(
         for scene in scenes.values()
     ]
     answers = run_tasks(tasks, workers=plan.conduct.workers)
-    found: dict[Value, Trajectory] = {}
+    truths: dict[Value, Trajectory] = {}
     unknown: dict[str, str] = {}
     for value, answer in zip(scenes, answers, strict=True):
         failure = None if isinstance(answer, Crash) else answer.failures[0]
@@ -212,8 +212,8 @@ def _truths(
         elif failure is not None and not isinstance(failure, FirstImpact):
             unknown[text_of(value)] = failure.reason
         else:
-            found[value] = answer
-    return found, unknown
+            truths[value] = answer
+    return truths, unknown
 
 
 def _truth(scene: Scene, batch: Batch, cache: bool) -> Trajectory:
@@ -226,7 +226,7 @@ def _panels(
     instances: Mapping[Clock, Sequence[Instance]],
     runner: Runner[MapCell],
 ) -> tuple[Panel, ...]:
-    """Run all cells, those of most bodies first, who last, and put them in their places."""
+    """Run all cells, those of most bodies first as they take longest, and arrange the panels."""
     grid = [
         [
             [_case(plan, simulator, instance, count) for count in simulator.counts]
@@ -254,10 +254,10 @@ def _case(
     plan: SurveyPlan, simulator: Simulator, instance: Instance, count: int
 ) -> StudyCase[MapCell]:
     scene, batch, truth = instance.scene, instance.batch, instance.truth
-    what = (CHECKS, row_key(scene, batch, simulator, count), truth is None, batch.steps)
+    identity = (CHECKS, row_key(scene, batch, simulator, count), truth is None, batch.steps)
     return StudyCase(
         row=MapCell(
-            key=hashlib.sha256(repr(what).encode()).hexdigest(),
+            key=hashlib.sha256(repr(identity).encode()).hexdigest(),
             study=plan.study.name,
             value=instance.value,
             engine=simulator.engine,
@@ -283,10 +283,10 @@ def _case(
     )
 
 
-def _crashed(cell: MapCell, crash: Crash) -> MapCell:
+def _crash_cell(cell: MapCell, crash: Crash) -> MapCell:
     return msgspec.structs.replace(cell, outcome=crash.kind, reason=" ".join(crash.reason.split()))
 
 
-def _lasts(kept: MapCell, cell: MapCell) -> bool:
-    """Whether a kept cell need not be run again: a crash may have come from outside."""
-    return kept.outcome != "crashed" and in_time(kept, cell)
+def _lasts(stored: MapCell, cell: MapCell) -> bool:
+    """Return whether a stored cell can be reused; a crash cannot, as its cause may be external."""
+    return stored.outcome != "crashed" and in_time(stored, cell)

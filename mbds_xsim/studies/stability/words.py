@@ -1,6 +1,6 @@
-"""A stability study in words and maps: limits, what breaks first, who said so.
+"""A stability study in words and maps: limits, what breaks first, and who reported it.
 
-A cell that goes wrong without a word from the engine is hatched.
+A cell that goes wrong with no warning from the engine is hatched.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from mbds_xsim.report import quantity
 from mbds_xsim.report.themed import GREY, INK
 from mbds_xsim.studies.stability import MapCell, Outcome, Panel, Survey, Value, text_of
 
-_WHO = {
+_REPORTERS = {
     "engine": "the engine",
     "adapter": "the adapter's watch on the states; the engine itself says nothing",
     "process": "the process, by its end",
@@ -31,8 +31,8 @@ _LEARNED = (
 )
 
 
-def swept(sweep: Survey) -> str:
-    """Name what is swept, with its unit."""
+def axis_label(sweep: Survey) -> str:
+    """Name the swept quantity, with its unit."""
     return f"{sweep.quantity} [{sweep.unit}]" if sweep.unit else sweep.quantity
 
 
@@ -63,22 +63,22 @@ def reading(sweep: Survey) -> str:
     )
 
 
-def breaking(sweep: Survey) -> Iterator[tuple[str, str]]:
-    """Say of every panel what breaks, how often, and how often silently."""
+def first_failures(sweep: Survey) -> Iterator[tuple[str, str]]:
+    """Describe for each panel what breaks, how often, and how often silently."""
     for panel in sweep.panels:
         wrong = [c for row in panel.cells for c in row if c.failed or c.outcome == "off course"]
         counts = Counter(cell.outcome for cell in wrong)
         late = sum(cell.unmeasured for row in panel.cells for cell in row)
         silent = sum(cell.silent for cell in wrong)
-        told = [f"{what} {count}×" for what, count in counts.most_common()]
-        text = ", ".join(told + [f"not measured {late}×"] * bool(late))
+        parts = [f"{outcome} {count}×" for outcome, count in counts.most_common()]
+        text = ", ".join(parts + [f"not measured {late}×"] * bool(late))
         if text:
             cells = sum(len(row) for row in panel.cells)
             yield panel.name, f"{text}, of {cells} cells; {silent} without a word from the engine"
 
 
 def conclusion(sweep: Survey) -> str:
-    """Say in one line what bears most, and how much goes wrong silently."""
+    """State in one line how many cells fail, how many silently, and what is most stable."""
     cells = sweep.cells
     ranked = [panel for panel in sweep.panels if not panel.learned] or sweep.panels
     failed = [cell for cell in cells if cell.failed]
@@ -100,28 +100,28 @@ def _holds(cell: MapCell) -> bool:
     return not (cell.failed or cell.unmeasured or cell.outcome == "refused")
 
 
-def holding(sweep: Survey) -> Iterator[tuple[str, str]]:
-    """Say of every trained model where it holds and what breaks first beyond; then how."""
+def stable_ranges(sweep: Survey) -> Iterator[tuple[str, str]]:
+    """List where each trained model is stable and what breaks first beyond; then the criteria."""
     learned = [panel for panel in sweep.panels if panel.learned]
     for panel in learned:
-        yield panel.name, _held([row[0] for row in panel.cells], sweep)
+        yield panel.name, _describe_stability([row[0] for row in panel.cells], sweep)
     yield from [("trained models", _LEARNED)] * bool(learned)
 
 
-def _held(cells: Sequence[MapCell], sweep: Survey) -> str:
+def _describe_stability(cells: Sequence[MapCell], sweep: Survey) -> str:
     stable = _runs(cells, _holds, sweep)
     on_course = _runs(cells, lambda cell: cell.outcome == "stable", sweep)
     text = f"stable {stable}, on course {on_course}"
     beyond = next((cell for cell in cells if cell.failed), None)
     if beyond is None:
         return text
-    who = _WHO[beyond.told].partition(":")[0]
-    return f"{text}; at {text_of(beyond.value, sweep.unit)} {what_happened(beyond)}, told by {who}"
+    who = _REPORTERS[beyond.told].partition(":")[0]
+    return f"{text}; at {text_of(beyond.value, sweep.unit)} {outcome_text(beyond)}, told by {who}"
 
 
 def _runs(cells: Sequence[MapCell], holds: Callable[[MapCell], bool], sweep: Survey) -> str:
-    """Name the values that hold: neighbours as a range."""
-    groups = [list(group) for held, group in itertools.groupby(cells, holds) if held]
+    """List the values that hold, neighbouring ones as a range."""
+    groups = [list(group) for good, group in itertools.groupby(cells, holds) if good]
     return " and ".join(f"at {_range(group, sweep)}" for group in groups) or "nowhere"
 
 
@@ -138,11 +138,11 @@ def name_of(cell: MapCell, sweep: Survey) -> str:
     return f"{cell.study}, {where}: {cell.engine} {cell.method}{profile}, step {step}"
 
 
-def told(cell: MapCell, sweep: Survey) -> Iterator[tuple[str, str]]:
-    """Tell all about a cell: what happened, who said so, the figures."""
-    yield "outcome", what_happened(cell)
+def facts_of(cell: MapCell, sweep: Survey) -> Iterator[tuple[str, str]]:
+    """List the facts about a cell: what happened, who reported it, figures, and how to rerun it."""
+    yield "outcome", outcome_text(cell)
     if cell.failed or cell.outcome == "off course":
-        yield "who told", _WHO[cell.told]
+        yield "who told", _REPORTERS[cell.told]
     if cell.reason:
         yield "in its words", cell.reason
     figures = ", ".join(_figures(cell))
@@ -153,8 +153,8 @@ def told(cell: MapCell, sweep: Survey) -> Iterator[tuple[str, str]]:
     yield "again", command_of(cell, sweep)
 
 
-def what_happened(cell: MapCell) -> str:
-    """Say what became of a run, with when."""
+def outcome_text(cell: MapCell) -> str:
+    """Describe the outcome of a run, with its times."""
     text: str = "not measured" if cell.unmeasured else cell.outcome
     if cell.broke_s is not None:
         text += f" from {quantity.span(cell.broke_s)} on"
@@ -164,7 +164,7 @@ def what_happened(cell: MapCell) -> str:
 
 
 def command_of(cell: MapCell, sweep: Survey) -> str:
-    """Give the command line that runs a cell again."""
+    """Return the command line that runs a cell again."""
     if cell.source:
         return (
             f"mbds-xsim stability {sweep.study} --engines none --models {shlex.quote(cell.source)} "
@@ -177,7 +177,7 @@ def command_of(cell: MapCell, sweep: Survey) -> str:
 
 
 def _exactly(value: Value) -> str:
-    """Write a value so that it is read as the same one, but for rounding."""
+    """Write a value so that reading it gives the same one, up to rounding."""
     return value if isinstance(value, str) else f"{value:.12g}"
 
 
@@ -194,7 +194,7 @@ def _figures(cell: MapCell) -> Iterator[str]:
 
 
 def _alike(cells: tuple[MapCell, ...]) -> str:
-    """Say that all cells are refused, or that none is measured; else ""."""
+    """Return words for cells that are all refused, or all not measured; else ""."""
     words = {"refused": "refused", "timed out": "not measured"}
     (first, *others) = {cell.outcome for cell in cells}
     return "" if others else words.get(first, "")
@@ -202,14 +202,14 @@ def _alike(cells: tuple[MapCell, ...]) -> str:
 
 @dataclass(frozen=True)
 class Look:
-    """How an outcome is drawn, and what it means."""
+    """Look of an outcome on the maps, and its meaning."""
 
     colour: str
     letter: str
     meaning: str
 
 
-# A letter besides each colour; none of the colours is an engine's or a model's.
+# Letters go with the colours, none of which is an engine's or a model's.
 LOOKS: dict[Outcome, Look] = {
     "stable": Look("#8fd6b9", "", "stable and on course"),
     "off course": Look("#e9efb5", "o", "stable, but more than a tenth of the length off"),
@@ -231,21 +231,21 @@ LIGHT_LOOKS = {
     "refused",
 }  # fmt: skip
 _HATCH = "////"
-_LETTER = 0.068  # of an upright name [in]
+_LETTER = 0.068  # height of a letter in an upright name [in]
 _UPRIGHT: dict[bool, dict[str, Any]] = {False: {}, True: {"rotation": 90, "fontsize": 7.5}}
 _CELL = (0.36, 0.30)  # [in]
 _MARGIN = (1.15, 0.85)  # [in]
 
 
 def charts_of(sweep: Survey) -> list[tuple[int, ...]]:
-    """Give the places of the panels of each map: one an engine's method, one of all models."""
+    """Return the places of each map's panels: one map per engine method, then one of all models."""
     models = tuple(k for k, panel in enumerate(sweep.panels) if panel.learned)
     engines = [(k,) for k, panel in enumerate(sweep.panels) if not panel.learned]
     return [*engines, models] if models else [*engines]
 
 
 def size_of(sweep: Survey, places: Sequence[int] = ()) -> tuple[float, float]:
-    """Width and height of one map [in]; without places of an engine's."""
+    """Return width and height of one map [in]; without `places`, of an engine's map."""
     panels = [sweep.panels[place] for place in places]
     columns = sum(len(panel.steps_s) for panel in panels) or len(sweep.steps_s)
     labels = 0.075 * max(len(text_of(value)) for value in sweep.values)
@@ -261,11 +261,11 @@ def draw_map(
     """Draw a map of panels side by side.
 
     Args:
-        axes: Where.
+        axes: Axes to draw on.
         sweep: The study.
-        places: Of the panels: one of an engine's method, or those of models.
-        labelled: Whether to say what is upwards: not where another map stands to the left.
-        columns: Room for so many, where there are fewer.
+        places: Places of the panels: that of an engine's method, or those of all models.
+        labelled: Whether to label the vertical axis; not needed next to another map.
+        columns: Least number of columns to leave room for.
     """
     panels = [sweep.panels[place] for place in places]
     begin = 0
@@ -274,13 +274,13 @@ def draw_map(
             for k, cell in enumerate(cells):
                 _draw_cell(axes, cell, begin + k, row, f"tip-{place}-{row * len(cells) + k}")
         begin += len(panel.steps_s)
-    title, x_label, ticks = _named(panels)
+    title, x_label, ticks = _heading(panels)
     axes.set_xticks(range(begin), ticks, **_UPRIGHT[panels[0].learned])
     axes.set_yticks(range(len(sweep.values)), [text_of(value) for value in sweep.values])
     axes.set_xlim(-0.5, max(begin, columns) - 0.5)
     axes.set_ylim(-0.5, len(sweep.values) - 0.5)
     axes.set_xlabel(x_label, loc="left" if panels[0].learned else "center")
-    axes.set_ylabel(_short(swept(sweep)) if labelled else "")
+    axes.set_ylabel(_short(axis_label(sweep)) if labelled else "")
     axes.set_title(title, fontsize=9, loc="left", color=INK)
     axes.tick_params(length=0)
     axes.grid(visible=False)
@@ -288,8 +288,8 @@ def draw_map(
         side.set_visible(False)
 
 
-def _named(panels: Sequence[Panel]) -> tuple[str, str, list[str]]:
-    """Title, label and ticks of the columns."""
+def _heading(panels: Sequence[Panel]) -> tuple[str, str, list[str]]:
+    """Return the title, and label and ticks of the columns."""
     if panels[0].learned:
         return ("trained models, frame by frame", *_training_and_names(panels))
     steps = [milliseconds(step) for step in panels[0].steps_s]
@@ -297,7 +297,7 @@ def _named(panels: Sequence[Panel]) -> tuple[str, str, list[str]]:
 
 
 def _training_and_names(panels: Sequence[Panel]) -> tuple[str, list[str]]:
-    """What all models were trained on, and their names; of several trainings each says its own."""
+    """Return the models' common training and their names; names state trainings that differ."""
     trainings = {panel.name.removeprefix(panel.engine).strip() for panel in panels}
     if len(trainings) == 1:
         return trainings.pop(), [panel.engine for panel in panels]
@@ -308,7 +308,7 @@ def draw_legend(figure: Any, sweep: Survey, *, columns: int) -> None:
     """Explain the colours that occur, and the hatching, below the maps."""
     from matplotlib.patches import Patch
 
-    seen = {cell.outcome for cell in sweep.cells}
+    outcomes = {cell.outcome for cell in sweep.cells}
     patches = [
         Patch(
             facecolor=look.colour,
@@ -317,7 +317,7 @@ def draw_legend(figure: Any, sweep: Survey, *, columns: int) -> None:
             label=f"{look.letter}  {look.meaning}".strip(),
         )
         for outcome, look in LOOKS.items()
-        if outcome in seen
+        if outcome in outcomes
     ]
     silent = Patch(
         facecolor="white", edgecolor=INK, linewidth=0.0, hatch=_HATCH,
@@ -330,9 +330,9 @@ def draw_legend(figure: Any, sweep: Survey, *, columns: int) -> None:
 
 
 def tips(sweep: Survey) -> dict[str, str]:
-    """Say what each cell is when it is pointed at, by the gid of its artist."""
+    """Return the text shown when a cell is pointed at, keyed by the gid of its artist."""
     return {
-        f"tip-{place}-{row * len(cells) + column}": _told(cell, sweep)
+        f"tip-{place}-{row * len(cells) + column}": _tooltip(cell, sweep)
         for place, panel in enumerate(sweep.panels)
         for row, cells in enumerate(panel.cells)
         for column, cell in enumerate(cells)
@@ -361,14 +361,14 @@ def _draw_cell(axes: Any, cell: MapCell, column: int, row: int, gid: str) -> Non
         )
 
 
-def _told(cell: MapCell, sweep: Survey) -> str:
+def _tooltip(cell: MapCell, sweep: Survey) -> str:
     lines = [name_of(cell, sweep)]
-    lines += [f"{subject}: {text}" for subject, text in told(cell, sweep)]
+    lines += [f"{subject}: {text}" for subject, text in facts_of(cell, sweep)]
     return "\n".join(lines)
 
 
 def _short(text: str) -> str:
-    """Break a long axis label in two lines."""
+    """Break a long axis label into two lines."""
     if len(text) < 28:
         return text
     middle = text.rfind(" ", 0, len(text) // 2 + 4)

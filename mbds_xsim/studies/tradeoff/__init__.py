@@ -1,4 +1,4 @@
-"""What a trade-off study tries, and records: raw rows, and the points and curves made of them."""
+"""Curves and records of a trade-off study: raw rows, and the points and results made of them."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ from mbds_xsim.simulate.simulator import NATIVE, EngineMethod, Options
 SCHEMA = "mbds-xsim/tradeoff/1"
 
 INSTANT = 1.0
-"""Time of the error that is charted, where the reference lasts so long [s]."""
+"""Time of the charted error [s], unless the reference ends earlier."""
 AT_ONCE = 64
-"""Trajectories of a batch, of what does several at once."""
+"""Batch size of methods and models that simulate several trajectories at once."""
 BATCH = f"{AT_ONCE} at a time"
-"""Variation that stands for each one's share of such a batch."""
+"""Variation in which times are each trajectory's share of such a batch."""
 
 Kind = Literal["done", "failed", "crashed", "timed out", "refused", "too slow"]
-"""How a run ended: at the last frame; early, by the engine's or the adapter's word; with its
-process; at the time limit; not at all, as the settings are not allowed; or it was not begun, as
-it would have taken longer than the limit."""
+"""How a run ended: at the last frame; early, as engine or adapter report; with a crash of its
+process; or at the time limit. Or why it was not started: its settings are not allowed, or it
+would have taken longer than the limit."""
 COUNTS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
-"""Steps a frame that a method is tried at."""
+"""Steps per frame at which a method is tried."""
 DIGITS = (5, 6, 7, 8, 9, 10, 11, 12)
-"""Of the tolerances that an adaptive method is tried at."""
+"""Digits n of the relative tolerances 10⁻ⁿ at which an adaptive method is tried."""
 SPAN = 100
-"""A method is tried up to so many steps a frame whatever comes of it: two decades of steps."""
-_THIN = (2, 5, 20)  # steps a frame at which a changed option is tried
+"""Steps per frame up to which a method is tried whatever its error: two decades of steps."""
+_THIN = (2, 5, 20)  # steps per frame at which a changed option is tried
 
 
 class Measurement(Keyed, frozen=True, kw_only=True):
-    """One start simulated at one setting, as it is kept."""
+    """Stored row: one start simulated at one setting."""
 
     scene: str
     engine: str
@@ -54,64 +54,64 @@ class Measurement(Keyed, frozen=True, kw_only=True):
     steps_per_frame: int
     step_s: float
     rtol: float | None = None
-    """Relative tolerance of a method that chooses its steps, which may go over a whole frame."""
+    """Relative tolerance of an adaptive method, whose steps may span a whole frame; else None."""
     trajectory: int
     """Index of the start."""
     seed: int
     machine: str
     limit_s: float
-    """Longest time a rollout was given."""
+    """Longest rollout allowed [s]."""
     kind: Kind
     reason: str = ""
     wall_s: tuple[float, ...] = ()
-    """Wall time per simulated second, one a repeat."""
+    """Wall time per simulated second, one entry per repeat."""
     cpu_s: tuple[float, ...] = ()
-    """Processor time per simulated second, one a repeat."""
+    """Processor time per simulated second, one entry per repeat."""
     setup_s: float | None = None
-    """Loading the model [s]."""
+    """Time to load the model [s]."""
     error_m: float | None = None
     """RMS particle error at the horizon [m]."""
     horizon_s: float = 0.0
-    """1 s, or where the reference ends before that."""
+    """Time of `error_m` [s]: 1 s, or less if the reference or the scene ends earlier."""
     error_weighted_m: float | None = None
     """Largest error / max(1, G) over the frames with growth G < 100 [m]."""
     gap_m: float | None = None
     energy: float | None = None
-    """Energy balance over the energy scale; with contact, the passivity."""
+    """Figure of the energy check, over the energy scale; with contact, of the passivity check."""
     broken: tuple[str, ...] = ()
-    """Checks whose budget is not kept."""
+    """Checks whose budget is exceeded."""
     coordinates: int | None = None
     constraints: int | None = None
     contact_pairs: int | None = None
 
     @property
     def count(self) -> int:
-        """Steps a frame, or digits of the tolerance."""
+        """Steps per frame, or digits n of the tolerance 10⁻ⁿ."""
         return self.steps_per_frame if self.rtol is None else round(-math.log10(self.rtol))
 
     @property
     def unmeasured(self) -> bool:
-        """Whether it was not waited for, so that nothing is known of it."""
+        """Whether the run hit the time limit, so that it has no figures."""
         return self.kind == "timed out"
 
 
-Found = list[list[list[Measurement]]]
-"""Rows by curve, by point and by start."""
+CurveRows = list[list[list[Measurement]]]
+"""Rows, nested by curve, point and start."""
 
 
 class Point(msgspec.Struct, frozen=True, kw_only=True):
-    """A setting: its rows put together. Errors are the worst of its starts."""
+    """One setting, summarised over its starts; errors are the worst of all starts."""
 
     steps_per_frame: int
     step_s: float
     rtol: float | None = None
-    """In place of the step, where a method chooses its steps."""
+    """Relative tolerance, which replaces the step of an adaptive method."""
     kind: Kind
     reason: str = ""
     starts: int = 0
-    """Starts that were simulated to the end."""
+    """Number of starts that were simulated to the end."""
     wall_s: float | None = None
-    """Median wall time per simulated second over all starts and repeats."""
+    """Wall time per simulated second: median over the starts of the median over their repeats."""
     wall_low_s: float | None = None
     wall_high_s: float | None = None
     cpu_s: float | None = None
@@ -122,11 +122,11 @@ class Point(msgspec.Struct, frozen=True, kw_only=True):
     energy: float | None = None
     broken: tuple[str, ...] = ()
     on_front: bool = False
-    """Whether no point is both faster and nearer to the reference."""
+    """Whether the point is on the Pareto front of cost and error."""
 
 
 class CurveResult(msgspec.Struct, frozen=True, kw_only=True):
-    """One way of simulating the scene, at several steps."""
+    """A method with one set of options, at several steps or tolerances."""
 
     engine: str
     version: str
@@ -137,64 +137,64 @@ class CurveResult(msgspec.Struct, frozen=True, kw_only=True):
     order: int
     """Declared order of convergence."""
     measured_order: float | None
-    """Slope of the asymptotic part of error over step; None where there is none."""
+    """Slope of log(error) over log(step) in the asymptotic range; None if it has none."""
     points: tuple[Point, ...]
-    """The longest step first."""
+    """Points, the longest step or loosest tolerance first."""
     own: bool = True
-    """Whether the engine itself steps; else this toolkit steps the engine's dynamics."""
+    """Whether the engine itself integrates; if not, this toolkit integrates its dynamics."""
 
     @property
     def changed(self) -> bool:
-        """Whether an option is another than usual."""
+        """Whether an option differs from the usual; False for native settings and batches."""
         return self.variation not in ("", NATIVE, BATCH)
 
     @property
     def name(self) -> str:
-        """Engine, method and what is varied."""
+        """Engine, method and variation."""
         return " ".join(filter(None, (self.engine, self.method, self.variation)))
 
 
 class Ratio(msgspec.Struct, frozen=True, kw_only=True):
-    """What one accuracy costs."""
+    """Cost of one accuracy on each curve."""
 
     error_m: float
     budget: bool
-    """Whether it is the scene's budget at 1 s."""
+    """Whether `error_m` is the scene's budget at 1 s."""
     wall_s: tuple[float | None, ...]
-    """Wall time per simulated second of each curve, interpolated; None: not reached."""
+    """Wall time per simulated second of each curve, interpolated; None if not reached."""
     best: int | None
-    """Place of the cheapest curve."""
+    """Index of the cheapest curve; None if no curve reaches the accuracy."""
 
 
-class Learned(msgspec.Struct, frozen=True, kw_only=True):
-    """A trained model on the starts of the engines, behind the frames that it was given."""
+class ModelResult(msgspec.Struct, frozen=True, kw_only=True):
+    """A trained model's figures on the engines' starts."""
 
     model: str
     training: str
-    """What it was trained on, and its seed: "not-mujoco-s0"."""
+    """Training data and seed, such as "not-mujoco-s0"."""
     variant: str
-    """Of that data: native or matched."""
+    """Variant of the training data: native or matched."""
     engines: tuple[str, ...]
-    """Whose data it was trained on."""
+    """Engines that made the training data."""
     source: str
-    """Its file."""
+    """Model file, as the user named it."""
     known_frames: int
-    """Of the reference, which no engine is given; times are of the frames behind them."""
+    """Number of reference frames it is given (engines get none); times are of later frames."""
     at_once: int
-    """Trajectories of a batch."""
+    """Trajectories per batch."""
     alone: Point
-    """One trajectory at a time."""
+    """Figures for one trajectory at a time."""
     batched: Point
-    """A batch of them: times are each trajectory's share, errors the same."""
+    """Figures for a batch: times are each trajectory's share, errors are as above."""
     train_wall_s: float | None = None
-    """What training took [s], which is in no other time."""
+    """Wall time of training [s], which no other time includes."""
     train_cpu_s: float | None = None
     train_steps: float | None = None
-    """Of the optimiser."""
+    """Number of optimiser steps."""
     train_trajectories: float | None = None
     train_device: str = ""
     machine: str = ""
-    """That it was timed on."""
+    """Machine on which it was timed."""
 
     @property
     def name(self) -> str:
@@ -212,12 +212,12 @@ class Tradeoff(msgspec.Struct, frozen=True, kw_only=True):
     seed: int
     trajectories: tuple[int, ...]
     horizon_s: float
-    """Time of the error that is charted; the smallest of all starts [s]."""
+    """Time of the charted error [s], the earliest of all starts."""
     reference_ends_s: float | None
-    """Where a contact scene's reference first ends without a unique answer [s]."""
+    """Earliest impact after which a reference has no unique solution [s]; None if there is none."""
     own_limit: int | None = None
-    """Where the reference ends at once, each method is held against its own run at so many steps
-    a frame, which shows convergence and no truth; no budget of accuracy is judged."""
+    """Steps per frame of each method's own run, which replaces a reference that ends at once:
+    distances to it show convergence, not truth. None if there is a reference."""
     duration_s: float
     length_m: float
     budget: dict[str, float]
@@ -226,21 +226,21 @@ class Tradeoff(msgspec.Struct, frozen=True, kw_only=True):
     curves: tuple[CurveResult, ...]
     ratios: tuple[Ratio, ...]
     left_out: dict[str, str]
-    """Methods that cannot do the scene, each with the reason."""
+    """Methods that cannot simulate the scene and models of other scenes, each with the reason."""
     versions: dict[str, str]
     machine: str
     workers: int
     busy: float
-    """Median of wall time over processor time: what else the machine had to do."""
+    """Median ratio of wall time to processor time; above 1 if other work slowed the machine."""
     measured: int
-    """Rows that were measured in this run."""
+    """Number of rows measured in this run."""
     kept: int
-    """Rows that came from an earlier one."""
+    """Number of rows kept from earlier runs."""
     wall_s: float
     fingerprint: str = ""
-    """Stands for the scene's physics and starts; empty in results of earlier versions."""
-    models: tuple[Learned, ...] = ()
-    """Trained models, where any were asked for."""
+    """Hash of the scene's physics and starts; empty in results of earlier versions."""
+    models: tuple[ModelResult, ...] = ()
+    """Trained models, if any were asked for."""
 
     @property
     def error_budget_m(self) -> float:
@@ -249,32 +249,32 @@ class Tradeoff(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def cut_short(self) -> bool:
-        """Whether an impact ends the reference of a start before the error's usual time."""
+        """Whether an impact ends the reference of a start before `INSTANT`."""
         return self.reference_ends_s is not None and self.reference_ends_s < INSTANT
 
 
 def read_tradeoff(path: Path) -> Tradeoff:
-    """Read what the command has written of one study.
+    """Read the file that the command wrote for one scene.
 
     Raises:
-        InputError: It cannot be read, or is something else.
+        InputError: The file cannot be read, or holds something else.
     """
     try:
-        found = msgspec.json.decode(read_file(path), type=Tradeoff)
+        study = msgspec.json.decode(read_file(path), type=Tradeoff)
     except (OSError, msgspec.DecodeError) as error:
         msg = f"{path}: no result of one scene of mbds-xsim tradeoff ({error})"
         raise InputError(msg) from error
-    if found.schema != SCHEMA:
-        msg = f"{path}: got schema {found.schema!r}, allowed is {SCHEMA!r}"
+    if study.schema != SCHEMA:
+        msg = f"{path}: got schema {study.schema!r}, allowed is {SCHEMA!r}"
         raise InputError(msg)
-    return found
+    return study
 
 
 def curves_of(scene: Scene, engines: Sequence[str]) -> tuple[list[EngineMethod], dict[str, str]]:
     """List the curves of a scene's chart.
 
-    The options in use are those of the engine's matched settings, for all of its methods. They
-    are changed for the matched method only, and where an option belongs to certain methods.
+    All fixed-step methods of an engine use the options of its matched settings. An option is
+    varied for the methods that its sweep names, or for the matched method only if it names none.
 
     Returns:
         The curves, and the methods left out as "engine method", each with the reason.
@@ -301,15 +301,15 @@ def curves_of(scene: Scene, engines: Sequence[str]) -> tuple[list[EngineMethod],
 
 
 def _curve(scene: Scene, adapter: Adapter, matched: Settings, method: str) -> EngineMethod:
-    """Give a method at the matched options, and at steps or tolerances."""
+    """Return the curve of a method: matched options over steps, or tolerances if adaptive."""
     if adapter.methods[method].adaptive:
-        return EngineMethod(adapter.name, method, given={}, counts=DIGITS, digits=True)
+        return EngineMethod(adapter.name, method, own_options={}, counts=DIGITS, digits=True)
     counts = _counts(scene, matched, method)
-    return EngineMethod(adapter.name, method, given=dict(matched.options), counts=counts)
+    return EngineMethod(adapter.name, method, own_options=dict(matched.options), counts=counts)
 
 
 def _counts(scene: Scene, matched: Settings, method: str) -> tuple[int, ...]:
-    """Take the matched steps a frame in, so that the chart shows what is published."""
+    """Include the matched steps per frame, so that the chart shows the published settings."""
     own = {matched.substeps(scene.clock.frame)} if method == matched.method else set()
     return tuple(sorted(own | set(COUNTS)))
 
@@ -317,7 +317,7 @@ def _counts(scene: Scene, matched: Settings, method: str) -> tuple[int, ...]:
 def _variations(
     scene: Scene, adapter: Adapter, base: EngineMethod, preferred: str
 ) -> Iterator[EngineMethod]:
-    """Change one option at a time."""
+    """Yield the curves that differ from `base` in one option."""
     needs = features_of(scene)
     for option, sweep in adapter.sweeps.items():
         acts = base.method in (sweep.methods or (preferred,))
@@ -330,7 +330,7 @@ def _variations(
                 yield dataclasses.replace(
                     base,
                     variation=f"{option} = {value}",
-                    given={**usual, option: value},
+                    own_options={**usual, option: value},
                     counts=_THIN,
                 )
 
@@ -341,10 +341,10 @@ def _native(scene: Scene, adapter: Adapter) -> Iterator[EngineMethod]:
         adapter.check(scene, settings)
     except Unsupported:
         return
-    if adapter.methods[settings.method].adaptive:  # on the curve, at the digits of its own
+    if adapter.methods[settings.method].adaptive:  # its curve over the tolerances stands for it
         return
     count = settings.substeps(scene.clock.frame)
     yield EngineMethod(
-        adapter.name, settings.method, variation=NATIVE, given=dict(settings.options),
+        adapter.name, settings.method, variation=NATIVE, own_options=dict(settings.options),
         counts=(count,), profile="native",
     )  # fmt: skip

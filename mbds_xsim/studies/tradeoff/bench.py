@@ -1,6 +1,6 @@
-"""Where points of a chart are measured: one start at one setting, timed and held to the truth.
+"""Measurement of chart points: one start at one setting, timed and compared with the truth.
 
-The truth is the reference, or where it knows nothing, a method's own limit.
+The truth is the reference, or a method's own limit if the reference ends at once.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from mbds_xsim.simulate.simulator import Signs, Simulated, Simulator
 from mbds_xsim.studies.tradeoff import INSTANT, SPAN, Measurement
 
 LIMIT_COUNT = 2 * SPAN
-"""Steps a frame that stand for a vanishing step."""
+"""Steps per frame of the run that stands for the limit of a vanishing step."""
 
 _GRACE = 30.0
-"""What a case may take beside its rollouts [s]."""
+"""Time that a case may take in addition to its rollouts [s]."""
 _LIMIT_PATIENCE = 5.0
 
 Place = tuple[str, str, int]
@@ -42,15 +42,15 @@ Place = tuple[str, str, int]
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What one start is held against."""
+    """Motion that one start is compared with."""
 
     trajectory: Trajectory
     growth: Array
     """Sensitivity G, shape (1, frame)."""
     judged: bool = True
-    """Whether the error counts against a budget: not where an engine is held to itself."""
+    """Whether the error counts against a budget; False if a method is compared with itself."""
     compared: bool = True
-    """Whether the distance to it is a figure at all."""
+    """Whether the error is reported at all."""
 
     @property
     def known(self) -> Mask:
@@ -59,7 +59,7 @@ class Truth:
 
     @property
     def horizon(self) -> float:
-        """Time of the charted error: 1 s, or the last frame that is known before [s]."""
+        """Time of the charted error [s]: 1 s, or the last known frame before that."""
         times = self.trajectory.time[self.known]
         before = times[times <= INSTANT * (1 + 1e-9)]
         return float(before[-1]) if len(before) else 0.0
@@ -69,19 +69,19 @@ def references(scene: Scene, batch: Batch, conduct: Conduct) -> list[Truth]:
     """Solve the reference of each start.
 
     Raises:
-        InputError: It failed; without it no error can be measured.
+        InputError: A solution failed; without it no error can be measured.
     """
-    solved = run_references(scene, batch, conduct)
-    each = (solved[[k]] for k in range(len(batch)))
-    return [Truth(one.trajectory, one.growth) for one in each]
+    outcome = run_references(scene, batch, conduct)
+    parts = (outcome[[k]] for k in range(len(batch)))
+    return [Truth(part.trajectory, part.growth) for part in parts]
 
 
 def confirmations(
     scene: Scene, batch: Batch, truths: Sequence[Truth], conduct: Conduct
 ) -> list[Truth]:
-    """Solve each start by other equations, so that the reference is not held to itself.
+    """Solve each start with other equations, so that the reference is not compared with itself.
 
-    A ball that bounces has no second solution: its motion has a cost, and no error.
+    Bouncing balls have no second solution: the reference then has a cost but no error.
     """
     if has_known_impacts(Mechanism.of(scene)):
         return [dataclasses.replace(truth, judged=False, compared=False) for truth in truths]
@@ -96,14 +96,14 @@ def confirmations(
 
 
 def first_impact(truths: Sequence[Truth]) -> float | None:
-    """Time of the first impact after which a motion has no unique solution [s]."""
+    """Return the time of the first impact after which a motion has no unique solution [s]."""
     ends = [truth.trajectory.failures[0] for truth in truths]
     return min((end.time for end in ends if isinstance(end, FirstImpact)), default=None)
 
 
 def _limit(simulator: Simulator, scene: Scene, start: Batch) -> Truth:
     motion = simulator.simulate(scene, start, LIMIT_COUNT, None, often=False).motion
-    assert isinstance(motion, Trajectory)  # those without bodies need a reference
+    assert isinstance(motion, Trajectory)  # simulators without bodies need a reference
     return _own_limit(motion)
 
 
@@ -112,7 +112,7 @@ def _own_limit(motion: Trajectory) -> Truth:
 
 
 _PATIENCE = 3.0
-"""A case may take so many times the limit of a rollout: predictions err, and machines stall."""
+"""Time limit of a case over that of a rollout: predictions can be wrong and machines stall."""
 
 
 @dataclass(frozen=True)
@@ -121,21 +121,21 @@ class Job:
 
     simulator: Simulator
     count: int
-    """Steps a frame."""
+    """Steps per frame, or digits of the tolerance."""
     start: int
     """Row of the batch."""
 
     @property
     def place(self) -> Place:
-        """What decides the truth it is held against."""
+        """Engine, method and start, which decide the truth."""
         return self.simulator.engine, self.simulator.method, self.start
 
 
 @dataclass
 class StartBench:
-    """The starts of a study with what is true of them, and what measures on them.
+    """Starts of a study with their truths, and the runner that measures them.
 
-    The truth is that of each start, or of each start in each method.
+    There is one truth per start, or one per start and method.
     """
 
     scene: Scene
@@ -143,12 +143,12 @@ class StartBench:
     references: list[Truth]
     seed: int
     limit: float
-    """Longest rollout of one start that was asked for [s]."""
+    """Longest rollout of one start allowed [s]."""
     conduct: Conduct
     usual: Mapping[tuple[str, str], Simulator] = field(default_factory=dict)
-    """By engine and method, at the engine's usual options."""
+    """Simulators with the engine's usual options, keyed by engine and method."""
     own: Mapping[tuple[str, str], list[Truth]] = field(default_factory=dict)
-    """Truths of each start for methods that are the reference, by engine and method."""
+    """Truths for methods that are the reference itself, keyed by engine and method."""
     _limits: dict[Place, Truth] = field(default_factory=dict)
 
     @cached_property
@@ -156,7 +156,7 @@ class StartBench:
         """Runner with the scene's store."""
         return Runner(
             store=Store.of("tradeoff", self.scene.name, Measurement),
-            crashed=_crashed,
+            crashed=_crash_row,
             labels=("scene", "variation", "trajectory", "seed", "horizon_s"),
             lasts=in_time,
             conduct=self.conduct,
@@ -165,18 +165,18 @@ class StartBench:
 
     @property
     def are_limits(self) -> bool:
-        """Whether the reference ends at once, so that a method only has itself to be held to."""
+        """Whether the reference ends at once, so that a method is only compared with itself."""
         return min(truth.horizon for truth in self.references) == 0.0
 
     @property
     def horizon(self) -> float:
-        """Time of the charted error, the earliest of all starts [s]."""
+        """Time of the charted error [s], the earliest of all starts."""
         if self.are_limits:
             return min(INSTANT, self.scene.clock.duration)
         return min(truth.horizon for truth in self.references)
 
     def rows(self, jobs: Sequence[Job]) -> list[Measurement]:
-        """Give the row of each job, measuring those that are not kept."""
+        """Return the row of each job, measuring those that are not stored."""
         cases = [self._case(job) for job in jobs]
         missing = {case.row.key for case in self.runner.missing(cases)}
         pairs = zip(jobs, cases, strict=True)
@@ -184,7 +184,7 @@ class StartBench:
         return self.runner.rows(cases)
 
     def _prepare(self, places: Sequence[Place]) -> None:
-        """Simulate the limits that will be asked for and are not there."""
+        """Simulate the limits that the places need and that are still missing."""
         if not self.are_limits:
             return
         missing = [place for place in dict.fromkeys(places) if place not in self._limits]
@@ -198,21 +198,21 @@ class StartBench:
         ]
         answers = run_tasks(tasks, workers=self.conduct.workers)
         for place, answer in zip(missing, answers, strict=True):
-            self._limits[place] = self._unknown() if isinstance(answer, Crash) else answer
+            self._limits[place] = self._unknown_truth() if isinstance(answer, Crash) else answer
 
     def truth_of(self, place: Place) -> Truth:
-        """Give what one start in one method is held against."""
+        """Return the truth for one start in one method."""
         if self.are_limits:
             return self._limits[place]
         return self.own.get(place[:2], self.references)[place[2]]
 
-    def _unknown(self) -> Truth:
-        """Give what nothing can be held against."""
+    def _unknown_truth(self) -> Truth:
+        """Return a truth without any known frame."""
         time = self.references[0].trajectory.time
         return _own_limit(Trajectory.empty(time, 1, len(self.scene.bodies)))
 
     def too_slow(self, simulator: Simulator, count: int, predicted: float) -> Measurement:
-        """Give the row of a point that is not worth waiting for."""
+        """Return the row of a point whose predicted time exceeds the limit."""
         reason = f"predicted {predicted:.0f} s a start, limit {self.limit:g} s"
         row = self._bare(Job(simulator, count, 0))
         return msgspec.structs.replace(row, key="", kind="too slow", reason=reason)
@@ -231,7 +231,7 @@ class StartBench:
         )  # fmt: skip
 
     def _bare(self, job: Job) -> Measurement:
-        """Give a row without figures."""
+        """Return a row without figures."""
         simulator = job.simulator
         return Measurement(
             key=row_key(self.scene, self.batch[[job.start]], simulator, job.count),
@@ -253,35 +253,35 @@ class StartBench:
         )
 
 
-def _crashed(row: Measurement, crash: Crash) -> Measurement:
+def _crash_row(row: Measurement, crash: Crash) -> Measurement:
     return msgspec.structs.replace(row, kind=crash.kind, reason=" ".join(crash.reason.split()))
 
 
 def measure(
     simulator: Simulator, scene: Scene, start: Batch, count: int, truth: Truth
 ) -> dict[str, Any]:
-    """Simulate a batch of one at so many steps a frame in this process; give its row's figures.
+    """Simulate a batch of one in this process, at `count` steps or digits; return its figures.
 
     Raises:
         InputError: The simulator cannot do the scene or the settings are not allowed.
     """
-    ran = simulator.simulate(scene, start, count, truth.trajectory, often=True)
+    run = simulator.simulate(scene, start, count, truth.trajectory, often=True)
     figures = (
-        _of_particles(scene, ran.motion, truth)
-        if isinstance(ran.motion, Signs)
-        else _of_bodies(scene, start, ran.motion, ran, truth)
+        _of_particles(scene, run.motion, truth)
+        if isinstance(run.motion, Signs)
+        else _of_bodies(scene, start, run.motion, run, truth)
     )
     return {
-        "wall_s": tuple(wall / ran.simulated_s for wall in ran.wall_s),
-        "cpu_s": tuple(cpu / ran.simulated_s for cpu in ran.cpu_s),
-        "setup_s": ran.setup_s,
-        **({} if ran.size is None else vars(ran.size)),
+        "wall_s": tuple(wall / run.simulated_s for wall in run.wall_s),
+        "cpu_s": tuple(cpu / run.simulated_s for cpu in run.cpu_s),
+        "setup_s": run.setup_s,
+        **({} if run.size is None else vars(run.size)),
         **figures,
     }
 
 
 def _of_bodies(
-    scene: Scene, start: Batch, motion: Trajectory, ran: Simulated, truth: Truth
+    scene: Scene, start: Batch, motion: Trajectory, run: Simulated, truth: Truth
 ) -> dict[str, Any]:
     """Judge a motion by all checks, and by its distance to the truth."""
     failure = motion.failures[0]
@@ -290,22 +290,22 @@ def _of_bodies(
         return {"kind": "failed", "reason": reason}
     error = agreement.particle_error(Mechanism.of(scene), motion, truth.trajectory)
     errors = _errors(scene, error, truth)
-    checked = audit(scene, start, motion, ran.method, step=ran.step, contact_time=ran.contact_time)
-    found = {finding.check: finding for finding in checked}
+    findings = audit(scene, start, motion, run.method, step=run.step, contact_time=run.contact_time)
+    by_check = {finding.check: finding for finding in findings}
     if errors and truth.judged:
-        checked = [*error_findings(scene, start, error, truth.trajectory, truth.growth), *checked]
+        findings = [*error_findings(scene, start, error, truth.trajectory, truth.growth), *findings]
     return errors | {
-        "gap_m": _figure(found, "gap"),
-        "energy": _figure(found, "passivity" if scene.contacts else "energy"),
-        "broken": tuple(one.check for one in checked if not one.passed.all()),
+        "gap_m": _figure(by_check, "gap"),
+        "energy": _figure(by_check, "passivity" if scene.contacts else "energy"),
+        "broken": tuple(one.check for one in findings if not one.passed.all()),
     }
 
 
 def _of_particles(scene: Scene, signs: Signs, truth: Truth) -> dict[str, Any]:
-    """Judge a motion of particles by what they show; one that is lost has failed."""
+    """Judge a motion of particles only; one that contains NaN or infinity counts as failed."""
     if not signs.finite.all():
-        lost = signs.time[signs.finite.argmin()]
-        return {"kind": "failed", "reason": f"not finite from {lost:.3g} s on"}
+        end = signs.time[signs.finite.argmin()]
+        return {"kind": "failed", "reason": f"not finite from {end:.3g} s on"}
     gap = _worst(signs.gap)
     return _errors(scene, signs.error[None] * scene.length, truth) | {
         "gap_m": None if gap is None else gap * scene.length,
@@ -314,7 +314,7 @@ def _of_particles(scene: Scene, signs: Signs, truth: Truth) -> dict[str, Any]:
 
 
 def _errors(scene: Scene, error: Array, truth: Truth) -> dict[str, float]:
-    """Give the error at the horizon and the growth-weighted one [m], of shape (1, frame)."""
+    """Return the error at the horizon and the growth-weighted one [m]; `error` is (1, frame)."""
     frame = round(truth.horizon / scene.clock.frame)
     if frame == 0 or not truth.compared:
         return {}
@@ -324,7 +324,7 @@ def _errors(scene: Scene, error: Array, truth: Truth) -> dict[str, float]:
 
 
 def _figure(findings: dict[str, Finding], check: str) -> float | None:
-    """Worst figure of a check, None where it does not apply or has none."""
+    """Return the worst figure of a check; None if it does not apply or is not finite."""
     figure = float(findings[check].figure[0]) if check in findings else np.nan
     return figure if np.isfinite(figure) else None
 

@@ -1,4 +1,4 @@
-"""From raw rows to points, curves, the front and the cost of an accuracy."""
+"""Points, curves, Pareto front and cost of an accuracy, computed from raw rows."""
 
 from __future__ import annotations
 
@@ -12,56 +12,56 @@ import numpy as np
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.simulator import EngineMethod
-from mbds_xsim.studies.tradeoff import CurveResult, Found, Measurement, Point, Ratio
+from mbds_xsim.studies.tradeoff import CurveResult, CurveRows, Measurement, Point, Ratio
 
 FLOOR = 1e-11
-"""Errors up to this are the reference's, over the scene's length."""
+"""Accuracy of the reference, over the scene's length."""
 _ROUNDING = 1e-9
-"""Errors up to this may be of an engine's arithmetic, over the scene's length."""
+"""Largest error that an engine's rounding may cause, over the scene's length."""
 _WORST = ("setup_s", "error_m", "error_weighted_m", "gap_m", "energy")
-"""Figures of which a point has the worst of its starts."""
+"""Figures of a point that are the worst of its starts."""
 OWN_LIMIT = "distance to its own limit"
-"""What is broken where a method has not converged, and there is no reference."""
+"""Check that is broken if a method has not converged and there is no reference."""
 
 
 def curve_results(
-    scene: Scene, curves: Sequence[EngineMethod], found: Found, *, own_limit: bool = False
+    scene: Scene, curves: Sequence[EngineMethod], by_curve: CurveRows, *, own_limit: bool = False
 ) -> tuple[CurveResult, ...]:
-    """Put the rows of all curves together, found in their order.
+    """Summarise the rows of all curves; `by_curve` is in the order of `curves`.
 
-    With `own_limit` errors are distances to a method's own limit. To be near it says nothing of the
-    truth; to be far from it is to be wrong, so that it has the error's budget.
+    With `own_limit`, errors are distances to a method's own limit. A small distance does not show
+    that a motion is true, but a large one shows that it is wrong: the error's budget applies.
     """
-    listed = [
+    results = [
         _curve_result(
             scene,
             curve,
             [_against_limit(scene, p) if own_limit else p for p in map(point_of, points)],
         )
-        for curve, points in zip(curves, found, strict=True)
+        for curve, points in zip(curves, by_curve, strict=True)
     ]
-    return _with_front(listed, FLOOR * scene.length)
+    return _with_front(results, FLOOR * scene.length)
 
 
 def _against_limit(scene: Scene, point: Point) -> Point:
     """Judge a distance to a method's own limit.
 
-    Where the limit itself could not be simulated, nothing is near it. A distance of exactly 0 is
-    none: other settings came to the same steps, so that the run was compared with itself.
+    If the limit could not be simulated, the point counts as far from it. A distance of exactly 0
+    is dropped: other settings led to the same steps, so the run was compared with itself.
     """
     if point.error_m == 0.0:
         return msgspec.structs.replace(point, error_m=None, error_weighted_m=None)
-    known = math.inf if point.error_m is None else point.error_m
-    if point.kind != "done" or known <= scene.budget.error_1s * scene.length:
+    distance = math.inf if point.error_m is None else point.error_m
+    if point.kind != "done" or distance <= scene.budget.error_1s * scene.length:
         return point
     return msgspec.structs.replace(point, broken=(*point.broken, OWN_LIMIT))
 
 
 def point_of(rows: Sequence[Measurement]) -> Point:
-    """Put the starts of one setting together: the median of the time, the worst of the rest."""
+    """Summarise the starts of one setting: median run times, and the worst of other figures."""
     first = rows[0]
     bad = next((row for row in rows if row.kind != "done"), None)
-    plain = Point(
+    point = Point(
         steps_per_frame=first.steps_per_frame,
         step_s=first.step_s,
         rtol=first.rtol,
@@ -70,10 +70,10 @@ def point_of(rows: Sequence[Measurement]) -> Point:
         starts=sum(row.kind == "done" for row in rows),
     )
     if bad:
-        return plain
+        return point
     walls = list(itertools.chain.from_iterable(row.wall_s for row in rows))
     return msgspec.structs.replace(
-        plain,
+        point,
         wall_s=float(np.median([np.median(row.wall_s) for row in rows])),
         wall_low_s=min(walls),
         wall_high_s=max(walls),
@@ -84,7 +84,7 @@ def point_of(rows: Sequence[Measurement]) -> Point:
 
 
 def ratios_of(scene: Scene, curves: Sequence[CurveResult]) -> tuple[Ratio, ...]:
-    """Tell what accuracies cost: the budget, and the powers of ten that any curve reaches."""
+    """Compute the cost of accuracies: the budget, and powers of ten that any curve reaches."""
     budget, floor = scene.budget.error_1s * scene.length, FLOOR * scene.length
     errors = [max(p.error_m, floor) for c in curves for p in c.points if p.error_m is not None]
     if not errors:
@@ -128,7 +128,7 @@ def _curve_result(scene: Scene, curve: EngineMethod, points: list[Point]) -> Cur
 
 
 def _with_front(curves: list[CurveResult], floor: float) -> tuple[CurveResult, ...]:
-    """Mark the points that no other is better than; below the floor errors are alike."""
+    """Mark the points of the Pareto front; errors below the floor count as equal."""
     places = [
         (k, n, pair)
         for k, curve in enumerate(curves)
@@ -160,39 +160,39 @@ def _worst(rows: Iterable[Measurement], figure: str) -> float | None:
 
 
 def _reason(bad: Measurement, rows: Sequence[Measurement]) -> str:
-    """Say which start it was where others went through."""
+    """Return the reason of a failure, naming the start if it is not the first."""
     return bad.reason if bad is rows[0] else f"start {bad.trajectory}: {bad.reason}"
 
 
 Pair = tuple[float, float]
 
-_LEAST = 3  # points that show an order
-_LEAST_SPAN = 4.0  # of the longest step over the shortest
-_STRAIGHT = 0.08  # RMS residual of log10(error) up to which points lie on a line
-_SATURATED = 0.03  # of the scene's length: larger errors follow no order
+_LEAST = 3  # fewest points that show an order
+_LEAST_SPAN = 4.0  # least ratio of the longest step to the shortest
+_STRAIGHT = 0.08  # largest RMS residual of log10(error) for points on a line
+_SATURATED = 0.03  # part of the scene's length: larger errors follow no order
 
 
 def front(pairs: Sequence[Pair]) -> set[int]:
-    """Find the (cost, error) pairs that none is better than in one and as good in the other."""
-    found: list[int] = []
+    """Find the Pareto front: indices of the (cost, error) pairs that no other pair dominates."""
+    indices: list[int] = []
     for place in sorted(range(len(pairs)), key=lambda k: pairs[k]):
-        last = pairs[found[-1]] if found else (math.inf, math.inf)
+        last = pairs[indices[-1]] if indices else (math.inf, math.inf)
         if pairs[place][1] < last[1] or pairs[place] == last:
-            found.append(place)
-    return set(found)
+            indices.append(place)
+    return set(indices)
 
 
 def cost_at(curve: Sequence[Pair | None], error: float) -> float | None:
-    """Give the least cost at which a curve has an error or less.
+    """Return the least cost at which a curve has at most a given error.
 
-    Between neighbouring points it is interpolated, both axes logarithmic. Beyond its points a
-    curve tells nothing: None where all errors are larger, and where all are smaller, the cost of
-    the cheapest point, since that was measured.
+    Between neighbouring points it is interpolated on logarithmic axes. It is not extrapolated: it
+    is None if all errors are larger; if all are smaller, it is the cost of the cheapest point,
+    which was measured.
 
     Args:
         curve: (cost, error) in the order of the steps; None where a point failed, which breaks
             the curve.
-        error: What is asked for.
+        error: Largest error allowed.
     """
     costs = [point[0] for point in curve if point is not None and point[1] <= error]
     costs += [
@@ -206,14 +206,14 @@ def cost_at(curve: Sequence[Pair | None], error: float) -> float | None:
 def order_of(pairs: Sequence[Pair], *, length: float, floor: float) -> float | None:
     """Fit the order of convergence to the asymptotic part of (step, error).
 
-    That is the longest run of neighbouring points, of those the one of the shortest steps, that
-    lie on a line in logarithms, without the errors that have saturated or lie in the accuracy of
-    the reference. None where fewer than three points do.
+    This part is the longest run of neighbouring points on a line in log–log axes; of equally long
+    runs, the one with the shortest steps. Saturated errors and errors up to `floor` do not count.
+    The result is None if no run has three points and steps that span a factor of four.
 
     Args:
         pairs: Step and error in the order of the steps.
         length: Size of the scene, in the error's unit.
-        floor: Errors up to this are not the method's.
+        floor: Largest error that need not come from the method.
     """
     usable = [pair if floor < pair[1] < _SATURATED * length else None for pair in pairs]
     for count in range(len(usable), _LEAST - 1, -1):
@@ -225,7 +225,7 @@ def order_of(pairs: Sequence[Pair], *, length: float, floor: float) -> float | N
 
 
 def _slope(pairs: Sequence[Pair | None]) -> float | None:
-    """Slope of a line through the logarithms; None where a point lacks or lies off it."""
+    """Return the slope in log–log axes; None if points are missing, too close or off a line."""
     known = [pair for pair in pairs if pair is not None]
     if len(known) < len(pairs) or known[0][0] < _LEAST_SPAN * known[-1][0]:
         return None

@@ -9,7 +9,7 @@ from typing import Any
 from mbds_xsim.report import themed
 from mbds_xsim.report.themed import DOTTED, GREY, INK, PAPER, level, note
 from mbds_xsim.simulate.simulator import NATIVE
-from mbds_xsim.studies.tradeoff import BATCH, CurveResult, Learned, Point, Tradeoff, words
+from mbds_xsim.studies.tradeoff import BATCH, CurveResult, ModelResult, Point, Tradeoff, words
 from mbds_xsim.studies.tradeoff.curves import FLOOR
 
 _NATIVE_MARKER = "*"
@@ -24,45 +24,45 @@ _COST = "wall time per simulated second [s]"
 
 @dataclass(frozen=True)
 class Chart:
-    """A chart: what is drawn over what."""
+    """One chart: its axes, budget and limits."""
 
     title: Callable[[Tradeoff], str]
     y: str
-    """Figure of a point."""
+    """Field of `Point` on the y axis."""
     y_label: str
     budget: Callable[[Tradeoff], float | None]
     x: str = "wall_s"
     x_label: str = _COST
     floor: float = 1e-12
-    """Values below are drawn here; of errors over the scene's length."""
+    """Lower bound at which smaller values are drawn; for errors, over the scene's length."""
     top: float = 1.0
-    """Values above are drawn here; of errors over the scene's length."""
+    """Upper bound at which larger values are drawn; for errors, over the scene's length."""
     front: bool = False
 
     @property
     def is_cost(self) -> bool:
-        """Whether x is the cost; else it is the step."""
+        """Whether x is the cost; if not, it is the step."""
         return self.x == "wall_s"
 
     def spot(self, study: Tradeoff, point: Point) -> tuple[float, float] | None:
-        """Give the place of a point; None where it has none."""
+        """Return the coordinates of a point; None if it has no value or no step to draw."""
         x, y = getattr(point, self.x), getattr(point, self.y)
         if x is None or y is None or not (self.is_cost or point.rtol is None):
             return None
         return x, min(max(y, self.scale(study) * self.floor), self.scale(study) * self.top)
 
     def scale(self, study: Tradeoff) -> float:
-        """Give the scene's length for errors, 1 for the rest."""
+        """Return the scene's length for errors, 1 for other figures."""
         return study.length_m if self.y.startswith("error") else 1.0
 
 
 def _accuracy(budget: str) -> Callable[[Tradeoff], float | None]:
-    """Give a budget [m]; none where a method is only held to its own limit."""
+    """Return a getter of a budget [m], which is None if methods only have their own limit."""
     return lambda study: study.budget[budget] * study.length_m if study.own_limit is None else None
 
 
 _OVER_COST = Chart(
-    title=lambda s: f"{_what(s)}, over cost",
+    title=lambda s: f"{_error_name(s)}, over cost",
     y="error_m",
     y_label="RMS particle error [m]",
     budget=_accuracy("error_1s"),
@@ -74,7 +74,7 @@ _CHARTS: tuple[Chart, ...] = (
     _OVER_COST,
     replace(
         _OVER_COST,
-        title=lambda s: f"{_what(s)}, over step",
+        title=lambda s: f"{_error_name(s)}, over step",
         x="step_s",
         x_label="step [s]",
         front=False,
@@ -104,7 +104,7 @@ _CHARTS: tuple[Chart, ...] = (
 
 
 def charts_of(study: Tradeoff) -> list[Chart]:
-    """Give the charts that have anything to show."""
+    """Return the charts that have anything to show."""
     points = [point for curve in study.curves for point in curve.points]
     return [chart for chart in _CHARTS if any(_shows(study, chart, point) for point in points)]
 
@@ -132,12 +132,12 @@ def draw_chart(axes: Any, study: Tradeoff, chart: Chart) -> None:
 
 
 def legend_entries(study: Tradeoff) -> Iterator[tuple[str, str, str]]:
-    """Give label, colour and marker of the curves with the engines' usual options."""
+    """Yield label, colour and marker of usual options, batches and trained models."""
     for curve in study.curves:
         if curve.variation == BATCH:
             yield f"{curve.name}, hollow", colour_of(curve.engine), marker_of(curve)
         elif not curve.variation:
-            label = f"{curve.engine} {curve.method}, order {words.order_told(curve, study)}"
+            label = f"{curve.engine} {curve.method}, order {words.format_order(curve, study)}"
             yield label, colour_of(curve.engine), marker_of(curve)
     for name, model in {model.model: model for model in study.models}.items():
         label = f"{name}, trained; hollow: {model.at_once} at a time"
@@ -145,21 +145,21 @@ def legend_entries(study: Tradeoff) -> Iterator[tuple[str, str, str]]:
 
 
 def tips(study: Tradeoff) -> dict[str, str]:
-    """Say what each point is when it is pointed at, by the gid of its artist."""
+    """Return the tooltip of each point, keyed by the gid of its artist."""
     return {
-        f"tip-{place}-{number}": words.point_told(curve, point)
+        f"tip-{place}-{number}": words.point_tip(curve, point)
         for place, curve in enumerate(study.curves)
         for number, point in enumerate(curve.points)
-    } | {f"tip-model-{place}": words.model_told(model) for place, model in enumerate(study.models)}
+    } | {f"tip-model-{place}": words.model_tip(model) for place, model in enumerate(study.models)}
 
 
 def colour_of(engine: str) -> str:
-    """Colour of an engine, the same on every page."""
+    """Return the colour of an engine, the same on every page."""
     return themed.LIGHT[themed.engine_style(engine).colour]
 
 
 def marker_of(curve: CurveResult) -> str:
-    """Marker of a method, or of native settings."""
+    """Return the marker of a method, or of native settings."""
     return _NATIVE_MARKER if curve.variation == NATIVE else themed.marker_of(curve.method)
 
 
@@ -170,7 +170,7 @@ def _draw_curve(axes: Any, study: Tradeoff, chart: Chart, curve: CurveResult, pl
     spots = [chart.spot(study, point) for point in curve.points]
     if chart.front and not varied and not any(spots):
         _draw_cost(axes, curve, colour)
-    for run in _unbroken(spots):
+    for run in _unbroken_runs(spots):
         (line,) = axes.plot(
             *zip(*run, strict=True),
             color=colour,
@@ -200,14 +200,14 @@ def _draw_curve(axes: Any, study: Tradeoff, chart: Chart, curve: CurveResult, pl
 
 
 def _draw_cost(axes: Any, curve: CurveResult, colour: str) -> None:
-    """Draw the least cost of what nothing else can be held against, whatever its error."""
+    """Draw the least cost of a curve without errors as a vertical line."""
     cost = min((point.wall_s for point in curve.points if point.wall_s is not None), default=None)
     if cost is not None:
         axes.axvline(cost, color=colour, lw=1.4, ls="--")
 
 
-def _draw_model(axes: Any, study: Tradeoff, chart: Chart, model: Learned, place: int) -> None:
-    """Draw a model alone, and hollow in a batch."""
+def _draw_model(axes: Any, study: Tradeoff, chart: Chart, model: ModelResult, place: int) -> None:
+    """Draw a model with two marks: filled for one trajectory alone, hollow for a batch."""
     colour = themed.model_colour(model.model)
     spots = [chart.spot(study, point) for point in (model.alone, model.batched)]
     for spot, face in zip(spots, (colour, PAPER), strict=True):
@@ -217,13 +217,13 @@ def _draw_model(axes: Any, study: Tradeoff, chart: Chart, model: Learned, place:
                 markerfacecolor=face, zorder=4,
             )  # fmt: skip
             dot.set_gid(f"tip-model-{place}")
-    for run in _unbroken(spots):
+    for run in _unbroken_runs(spots):
         (line,) = axes.plot(*zip(*run, strict=True), color=colour, lw=0.6, alpha=0.5)
         line.set_gid("curve-model")
 
 
-def _unbroken(spots: list[tuple[float, float] | None]) -> Iterator[list[tuple[float, float]]]:
-    """Runs of neighbouring points: a failed one breaks the line."""
+def _unbroken_runs(spots: list[tuple[float, float] | None]) -> Iterator[list[tuple[float, float]]]:
+    """Yield runs of neighbouring points; a failed point breaks the line."""
     run: list[tuple[float, float]] = []
     for spot in [*spots, None]:
         if spot is not None:
@@ -265,7 +265,7 @@ def _levels(axes: Any, study: Tradeoff, chart: Chart) -> None:
             axes.set_ylim(low, high)
 
 
-def _what(study: Tradeoff) -> str:
+def _error_name(study: Tradeoff) -> str:
     """Name the charted error and its time."""
     if study.own_limit is not None:
         return f"distance to the own run at {study.own_limit} steps a frame"

@@ -1,8 +1,8 @@
-"""Trained models beside the engines of a trade-off: what they cost, and how far they are off.
+"""Cost and error of trained models on the starts of a trade-off, next to the engines.
 
-A model has no step: it is a point, not a curve. It is shown the first frames of the starts that
-the engines have simulated, and its time is that of the frames that it predicts: alone, and in a
-batch, each trajectory its share.
+A model has no step, so it is a point, not a curve. It is given the first frames of the starts
+that the engines simulated. Its time covers the frames that it predicts: for one trajectory alone,
+and as each trajectory's share of a batch.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import fingerprint
 from mbds_xsim.simulate import registry
-from mbds_xsim.studies.tradeoff import AT_ONCE, BATCH, Learned, Measurement, Tradeoff
+from mbds_xsim.studies.tradeoff import AT_ONCE, BATCH, Measurement, ModelResult, Tradeoff
 from mbds_xsim.studies.tradeoff.bench import StartBench, references
 from mbds_xsim.studies.tradeoff.curves import point_of
 from mbds_xsim.studies.tradeoff.study import explore
 
-_LIMIT = 600.0  # of one start [s]
+_LIMIT = 600.0  # longest rollout of one start [s]
 
 
 def with_models(
@@ -39,18 +39,18 @@ def with_models(
     conduct: Conduct = USUAL,
     command: str = "",
 ) -> tuple[Tradeoff, list[Measurement]]:
-    """Measure models on the starts of a study, and put them into it; their rows come beside it.
+    """Measure models on the starts of a study; return the study with them, and their rows.
 
-    Models of other scenes are left out, and the result says so. The command is that of the whole.
+    Models of other scenes are left out, and the result says so. `command` replaces the study's.
 
     Raises:
-        InputError: The study is of another scene, or none of the models is of this one, or no
-            reference is known that could give them their first frames.
+        InputError: The study is of another scene, no model is of this scene, or the reference ends
+            too early to give models their first frames.
     """
-    able, left_out = models_of(scene, models)
+    matching, left_out = models_of(scene, models)
     bench = _bench(study, scene, conduct)
     quiet = draw_batch(scene, study.trajectories, seed=study.seed, noise=False)
-    found = explore(
+    by_curve = explore(
         bench,
         [
             LearnedSimulator.of(
@@ -60,56 +60,58 @@ def with_models(
                 together=together,
                 quiet=quiet,
             )
-            for model in able
+            for model in matching
             for variation, together in (("", 1), (BATCH, AT_ONCE))
         ],
     )
-    rows = [list(itertools.chain.from_iterable(points)) for points in found]
-    measured = msgspec.structs.replace(
+    rows = [list(itertools.chain.from_iterable(points)) for points in by_curve]
+    extended = msgspec.structs.replace(
         study,
-        models=tuple(map(_learned, able, rows[::2], rows[1::2])),
+        models=tuple(map(_result, matching, rows[::2], rows[1::2])),
         left_out=study.left_out | left_out,
         command=command or study.command,
         versions=study.versions | {"torch": registry.package_version("torch")},
     )
-    return measured, list(itertools.chain.from_iterable(rows))
+    return extended, list(itertools.chain.from_iterable(rows))
 
 
 def models_of(
     scene: Scene, models: Sequence[TrainedModel]
 ) -> tuple[list[TrainedModel], dict[str, str]]:
-    """Find the models of a scene (InputError: none), and say which were trained on others."""
-    able = [model for model in models if _is_of(model, scene)]
-    others = Counter(model.scene.name for model in models if model not in able)
+    """Return the models of a scene (InputError if none), and why others are left out."""
+    matching = [model for model in models if _is_of(model, scene)]
+    others = Counter(model.scene.name for model in models if model not in matching)
     left_out = {
         f"models of {name}": f"{count} trained on {name}, not on this {scene.name} or its frames"
         for name, count in others.items()
     }
-    if not able:
+    if not matching:
         reasons = "; ".join(left_out.values())
         msg = f"no trained models of {scene.name}: {reasons}; name the folder of its models"
         raise InputError(msg)
-    return able, left_out
+    return matching, left_out
 
 
 def _bench(study: Tradeoff, scene: Scene, conduct: Conduct) -> StartBench:
-    """Solve the starts of a study.
+    """Solve the references of a study's starts.
 
-    InputError where the study is of another scene, or the reference ends too early.
+    Raises InputError if the study is of another scene or a reference ends too early.
     """
     if study.fingerprint != fingerprint(scene):
         msg = f"the stored trade-off of {study.scene} is not of {scene.name} as it is now"
         raise InputError(f"{msg}; measure the engines anew, without --onto")
     starts = draw_batch(scene, study.trajectories, seed=study.seed)
-    solved = references(scene, starts, conduct)
-    if min(truth.horizon for truth in solved) < HISTORY * scene.clock.frame * (1 - 1e-9):
+    truths = references(scene, starts, conduct)
+    if min(truth.horizon for truth in truths) < HISTORY * scene.clock.frame * (1 - 1e-9):
         msg = f"{scene.name}: the reference ends within the {HISTORY} frames of a model's start"
         raise InputError(msg)
-    return StartBench(scene, starts, solved, study.seed, _LIMIT, conduct)
+    return StartBench(scene, starts, truths, study.seed, _LIMIT, conduct)
 
 
-def _learned(model: TrainedModel, alone: list[Measurement], batched: list[Measurement]) -> Learned:
-    return Learned(
+def _result(
+    model: TrainedModel, alone: list[Measurement], batched: list[Measurement]
+) -> ModelResult:
+    return ModelResult(
         model=model.kind,
         training=model.run,
         variant=model.variant,
@@ -133,6 +135,6 @@ def _number(model: TrainedModel, fact: str) -> float | None:
 
 
 def _is_of(model: TrainedModel, scene: Scene) -> bool:
-    """Whether it was trained on this scene, be it over fewer frames."""
+    """Return whether a model was trained on this scene; the number of frames may differ."""
     own = msgspec.structs.replace(model.scene, clock=scene.clock)
     return model.scene.clock.frame == scene.clock.frame and fingerprint(own) == fingerprint(scene)

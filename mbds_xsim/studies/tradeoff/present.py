@@ -41,7 +41,7 @@ _POINTS = tuple(
 
 
 def present(study: Tradeoff, picture: str = "") -> blocks.Report:
-    """Say what a study comes to, and show what is behind it."""
+    """Build the report of a study: its conclusion, with the tables and charts that support it."""
     versions = ", ".join(f"{name} {version}" for name, version in study.versions.items())
     rows = f"{counted(study.measured, 'row')} measured, {study.kept} kept from earlier"
     return blocks.Report(
@@ -51,7 +51,7 @@ def present(study: Tradeoff, picture: str = "") -> blocks.Report:
         conclusion=f"{sentence(words.models_short(study))}{sentence(words.conclusion(study))}".rstrip(),
         blocks=tuple(_blocks(study)),
         command=study.command,
-        made=f"{words.machine_told(study)}; {rows}, in {quantity.span(study.wall_s)}; {versions}",
+        made=f"{words.machine_line(study)}; {rows}, in {quantity.span(study.wall_s)}; {versions}",
         picture=picture,
     )
 
@@ -60,17 +60,17 @@ def _blocks(study: Tradeoff) -> Iterator[blocks.Block]:
     yield _main(study)
     if study.models:
         yield words.models_table(study)
-        yield blocks.Remarks.of([("trained models", words.models_told(study))])
+        yield blocks.Remarks.of([("trained models", words.describe_models(study))])
     yield blocks.Remarks.of(
         [
-            ("error", words.what_is_charted(study)),
+            ("error", words.describe_error(study)),
             *(("option that pays", line) for line in words.options_that_pay(study)),
         ]
     )
     yield blocks.Section("Charts", tuple(_charts(study)), on=frozenset({"page"}))
     failed = words.failures(study)
     if failed or study.left_out:
-        lines = [blocks.Remark(name, f"{steps}: {what}", "fail") for name, steps, what in failed]
+        lines = [blocks.Remark(name, f"{steps}: {cause}", "fail") for name, steps, cause in failed]
         lines += [blocks.Remark("left out", reason) for reason in study.left_out.values()]
         yield blocks.Section("Failures", (blocks.Remarks(tuple(lines), _MOST_LINES + 1),))
     points = blocks.table_of(_POINTS, _point_rows(study))
@@ -80,7 +80,7 @@ def _blocks(study: Tradeoff) -> Iterator[blocks.Block]:
 def _main(study: Tradeoff) -> blocks.Table:
     columns = words.columns(study)
     rows = (
-        blocks.row_of((tell(c) for _, tell in columns), "muted" if c.variation else "")
+        blocks.row_of((cell_of(c) for _, cell_of in columns), "muted" if c.variation else "")
         for c in words.main_curves(study)
     )
     return blocks.table_of((column for column, _ in columns), rows, grouped=True)
@@ -99,14 +99,14 @@ def _charts(study: Tradeoff) -> Iterator[blocks.Block]:
         yield blocks.Section(
             "changed options and native settings", (blocks.Legend(changed),), folded=True
         )
-    told = tips(study)
+    notes = tips(study)
     yield blocks.FigureGroup(
-        tuple(_figure(study, chart, told, main=not k) for k, chart in enumerate(charts_of(study))),
+        tuple(_figure(study, chart, notes, main=not k) for k, chart in enumerate(charts_of(study))),
         least=480,
     )
 
 
-def _figure(study: Tradeoff, chart: Chart, told: dict[str, str], *, main: bool) -> blocks.Figure:
+def _figure(study: Tradeoff, chart: Chart, notes: dict[str, str], *, main: bool) -> blocks.Figure:
     def draw(figure: Any) -> None:
         axes = figure.subplots()
         draw_chart(axes, study, chart)
@@ -115,7 +115,7 @@ def _figure(study: Tradeoff, chart: Chart, told: dict[str, str], *, main: bool) 
                 axes.plot([], [], marker, color=colour, label=label, ls="-")
             figure.legend(loc="outside right upper", frameon=False, fontsize=8)
 
-    return blocks.Figure(chart.title(study), draw, _MAIN if main else _SMALL, told, wide=main)
+    return blocks.Figure(chart.title(study), draw, _MAIN if main else _SMALL, notes, wide=main)
 
 
 def _point_rows(study: Tradeoff) -> Iterator[blocks.Row]:
@@ -141,9 +141,9 @@ def _figures(point: Point) -> Iterator[str]:
 
 
 def to_png(studies: list[Tradeoff], stored: bytes = b"") -> bytes:
-    """Give a picture: a row of two charts for each study, failures under them.
+    """Draw a PNG picture: a row of two charts for each study, with failures below.
 
-    `stored` is the JSON that keeps it.
+    `stored` is the JSON file of the studies.
     """
     return themed.stacked(
         [(partial(_draw_row, study=study), _PICTURE) for study in studies], stored
@@ -171,10 +171,10 @@ def _draw_row(figure: Any, study: Tradeoff) -> None:
 
 
 def _footnotes(study: Tradeoff) -> list[str]:
-    lines = textwrap.wrap(words.what_is_charted(study), _LONGEST)
+    lines = textwrap.wrap(words.describe_error(study), _LONGEST)
     if study.models:
-        lines += textwrap.wrap(f"Trained models {words.models_told(study)}", _LONGEST)
-    failed = [f"{name}: {steps}: {what}" for name, steps, what in words.failures(study)]
+        lines += textwrap.wrap(f"Trained models {words.describe_models(study)}", _LONGEST)
+    failed = [f"{name}: {steps}: {cause}" for name, steps, cause in words.failures(study)]
     lines += failed[:_MOST_LINES]
     if len(failed) > _MOST_LINES:
         lines.append(f"and {len(failed) - _MOST_LINES} more failures, listed by --html and --json")

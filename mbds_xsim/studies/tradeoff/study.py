@@ -19,7 +19,7 @@ from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice, words_of
 from mbds_xsim.simulate.claims import TRUTH
 from mbds_xsim.simulate.simulator import EngineMethod, Simulator
-from mbds_xsim.studies.tradeoff import SCHEMA, SPAN, Found, Measurement, Tradeoff, curves_of
+from mbds_xsim.studies.tradeoff import SCHEMA, SPAN, CurveRows, Measurement, Tradeoff, curves_of
 from mbds_xsim.studies.tradeoff.bench import (
     LIMIT_COUNT,
     Job,
@@ -34,11 +34,11 @@ STARTS = 3
 LIMIT = 30.0
 """Longest rollout of one start [s]."""
 
-_INTERVAL = "medium"  # low starts are easier, and high ones are chaos before anything can be told
+_INTERVAL = "medium"  # low starts are easier; high ones turn chaotic before errors can be measured
 _CHUNK = 4
-"""Jobs a worker between two forecasts."""
+"""Jobs per worker between two forecasts."""
 _FINE_ENOUGH = 0.1
-"""Part of the error budget below which no shorter step is asked for."""
+"""Part of the error budget below which no shorter step is tried."""
 
 
 def tradeoff(
@@ -51,19 +51,19 @@ def tradeoff(
     workers: int | None = None,
     fresh: bool = False,
 ) -> Tradeoff:
-    """Chart a scene's engines and give the figures.
+    """Measure speed against accuracy of engines on a scene.
 
     Args:
-        scene: What to simulate, or the name or file of it.
-        engines: One name or several; all installed ones and the reference when empty.
-        starts: Starts of the medium interval.
+        scene: Scene to simulate, or its name or file.
+        engines: One name or several; all installed ones and the reference if empty.
+        starts: Number of starts, drawn from the medium interval.
         seed: Seed of starts and inputs.
         limit: Longest rollout of one start [s]; points that would take longer are only listed.
-        workers: Processes at a time; all cores when left out, none but this one for 0.
+        workers: Number of processes at a time; one per core if None, only this one for 0.
         fresh: Whether points that were measured earlier are measured again.
 
     Raises:
-        InputError: Something that was given cannot be used.
+        InputError: An argument cannot be used.
     """
     return tradeoff_with_rows(
         registry.load_scene(scene) if isinstance(scene, str) else scene,
@@ -86,7 +86,7 @@ def tradeoff_with_rows(
     conduct: Conduct = USUAL,
     command: str = "",
 ) -> tuple[Tradeoff, list[Measurement]]:
-    """Chart a scene, and keep the raw rows. See `tradeoff`."""
+    """Run `tradeoff`, and return the raw rows as well."""
     begin = time.perf_counter()
     curves, left_out = curves_of(scene, choice.engines)
     left_out |= choice.faulty
@@ -94,33 +94,33 @@ def tradeoff_with_rows(
         msg = f"no engine can do {scene.name}: {next(iter(left_out.values()), 'none is installed')}"
         raise InputError(msg)
     batch = _draw(scene, starts, seed)
-    solved = references(scene, batch, conduct)
+    truths = references(scene, batch, conduct)
     usual = {(curve.engine, curve.method): curve for curve in curves if not curve.variation}
     own = [key for key, curve in usual.items() if curve.family == TRUTH]
     bench = StartBench(
         scene=scene,
         batch=batch,
-        references=solved,
+        references=truths,
         seed=seed,
         limit=limit,
         conduct=conduct,
         usual=usual,
-        own=dict.fromkeys(own, confirmations(scene, batch, solved, conduct) if own else []),
+        own=dict.fromkeys(own, confirmations(scene, batch, truths, conduct) if own else []),
     )
-    found = explore(bench, curves)
-    return _study(bench, curves, found, left_out, command, time.perf_counter() - begin)
+    by_curve = explore(bench, curves)
+    return _study(bench, curves, by_curve, left_out, command, time.perf_counter() - begin)
 
 
 def _study(
     bench: StartBench,
     curves: list[EngineMethod],
-    found: Found,
+    by_curve: CurveRows,
     left_out: dict[str, str],
     command: str,
     wall_s: float,
 ) -> tuple[Tradeoff, list[Measurement]]:
-    rows, scene = [row for points in found for rows in points for row in rows], bench.scene
-    results = curve_results(scene, curves, found, own_limit=bench.are_limits)
+    rows, scene = [row for points in by_curve for rows in points for row in rows], bench.scene
+    results = curve_results(scene, curves, by_curve, own_limit=bench.are_limits)
     study = Tradeoff(
         schema=SCHEMA,
         scene=scene.name,
@@ -144,7 +144,7 @@ def _study(
         workers=bench.conduct.processes,
         busy=_busy(rows),
         measured=bench.runner.measured,
-        kept=bench.runner.kept,
+        kept=bench.runner.reused,
         wall_s=wall_s,
         fingerprint=fingerprint(scene),
     )
@@ -163,46 +163,46 @@ def _busy(rows: list[Measurement]) -> float:
     return float(np.median(shares)) if shares else 1.0
 
 
-def explore(bench: StartBench, curves: Sequence[Simulator]) -> Found:
+def explore(bench: StartBench, curves: Sequence[Simulator]) -> CurveRows:
     """Measure all points.
 
-    The first start decides which points there are: all curves go on to the next shorter step
-    together. The other starts follow one by one, all points of each in the order of their cost;
-    so every point is measured once in each part of the whole time, and whatever disturbs the
-    machine meanwhile disturbs all.
+    The first start decides which points exist: all curves move on to the next shorter step
+    together. The other starts follow one by one, each with all its points in the order of their
+    cost. Every point is thus measured once in each part of the total time, so that other work on
+    the machine disturbs all points alike.
     """
-    found: Found = [[] for _ in curves]
-    while _wave(bench, curves, found):
+    by_curve: CurveRows = [[] for _ in curves]
+    while _wave(bench, curves, by_curve):
         pass
     for start in range(1, len(bench.batch)):
-        _round(bench, curves, found, start)
-    return found
+        _round(bench, curves, by_curve, start)
+    return by_curve
 
 
-def _wave(bench: StartBench, curves: Sequence[Simulator], found: Found) -> bool:
-    """Measure the next point of every curve; tell whether there was any."""
-    bench.conduct.meter.forecast(_left(bench, curves, found))
+def _wave(bench: StartBench, curves: Sequence[Simulator], by_curve: CurveRows) -> bool:
+    """Measure the next point of every curve; return whether there was any."""
+    bench.conduct.meter.forecast(_remaining_work(bench, curves, by_curve))
     jobs: list[tuple[int, Job]] = []
-    asked = False
+    advanced = False
     for place, curve in enumerate(curves):
-        rows = [point[0] for point in found[place]]
+        rows = [point[0] for point in by_curve[place]]
         count = _next_count(bench, curve, rows)
         if count is None:
             continue
-        asked = True
+        advanced = True
         predicted = rollout_cost(rows, count, bench.scene.clock.duration)
         if predicted is not None and predicted > bench.limit:
-            found[place].append([bench.too_slow(curve, count, predicted)])
+            by_curve[place].append([bench.too_slow(curve, count, predicted)])
         else:
             jobs.append((place, Job(curve, count, 0)))
     measured = bench.rows([job for _, job in jobs])
     for (place, _), row in zip(jobs, measured, strict=True):
-        found[place].append([row])
-    return asked
+        by_curve[place].append([row])
+    return advanced
 
 
 def _next_count(bench: StartBench, curve: Simulator, rows: Sequence[Measurement]) -> int | None:
-    """Steps a frame of the next point; None where the curve is done."""
+    """Return the steps (or digits) of a curve's next point; None if the curve is done."""
     if len(rows) == len(curve.counts):
         return None
     count = curve.counts[len(rows)]
@@ -212,16 +212,16 @@ def _next_count(bench: StartBench, curve: Simulator, rows: Sequence[Measurement]
 
 
 def _wants_more(bench: StartBench, last: Measurement) -> bool:
-    """Whether a curve that spans two decades has not come far below the error budget yet."""
+    """Return whether the last error of a curve is not yet far below the error budget."""
     allowed = bench.scene.budget.error_1s * bench.scene.length
     return last.error_m is not None and last.error_m > _FINE_ENOUGH * allowed
 
 
-def _round(bench: StartBench, curves: Sequence[Simulator], found: Found, start: int) -> None:
-    """Measure the points that the first start went through at a further one."""
+def _round(bench: StartBench, curves: Sequence[Simulator], by_curve: CurveRows, start: int) -> None:
+    """Measure another start at all points that the first start completed."""
     points = [
         (point, Job(curves[k], point[0].count, start))
-        for k, points in enumerate(found)
+        for k, points in enumerate(by_curve)
         for point in points
         if point[0].kind == "done"
     ]
@@ -236,57 +236,59 @@ def _round(bench: StartBench, curves: Sequence[Simulator], found: Found, start: 
             point.append(row)
 
 
-def _left(bench: StartBench, curves: Sequence[Simulator], found: Found) -> float:
-    """Work of the whole study that is left [s of one worker]."""
-    pairs = zip(curves, found, strict=True)
-    return math.fsum(_left_of_curve(bench, curve, points) for curve, points in pairs)
+def _remaining_work(bench: StartBench, curves: Sequence[Simulator], by_curve: CurveRows) -> float:
+    """Predict the remaining work of the whole study [s of one worker]."""
+    pairs = zip(curves, by_curve, strict=True)
+    return math.fsum(_remaining_on_curve(bench, curve, points) for curve, points in pairs)
 
 
-def _left_of_curve(
+def _remaining_on_curve(
     bench: StartBench, curve: Simulator, points: Sequence[Sequence[Measurement]]
 ) -> float:
-    """Work on the rest of the first start, and on the other starts of all points [s]."""
+    """Predict the remaining work on a curve: rest of the first start, and other starts [s]."""
     rows = [point[0] for point in points]
-    ahead = left_on(curve, rows, bench.scene.clock.duration, bench.limit)
+    ahead = remaining_time(curve, rows, bench.scene.clock.duration, bench.limit)
     done = math.fsum(cost_of(_cost(bench, row)) for row in rows if row.kind == "done")
     return ahead + (ahead + done) * (len(bench.batch) - 1)
 
 
 def _cost(bench: StartBench, row: Measurement) -> float:
-    """Time of a rollout that was measured [s]."""
+    """Return the processor time of a measured rollout, its fastest repeat [s]."""
     return bench.scene.clock.duration * min(row.cpu_s, default=0.0)
 
 
 _START = 1.0
-"""Starting a process and judging a motion [s]."""
+"""Time to start a process and to judge a motion [s]."""
 _REPEATS = 0.3
-"""What short rollouts are repeated to [s]."""
+"""Total time for which a short rollout is repeated [s]."""
 
 
 def rollout_cost(rows: Sequence[Measurement], count: int, duration: float) -> float | None:
-    """Predict the time of a rollout at a count of its curve [s]; None where nothing tells.
+    """Predict the time of a rollout at a count of its curve [s]; None if no row has a time.
 
-    The last two points tell how the cost grows, at most in proportion to the steps. Processor
-    time is taken, which does not depend on what else the machine has to do.
+    The cost grows as between the last two points, at most in proportion to the steps. It is
+    processor time, which does not depend on other work of the machine.
     """
-    done = [(row.count, float(np.median(row.cpu_s))) for row in rows if row.cpu_s]
-    if not done:
+    timed = [(row.count, float(np.median(row.cpu_s))) for row in rows if row.cpu_s]
+    if not timed:
         return None
-    last, spent = done[-1]
+    last, spent = timed[-1]
     power = 1.0
-    if len(done) > 1:
-        before, less = done[-2]
+    if len(timed) > 1:
+        before, less = timed[-2]
         power = min(1.0, max(0.0, math.log(spent / less) / math.log(last / before)))
     return duration * spent * (count / last) ** power
 
 
 def cost_of(rollout: float) -> float:
-    """Time of a task with such a rollout [s]."""
+    """Predict the time of a task from that of its rollout [s]."""
     return _START + max(_REPEATS, rollout)
 
 
-def left_on(curve: Simulator, rows: Sequence[Measurement], duration: float, limit: float) -> float:
-    """Predict the time of the points of a curve that are still to come [s]."""
+def remaining_time(
+    curve: Simulator, rows: Sequence[Measurement], duration: float, limit: float
+) -> float:
+    """Predict the time of the points of a curve that are not measured yet [s]."""
     counts = curve.counts[len(rows) :]
     costs = (rollout_cost(rows, count, duration) or 0.0 for count in counts if count <= SPAN)
     return sum(cost_of(cost) for cost in costs if cost <= limit)

@@ -1,4 +1,4 @@
-"""What a trade-off study says in words and figures, for terminal, page and Markdown alike."""
+"""Texts and tables of a trade-off study, the same for terminal, page and Markdown."""
 
 from __future__ import annotations
 
@@ -11,36 +11,36 @@ from mbds_xsim.base.text import counted
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Column, Table, table_of
 from mbds_xsim.simulate.simulator import NATIVE
-from mbds_xsim.studies.tradeoff import CurveResult, Learned, Point, Ratio, Tradeoff
+from mbds_xsim.studies.tradeoff import CurveResult, ModelResult, Point, Ratio, Tradeoff
 
-_WORTH_TELLING = 0.85
-"""Part of the usual options' cost below which another option is worth a line."""
+_NOTABLE_RATIO = 0.85
+"""Ratio to the usual options' cost below which a changed option is worth a line."""
 BUSY = 1.1
-"""Wall time over processor time from which on a machine was busy."""
+"""Ratio of wall time to processor time from which a machine counts as busy."""
 _NUMBER = re.compile(r"[\d.]+(e[+-]?\d+)?")
 _ORDER = "Order of convergence measured; in brackets the one declared for smooth motion"
 _WITHIN = (
     "The cheapest point measured that keeps the budgets of all checks: step and wall time per "
     "simulated second"
 )
-_SHOWN_BELOW = (1e-1, 1e-3)
-"""Accuracies told beside the budget, over it."""
+_FINER_ACCURACIES = (1e-1, 1e-3)
+"""Accuracies shown in addition to the budget, as fractions of it."""
 
 
 def main_curves(study: Tradeoff) -> list[CurveResult]:
-    """Curves of the table: the engines' usual options and batches, then native settings."""
+    """Return the curves of the main table: usual options and batches, then native settings."""
     shown = [curve for curve in study.curves if not curve.changed]
     return sorted(shown, key=lambda curve: curve.variation == NATIVE)
 
 
 def columns(study: Tradeoff) -> list[tuple[Column, Callable[[CurveResult], str]]]:
-    """Give the columns of the main table, each with what it says of a curve."""
+    """Return the columns of the main table, each with the function that fills its cells."""
     place = {id(curve): k for k, curve in enumerate(study.curves)}
     return [
         (Column("engine", words=True), lambda c: c.engine),
         (Column("method", words=True), _method),
-        (Column("order", _ORDER), lambda c: order_told(c, study)),
-        *itertools.chain.from_iterable(_ratio_columns(r, place) for r in _told_ratios(study)),
+        (Column("order", _ORDER), lambda c: format_order(c, study)),
+        *itertools.chain.from_iterable(_ratio_columns(r, place) for r in _ratios_to_show(study)),
         (Column("all budgets", _WITHIN), _within),
         (
             Column("best error", "Smallest error of all steps that were tried", narrow=False),
@@ -50,26 +50,26 @@ def columns(study: Tradeoff) -> list[tuple[Column, Callable[[CurveResult], str]]
 
 
 def cheapest_within(study: Tradeoff, *, own: bool = False) -> tuple[CurveResult, Point] | None:
-    """The cheapest of all points that keep all budgets; native settings are not asked.
+    """Find the cheapest point that keeps all budgets, without native settings; None if none does.
 
-    With `own` engines' own stepping alone is.
+    With `own`, only methods that the engine itself integrates are considered.
     """
-    asked = (c for c in study.curves if c.variation != NATIVE and (c.own or not own))
-    kept = [(c, p) for c in asked for p in c.points if p.error_m is not None and not p.broken]
-    return min(kept, key=lambda pair: pair[1].wall_s or math.inf, default=None)
+    curves = (c for c in study.curves if c.variation != NATIVE and (c.own or not own))
+    pairs = [(c, p) for c in curves for p in c.points if p.error_m is not None and not p.broken]
+    return min(pairs, key=lambda pair: pair[1].wall_s or math.inf, default=None)
 
 
 def conclusion(study: Tradeoff) -> str:
-    """Say which point wins, in one sentence."""
+    """Name the cheapest point within all budgets, in one sentence."""
     best = cheapest_within(study)
     if best is None:
         return "no point keeps the budgets of all checks"
-    told = f"cheapest within all budgets: {_place_told(study, *best)}"
+    text = f"cheapest within all budgets: {_describe_place(study, *best)}"
     engine = None if best[0].own else cheapest_within(study, own=True)
-    return told if engine is None else f"{told}; of the engines {_place_told(study, *engine)}"
+    return text if engine is None else f"{text}; of the engines {_describe_place(study, *engine)}"
 
 
-def _place_told(study: Tradeoff, curve: CurveResult, point: Point) -> str:
+def _describe_place(study: Tradeoff, curve: CurveResult, point: Point) -> str:
     return (
         f"{curve.name} at {quantity.pace(point.step_s, point.rtol)}, "
         f"{quantity.span(point.wall_s)} a simulated second ({_speed(point)} real time), "
@@ -78,8 +78,8 @@ def _place_told(study: Tradeoff, curve: CurveResult, point: Point) -> str:
     )
 
 
-def what_is_charted(study: Tradeoff) -> str:
-    """Say what the error is and how far it goes."""
+def describe_error(study: Tradeoff) -> str:
+    """Explain how the charted error is measured, and at which time."""
     starts = f"{len(study.trajectories)} medium start{'s' * (len(study.trajectories) > 1)}"
     if not study.cut_short:
         return (
@@ -102,7 +102,7 @@ def what_is_charted(study: Tradeoff) -> str:
 
 
 def options_that_pay(study: Tradeoff) -> list[str]:
-    """Say which other option is cheapest at the budget, for each method that gains by one."""
+    """List the cheapest changed option at the budget, for each method that gains from one."""
     budget = next((ratio for ratio in study.ratios if ratio.budget), None)
     if budget is None:
         return []
@@ -111,31 +111,31 @@ def options_that_pay(study: Tradeoff) -> list[str]:
         for curve, cost in zip(study.curves, budget.wall_s, strict=True)
         if not curve.variation
     }
-    found: dict[tuple[str, str], tuple[float, str]] = {}
+    cheapest: dict[tuple[str, str], tuple[float, str]] = {}
     for curve, cost in zip(study.curves, budget.wall_s, strict=True):
         method = (curve.engine, curve.method)
         base = usual.get(method)
-        if cost and base and curve.changed and cost < _WORTH_TELLING * base:
+        if cost and base and curve.changed and cost < _NOTABLE_RATIO * base:
             line = f"{curve.name}: {cost / base:.2g} × the cost at the budget"
-            found[method] = min((cost, line), found.get(method, (math.inf, "")))
-    return [line for _, line in found.values()]
+            cheapest[method] = min((cost, line), cheapest.get(method, (math.inf, "")))
+    return [line for _, line in cheapest.values()]
 
 
-def machine_told(study: Tradeoff) -> str:
-    """Say where times were taken, and whether anything else ran there."""
-    told = f"{study.machine}, {counted(study.workers, 'process')} at a time"
+def machine_line(study: Tradeoff) -> str:
+    """Name the machine that was timed, and say whether it was busy with other work."""
+    text = f"{study.machine}, {counted(study.workers, 'process')} at a time"
     if study.busy < BUSY:
-        return told
+        return text
     return (
-        f"{told}; it was busy: times are {_digits(study.busy)} × the processor's, in the median, "
+        f"{text}; it was busy: times are {_digits(study.busy)} × the processor's, in the median, "
         "so that costs are too high and scattered"
     )
 
 
 def failures(study: Tradeoff) -> list[tuple[str, str, str]]:
-    """List what did not come to an end: curve, steps, what happened.
+    """List the points that did not finish: curve, steps, reason.
 
-    Reasons that differ in numbers only are told once, by the first.
+    Of reasons that differ only in numbers, the first is listed.
     """
     lines = []
     for curve in study.curves:
@@ -144,25 +144,25 @@ def failures(study: Tradeoff) -> list[tuple[str, str, str]]:
             points = list(group)
             steps = ", ".join(quantity.pace(point.step_s, point.rtol) for point in points)
             lines.append((curve.name, steps, f"{points[0].kind}: {points[0].reason}"))
-    return _merged(lines)
+    return _merge_alike(lines)
 
 
-def _merged(lines: list[tuple[str, str, str]]) -> list[tuple[str, str, str]]:
-    """Put curves that ended alike into one line."""
+def _merge_alike(lines: list[tuple[str, str, str]]) -> list[tuple[str, str, str]]:
+    """Merge curves that ended alike into one line."""
     alike: dict[tuple[str, str], list[str]] = {}
-    for name, steps, what in lines:
-        alike.setdefault((steps, what), []).append(name)
-    return [("; ".join(names), steps, what) for (steps, what), names in alike.items()]
+    for name, steps, cause in lines:
+        alike.setdefault((steps, cause), []).append(name)
+    return [("; ".join(names), steps, cause) for (steps, cause), names in alike.items()]
 
 
-def _told_ratios(study: Tradeoff) -> list[Ratio]:
-    """The budget, and accuracies some decades below it."""
-    told = [ratio for ratio in study.ratios if ratio.budget]
-    for share in _SHOWN_BELOW:
-        wanted = share * study.error_budget_m
-        finer = [r for r in study.ratios if not r.budget and r.error_m <= wanted * 1.01]
-        told += finer[:1]
-    return told
+def _ratios_to_show(study: Tradeoff) -> list[Ratio]:
+    """Return the ratios to show: at the budget, and at accuracies some decades below it."""
+    ratios = [ratio for ratio in study.ratios if ratio.budget]
+    for share in _FINER_ACCURACIES:
+        accuracy = share * study.error_budget_m
+        finer = [r for r in study.ratios if not r.budget and r.error_m <= accuracy * 1.01]
+        ratios += finer[:1]
+    return ratios
 
 
 def _ratio_columns(
@@ -182,10 +182,10 @@ def _ratio_columns(
     )
     if not ratio.budget:
         return [(column, times)]
-    told = (
+    description = (
         f"Wall time per simulated second at the budget of the error, {accuracy}, by interpolation"
     )
-    cost = Column(f"≤ {accuracy}", told)
+    cost = Column(f"≤ {accuracy}", description)
     return [(cost, lambda c: quantity.span(ratio.wall_s[place[id(c)]])), (column, times)]
 
 
@@ -197,17 +197,17 @@ def _method(curve: CurveResult) -> str:
     return f"{curve.method} ({curve.variation})" if curve.variation else curve.method
 
 
-def order_told(curve: CurveResult, study: Tradeoff) -> str:
-    """Claims of order are about smooth motion, so with contact there is none to compare with."""
+def format_order(curve: CurveResult, study: Tradeoff) -> str:
+    """Format the measured order and, without contact, the one declared for smooth motion."""
     measured = quantity.NONE if curve.measured_order is None else f"{curve.measured_order:.1f}"
     return measured if study.contact else f"{measured} ({curve.order})"
 
 
 def _within(curve: CurveResult) -> str:
-    kept = [p for p in curve.points if p.wall_s is not None and not p.broken]
-    if not kept:
+    points = [p for p in curve.points if p.wall_s is not None and not p.broken]
+    if not points:
         return quantity.NONE
-    best = min(kept, key=lambda point: point.wall_s or math.inf)
+    best = min(points, key=lambda point: point.wall_s or math.inf)
     return f"{quantity.pace(best.step_s, best.rtol)}: {quantity.span(best.wall_s)}"
 
 
@@ -221,8 +221,8 @@ def _speed(point: Point) -> str:
     return f"{_digits(1.0 / point.wall_s)} ×" if point.wall_s else quantity.NONE
 
 
-def point_told(curve: CurveResult, point: Point) -> str:
-    """Say what a point of a curve is when it is pointed at."""
+def point_tip(curve: CurveResult, point: Point) -> str:
+    """Return the tooltip of a point of a curve."""
     over = f"over budget: {', '.join(point.broken)}" if point.broken else "within all budgets"
     step = f"step {quantity.span(point.step_s)} ({point.steps_per_frame} a frame)"
     return (
@@ -233,8 +233,8 @@ def point_told(curve: CurveResult, point: Point) -> str:
     )
 
 
-def model_told(model: Learned) -> str:
-    """Say what the points of a model are when they are pointed at."""
+def model_tip(model: ModelResult) -> str:
+    """Return the tooltip of a model's points."""
     return (
         f"{model.name}\ncost {quantity.span(model.alone.wall_s)} a simulated second alone, "
         f"{quantity.span(model.batched.wall_s)} in a batch of {model.at_once}\n"
@@ -251,9 +251,9 @@ def _errors(point: Point) -> str:
 
 
 def models_table(study: Tradeoff) -> Table:
-    """Give a row a model."""
+    """Build the table of trained models, one row each."""
     together = f"of {study.models[0].at_once}"
-    columns: dict[Column, Callable[[Learned], str]] = {
+    columns: dict[Column, Callable[[ModelResult], str]] = {
         Column("model", words=True): lambda m: m.model,
         Column("trained on", "Training and seed", words=True): lambda m: (
             f"{m.training} {m.variant}"
@@ -283,21 +283,21 @@ def models_table(study: Tradeoff) -> Table:
         ),
         Column("training", "Wall time of training"): lambda m: quantity.span(m.train_wall_s),
     }
-    rows = [[tell(model) for tell in columns.values()] for model in study.models]
+    rows = [[cell_of(model) for cell_of in columns.values()] for model in study.models]
     return table_of(columns, rows, title="Trained models")
 
 
 def models_short(study: Tradeoff) -> str:
-    """Give the errors of all models in a sentence, the least first; "" without models."""
-    order = sorted(study.models, key=lambda m: (m.alone.kind != "done", m.alone.error_m or 0.0))
-    if not order:
+    """List the errors of all models in a sentence, the smallest first; "" without models."""
+    models = sorted(study.models, key=lambda m: (m.alone.kind != "done", m.alone.error_m or 0.0))
+    if not models:
         return ""
-    each = ", ".join(f"{m.model} {_error(m)}" for m in order)
-    return f"trained models are off at {study.horizon_s:g} s by: {each}"
+    errors = ", ".join(f"{m.model} {_error(m)}" for m in models)
+    return f"trained models are off at {study.horizon_s:g} s by: {errors}"
 
 
-def models_told(study: Tradeoff) -> str:
-    """Say what models are given, and what their figures are; "" where there are none."""
+def describe_models(study: Tradeoff) -> str:
+    """Explain what models are given and what their figures mean; "" without models."""
     if not study.models:
         return ""
     known = study.models[0].known_frames
@@ -314,6 +314,6 @@ def _elsewhere(study: Tradeoff) -> str:
     return f"; timed on another machine than engines: {', '.join(other)}" if other else ""
 
 
-def _error(model: Learned) -> str:
+def _error(model: ModelResult) -> str:
     point = model.alone
     return quantity.length(point.error_m) if point.kind == "done" else point.reason

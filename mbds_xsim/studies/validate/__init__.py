@@ -1,4 +1,4 @@
-"""The main job: run a scene in all engines, check every trajectory, give a verdict."""
+"""The main study: run a scene in all engines, check every trajectory, reach a verdict."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from mbds_xsim.simulate.choice import Choice, Contender
 from mbds_xsim.simulate.claims import TRUTH
 
 _ONE_SECOND = 1.0
-_SEEN = 0.01  # shorter work is no part of the account [s]
+_LEAST_TIME = 0.01  # shorter work is left out of the account [s]
 _HIGH = INTERVALS.index("high")
 _STARTS = Starts()
 _VERDICTS = ("pass", "warn", "fail")
@@ -53,15 +53,15 @@ def validate_with_evidence(
 ) -> tuple[Validation, Evidence]:
     """Validate a scene, and keep the arrays for a page. See `mbds_xsim.validate`.
 
-    Without `readback` the verdict is on the motion alone, whatever the native model is.
+    Without `readback` the verdict is on the motion alone, not on the engine's native model.
     """
     begin, spent = time.perf_counter(), Account(float)
     chosen = searched(scene, choice, conduct)
-    if chosen.given != choice.given:
+    if chosen.settings != choice.settings:
         spent["search of settings"] = time.perf_counter() - begin
     contenders, left_out = chosen.contenders(scene)
     batch = starts.draw(scene)
-    rows, reference, checked = _judged(scene, batch, contenders, conduct, spent, native=readback)
+    rows, reference, checked = _judge(scene, batch, contenders, conduct, spent, native=readback)
     voting = time.perf_counter()
     results = [row.result for row in rows]
     runs, families = _runs(rows, reference)
@@ -103,7 +103,7 @@ def validate_with_evidence(
     )
 
 
-def _judged(
+def _judge(
     scene: Scene,
     batch: Batch,
     contenders: list[Contender],
@@ -112,7 +112,7 @@ def _judged(
     *,
     native: bool,
 ) -> tuple[list[Judged], ReferenceOutcome, ReferenceResult]:
-    """Run the engines, and judge each as soon as it can be, while others still run."""
+    """Run the engines, and judge each as soon as possible, while others still run."""
     judged: dict[str, Judged] = {}
     checked_reference = functools.cache(functools.partial(reference_result, scene, batch))
 
@@ -125,9 +125,9 @@ def _judged(
         spent["checks"] += time.perf_counter() - checking
 
     outcomes, reference = run_campaign(scene, batch, contenders, conduct, spent, then=check)
-    left = [outcome for outcome in outcomes if outcome.contender.name not in judged]
-    refine(left, reference, conduct, spent)
-    for outcome in left:
+    remaining = [outcome for outcome in outcomes if outcome.contender.name not in judged]
+    refine(remaining, reference, conduct, spent)
+    for outcome in remaining:
         check(outcome, reference)
     rows = [judged[outcome.contender.name] for outcome in outcomes]
     return rows, reference, checked_reference(reference)
@@ -138,17 +138,17 @@ def _worst(results: Sequence[EngineResult]) -> Verdict:
 
 
 def _account(spent: Account) -> dict[str, float]:
-    """List what took its time, the longest first [s]."""
+    """List the time spent on each kind of work, the longest first [s]."""
     longest = sorted(spent.items(), key=operator.itemgetter(1), reverse=True)
-    return {what: seconds for what, seconds in longest if seconds >= _SEEN}
+    return {work: seconds for work, seconds in longest if seconds >= _LEAST_TIME}
 
 
 def _runs(
     rows: list[Judged], reference: ReferenceOutcome
 ) -> tuple[dict[str, Trajectory], tuple[str, ...]]:
-    """Give motions by engine and settings, and their families.
+    """Return motions keyed by engine and settings, and their method families.
 
-    The reference is the last, and one of them, however often it takes part.
+    The reference comes last, and once only, even if it also takes part as an engine.
     """
     runs, families = {}, []
     for row in rows:
@@ -161,7 +161,7 @@ def _runs(
 def _vote(
     scene: Scene, runs: Mapping[str, Trajectory], families: tuple[str, ...]
 ) -> tuple[tuple[tuple[float, ...], ...], str | None]:
-    """Hold every run against every other, the reference last, at 1 s on predictable starts."""
+    """Compare all pairs of runs, the reference last, at 1 s on low and medium starts."""
     names, mechanism = tuple(runs), Mechanism.of(scene)
     regular = [k for k in range(len(runs["reference"])) if k % len(INTERVALS) != _HIGH]
     instant = min(_ONE_SECOND, scene.clock.duration)
@@ -170,28 +170,28 @@ def _vote(
     # Past a first impact no solution is unique, and sound engines may stand apart.
     unique = np.isfinite(matrix[-1, :-1]).any()
     odd = agreement.odd_one_out(matrix, families, tolerance=allowed) if unique else ()
-    told = ", ".join(names[k] for k in odd) or None
-    return tuple(tuple(float(x) for x in line) for line in matrix), told
+    odd_names = ", ".join(names[k] for k in odd) or None
+    return tuple(tuple(float(x) for x in line) for line in matrix), odd_names
 
 
 def _instant(times: Array) -> float:
-    """Find when the vote holds them against each other [s]."""
+    """Return the time of the frame at which the vote compares the runs [s]."""
     return float(agreement.error_at(times[None], times, _ONE_SECOND)[0])
 
 
 def _ensembles(
     scene: Scene, batch: Batch, runs: Mapping[str, Trajectory]
 ) -> tuple[EnsembleResult, ...]:
-    """Compare distributions at the end, where motions no longer agree one by one."""
-    names, found = tuple(runs), agreement.compare_runs(scene, batch, tuple(runs.values()))
+    """Compare distributions at the end, for runs whose motions no longer agree one by one."""
+    names, comparisons = tuple(runs), agreement.compare_runs(scene, batch, tuple(runs.values()))
     return tuple(
         EnsembleResult(
             one=names[one],
             other=names[other],
             time_s=scene.clock.duration,
-            distance=apart.distance,
-            p_value=apart.p_value,
-            count=apart.count,
+            distance=comparison.distance,
+            p_value=comparison.p_value,
+            count=comparison.count,
         )
-        for (one, other), apart in found.items()
+        for (one, other), comparison in comparisons.items()
     )

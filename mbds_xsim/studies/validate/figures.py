@@ -20,15 +20,15 @@ T = TypeVar("T")
 
 _SIZE = (4.5, 3.1)
 _FLOOR = 1e-16
-"""Zero is drawn here on the log axis."""
+"""Value at which zero is drawn on the log axis."""
 _GROWTH_LIMIT = 100.0
-"""Beyond this growth an error is chaos and not judged."""
+"""Growth beyond which an error is chaos and not judged."""
 _AGREEMENT = 0.01
-"""Part of the scene's length up to which trajectories agree."""
+"""Share of the scene's length up to which trajectories agree."""
 
 
 def styles(results: Iterable[EngineResult]) -> tuple[Style, ...]:
-    """Give results their styles, dashed except for each engine's first that is not native."""
+    """Return a style per result, solid only for each engine's first profile that is not native."""
     listed = list(results)
     others = [result.engine for result in listed]
     first = {r.engine: r.profile for r in reversed(listed) if r.profile != "native"}
@@ -38,7 +38,7 @@ def styles(results: Iterable[EngineResult]) -> tuple[Style, ...]:
 
 
 def error_growth(validation: Validation, evidence: Evidence) -> list[Figure]:
-    """Plot error against time, worst of each sampling interval."""
+    """Plot the worst error against time, one figure for each sampling interval."""
     known = np.any(evidence.reference.known[:, 1:], axis=1)
     of_row = [evidence.batch.interval(row) for row in range(len(evidence.batch))]
     return [
@@ -50,7 +50,7 @@ def error_growth(validation: Validation, evidence: Evidence) -> list[Figure]:
 
 
 def plotted_checks(evidence: Evidence) -> list[str]:
-    """Checks with a series over time that no figure of its own shows, as the audit lists them."""
+    """List the checks to plot over time, except error and consistency, in the audit's order."""
     checks = dict.fromkeys(check for series in evidence.series for check in series)
     return [
         check
@@ -91,21 +91,21 @@ def matrix(validation: Validation) -> Figure | None:
     }
     colours = [of_engine.get(name, INK) for name in names]
     size = (1.7 + 0.62 * count, 1.2 + 0.42 * count)
-    told = (
+    caption = (
         f"RMS particle distance at {validation.matrix_s:.4g} s between all pairs, worst of the low "
         "and medium trajectories"
     )
     return _figure(
         "distances between all pairs",
         lambda axes: _heat(axes, names, shown, colours),
-        told,
+        caption,
         size,
         wide=True,
     )
 
 
 def consistency(validation: Validation) -> Figure | None:
-    """Plot every trajectory's consistency over its budget; None where no engine has any."""
+    """Plot every trajectory's consistency over its budget; None if no engine has any."""
     rows = [
         (style, [f for f in result.findings if f.check.startswith("consistency") and f.budget])
         for result, style in _with_styles(validation, validation.engines)
@@ -119,7 +119,7 @@ def consistency(validation: Validation) -> Figure | None:
         for place, (style, findings) in enumerate(rows):
             look = {"color": LIGHT[style.colour], "alpha": 0.8, "ms": 7}
             for f in findings:
-                ratio = _clipped(np.array(f.figures, dtype=np.float64) / (f.budget or 1.0))
+                ratio = _clip(np.array(f.figures, dtype=np.float64) / (f.budget or 1.0))
                 height = np.full(len(ratio), -place - 0.12 * checks.index(f.check))
                 axes.plot(ratio, height, marker[f.check], **look)
         _consistency_axes(axes, validation.engines, marker)
@@ -131,27 +131,27 @@ def consistency(validation: Validation) -> Figure | None:
 def restitution(
     validation: Validation, evidence: Evidence, contacts: tuple[Contact | None, ...]
 ) -> Figure | None:
-    """Plot what single impacts deliver over their speed; None where there are none.
+    """Plot the measured restitution of single impacts against their speed; None without impacts.
 
-    Contacts are of the reference, then of the engine results.
+    `contacts` lists the reference first, then the engine results.
     """
     ground = evidence.scene.ground
-    met = [None if contact is None else _impacts(contact) for contact in contacts]
-    if ground is None or not any(speed.size for speed, _ in filter(None, met)):
+    impacts = [None if contact is None else _impacts(contact) for contact in contacts]
+    if ground is None or not any(speed.size for speed, _ in filter(None, impacts)):
         return None
 
     e = ground.restitution
     judged = any(f.check == "restitution" for r in validation.engines for f in r.findings)
 
     def draw(axes: Any) -> None:
-        for place, (found, style) in enumerate(
-            zip(met, (None, *styles(validation.engines)), strict=True)
+        for place, (points, style) in enumerate(
+            zip(impacts, (None, *styles(validation.engines)), strict=True)
         ):
-            if found is not None:
+            if points is not None:
                 colour = INK if style is None else LIGHT[style.colour]
                 hollow = style is None or style.dashed
                 (marks,) = axes.plot(
-                    *found, "|12x+34"[place % 7], color=colour, ms=9 if style is None else 5,
+                    *points, "|12x+34"[place % 7], color=colour, ms=9 if style is None else 5,
                     mfc="none" if hollow else colour, mew=1.1, alpha=0.85,
                 )  # fmt: skip
                 if style is not None:
@@ -166,12 +166,12 @@ def restitution(
         axes.set_ylabel("speed after over before")
         axes.margins(x=0.06, y=0.15)
 
-    told = "Restitution delivered: each mark is one impact of one sphere, of all trajectories"
-    return _figure("restitution delivered", draw, told)
+    caption = "Restitution delivered: each mark is one impact of one sphere, of all trajectories"
+    return _figure("restitution delivered", draw, caption)
 
 
 def _impacts(contact: Contact) -> tuple[Array, Array]:
-    """Speeds of single impacts, and what part of them is left after."""
+    """Return the speeds of single impacts [m/s], and the ratios of speed after to speed before."""
     arriving = np.concatenate([episode.arriving for episode in contact.episodes])
     leaving = np.concatenate([episode.leaving for episode in contact.episodes])
     return arriving, leaving / arriving
@@ -199,12 +199,12 @@ def _error_figure(
 
 
 def _with_styles(validation: Validation, each: Iterable[T]) -> Iterator[tuple[T, Style]]:
-    """Give what there is of each engine result with the result's style."""
+    """Pair one item per engine result with the style of the result."""
     return zip(each, styles(validation.engines), strict=True)
 
 
 def _no_solution(axes: Any, time: Array, known: Mask) -> None:
-    """Hatch what lies beyond the first impact of the first trajectory that has one."""
+    """Hatch the time beyond the earliest first impact of the trajectories."""
     last = int(known.sum(axis=1).min()) - 1
     if last + 1 < len(time):
         axes.axvspan(time[last], time[-1], facecolor="none", edgecolor=GREY, alpha=0.45, hatch="//")
@@ -216,7 +216,7 @@ def _no_solution(axes: Any, time: Array, known: Mask) -> None:
 
 
 def _sensitivity_band(axes: Any, time: Array, growth: Array, budget: float) -> None:
-    """Shade what the budget allows, grown as a disturbance of the start grows."""
+    """Shade the allowed error: the budget times the growth of a disturbance of the start."""
     grown = np.maximum(1.0, growth)
     allowed = np.fmax.reduce(np.where(grown < _GROWTH_LIMIT, budget * grown, np.nan))
     axes.fill_between(time, _FLOOR, allowed, color=GREY, alpha=0.14, linewidth=0)
@@ -224,7 +224,7 @@ def _sensitivity_band(axes: Any, time: Array, growth: Array, budget: float) -> N
 
 
 def _has_course(evidence: Evidence, check: str) -> bool:
-    """Whether a check has more than one frame to plot, and anything but zero."""
+    """Return whether a check has more than one frame to plot, and a value other than zero."""
     return any(
         np.isfinite(series[check]).any(axis=0).sum() > 1 and np.nanmax(np.abs(series[check])) > 0
         for series in evidence.series
@@ -233,10 +233,10 @@ def _has_course(evidence: Evidence, check: str) -> bool:
 
 
 def _worst(series: Array) -> Array:
-    return _clipped(np.fmax.reduce(np.abs(series)))
+    return _clip(np.fmax.reduce(np.abs(series)))
 
 
-def _clipped(values: Array) -> Array:
+def _clip(values: Array) -> Array:
     return np.where(np.isnan(values), np.nan, np.maximum(np.abs(values), _FLOOR))
 
 
@@ -250,10 +250,10 @@ def _curve(axes: Any, time: Array, values: Array, style: Style, place: int) -> N
         marker=rf"$\mathrm{{{style.letter}}}$" if style.letter.isalnum() else None,
         markersize=8,
         markeredgewidth=0.3,
-        # Apart, so that curves which lie on each other are told as well.
+        # Shifted from curve to curve, so that coinciding curves can be told apart.
         markevery=(int(len(time) * (0.06 + 0.025 * place)) % len(time), max(1, len(time) // 4)),
     )
-    # The gid becomes a class, by which the page's legend hides the curve.
+    # The gid becomes a class, which the page's legend uses to hide the curve.
     line.set_gid(f"curve-{place}")
 
 
@@ -266,12 +266,12 @@ def _log_axis(axes: Any, ylabel: str) -> None:
 
 
 def _cut_off_starts(axes: Any) -> None:
-    """Begin the log axis where curves go on, not at their first frames next to zero."""
+    """Start the log axis where most of the curves lie, not at their first frames close to zero."""
     curves = [line.get_ydata() for line in axes.lines if line.get_gid()]
     values = np.concatenate([*curves, np.empty(0)])
-    seen = values[values > _FLOOR]
-    if len(seen):
-        axes.set_ylim(bottom=10.0 ** np.floor(np.log10(np.quantile(seen, 0.02))))
+    visible = values[values > _FLOOR]
+    if len(visible):
+        axes.set_ylim(bottom=10.0 ** np.floor(np.log10(np.quantile(visible, 0.02))))
 
 
 def _heat(axes: Any, names: list[str], shown: Array, colours: list[str]) -> None:

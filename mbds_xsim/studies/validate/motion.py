@@ -1,7 +1,7 @@
-"""The motions of a validation, packed for the viewer on its page, and contact under it.
+"""Motions of a validation, packed for the viewer on its page, with contact shown below it.
 
-Strips over time show heights, slips, and which spheres touch and when; tables show the reference
-and the engines beside it.
+Strips over time show heights, slips, and which spheres touch and when; tables compare the engines
+with the reference.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 
 _BYTES = 3_000_000
-"""What the positions may take before base64."""
+"""Most bytes that positions may take before base64 encoding."""
 _LARGEST_STRIDE = 4
 _FARTHEST = 1e150
-"""Squares of larger positions are infinite, which is no number of JSON [m]."""
+"""Largest usable position [m]: squares of larger ones overflow, and JSON has no infinity."""
 _LEAST = 0.05
-"""Of the impulse of gravity: a smaller one of the ground is the rounding of a flight."""
+"""Share of gravity's impulse below which the ground's is a rounding error of free flight."""
 
 
 def pack(
     evidence: Evidence, names: tuple[str, ...], styles: tuple[Style, ...], *, limit: int = _BYTES
 ) -> dict[str, Any]:
-    """Give what the viewer reads, ready for JSON; names and styles are of the engine results.
+    """Return the viewer's data, ready for JSON; names and styles are those of the engine results.
 
-    Where positions would take more bytes than `limit`, frames are thinned out, then trajectories
-    left out.
+    If positions would take more than `limit` bytes, frames are thinned out first, then
+    trajectories are left out.
     """
     bones = skeleton(evidence.scene)
     stride, count = _thinning(evidence, len(bones.body), limit)
@@ -60,7 +60,7 @@ def pack(
 
 
 def _thinning(evidence: Evidence, points: int, limit: int) -> tuple[int, int]:
-    """Stride over frames and number of trajectories that keep to the limit."""
+    """Return the stride over frames and the number of trajectories that fit into `limit` bytes."""
     count, frames = evidence.reference.position.shape[:2]
     streams = 1 + sum(motion is not None for motion in evidence.trajectories)
     frame_bytes = streams * points * 3 * 2
@@ -71,7 +71,7 @@ def _thinning(evidence: Evidence, points: int, limit: int) -> tuple[int, int]:
 
 
 def _base(motions: list[Array]) -> Array:
-    """Take the first motion that is finite, frame by frame; where none is, the last that was."""
+    """Take the first motion that is finite in each frame; if none is, repeat the frame before."""
     base = motions[0].copy()
     for motion in motions[1:]:
         base = np.where(_finite(base)[..., None, None], base, motion)
@@ -105,25 +105,25 @@ def _scenery(evidence: Evidence, bones: Skeleton, count: int) -> dict[str, Any]:
 def pack_strips(
     validation: Validation, evidence: Evidence, contacts: tuple[Contact | None, ...], count: int
 ) -> dict[str, Any]:
-    """Give what the script of the strips reads, ready for JSON, of the viewer's trajectories.
+    """Return the data of the contact strips for `count` trajectories, ready for JSON.
 
-    Contacts are of the reference, then of the engine results; those that crashed are left out.
+    `contacts` lists the reference first, then the engine results; crashed ones are left out.
     """
     reference = validation.reference
     known = () if reference is None else reference.known_s
-    found = [contact for contact in contacts if contact is not None]
+    available = [contact for contact in contacts if contact is not None]
     return {
         "step": evidence.scene.clock.frame,
         "frames": len(evidence.reference.time),
         "spheres": len(evidence.scene.contacts),
         "ends": list(known[:count]) or [None] * count,
-        "slips": any(np.nan_to_num(contact.slip).any() for contact in found),
-        "entries": [_entry(contact, count) for contact in found],
+        "slips": any(np.nan_to_num(contact.slip).any() for contact in available),
+        "entries": [_entry(contact, count) for contact in available],
     }
 
 
 def reading(evidence: Evidence, *, slips: bool) -> str:
-    """Say how to read the strips."""
+    """Explain how to read the strips."""
     lanes = _lanes([sphere.body for sphere in evidence.scene.contacts])
     slip = (
         " Slip: mean speed of the points that touch along the ground, 0 where they roll or stick."
@@ -145,7 +145,7 @@ def reading(evidence: Evidence, *, slips: bool) -> str:
 
 
 def _lanes(names: list[str]) -> str:
-    """Say which contact sphere each lane of the strips is, where there are several."""
+    """Name the contact sphere of each lane of the strips, if there are several."""
     if len(names) == 1:
         return ""
     if len(set(names)) == 1:
@@ -154,7 +154,7 @@ def _lanes(names: list[str]) -> str:
 
 
 def _entry(contact: Contact, count: int) -> dict[str, str]:
-    """Bits of a step are the spheres that touch, then whether it has an impact."""
+    """Encode a contact; the flag bits of a step are its touching spheres, then its impact."""
     flags = np.concatenate([contact.touch, contact.impact[..., None]], axis=2)[:count]
     return {
         "gap": encoded(contact.gap[:count], "<f4"),
@@ -168,16 +168,16 @@ def tables(
     entries: Sequence[tuple[str, Style]],
     index: Sequence[int],
 ) -> tuple[Table, ...]:
-    """Make a table of each of the first trajectories, without columns that say nothing of any.
+    """Make a table of each of the first trajectories, without columns that are empty in all.
 
-    Contacts and entries are of the reference, then of the engine results; without contact there are
-    none.
+    `contacts` and `entries` list the reference first, then the engine results; without contacts
+    there are no tables.
     """
     if not contacts:
         return ()
     ideal = contacts[0]
     assert ideal is not None
-    told = [
+    contents = [
         [
             (entry, _texts(contact, row, ideal))
             for entry, contact in zip(entries, contacts, strict=True)
@@ -185,7 +185,7 @@ def tables(
         ]
         for row in range(len(index))
     ]
-    every = [texts for rows in told for _, texts in rows]
+    every = [texts for rows in contents for _, texts in rows]
     kept = [k for k in range(len(_COLUMNS)) if any(texts[k] != quantity.NONE for texts in every)]
     columns = tuple(_COLUMNS[k] for k in kept)
     return tuple(
@@ -193,7 +193,7 @@ def tables(
             (f"trajectory {number}", *columns),
             ((Cell(n, line=style), *(texts[k] for k in kept)) for (n, style), texts in rows),
         )
-        for number, rows in zip(index, told, strict=True)
+        for number, rows in zip(index, contents, strict=True)
     )
 
 
@@ -208,7 +208,7 @@ _COLUMNS = (
 
 
 def _texts(contact: Contact, row: int, ideal: Contact) -> list[str]:
-    """Fill the columns for a trajectory of a motion, beside that of the reference."""
+    """Fill the columns for one trajectory of a motion, and compare it with the reference's."""
     episode, count = contact.episodes[row], int(contact.impact[row].sum())
     gap = contact.gap[row]
     known = np.isfinite(gap).any()
@@ -243,43 +243,43 @@ def _seconds(time: float | None) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """How the contact spheres of one motion meet the ground, as the checks' own view of it has it.
+    """Contact of one motion's spheres with the ground, as the checks see it.
 
     A sphere touches in a step if it may reach the ground (`Push.reach`) and the ground pushes its
-    group. Where several of a group may, frames cannot tell which of them did.
+    group. If several of a group may reach it, frames cannot tell which of them did.
     """
 
     gap: Array
-    """Between the ground and the lowest point [m], shape (trajectory, frame)."""
+    """Gap between the ground and the lowest sphere [m], shape (trajectory, frame)."""
     slip: Array
-    """Mean slip of the touching spheres, NaN where none touches or where the ground hits several
-    that may touch [m/s], shape (trajectory, frame)."""
+    """Mean slip speed of the touching spheres [m/s], shape (trajectory, frame); NaN if none
+    touches, and in impacts of anything but a ball."""
     touch: Mask
     """Spheres that touch in a step, shape (trajectory, step, sphere)."""
     impact: Mask
-    """Steps with an impact that counts, shape (trajectory, step)."""
+    """Steps with a significant impact (pushed, not `Push.supported`), shape (trajectory, step)."""
     episodes: tuple[Episode, ...]
-    """One a trajectory."""
+    """One entry for each trajectory."""
 
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """The contact of one trajectory in figures; None or empty where there is nothing to tell."""
+    """Contact figures of one trajectory; None or empty if there is nothing to report."""
 
     first: float | None
     """End of the first step in which a sphere touches [s]."""
     arriving: Array
-    """Downward speed of the sphere in each single impact [m/s], shape (single impact,)."""
+    """Downward speed of the sphere before each single impact [m/s], shape (single impact,)."""
     leaving: Array
-    """Upward speed [m/s], shape (single impact,)."""
+    """Upward speed of the sphere after each single impact [m/s], shape (single impact,)."""
     rebound: float | None
-    """Height that a ball reaches after its first impact, by its speed [m]."""
+    """Height that a ball reaches after its first impact, computed from its speed [m]."""
     rolls: float | None
-    """When a ball has slid for the last time and rolls [s]."""
+    """Time at which a ball has slid for the last time and rolls [s]."""
 
 
 def contacts_of(evidence: Evidence) -> tuple[Contact | None, ...]:
-    """Look at the reference, then at the engine results; empty for a scene without ground."""
+    """Find the contact of the reference, then of each engine result; empty without a ground."""
     scene, batch = evidence.scene, evidence.batch
     if scene.ground is None:
         return ()
@@ -290,7 +290,7 @@ def contacts_of(evidence: Evidence) -> tuple[Contact | None, ...]:
 
 
 def contact_of(scene: Scene, batch: Batch, motion: Trajectory) -> Contact:
-    """Look at the contact of a motion; spheres of groups that hang on the world never touch."""
+    """Find the contact of a motion; spheres of groups with another support never touch."""
     record = Record(scene, batch, motion)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         pushes = pushes_of(record)
@@ -298,7 +298,7 @@ def contact_of(scene: Scene, batch: Batch, motion: Trajectory) -> Contact:
         touch = np.zeros((len(motion), record.steps, spheres.gap.shape[2]), dtype=bool)
         impact, clear = np.zeros(touch.shape[:2], dtype=bool), np.zeros_like(touch)
         for push in pushes:
-            pushed = push.reach & _pushed(push)[:, :, None]
+            pushed = push.reach & _pushing_steps(push)[:, :, None]
             touch[:, :, push.spheres] = pushed
             impact |= pushed.any(axis=2) & ~push.supported
             clear[:, :, push.spheres] = pushed & (push.supported | push.ball)[:, :, None]
@@ -314,13 +314,13 @@ def contact_of(scene: Scene, batch: Batch, motion: Trajectory) -> Contact:
     return Contact(gap, slip, touch, impact, tuple(episodes))
 
 
-def _pushed(push: Push) -> Mask:
+def _pushing_steps(push: Push) -> Mask:
     """Steps in which the ground pushes a group, shape (trajectory, step)."""
     return np.asarray(push.impulse[..., 2] > _LEAST * push.weight)
 
 
 def _mean_slip(slip: Array, touch: Mask) -> Array:
-    """Mean over the spheres that touch in the step before or after a frame."""
+    """Average over the spheres that touch in the step before or after a frame."""
     near = np.zeros(slip.shape, dtype=bool)
     near[:, 1:] |= touch
     near[:, :-1] |= touch
@@ -331,7 +331,7 @@ def _episode(
     record: Record, hits: list[Impacts], row: int, touch: Mask, *, ball: bool, rolls: float | None
 ) -> Episode:
     step, arriving, leaving = (
-        np.concatenate([np.empty(0), *(getattr(found, name)[found.row == row] for found in hits)])
+        np.concatenate([np.empty(0), *(getattr(hit, name)[hit.row == row] for hit in hits)])
         for name in ("step", "arriving", "leaving")
     )
     order, pull = np.argsort(step, kind="stable"), float(np.linalg.norm(record.scene.gravity))
@@ -345,9 +345,9 @@ def _episode(
 
 
 def _rolls(record: Record, push: Push) -> list[float | None]:
-    """Instants from which a ball no longer slides, by the budget of the check `rolling`.
+    """Find the instants from which a ball no longer slides, by the budget of the check `rolling`.
 
-    Between the last frame of a slide and the next, a slip goes on to fall as it did before.
+    After the last sliding frame, the slip is extrapolated at its last rate of decrease.
     """
     slip = np.linalg.norm(push.over.slip[:, :, 0], axis=-1)
     speed = np.linalg.norm(record.bodies.velocity[:, :, push.bodies[0]], axis=-1)

@@ -1,4 +1,4 @@
-"""A validation as a report: the verdict, then motions, plots, findings and all settings."""
+"""Report of a validation: the verdict, then motions, plots, findings and all settings."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ from mbds_xsim.studies.validate.motion import Contact, contacts_of
 _PAGE: frozenset[Place] = frozenset({"page"})
 _VERDICTS: dict[str, Mark] = {"pass": "pass", "warn": "warn", "fail": "fail"}
 _FEW = 6
-"""Pairs of distributions that are not folded away."""
+"""Largest number of pairs of distributions that are shown unfolded."""
 _FINDING = ("", "check", ">figure", ">budget", "worst in", "where", "figure of each trajectory")
 _REFERENCE = Style(-1, dashed=False)
 
 
 def present(validation: Validation, evidence: Evidence | None = None) -> Report:
-    """Say which engines can be trusted; without evidence there are no motions and plots."""
-    versions = ", ".join(f"{name} {what}" for name, what in validation.versions.items())
+    """Report which engines can be trusted; without evidence there are no motions or plots."""
+    versions = ", ".join(f"{name} {version}" for name, version in validation.versions.items())
     shown = () if evidence is None else tuple(_behind(validation, evidence))
     return Report(
         title=validation.scene,
@@ -77,7 +77,7 @@ def _engines(validation: Validation) -> Table:
 
 
 def _behind(validation: Validation, evidence: Evidence) -> Iterator[Section]:
-    """What only a page shows."""
+    """Yield the sections that only a page shows."""
     contacts = contacts_of(evidence)
     yield Section("Motion", (_motion(validation, evidence, contacts),), on=_PAGE)
     delivered = figures.restitution(validation, evidence, contacts)
@@ -89,18 +89,18 @@ def _behind(validation: Validation, evidence: Evidence) -> Iterator[Section]:
         for check in figures.plotted_checks(evidence)
     ]
     if checks:
-        told = "The worst of all trajectories at each time; 0 is ideal. Dotted: budgets."
+        text = "The worst of all trajectories at each time; 0 is ideal. Dotted: budgets."
         first = " Vertical: the earliest first impact." if any(words.ends(validation)[:1]) else ""
-        blocks = (Text(told + first), FigureGroup(tuple(checks)))
+        blocks = (Text(text + first), FigureGroup(tuple(checks)))
         yield Section("Checks over time", blocks, on=_PAGE)
     consistency = figures.consistency(validation)
     if consistency is not None:
-        told = (
+        text = (
             "Each engine was run again at another step. What its results tend to as the step "
             "shrinks must meet the reference within the uncertainty of that estimate; this shows "
             "errors of the model far below the accuracy budgets."
         )
-        yield Section("Consistency", (Text(told), FigureGroup((consistency,))), on=_PAGE)
+        yield Section("Consistency", (Text(text), FigureGroup((consistency,))), on=_PAGE)
     each = zip(validation.engines, styles(validation.engines), strict=True)
     findings = tuple(_findings(r, style, first=not k) for k, (r, style) in enumerate(each))
     yield Section("Findings", findings, on=_PAGE)
@@ -226,7 +226,7 @@ def _pairs(title: str, pairs: list[tuple[str, str]]) -> Table:
 
 
 def _intervals(evidence: Evidence) -> Iterator[tuple[str, str]]:
-    """Trajectories of each sampling interval, where there is more than one trajectory."""
+    """List the trajectories of each sampling interval, if there is more than one trajectory."""
     batch = evidence.batch
     of_row = [(str(batch.index[row]), batch.interval(row)) for row in range(len(batch))]
     for name in INTERVALS if len(batch) > 1 else ():

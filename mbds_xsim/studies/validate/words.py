@@ -22,18 +22,18 @@ def label(result: EngineResult) -> str:
     return f"{result.engine} {result.profile}"
 
 
-def sampled(validation: Validation) -> str:
-    """Say what was drawn: `12 trajectories of seed 0`."""
+def describe_sample(validation: Validation) -> str:
+    """Describe the sample: `12 trajectories of seed 0`."""
     return f"{counted(len(validation.trajectories), 'trajectory')} of seed {validation.seed}"
 
 
 def reference_line(validation: Validation) -> str:
-    """Say how good the reference is."""
+    """Describe how accurate the reference is."""
     reference = validation.reference
     if reference is None:
         return "none: results are compared with each other only"
     cached = f", {reference.cached} from the cache" if reference.cached else ""
-    if _unknown(validation):
+    if _is_unknown(validation):
         return "none: the scene starts in contact, which has no unique solution"
     return (
         f"relative tolerance {reference.rtol:.0e}, "
@@ -44,8 +44,8 @@ def reference_line(validation: Validation) -> str:
 
 
 def spent_line(validation: Validation) -> str:
-    """Say where the time went, of all processes together."""
-    parts = (f"{what} {quantity.span(seconds)}" for what, seconds in validation.spent_s.items())
+    """List the time spent on each kind of work, summed over all processes."""
+    parts = (f"{work} {quantity.span(seconds)}" for work, seconds in validation.spent_s.items())
     return f"{', '.join(parts)} (summed over all processes)"
 
 
@@ -57,14 +57,14 @@ def _until(validation: Validation) -> str:
     return f"; up to the first impact, at {first if first == last else f'{first} to {last}'} s"
 
 
-def _unknown(validation: Validation) -> bool:
-    """Whether there is no reference from the start on."""
+def _is_unknown(validation: Validation) -> bool:
+    """Return whether the reference ends at the start of every trajectory."""
     reference = validation.reference
     return reference is not None and {0.0} == set(reference.known_s)
 
 
 def ends(validation: Validation) -> list[float]:
-    """First impacts that leave no unique solution, of the trajectories that have one [s]."""
+    """Return the sorted times of first impacts that leave no unique solution [s]."""
     known = () if validation.reference is None else validation.reference.known_s
     return sorted(time for time in known if time is not None)
 
@@ -87,55 +87,55 @@ def odd_one_out(validation: Validation) -> str:
 
 
 def conclusion(validation: Validation) -> str:
-    """Say the final verdict in one sentence."""
+    """State the final verdict in one sentence."""
     total, parts = len(validation.engines), []
     of_one = len({result.profile for result in validation.engines}) == 1
     for verdict, word in (("pass", "passed"), ("warn", "with a warning"), ("fail", "failed")):
-        those = [result for result in validation.engines if result.verdict == verdict]
-        names = ", ".join(result.engine for result in those)
-        of = f" ({names})" if of_one and len(those) < total else ""
-        parts += [f"{len(those)} of {total} {word}{of}"] if those else []
-    return f"{', '.join(parts) or 'no engine ran'}; {sampled(validation)}"
+        results = [result for result in validation.engines if result.verdict == verdict]
+        names = ", ".join(result.engine for result in results)
+        of = f" ({names})" if of_one and len(results) < total else ""
+        parts += [f"{len(results)} of {total} {word}{of}"] if results else []
+    return f"{', '.join(parts) or 'no engine ran'}; {describe_sample(validation)}"
 
 
 def remarks(validation: Validation) -> list[tuple[str, str]]:
-    """List what checks could not judge though they pass: the row and check, and why not."""
-    found: dict[tuple[str, str], str] = {}
+    """List the passed checks that could not judge: row and check, and the reason."""
+    checks: dict[tuple[str, str], str] = {}
     for result in validation.engines:
         for finding in result.findings:
             if finding.passed and any(word in finding.note for word in (UNMEASURED, STOPPED)):
-                found.setdefault((label(result), finding.note), finding.check)
-    told = [(f"{row}, {check}", note) for (row, note), check in found.items()]
-    return [*told, *((label(r), _ITSELF) for r in validation.engines if r.family == TRUTH)]
+                checks.setdefault((label(result), finding.note), finding.check)
+    pairs = [(f"{row}, {check}", note) for (row, note), check in checks.items()]
+    return [*pairs, *((label(r), _ITSELF) for r in validation.engines if r.family == TRUTH)]
 
 
 def contact_words(validation: Validation, evidence: Evidence) -> str:
-    """Say what is known of the scene's contact."""
+    """Describe what is known about the scene's contact."""
     ground = evidence.scene.ground
     assert ground is not None
     if not ends(validation):
-        told = "The reference is exact through all contacts: that of a ball has one solution."
+        text = "The reference is exact through all contacts: that of a ball has one solution."
     else:
         begin = (
             "The scene starts in contact of several points, which has no unique solution, so that "
             "there is no reference:"
-            if _unknown(validation)
+            if _is_unknown(validation)
             else "The reference ends at the first impact: rigid contact of several points, or "
             "beside a centre of mass, has no unique solution. Beyond it (grey)"
         )
-        told = (
+        text = (
             f"{begin} engines are held to the laws that every solution keeps, in the checks below, "
             "and to each other; with 20 trajectories or more their distributions are compared."
         )
     return (
-        f"{told} The scene's coefficients are {ground.friction:g} of friction and "
+        f"{text} The scene's coefficients are {ground.friction:g} of friction and "
         f"{ground.restitution:.4f} of restitution. The plots over time are of the trajectory "
         "chosen above; press on them to go to a time."
     )
 
 
 def growth_words(validation: Validation, evidence: Evidence, *, known: bool) -> str:
-    """Say how to read the plots of errors, or why there are none."""
+    """Explain how to read the plots of errors, or why there are none."""
     if not known:
         return (
             "The scene starts in contact of several points, which has no unique solution: there is "
@@ -189,7 +189,7 @@ def cells_of(result: EngineResult, validation: Validation) -> tuple[Cell, ...]:
     def error(shown: float | None, figure: float | None, key: str) -> Cell:
         return judged(quantity.length(shown), figure, key, validation.length_m)
 
-    # What chaos explains is no fault: the error over the growth is what the verdict takes.
+    # Error that chaos explains is no fault: the verdict uses the error over the growth.
     error_max = error(result.error_max_m, result.error_weighted_m, "error")
     return (
         *map(Cell, (result.engine, result.profile, result.method)),
@@ -198,7 +198,7 @@ def cells_of(result: EngineResult, validation: Validation) -> tuple[Cell, ...]:
         judged(quantity.length(gap), gap, "gap"),
         judged(quantity.number(balance), balance, energy),
         error(result.error_1s_m, result.error_1s_m, "error_1s"),
-        Cell(quantity.NONE) if _unknown(validation) else error_max,
+        Cell(quantity.NONE) if _is_unknown(validation) else error_max,
         Cell(_agreement(result, validation)),
     )
 
@@ -206,7 +206,7 @@ def cells_of(result: EngineResult, validation: Validation) -> tuple[Cell, ...]:
 def _agreement(result: EngineResult, validation: Validation) -> str:
     if result.agreement_time_s is not None:
         return f"{result.agreement_time_s:.2f} s"
-    if result.error_max_m is None or _unknown(validation):
+    if result.error_max_m is None or _is_unknown(validation):
         return quantity.NONE
     times = ends(validation)
     return f"≥{times[0]:.2f} s" if times else "always"
