@@ -79,8 +79,8 @@ def _asked(study: Tradeoff) -> str:
 
 
 def _cheapest(study: Tradeoff, engine: str) -> tuple[CurveResult, Point] | None:
-    within_budget = [place for place in _places(study, engine) if not place[1].broken]
-    return min(within_budget, key=_cost, default=None)
+    places = [place for place in _places(study, engine) if not place[1].broken]
+    return min(places, key=_cost, default=None)
 
 
 def _curves(study: Tradeoff, engine: str) -> list[CurveResult]:

@@ -7,7 +7,8 @@ import math
 from mbds_xsim.scene.scene import Ground
 
 NOISE = 0.1
-"""Standard deviation of the noise force on a particle [N]; the figure is not the paper's."""
+"""Standard deviation of the noise force on a particle [N]; the paper has noise, but the
+figure is the project's."""
 DAMPING_RATIO = 0.022
 """The paper's ζ, read as that of the contact: half a period of a damped oscillator."""
 GROUND = Ground(

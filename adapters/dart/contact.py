@@ -3,7 +3,8 @@
 DART takes the smaller friction of a pair and the product of its restitutions. So spheres carry the
 pair's coefficients, and the ground the pair's friction and a restitution of 1. Where bodies also
 collide with each other, spheres carry the collisions' friction and the square root of their
-restitution, and the ground makes up for the difference. Measured on 6.20:
+restitution, and the ground its own friction and the missing factor of its restitution. Measured on
+6.20:
 
 - Its own solver (Dantzig) bounds friction by a box along x and y, which at 45° allows √2 times too
   much; `NsgsFrictionSolver` has the round cone.

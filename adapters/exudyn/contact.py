@@ -59,13 +59,14 @@ Marker = Callable[[int, Array], str]
 
 # Extent of the ground [m]; no body gets that far within a trajectory.
 _FAR = 1e4
-# Slower impacts, of bodies that come to rest, are damped as if they had this speed [m/s], or the
-# lower one that this acceleration makes within an impact [m/s²]. A body on stiffer ground trembles
-# faster and must be damped sooner: friction of turning wheels feeds the trembling in every cycle.
+# Slower impacts, of bodies that come to rest, are damped as if they had this speed [m/s] or, if it
+# is lower, the one that this acceleration makes within an impact [m/s²]. A body on stiffer ground
+# trembles faster and must be damped sooner: friction of turning wheels feeds the trembling in every
+# cycle.
 _SLOWEST_IMPACT, _SLOWEST_GAIN = 1e-2, 20.0
 # Safety factor on the path of a sphere within a frame, and on its acceleration in the last one.
 _REACH = 2.0
-# Smallest restitution other than 0, towards which the law gets ever stiffer.
+# Smallest restitution other than 0: towards 0 the law gets ever stiffer.
 _LEAST = 0.01
 # From here to 1, ε and e agree within 1e-9, and the logarithms cancel.
 _ELASTIC = 1.0 - 1e-3
@@ -79,7 +80,7 @@ def outputs(kind):  # of the spheres' centres
 
 radii, arms = np.array({radii!r}), np.array({arms!r})
 one, other = np.array({pairs!r}, dtype=int).reshape(-1, 2).T
-fixed = np.arange({grounded})  # spheres that may touch the ground
+grounded = np.arange({grounded})  # spheres that may touch the ground
 driven = [0.0]  # largest of the held forces over the masses
 before = [None]  # velocities of the spheres a frame ago, where springs or drives pull
 
@@ -87,7 +88,7 @@ before = [None]  # velocities of the spheres a frame ago, where springs or drive
 def gaps():  # of the spheres and the ground, then of two spheres
     place = outputs("Position")
     apart = np.linalg.norm(place[one] - place[other], axis=1)
-    return np.append((place[:, 2] - radii)[fixed], apart - radii[one] - radii[other])
+    return np.append((place[:, 2] - radii)[grounded], apart - radii[one] - radii[other])
 
 
 def may_touch(duration):  # whether a sphere can get to the ground or another within a time
@@ -99,8 +100,8 @@ def may_touch(duration):  # whether a sphere can get to the ground or another wi
             return True
         pull = np.maximum(pull, {reach!r} * np.linalg.norm(velocity - last, axis=1) / duration)
     speed = np.linalg.norm(velocity[one] - velocity[other], axis=1)
-    speed = np.append(np.maximum(0.0, -velocity[fixed, 2]), speed)
-    pull = np.append(pull[fixed], pull[one] + pull[other])
+    speed = np.append(np.maximum(0.0, -velocity[grounded, 2]), speed)
+    pull = np.append(pull[grounded], pull[one] + pull[other])
     return bool(np.any(gaps() < {reach!r} * duration * (speed + pull * duration)))
 
 """

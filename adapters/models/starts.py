@@ -129,7 +129,7 @@ def drop_limits(scene: Scene, label: tuple[str, str]) -> tuple[Scene, list[Fate]
     """Return the scene without the limits that its start violates, and the fate of these.
 
     Args:
-        scene: Scene with its draws, whose joints stay within their limits.
+        scene: Scene with its draws, which keep the joints that they pose within their limits.
         label: Element and attribute that state limits in the format.
     """
     broken = {*_violated_limits(scene)}

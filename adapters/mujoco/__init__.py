@@ -44,7 +44,7 @@ _LEAST_MASS, _LEAST_MOMENT = 1e-15, 1e-14
 # Hardness of contacts on wheels, several of which share a load. With spheres off centres of mass,
 # contacts must be hard: MuJoCo's estimate of yielding is too rough for the calibrated damper.
 _WHEEL_HARDNESS = 0.5
-_OFFSET = 1e-9  # [m]
+_OFFSET = 1e-9  # largest offset of a sphere that counts as centred [m]
 # Phase of a spring's oscillation in one step: forty steps a period [rad].
 _SPRING_ANGLE = 0.15
 # Decay of a damper's motion in one step; RK4 is unstable from 2.8.

@@ -218,7 +218,7 @@ class ModelRun(Bending):
         return np.asarray((ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0]))
 
     def _link_anchor(self, link: Link) -> tuple[Array, Array] | None:
-        """Return a joint's anchor from its first hinge; None for fixed ones, which MuJoCo lacks."""
+        """Return the anchor of a link's first native joint; None if it is welded to its parent."""
         model, body = self.model, self._bodies[link.body]
         if not model.body_jntnum[body]:
             return None

@@ -2,7 +2,7 @@
 
 Bullet multiplies the coefficients of two bodies that touch. The ground has 1, so a body with
 spheres has those of the pair. Where bodies also collide with each other, they have the square roots
-of their common coefficients, and the ground makes up for the difference.
+of their common coefficients, and the ground has the factors that are then missing.
 
 Bullet has a friction row along each of two axes, x and y of the world. In every sweep a row adds to
 its impulse −v/w, which would stop the slip along its axis alone, with w its diagonal element of

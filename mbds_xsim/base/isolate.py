@@ -173,7 +173,7 @@ def _keep_within(memory: float, running: Sequence[_Process]) -> None:
 
 
 def _ready(tasks: Sequence[Task], waiting: list[int], ended: set[int | None]) -> list[int]:
-    """List the waiting tasks that may start, since the task before them has ended."""
+    """List the waiting tasks that may start: they follow no task, or one that has ended."""
     return [place for place in waiting if tasks[place].after in ended]
 
 
@@ -286,7 +286,7 @@ class _Process:
 
     @property
     def bytes(self) -> int:
-        """Resident memory of the process."""
+        """Resident memory of the process [bytes]; 0 before it has begun."""
         return self._usage.bytes if self._number else 0
 
     def end_for_memory(self) -> None:

@@ -1,6 +1,6 @@
 """Numbers written as text, and safe display of texts from scenes, files and engines.
 
-The name of a scene is data: it must not move a terminal's cursor, nor become markup of a page or a
+Such texts are data: they must not move a terminal's cursor, nor become markup of a page or a
 formula of a spreadsheet. HTML is escaped by its templates.
 """
 

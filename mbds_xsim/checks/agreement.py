@@ -118,9 +118,9 @@ def odd_one_out(
         if len({families[k] for k in rest} - {families[candidate[0]]}) < 2:
             continue
         distance = min(_confirmation(matrix, families, k, rest) for k in candidate)
-        agreement = max(_confirmation(matrix, families, k, rest) for k in rest)
-        if distance > max(tolerance, _APART * agreement):
-            odd[tuple(candidate)] = distance / max(agreement, np.finfo(float).tiny)
+        spread = max(_confirmation(matrix, families, k, rest) for k in rest)
+        if distance > max(tolerance, _APART * spread):
+            odd[tuple(candidate)] = distance / max(spread, np.finfo(float).tiny)
     if not odd:
         return ()
     # A family is odd as a whole only where none of its runs is odd by itself.
@@ -143,7 +143,7 @@ class Separation:
     p_value: float
     """Probability of a distance at least as large if both samples have one distribution."""
     count: int
-    """Number of trajectories in both samples."""
+    """Number of trajectories that are known in both samples."""
 
 
 def features(record: Record, frame: int) -> Array:

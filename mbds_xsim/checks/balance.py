@@ -56,11 +56,11 @@ class Cones:
         """Project impulses onto the cones, shape (…, sphere, 3)."""
         across, up, mu = impulse[..., :2], impulse[..., 2], self.friction
         share, top = _into_wedge(np.linalg.norm(across, axis=-1), up, mu)
-        cone = np.concatenate([share[..., None] * across, top[..., None]], axis=-1)
+        near = np.concatenate([share[..., None] * across, top[..., None]], axis=-1)
         ahead = np.einsum("...i,...i->...", self.ahead, across)
         short = (self.least > -1.0) & (share * ahead < mu * self.least * top)
         if not short.any():
-            return cone
+            return near
         # Then the nearest is on the plane, whose part of the cone is a wedge of two edges.
         steep = mu * self.least
         root = np.hypot(1.0, steep)
@@ -70,7 +70,7 @@ class Cones:
         share, along = _into_wedge(np.abs(aside), (steep * ahead + up) / root, slope)
         top = along / root
         flat = (share * aside)[..., None] * side + (steep * top)[..., None] * self.ahead
-        return np.where(short[..., None], np.concatenate([flat, top[..., None]], axis=-1), cone)
+        return np.where(short[..., None], np.concatenate([flat, top[..., None]], axis=-1), near)
 
 
 def cones_of(record: Record, push: Push) -> Cones:

@@ -93,7 +93,7 @@ def _extents(mechanism: Mechanism) -> Array:
 
 
 def _reaches(mechanism: Mechanism) -> Array:
-    """Return the farthest joint, particle, sphere or attachment from each centre of mass [m]."""
+    """Return how far joints, particles, spheres and attachments reach from centres of mass [m]."""
     joints = [((one.parent, one.child), (one.in_parent, one.in_child)) for one in mechanism.joints]
     pairs = [(pair.bodies, pair.in_body) for pair in (*mechanism.distances, *mechanism.springs)]
     ends = [

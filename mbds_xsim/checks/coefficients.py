@@ -146,7 +146,7 @@ def _part(
 ) -> BalancePart:
     """Regress from a part's products with the residual, and its squares, in all steps.
 
-    The share that other parts may explain is subtracted.
+    The share that errors of the method in other parts may cause is subtracted.
     """
     products, squares = numbers(products), numbers(squares)
     total = np.maximum(squares.sum(axis=1), np.finfo(float).tiny)
@@ -386,7 +386,7 @@ def _of_impacts(shown: list[ImpactEvidence]) -> Iterator[str]:
 
 
 def _mean(values: Array, weight: Array) -> tuple[Array, Array]:
-    """Return the weighted mean over the last axis, and its error by weights or scatter."""
+    """Return the weighted mean over the last axis, and the larger error, by weights or scatter."""
     total = np.maximum(weight.sum(axis=-1), 1e-9)
     mean = (weight * values).sum(axis=-1) / total
     scatter = np.sqrt(((weight * (values - mean[..., None])) ** 2).sum(axis=-1)) / total

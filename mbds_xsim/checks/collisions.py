@@ -17,7 +17,7 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.checks.balances import groups_of
 from mbds_xsim.checks.finding import Figures, check
-from mbds_xsim.checks.ground import at_impacts, at_touch, delivered_restitution
+from mbds_xsim.checks.ground import at_impacts, at_touch, restitution_note
 from mbds_xsim.checks.record import Record
 from mbds_xsim.checks.spheres import Neighbours, neighbours_of
 from mbds_xsim.scene.joint_space import BodyStates
@@ -73,7 +73,7 @@ def collision_restitution(record: Record) -> Figures | None:
         errors.append(np.where(fast, error / np.maximum(hits.approach, hits.least), np.nan))
         plain = fast & (hits.approach > hits.least)
         ratios += (hits.parting[plain] / hits.approach[plain]).tolist()
-    note = delivered_restitution(ratios, wanted)
+    note = restitution_note(ratios, wanted)
     return Figures(_placed(record, by_pair, errors), _names(record, by_pair), note)
 
 
@@ -155,7 +155,7 @@ def _of_pair(record: Record, pair: int) -> Hits:
     slip_after = speed - parting[:, None] * normal - rotation.cross(turning, normal)
     rates = 1.0 / np.where(parted, after.climb, np.nan) - 1.0 / before.climb
     gap = -(frame - falling + rising) / rates
-    # A near miss comes as near as a touch.
+    # A near miss may come almost as near as a touch.
     exact = np.abs(before.gap) <= _EXACT * frame * -before.climb
     hit = exact & (falling >= 0.0)
     return Hits(
@@ -178,7 +178,7 @@ def _pull(record: Record, pair: int) -> Array:
 
 
 def _alone(record: Record, pair: int) -> Mask:
-    """Find steps with a whole collision of a pair, in which nothing else touches its balls.
+    """Find steps that may hold a whole collision of a pair, and no other touch of its balls.
 
     The collision is over if the balls are apart again, or do not push each other in the step after.
     """

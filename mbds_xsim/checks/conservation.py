@@ -128,9 +128,9 @@ def work_of_forces(record: Record) -> tuple[Array, Array, Array]:
     if record.many:
         from mbds_xsim.checks.balance_kernel import find_work  # imports a compiler
 
-        rows = np.empty((3, record.steps, record.motion.rows))
-        find_work(record.motion, rows.reshape(-1))
-        before, here, after = (work.T[: len(record.batch)] for work in rows)
+        works = np.empty((3, record.steps, record.motion.rows))
+        find_work(record.motion, works.reshape(-1))
+        before, here, after = (work.T[: len(record.batch)] for work in works)
         return before, here, after
     before, here, after = (
         np.einsum("tsbi,tsbi->ts", np.asfortranarray(record.force[:, steps]), record.moved)

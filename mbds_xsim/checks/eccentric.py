@@ -23,13 +23,13 @@ from mbds_xsim.checks.finding import Figures, check
 from mbds_xsim.checks.ground import (
     Impacts,
     at_impacts,
-    delivered_restitution,
     fast_impacts_of,
     followed,
     lowest,
     one_sphere,
     pushed,
     pushes_of,
+    restitution_note,
 )
 from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.joint_space import BodyStates
@@ -54,13 +54,13 @@ _EXPLAINED = 3e-3  # share of the arriving speed; smaller errors of the rebound 
 def eccentric_restitution(record: Record) -> Figures | None:
     """Compare the restitution of single eccentric impacts with the scene's coefficient.
 
-    It is that of speed or of normal work, whichever law the impact fits. None with balls alone.
+    It is that of speed or of normal work, whichever law the impact fits. None if all are balls.
     """
     groups = _deviations(record)
     if not groups:
         return None
     ratios = [ratio for _, hits, _ in groups for ratio in (hits.leaving / hits.arriving).tolist()]
-    note = delivered_restitution(ratios, record.ground.restitution)
+    note = restitution_note(ratios, record.ground.restitution)
     if ratios:
         rigid = sum(int(off[2].sum()) for _, _, off in groups)
         note += f"; {rigid} of {len(ratios)} impacts by the rigid law"
@@ -269,7 +269,7 @@ class Pool:
     def of(evidence: ImpactEvidence) -> Pool | None:
         """Average by the law with the smaller scatter of impacts; None with few impacts.
 
-        Impacts that a law cannot follow, such as those in which it does no work, are left out.
+        Impacts that a law cannot follow, such as those that take no normal work, are left out.
         """
         evidence = evidence.known
         count = evidence.weight.shape[1]

@@ -50,7 +50,7 @@ def extrapolate(
     With three runs there are two extrapolations. Their difference is at least three times the
     error of the finer one, because that error falls at least with the square of the step. Where
     the runs converge faster than declared, terms of several orders may cancel in the finer
-    difference; there the coarser correction, scaled by the declared order, is the uncertainty.
+    difference; there the coarser correction, divided by 2^order, is the uncertainty.
     With two runs nothing shows how good the extrapolation is, so all of it is uncertain.
 
     Args:

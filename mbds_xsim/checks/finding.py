@@ -140,7 +140,7 @@ class Finding:
 
     @functools.cached_property
     def passed(self) -> Mask:
-        """Whether each trajectory is within the budget, if any, or the check does not apply."""
+        """Whether each trajectory has a figure within the budget, if any, or is not checked."""
         if self.budget is None:
             return np.ones(len(self.figure), dtype=bool)
         return (self.figure <= self.budget + self.uncertainty) | ~self.applies

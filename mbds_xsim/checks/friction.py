@@ -109,7 +109,7 @@ def wheels(record: Record) -> Figures | None:
     Along a common heading the wheels' frictions must add up to the ground's. Their sizes must add
     up to at most μ times its vertical impulse, and to just that while all wheels touch and slip
     straight on. The scale is μ times the vertical impulse, or the weight's if that is larger. None
-    without wheels.
+    without wheels or friction.
     """
     pushes = [push for push in pushes_of(record) if _is_on_wheels(record, push)]
     if not pushes or not record.ground.friction:

@@ -194,7 +194,10 @@ def _linear(record: Record, push: Push, half: Array) -> Array:
 
 
 def _angular(record: Record, push: Push, half: Array) -> tuple[Array, Array]:
-    """Return the moment given about the centre of mass, and the initial angular momentum's size."""
+    """Return each step's angular impulse about the centre of mass [N·m·s], (trajectory, step, 3).
+
+    The second result is the size of the angular momentum when the step begins.
+    """
     group, states = list(push.bodies), record.bodies
     mass = record.mechanism.mass[group]
     place, speed = (

@@ -25,7 +25,7 @@ from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
 
 _CENTRED = 1e-9  # tolerance [m]
-_SUPPORT = 2.0  # times the impulse of gravity
+_SUPPORT = 2.0  # times the impulse of gravity, and the speed that it adds in a frame
 _STEADY = 0.1  # share of the vertical speed that gravity adds in a frame
 
 
@@ -251,7 +251,7 @@ def restitution(record: Record) -> Figures | None:
     impacts = [fast_impacts_of(record, push) for push in pushes]
     ratios = [hits.leaving / hits.arriving for hits in impacts]
     errors = [(h.row, h.step, np.abs(r - wanted)) for h, r in zip(impacts, ratios, strict=True)]
-    note = delivered_restitution(np.concatenate(ratios).tolist(), wanted)
+    note = restitution_note(np.concatenate(ratios).tolist(), wanted)
     return Figures(at_impacts(record, errors), [push.name for push in pushes], note)
 
 
@@ -264,7 +264,7 @@ def at_impacts(record: Record, groups: Sequence[tuple[Index, Index, Array]]) -> 
     return parts
 
 
-def delivered_restitution(ratios: list[float], wanted: float) -> str:
+def restitution_note(ratios: list[float], wanted: float) -> str:
     """Describe the coefficients of restitution that were delivered."""
     if not ratios:
         return f"no impact that tells it, the scene has {wanted:.4f}"

@@ -115,7 +115,8 @@ def delayed_springs(record: Record) -> Array:
 def _friction(record: Record) -> Losses:
     """Yield losses of dry friction; if a joint turns back, its way there and back is the error.
 
-    The error is at least the smaller rate of the step's two ends times the step.
+    If the rates at the step's two ends differ in sign, that way is at least the smaller rate times
+    the step.
     """
     for joint in record.mechanism.frictional:
         path = Way.of(record, joint)

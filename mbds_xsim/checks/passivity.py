@@ -280,11 +280,11 @@ def penetration(record: Record) -> Figures:
 def contact_gap(record: Record) -> Figures:
     """Measure how far spheres are from the ground that carries them, over the scene's length.
 
-    At frames where the ground carries a steady weight it is the gap of the lowest sphere, or four
-    times the gap that three such frames in a row have in common. In a single impact it is the gap
-    at which the motions before and after it meet. In eccentric impacts a depth below the ground
-    that the declared contact time explains does not count, and no depth counts without a declared
-    time. None without contact.
+    At frames where the ground carries a steady weight it is the gap of the lowest sphere or, if
+    larger, four times the least gap of this and the two adjacent frames. In a single impact it is
+    the gap at which the motions before and after it meet. In eccentric impacts a depth below the
+    ground that the declared contact time explains does not count, and no depth counts without a
+    declared time. None without contact.
     """
     pushes = pushes_of(record)
     gaps = record.by_frame([_gaps(record, push) for push in pushes])

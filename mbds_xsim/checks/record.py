@@ -156,7 +156,7 @@ class Record:
 
     @functools.cached_property
     def neighbours(self) -> Neighbours:
-        """Gaps and speeds of pairs of contact spheres, shape (trajectory, frame, pair)."""
+        """Gaps and speeds of the pairs of spheres that may touch, (trajectory, frame, pair)."""
         return neighbours_of(self.mechanism, self.bodies)
 
     @functools.cached_property

@@ -239,7 +239,7 @@ def _profile(name: str, steps: int | None, *, bf16: bool, compiled: bool) -> Pro
 def _carrier(
     stack: ExitStack, scheduler: str | None, workers: int | None, device: str, out: Path
 ) -> tuple[Carrier, int]:
-    """Return what carries out runs, and the number of runs at a time: 1 on a local GPU."""
+    """Return what carries out runs, and the number at a time; by default 1 on a local GPU."""
     from mbds_xsim.dataset.cluster import carrier_of
     from mbds_xsim.learn.recipe import process_count
 

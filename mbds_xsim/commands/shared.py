@@ -302,7 +302,7 @@ class Outputs:
 
         Args:
             reports: Reports, a chapter each.
-            title: Title of a page of several reports; added to a single one's without a verdict.
+            title: Title of a page of several reports; appended to that of one without a verdict.
             result: Result as JSON for the file of `--json`; nothing is written if it is empty.
             quiet: Whether to print nothing about the page.
         """

@@ -31,9 +31,10 @@ _PACKAGES = ("mbds-xsim", "mujoco", "pybullet", "dartpy", "exudyn", "numpy", "h5
 def carrier_of(
     stack: ExitStack, address: str | None, workers: int | None, out: Path
 ) -> tuple[Carrier, int | None]:
-    """Return the carrier of tasks, local processes or a cluster, and its number of workers.
+    """Return the carrier of tasks, local processes or a cluster, and the number of tasks at a time.
 
-    The stack closes the connection to the cluster, whose workers must see the folder `out`.
+    For local processes this number is `workers` as given. The stack closes the connection to a
+    cluster, whose workers must see the folder `out`.
 
     Raises:
         InputError: Both `address` and `workers` are given, or the cluster cannot be used.

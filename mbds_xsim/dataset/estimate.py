@@ -45,8 +45,8 @@ class ShardCost:
     trajectory_bytes: float
     """Size that each trajectory adds."""
     audit_s: float | None
-    """Processor time of comparing the audit sample of 15 000 trajectories with the reference [s];
-    None if not measured here."""
+    """Processor time of comparing with the reference the audit sample of each 15 000 trajectories
+    [s]; None if not measured here."""
 
 
 @dataclass(frozen=True)

@@ -45,8 +45,8 @@ _SPARSE = 96
 _MANY = 192  # steps; in shorter trajectories all frames are compared
 
 _BRIEF = LEAST_SPAN
-"""Steps over which a trajectory outside the audit sample is compared with the reference; all steps
-would cost as much as simulating a whole shard in the fastest engine."""
+"""Steps over which one trajectory of a shard without audit sample is compared with the reference;
+all steps would cost as much as simulating a whole shard in the fastest engine."""
 _GROWTH = 10.0
 """Sensitivity assumed over so few steps; it is at most 3 in the paper's scenes."""
 
@@ -198,7 +198,10 @@ def _view(rows: Index) -> slice | list[int]:
 
 
 def _steps_compared(scene: Scene, group: int) -> tuple[int, int]:
-    """Return first step and stride: every 96th step, shifted so that groups cover all frames."""
+    """Return first step and stride: every 96th step, shifted so that groups cover all frames.
+
+    In short trajectories every second step alone covers them.
+    """
     if scene.clock.steps < _MANY:
         return EVERY_SECOND
     return 2 * (group % (_SPARSE // 2)), _SPARSE
@@ -207,7 +210,7 @@ def _steps_compared(scene: Scene, group: int) -> tuple[int, int]:
 def sample_findings(
     scene: Scene, batch: Batch, trajectory: Trajectory, solved: ReferenceOutcome
 ) -> list[Finding]:
-    """Compare trajectories with the reference, as `mbds-xsim validate` does.
+    """Compare particles with the reference, as `mbds-xsim validate` does; it compares turns, too.
 
     Stored solutions would save time, but would not be the same to the last bit.
     """

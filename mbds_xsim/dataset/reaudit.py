@@ -146,7 +146,7 @@ def _checks(data: Dataset) -> Iterator[str]:
     """Repeat every check; yield differences from the stored figures and verdicts.
 
     Checks that are newer than the file have no figures in it, but they judge all the same. Figures
-    and rejections of an older version are not compared, since they may have been others.
+    and rejections of an older version are not compared, since they may differ.
     """
     if not set(data["check/name"][:].tolist()) <= set(COLUMNS):
         yield "checks: another version's; install the version that the file names"

@@ -136,7 +136,7 @@ class _Watch:
 def _simulated(
     variant: Variant, batch: Batch, crashes: Crashes
 ) -> tuple[Trajectory, list[str], float]:
-    """Simulate trajectories that do not crash; return all, model faults, and CPU time [s]."""
+    """Simulate those that do not crash; return all, model faults, and the engine's CPU time [s]."""
     contender, scene = variant.contender, variant.scene
     runs = [row for row, index in enumerate(batch.index.tolist()) if index not in crashes]
     if not runs:

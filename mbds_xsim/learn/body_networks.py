@@ -75,14 +75,14 @@ class BodyGNS(JointedModel):
 
     def __init__(self, graph: Graph, statistics: Statistics, settings: BodySettings) -> None:
         super().__init__(graph, statistics, settings)
-        view, width, layers = BodyViewer, settings.width, settings.layers
+        viewer, width, layers = BodyViewer, settings.width, settings.layers
 
         def perceptron(inputs: int, outputs: int) -> nn.Sequential:
             return mlp(inputs, outputs, hidden=width, layers=layers)
 
-        self.of_contact = perceptron(DIMENSION * view.CONTACT + view.CONTACT_SCALARS, width)
-        self.of_body = perceptron(DIMENSION * view.BODY + view.BODY_SCALARS + width, width)
-        self.of_joint = perceptron(DIMENSION * view.JOINT + view.JOINT_SCALARS, width)
+        self.of_contact = perceptron(DIMENSION * viewer.CONTACT + viewer.CONTACT_SCALARS, width)
+        self.of_body = perceptron(DIMENSION * viewer.BODY + viewer.BODY_SCALARS + width, width)
+        self.of_joint = perceptron(DIMENSION * viewer.JOINT + viewer.JOINT_SCALARS, width)
         self.interactions = nn.ModuleList(
             InteractionLayer(width, layers - 1) for _ in range(settings.steps)
         )
@@ -103,7 +103,7 @@ class BodyGNS(JointedModel):
         return added, pushes.unflatten(-1, (ADDED, DIMENSION))
 
     def _passed(self, nodes: Tensor, joints: Seen) -> Tensor:
-        """Pass messages between the bodies and the world, whose node follows and starts at zero."""
+        """Pass messages between bodies, and from the world: its node is last and starts at zero."""
         if not len(self.viewer.senders):
             return nodes
         nodes = nn.functional.pad(nodes, (0, 0, 0, 1)).transpose(0, 1)
@@ -124,27 +124,30 @@ class BodySGNN(JointedModel):
 
     def __init__(self, graph: Graph, statistics: Statistics, settings: BodySettings) -> None:
         super().__init__(graph, statistics, settings)
-        view, width = BodyViewer, settings.width
+        viewer, width = BodyViewer, settings.width
         size = {"hidden": width, "layers": settings.layers}
         keep(self, up=torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
         self.of_contact = SubequivariantMap(
-            view.CONTACT + 1, [view.CONTACT_SCALARS], outputs=ADDED, **size
+            viewer.CONTACT + 1, [viewer.CONTACT_SCALARS], outputs=ADDED, **size
         )
         self.of_body = SubequivariantMap(
-            view.BODY + 1 + ADDED, [view.BODY_SCALARS, width], outputs=_VECTORS, **size
+            viewer.BODY + 1 + ADDED, [viewer.BODY_SCALARS, width], outputs=_VECTORS, **size
         )
         self.passing = Passing(
             _VECTORS,
-            edge_channels=view.JOINT + 1,
-            edge_scalars=view.JOINT_SCALARS,
+            edge_channels=viewer.JOINT + 1,
+            edge_scalars=viewer.JOINT_SCALARS,
             **size,
             steps=settings.steps,
         )
         self.to_body = SubequivariantMap(
-            view.BODY + 1 + _VECTORS, [view.BODY_SCALARS, width], outputs=_VECTORS, **size
+            viewer.BODY + 1 + _VECTORS, [viewer.BODY_SCALARS, width], outputs=_VECTORS, **size
         )
         self.to_contact = SubequivariantMap(
-            view.CONTACT + 1 + _VECTORS, [view.CONTACT_SCALARS, width, width], outputs=ADDED, **size
+            viewer.CONTACT + 1 + _VECTORS,
+            [viewer.CONTACT_SCALARS, width, width],
+            outputs=ADDED,
+            **size,
         )
         self.edges = Edges(self.viewer.senders, self.viewer.receivers, graph.body_count + 1)
         silence(self.to_body.rest, self.to_contact.rest)

@@ -160,8 +160,11 @@ class BodyViewer(nn.Module):
         velocity = body[..., V] + torch.linalg.cross(body[..., W], arm)
         return body[..., 2:3] + arm[..., 2:], velocity, arm
 
-    def _gaps(self, start: Tensor, end: Tensor, start_speed: Tensor, end_speed: Tensor) -> Tensor:
-        """Return scalars of contacts: gaps in two units, depth, share of frame to touch, speeds."""
+    def _gaps(self, start: Tensor, end: Tensor, start_rate: Tensor, end_rate: Tensor) -> Tensor:
+        """Return scalars of contacts: gaps in two units, depth, share of frame to touch, and rates.
+
+        Rates are the vertical velocities of the lowest points, negative downwards.
+        """
         unit = self.change * self.frame_s
         share = (start / (start - end).clamp(min=1e-9)).clamp(0.0, 1.0)
         fine = _FINE * self.length
@@ -170,7 +173,7 @@ class BodyViewer(nn.Module):
                 torch.asinh(start / unit), torch.asinh(end / unit),
                 torch.asinh(start / fine), torch.asinh(end / fine),
                 (-end).clamp(min=0.0) / unit, share,
-                start_speed / self.speed, end_speed / self.speed,
+                start_rate / self.speed, end_rate / self.speed,
             ],
             dim=-1,
         )  # fmt: skip

@@ -90,7 +90,7 @@ class GNS(PointModel):
         """Store the normalisation with the parameters, and the graph outside them."""
         for name in ("displacement", "acceleration"):
             moments = getattr(statistics, name)
-            # Training inputs are noisy, so their deviation includes the noise.
+            # Inputs and targets of training are noisy, so deviations include the noise.
             std = torch.sqrt(moments.std**2 + self.noise_std**2)
             self.register_buffer(f"{name}_mean", moments.mean.float())
             self.register_buffer(f"{name}_std", std.float())

@@ -67,7 +67,7 @@ def read_model(path: Path, scene: Scene | None = None) -> tuple[LearnedModel, di
     It predicts the given scene, or by default the one that it was trained on.
 
     Raises:
-        InputError: The file is not a model's, is by other code, or does not fit the scene.
+        InputError: The file is not a model's, was made by other code, or does not fit the scene.
         Unsupported: The model cannot represent the scene.
         UnknownName: The model is not registered here.
     """

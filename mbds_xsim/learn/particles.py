@@ -180,7 +180,7 @@ def _energy(motion: ParticleMotion) -> tuple[Array, Array]:
 
 
 def _work(motion: ParticleMotion) -> Array:
-    """Return the work of forces on centres of mass, held over frames, since frame 0 [J]."""
+    """Return the work of centre-of-mass forces, held over frames, since frame 0 [J], (frame,)."""
     mass, body = motion.mass, motion.graph.body[: motion.graph.particle_count].numpy()
     share = np.zeros((motion.graph.body_count, len(mass)))
     share[body, np.arange(len(mass))] = mass

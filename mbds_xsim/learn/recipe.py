@@ -64,7 +64,7 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Largest norm of a gradient, to which longer ones are shortened; None: no limit."""
     skip: bool = False
     """Whether a step with a gradient that is not finite is skipped and the run goes on. A run that
-    skips half of the steps between two validations has diverged."""
+    skips at least half of the steps between two validations has diverged."""
 
     def __post_init__(self) -> None:
         bounds.positive("rate", self.rate)

@@ -225,7 +225,10 @@ class BodyMechanics(nn.Module):
         return torch.cat([other[..., X] - state[..., X], turning.to_vector(turn)], dim=-1)
 
     def of_impulse(self, state: Tensor, impulse: Tensor) -> Tensor:
-        """Return the change of twists by impulses and moments [N·s, N·m·s], (batch, body, 6)."""
+        """Return the change of twists by linear and angular impulses, (batch, body, 6).
+
+        Linear impulses are in N·s, angular ones in N·m·s.
+        """
         spin = self._turned(self.lightness, state[..., Q]) @ impulse[..., 3:, None]
         return torch.cat([impulse[..., :3] / self.mass, spin[..., 0]], dim=-1) * self.moves
 

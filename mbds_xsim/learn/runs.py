@@ -38,7 +38,7 @@ Parts = tuple[Motions, Motions]
 _FEW = 32  # trajectories to measure the cost on
 _WARM = 3  # first steps, which allocate what later steps reuse
 _STEPS = 20
-_LONGEST = 5.0  # duration of the measured steps [s]
+_LONGEST = 5.0  # longest duration of the measured steps [s]
 
 
 @dataclass(frozen=True)
@@ -171,7 +171,7 @@ def finished(run: TrainingRun) -> dict[str, str] | None:
 def prepared(
     run: TrainingRun, *, most: int | None = None
 ) -> tuple[LearnedModel, Statistics, Parts]:
-    """Build the untrained model of a run and read its data, at most `most` rows of each part."""
+    """Build the untrained model of a run; read its data, at most `most` trajectories of a part."""
     kind = load_model(run.model)
     kwargs = {"bodies": kind.needs_bodies, "device": run.request.device, "dtype": kind.dtype}
     training, validation = (

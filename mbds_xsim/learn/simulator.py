@@ -107,7 +107,7 @@ class LearnedSimulator(Simulator):
         return {"known_frames": HISTORY, "file": self.trained.content[:16]}
 
     def decisive(self, scene: Scene, count: int) -> list[Any]:
-        """List the model's file, the number of starts, the batch size, and versions."""
+        """List the model's file, the number of steps per frame, the batch size, and versions."""
         del scene
         return [self.trained.content, count, self.together, MODELS, self.version]
 

@@ -47,8 +47,8 @@ def run_campaign(
 ) -> tuple[list[Outcome], ReferenceOutcome]:
     """Run all simulations; engines start while the reference is compiled, if it has to be.
 
-    Process time in seconds is added to `spent` by purpose. An engine's outcome goes to `then` once
-    it is complete and the reference is available, while others still run.
+    The elapsed time of processes [s] is added to `spent` by purpose. An engine's outcome goes to
+    `then` once it is complete and the reference is available, while others still run.
 
     Raises:
         InputError: The reference failed; without it nothing can be judged.
@@ -131,7 +131,7 @@ def _chunks(count: int, *, least: int) -> list[list[int]]:
 
 
 def _reference_chunks(scene: Scene, count: int) -> list[list[int]]:
-    """Split rows into as many as the compiled reference solves at once, or single ones."""
+    """Split rows into chunks of `_LANES` (1 with contact), or larger ones beyond `_CHUNKS`."""
     return _chunks(count, least=1 if scene.contacts else _LANES)
 
 

@@ -145,7 +145,7 @@ class Validation(msgspec.Struct, frozen=True):
     fingerprint: str = ""
     """Fingerprint of the scene's physics and starts; empty in results of earlier versions."""
     spent_s: dict[str, float] = {}
-    """Process time by purpose [s]: engines, the reference, its compiler, the search of settings,
+    """Elapsed time of all processes by purpose [s]: engines, reference, its compiler, the search,
     checks, and the start of processes with all their imports."""
 
     def to_frame(self) -> Any:

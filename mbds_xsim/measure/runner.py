@@ -54,7 +54,7 @@ Answer = tuple[Figures, float]
 _GUESS = 0.5  # expected time of a case before any is measured [s]
 _START = 0.3  # share of a process's start in a case's time [s]
 Account = defaultdict[str, float]
-"""Process time in seconds, by purpose."""
+"""Elapsed time of all processes together [s], by purpose."""
 PROCESSES = "processes"
 """Purpose of time for starting processes, importing engines, passing tasks and answers."""
 
@@ -314,7 +314,7 @@ def carry_out(
     Args:
         pieces: Pieces of work; answers that know their own time have it as `busy_s`.
         conduct: How the work is carried out.
-        spent: Process time by purpose [s], to which these pieces add theirs.
+        spent: Elapsed time of all processes by purpose [s], to which these pieces add theirs.
         then: Function called with each purpose once its answers are stored; others may still run.
     """
     running = Running(conduct.meter, [piece.name for piece in pieces])

@@ -153,7 +153,7 @@ def _excess(batch: Batch, result: EngineResult, limits: Sequence[Finding]) -> fl
 # A small distance says nothing about the truth: engines converge to different motions if contact
 # has no unique solution. A large distance is an error whatever the truth.
 
-_INSTANT = 1.0  # time for which the budget holds [s]
+_INSTANT = 1.0  # time at which the budget applies [s]
 
 
 def is_unknown(reference: ReferenceOutcome) -> bool:
@@ -217,7 +217,7 @@ def contact_findings(
 
     A ball's motion is known throughout, that of joined bodies up to the first impact. Errors are
     distances of centres of mass; bodies that start in contact and are no balls have none. Momentum,
-    the series of its check (trajectory, frame) if there is one, is compared in all flights.
+    the series of its check (trajectory, frame) if there is one, is checked in all flights.
 
     Returns:
         A finding for each limit that applies; none where the scene has no ground, or no gravity

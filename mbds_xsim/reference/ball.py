@@ -1,8 +1,8 @@
 """Motion on the ground of a free body with one contact sphere around its centre of mass.
 
-The ground acts vertically below the centre of mass, so normal and tangential motion do not couple:
-the normal force is that of a mass point, the normal and tangential parts of an impact are
-independent, and no moment acts about the vertical.
+The ground acts at the point vertically below the centre of mass, so normal and tangential motion do
+not couple: the normal force is that of a mass point, the normal and tangential parts of an impact
+are independent, and no moment acts about the vertical.
 
 Vectors in the ground plane are complex numbers x + iy; z × v is then i·v.
 

@@ -1,9 +1,9 @@
 """March balls through flight, impacts, sliding and rolling, from event to event.
 
 Frames only cut the motion where the inputs change. With restitution e < 1 a ball bounces infinitely
-often in a finite time. Bounces are followed until the remaining ones take less than 1e-8 s in all,
-which is 2 v / (|a| (1 − e)) after a rebound v under the downward acceleration a. From then on the
-ball keeps contact. That moves it by less than a · (1e-8 s)², 1e-15 m.
+often in a finite time: after a rebound v, under the downward acceleration a, the remaining bounces
+take 2 v / (|a| (1 − e)). They are followed until that is less than 1e-8 s. From then on the ball
+keeps contact. That moves it by less than a · (1e-8 s)², 1e-15 m.
 """
 
 from __future__ import annotations

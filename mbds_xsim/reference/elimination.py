@@ -22,7 +22,7 @@ from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
 FIRST, SECOND, BOTH = range(3)
 
 _CLOSES = {"ball": 3, "hinge": 5, "slider": 5, "fixed": 6}  # rows of a joint
-_DISTANCE = 1  # row of a distance link
+_DISTANCE = 1  # rows of a distance link
 _PASSING = 8  # work of passing one row through a link, in couplings
 
 

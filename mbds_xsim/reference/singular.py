@@ -99,9 +99,10 @@ def projected_onto_branch(
 def _neighbours(
     dynamics: Equations, state: Array, acceleration: Array, share: float
 ) -> Array | None:
-    """States on the constraints at `_PLACES` before and after a state; None if it is regular.
+    """States on the constraints at `_PLACES` before and after a state.
 
-    They have its velocities, as far as the constraints allow.
+    None if the state is regular, or if nothing moves. The neighbours have its velocities, as far as
+    the constraints allow.
     """
     direction = _direction(dynamics, state[:, 7:], acceleration)
     if direction is None:

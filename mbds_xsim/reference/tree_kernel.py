@@ -84,7 +84,7 @@ class Workspace(NamedTuple):
     through: Array
     """Generalised loads of the rows that pass one link (6)."""
     response: Array
-    """Accelerations that a unit load of each row brings the speeds of the links that it passes."""
+    """Rates of the speeds of the links that each row's load passes, per unit of that load."""
     couplings: Array
     """Couplings of rows, numbered as in `Elimination`; those with themselves become inverse."""
     multipliers: Array

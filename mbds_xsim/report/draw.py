@@ -232,7 +232,7 @@ class _Picture:
         axes.plot(*line.T, style, color=PARTS["spring"], linewidth=1.3, zorder=5, label=label)
 
     def _joint(self, axes: Any, joint: PlacedJoint) -> None:
-        """Draw a ring for ball and hinge, a diamond on a bar for slider, a square for fixed."""
+        """Draw a ring (ball, hinge), diamond (slider) or square (fixed), and the axis as a bar."""
         colour = PARTS[joint.kind]
         place = self.view.flat(self._anchor(joint))
         marker = {"fixed": "s", "slider": "D"}.get(joint.kind, "o")

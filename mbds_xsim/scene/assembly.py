@@ -64,7 +64,7 @@ def assemble(mechanism: Mechanism) -> BodyStates:
 
 
 def _follows_from(mechanism: Mechanism, key: Literal["start", "rate"]) -> bool:
-    """Return whether given joint values fix the state, as in a tree of hinges and sliders."""
+    """Return whether the joints' `key` alone fixes poses or rates: a tree of hinges and sliders."""
     joints = mechanism.scene.joints
     velocities = (body.velocity or body.angular_velocity for body in mechanism.scene.bodies)
     return not (
@@ -167,7 +167,7 @@ def _close(
     *,
     again: bool,
 ) -> tuple[Array, Array]:
-    """Take Newton steps until all loops close; `again` adds one, down to rounding errors."""
+    """Take Newton steps until loops close and joints meet their goal; `again` adds one step."""
     tolerance = _CLOSED * max(1.0, mechanism.scene.length)
     residual, jacobian, owner = _pose_rows(mechanism, position, native, goal)
     for _ in range(_NEWTON_STEPS):

@@ -273,7 +273,7 @@ def motion_of(
         v: Velocities of the centres of mass [m/s].
         w: Angular velocities in W [rad/s].
         bodies_first: Whether spans add arms to the distance of the bodies, which rounds less far
-            from the origin, instead of subtracting points; drawn starts depend on it bit by bit.
+            from the origin, instead of subtracting points; the bits of drawn starts depend on it.
     """
     body, (first, second) = layout.vector_body, layout.span_body
     u = np.einsum("...kij,kj->...ki", turn[..., body, :, :], layout.vector)

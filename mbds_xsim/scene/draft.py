@@ -17,7 +17,7 @@ from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 from mbds_xsim.scene.spanning import connected
 
 UPRIGHT = 1.0 - 1e-9
-"""Least vertical component of a slider's unit axis with which it can lift bodies."""
+"""Least |z component| of a slider's unit axis with which it can lift bodies."""
 
 
 @dataclass
@@ -130,7 +130,7 @@ def lift(term: terms.Lift, drawing: Draft) -> None:
 
 
 def _lifted(drawing: Draft, body: int) -> list[int]:
-    """Return the bodies jointed to a free body, or those outboard of an upright slider."""
+    """Return a free body and all jointed to it, or a body on an upright slider and all outboard."""
     mechanism = drawing.mechanism
     joint = next(link.joint for link in mechanism.links if link.body == body)
     if joint is not None and joint.kind == "slider":

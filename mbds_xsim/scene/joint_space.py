@@ -92,7 +92,7 @@ class LinkStates:
     rotation: Array
     """Rotation from the child's to the parent's native frame (wxyz), shape (…, link, 4)."""
     angular_velocity: Array
-    """Child's rate relative to the parent, in the child's frame [rad/s], shape (…, link, 3)."""
+    """Child's rate relative to the parent, in the child's native frame [rad/s], (…, link, 3)."""
     coordinate: Array
     """Hinge angle in (−π, π] [rad] or slider displacement [m], else 0, shape (…, link)."""
     rate: Array
@@ -104,7 +104,7 @@ class LinkStates:
 
     @staticmethod
     def still(shape: tuple[int, ...]) -> LinkStates:
-        """Return links at rest in the reference pose, shape (…, link), to be filled in."""
+        """Return links at rest with all coordinates 0, shape (…, link), to be filled in."""
         turn = np.broadcast_to(rotation.IDENTITY, (*shape, 4)).copy()
         spin, place, speed = (np.zeros((*shape, 3)) for _ in range(3))
         return LinkStates(turn, spin, np.zeros(shape), np.zeros(shape), place, speed)

@@ -44,8 +44,8 @@ def of_revolution(inertia: Array, axis: Array) -> tuple[float, float, float]:
     """Compare a tensor with that of a body of revolution about an axis through its centre.
 
     Returns:
-        Moment about the axis, mean moment across it, and the largest deviation of an element
-        [kg·m²].
+        Moment about the axis, mean moment across it, and the largest deviation of an element from
+        the tensor of revolution with these moments [kg·m²].
     """
     along = float(axis @ inertia @ axis)
     across = (float(np.trace(inertia)) - along) / 2

@@ -39,8 +39,8 @@ def independent_rows(jacobian: csr_array) -> Indices:
 def least_change(jacobian: csr_array, root: csr_array, goal: Array) -> Array:
     """Solve jacobian · change = goal with least |root⁻¹ change|.
 
-    If rows contradict each other, up to `_FEW` of them are satisfied in the least-squares sense;
-    of more rows, an independent set is satisfied and the others are not.
+    If rows contradict each other, all are satisfied in the least-squares sense if there are at most
+    `_FEW` rows; if there are more, an independent set is satisfied and the others are not.
 
     Args:
         jacobian: Matrix of the rows, shape (row, column).

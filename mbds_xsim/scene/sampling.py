@@ -77,7 +77,7 @@ def draw_batch(
 
 
 def distinct_starts(scene: Scene, count: int, *, noise: bool = True, inputs: bool = True) -> int:
-    """Return the number of trajectories worth drawing: one if all would be alike, else `count`.
+    """Return the number of trajectories worth drawing: one if nothing is drawn, else `count`.
 
     Args:
         scene: Scene to sample.
@@ -96,7 +96,7 @@ class Starts:
     """Trajectories of a scene to draw, equally many for each interval."""
 
     trajectories: int = 1
-    """Number per interval; if nothing is random, there is one in total."""
+    """Number per interval; if nothing is drawn, there is one in total."""
     seed: int = 0
     noise: bool = True
     """Whether the noise forces act."""

@@ -281,7 +281,7 @@ class Scene(Neutral):
     anchors: tuple[Place, ...] = ()
     """Fixed points of the drawn skeleton and the learned graph; numbered after the particles."""
     edges: tuple[tuple[int, int], ...] = ()
-    """Edges of skeleton and graph: pairs of particles (numbered body by body) or anchors."""
+    """Pairs of particles (numbered body by body) or anchors that skeleton and graph connect."""
     budget: Budget = Budget()
 
     added = ("servos", "couplings", "collisions")

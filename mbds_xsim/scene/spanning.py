@@ -17,9 +17,9 @@ def spanning_tree(
 ) -> tuple[list[tuple[int, int, PlacedJoint | None]], tuple[PlacedJoint, ...]]:
     """Find Kruskal's minimum spanning forest, with links ordered from the roots outwards.
 
-    Of joints of one kind, the last one listed closes the loop. Joints with a spring or damper stay
-    in the tree if possible, where reduced coordinates have them; joints with a rotor, friction,
-    limits, a coupling or a drive take precedence over all others.
+    Of joints of one kind, the last one listed closes the loop, but one without spring and damper
+    sooner than one with them, since reduced coordinates have these in the tree. Joints with a
+    rotor, friction, limits, a coupling or a drive stay in the tree before all others.
 
     Returns:
         Body, parent and joint from the parent (None if free) of each link; joints closing loops.

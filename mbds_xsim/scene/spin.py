@@ -114,7 +114,7 @@ def _carry(axis: Array, rate: Array, interval: float) -> Array:
 
 
 def _axis_of_revolution(mechanism: Mechanism, body: int) -> Array:
-    """Return the axis through all attachments of a body; zero if anything could turn it."""
+    """Return the axis through all attachments of a body; zero if a torque about it can act."""
     none = np.zeros(3)
     link = next(link for link in mechanism.links if link.body == body)
     if link.joint is None or body in mechanism.sphere_body:

@@ -257,7 +257,11 @@ class Adapter(ABC):
 
     @abstractmethod
     def settings(self, scene: Scene, profile: Profile) -> Settings:
-        """Return an ordinary user's preset (`native`), or a careful one (`matched`); no search."""
+        """Return a preset without a search.
+
+        `native` is what an ordinary user of the engine gets, `matched` a careful choice for scenes
+        without stored settings.
+        """
 
     @abstractmethod
     def load(self, scene: Scene, settings: Settings) -> Run:

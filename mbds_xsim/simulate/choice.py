@@ -244,8 +244,8 @@ def read_settings(path: Path) -> tuple[str, dict[str, Matched]]:
     they are a variant, which need not meet the budgets.
 
     Raises:
-        InputError: The file cannot be read or is no settings file, or an engine is missing; the
-            message says where.
+        InputError: The file cannot be read or is no settings file, or the engine of a table is
+            unknown or not installed; the message says where.
     """
     name, settings = _read(path)
     for engine in settings:

@@ -137,7 +137,7 @@ class Method:
     """Order of the velocities in that case; None if the same as that of the positions."""
     velocity_lag: float = 0.0
     """Lag of recorded velocities, which belong to (frame time + lag · step): −½ for leapfrog. In
-    contact it may be smaller, if an adapter divides steps."""
+    contact its size may be smaller, if an adapter divides steps."""
     own: bool = True
     """Whether the engine itself steps. A search for matched settings never takes a method that the
     toolkit steps, since it says nothing about the engine's stepping."""
@@ -239,7 +239,7 @@ class Sweep:
     methods: tuple[str, ...] = ()
     """Methods that the option affects; empty for all."""
     needs: frozenset[Feature] = frozenset()
-    """Features of which a scene must need one for the option to act; empty if none matters."""
+    """Features of which a scene must need one for the option to act; empty if it always acts."""
 
 
 def check_claims(
@@ -282,7 +282,7 @@ class ContactLaw:
     restitution: str
     """Law that decides the rebound."""
     friction: str
-    """Shape of the friction cone."""
+    """Set of possible friction forces, such as a cone or a box."""
     mixing: str
     """Rule that combines the coefficients of two bodies."""
     adapter: str

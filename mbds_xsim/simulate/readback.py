@@ -44,7 +44,7 @@ def compare(
     """List the differences between the engine's model and the scene, each in one line.
 
     Figures are relative to the largest element of the expected array, or to the scene's length
-    for positions. The method determines their precision, double if it is omitted.
+    for positions. The method determines the precision of the engine's values; double without one.
     """
     lines, allowed = [], max(_TOLERANCE, rounding.state_error(mechanism, method))
     for quantity, got, wanted, floor, names in _quantities(mechanism, batch, readback):

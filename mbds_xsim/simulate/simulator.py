@@ -62,7 +62,7 @@ class Signs:
 
 
 def part_of_way(gone: Array, due: Array, length: float) -> Array:
-    """Return path length `gone` over path length `due`, NaN if that is too short; (frame,)."""
+    """Return path `gone` [m] over path `due` [m], NaN if `due` is too short; shape (frame,)."""
     return np.where(due > _WORTH * length, gone / due, np.nan)
 
 

@@ -128,7 +128,7 @@ def gaps(scene: Scene, motion: Trajectory) -> Array:
 
 
 def rolling() -> ContactCase:
-    """Make a case of balls that slide until they roll, in every direction, and with side spin.
+    """Make a case of balls that slide until they roll: every direction; top, back and side spin.
 
     The slip v − ω × R ẑ of a ball with velocity v and spin ω keeps its direction n. Friction
     −μ m g n reduces it by (7/2) μ g per second, along a parabola; then the ball rolls straight on.

@@ -43,7 +43,7 @@ def first_contact(test: Paired, horizon: int) -> Index:
 
 
 def _touches(scene: Scene, states: Array) -> Mask:
-    """Return whether a sphere is on the ground at a frame, or would be there by free flight.
+    """Return whether a sphere is on the ground at a frame, or by free flight from the last one.
 
     A ball may bounce between two frames and be seen in the air at both.
     """

@@ -201,8 +201,8 @@ def _is_joined(path: Path) -> bool:
 
 def _recorded(file: Dataset, rows: Index) -> Recorded:
     about = file.attributes
-    path, indices = file.path.resolve(), tuple(rows.tolist())
-    return Recorded(about["engine"], about["profile"], path, indices, about[CONTENT])
+    path, chosen = file.path.resolve(), tuple(rows.tolist())
+    return Recorded(about["engine"], about["profile"], path, chosen, about[CONTENT])
 
 
 @dataclass(frozen=True, eq=False)

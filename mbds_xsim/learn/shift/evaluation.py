@@ -275,9 +275,9 @@ _FRAMES = 10  # as in a validation
 
 
 def nearest_engine(evaluation: Evaluation, home: str) -> float:
-    """Return the mean squared distance of the nearest other engine over ten frames [m²].
+    """Return the mean squared distance of the nearest other engine over the first ten frames.
 
-    Engines go on from the domain's last known frame; infinite if none does.
+    In m²; engines go on from the domain's last known frame; infinite if none does.
     """
     distances = [
         float(np.nanmean(np.minimum(figures.error[:, :_FRAMES], evaluation.largest)))

@@ -149,8 +149,9 @@ def gaps_of(draws: Draws) -> Iterator[Gap]:
 def why_unresolved(own: float, floor: float, low: float, high: float) -> str:
     """Return why a gap says nothing about a shift; "" if it does.
 
-    `own` is the training's error on its own domain and `floor` its engine's distance from the
-    target, both NaN if that domain is not tested; `low` and `high` bound the difference [m²].
+    `own` is the training's error on its own domain and `floor` its engine's squared distance
+    from the target, both NaN if that domain is not tested; `low` and `high` bound the difference of
+    errors; all in m².
     """
     if np.isnan(own) or np.isnan(floor):
         return UNKNOWN

@@ -8,8 +8,8 @@ two cancel in
 
 the interaction in a table of two factors whose effects multiply, as an odds ratio is for counts
 (Fienberg 1980, The Analysis of Cross-Classified Categorical Data, chapter 2). x = 1 means that the
-change costs nothing, x = 2 that it doubles the squared error, as a mean of both directions. It
-needs no engine floor: a poor model only pulls x towards 1.
+change costs nothing, x = 2 that it doubles the squared error, as a geometric mean of both
+directions. It needs no engine floor: a poor model only pulls x towards 1.
 
 Among many pairs some seem to differ by chance. A pair is resolved if the rule of Benjamini and
 Hochberg (1995, J. R. Stat. Soc. B 57, 289) keeps it, at each frame among all pairs of a study: one

@@ -114,8 +114,8 @@ class ContactBench:
             note: Remark on the figure.
         """
         note = reason(motion) or note
-        finite = np.atleast_1d(np.nan if values is None else values).astype(np.float64)
-        finite = finite[np.isfinite(finite)]
+        array = np.atleast_1d(np.nan if values is None else values).astype(np.float64)
+        finite = array[np.isfinite(array)]
         several = len(finite) > 1
         return ContactFigure(
             self.engine,

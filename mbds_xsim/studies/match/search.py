@@ -64,7 +64,7 @@ class _Candidate:
 
     @property
     def rank(self) -> float:
-        """Cost for the ranking, raised for changed options: a small gain may be noise."""
+        """Cost for the ranking, raised for changed options and the settings in use."""
         return self.cost * (_WORTH if self.curve.variation else 1.0)
 
     def cost_at(self, count: int) -> float:

@@ -212,7 +212,7 @@ def draw_curves(axes: Any, shift: Shift, model: str, test: str) -> None:
     Trivial models and floors are drawn as well.
     """
     time = [shift.frame_s * (k + 1) for k in range(shift.horizon)]
-    on_test = [c for c in shift.cells if (c.test, c.interval) == (test, INTERVALS[0])]
+    tested = [c for c in shift.cells if (c.test, c.interval) == (test, INTERVALS[0])]
     cells = curves_of(shift, model, test)
     names = {cell.training: cell.training.rpartition("-")[0] for cell in cells}
     styles = looks(list(dict.fromkeys(names.values())))
@@ -223,7 +223,7 @@ def draw_curves(axes: Any, shift: Shift, model: str, test: str) -> None:
         labelled.add(cell.training)
         width = 2.2 if cell.training == test else 1.0
         axes.plot(time, _line(cell.curve), ls=style, color=colour, lw=width, label=label)
-    for cell in (cell for cell in on_test if cell.model in TRIVIAL):
+    for cell in (cell for cell in tested if cell.model in TRIVIAL):
         label, style = cell.model.replace("_", " "), _FORMULAS[cell.model]
         axes.plot(time, _line(cell.curve), style, color=themed.GREY, lw=1, label=label)
     _draw_floors(axes, shift, test, time)

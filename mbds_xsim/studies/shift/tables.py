@@ -226,7 +226,7 @@ def _nearest(shift: Shift, home: str, frame: int) -> float | None:
 
 
 def _effort(shift: Shift) -> Table:
-    """Tabulate how long models trained until they were as near to their engine as others are."""
+    """Tabulate how long models trained until nearer to their engine than any other engine is."""
     single = [facts for facts in shift.models if len(facts.engines) == 1]
     rows = []
     for model, training in dict.fromkeys((facts.model, facts.training) for facts in single):

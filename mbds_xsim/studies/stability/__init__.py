@@ -165,7 +165,7 @@ class MapCell(Keyed, frozen=True, kw_only=True):
 
     @property
     def silent(self) -> bool:
-        """Whether the run went wrong with no warning from the engine."""
+        """Whether the run went wrong, and neither the engine nor its process reported it."""
         wrong = self.failed or self.outcome == "off course"
         return wrong and self.told in ("adapter", "nobody")
 

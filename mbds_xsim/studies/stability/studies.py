@@ -168,7 +168,7 @@ PACE = Study(
 # Stiff springs: a pendulum on a spring whose own oscillation is of no interest.
 #
 # It is fast and small, yet it limits the step. At the rate ω = √(k/m), semi-implicit Euler is
-# stable for h ω < 2 and RK4 for h ω < 2.78; the trapezoidal rule and generalised-alpha are stable
+# stable for h ω < 2 and RK4 for h ω < 2.83; the trapezoidal rule and generalised-alpha are stable
 # at any step (Hairer & Wanner, Solving ODEs II, IV.2).
 
 _SPRING_LENGTH = 1.0  # unstretched length, which is the spring's at the start [m]

@@ -101,7 +101,7 @@ def _holds(cell: MapCell) -> bool:
 
 
 def stable_ranges(sweep: Survey) -> Iterator[tuple[str, str]]:
-    """List where each trained model is stable and what breaks first beyond; then the criteria."""
+    """List where each trained model is stable, what breaks first beyond, and how it is judged."""
     learned = [panel for panel in sweep.panels if panel.learned]
     for panel in learned:
         yield panel.name, _describe_stability([row[0] for row in panel.cells], sweep)

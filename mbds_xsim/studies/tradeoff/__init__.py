@@ -185,7 +185,7 @@ class ModelResult(msgspec.Struct, frozen=True, kw_only=True):
     alone: Point
     """Figures for one trajectory at a time."""
     batched: Point
-    """Figures for a batch: times are each trajectory's share, errors are as above."""
+    """Figures for a batch: times are each trajectory's share, errors are as in `alone`."""
     train_wall_s: float | None = None
     """Wall time of training [s], which no other time includes."""
     train_cpu_s: float | None = None
