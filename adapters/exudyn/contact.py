@@ -61,7 +61,7 @@ Marker = Callable[[int, Array], str]
 _FAR = 1e4
 # Slower impacts, of bodies that come to rest, are damped as if they had this speed [m/s] or, if it
 # is lower, the one that this acceleration makes within an impact [m/s²]. A body on stiffer ground
-# trembles faster and must be damped sooner: friction of turning wheels feeds the trembling in every
+# chatters faster and must be damped sooner: friction of turning wheels feeds the chatter in every
 # cycle.
 _SLOWEST_IMPACT, _SLOWEST_GAIN = 1e-2, 20.0
 # Safety factor on the path of a sphere within a frame, and on its acceleration in the last one.
@@ -70,8 +70,8 @@ _REACH = 2.0
 _LEAST = 0.01
 # From here to 1, ε and e agree within 1e-9, and the logarithms cancel.
 _ELASTIC = 1.0 - 1e-3
-_CHANGE = 1.0 / 3.0
-_REACHING = """
+_CHANGE = 1.0 / 3.0  # ε at which Exudyn's formula for c changes
+_TOUCH_TEST = """
 
 def outputs(kind):  # of the spheres' centres
     kind = getattr(exu.OutputVariableType, kind)
@@ -141,7 +141,7 @@ def contact_listing(mechanism: Mechanism, contact: PenaltyContact, marker: Marke
         yield from _contact("Sphere", ", ".join(f"spheres[{k}]" for k in pair))
         yield f"    spheresRadii={[radius[k] for k in pair]!r},"
         yield from _law("collisions", mechanism, pair, contact)
-    yield _REACHING.format(
+    yield _TOUCH_TEST.format(
         radii=radius,
         pairs=mechanism.sphere_pairs.tolist(),
         grounded=len(radius) if scene.ground else 0,
@@ -177,7 +177,7 @@ def _law(
         raise Unsupported(msg)
     # On this spring the spheres' bodies alone bounce within `duration`. Joints only add to a body's
     # effective mass, so impacts last longer with them.
-    yielding = sum(_yielding(mechanism, sphere) for sphere in spheres)
+    yielding = sum(_inverse_mass(mechanism, sphere) for sphere in spheres)
     stiffness = (math.pi / contact.duration) ** 2 / yielding
     yield f"    contactStiffness={stiffness!r},"
     if law.restitution:
@@ -192,7 +192,7 @@ def _law(
     yield f"    frictionProportionalZone={contact.slip_speed!r})))"
 
 
-def _yielding(mechanism: Mechanism, sphere: int) -> float:
+def _inverse_mass(mechanism: Mechanism, sphere: int) -> float:
     """Return the largest inverse effective mass of a sphere's body alone, at its centre [1/kg]."""
     body = mechanism.sphere_body[sphere]
     x, y, z = mechanism.sphere_offset[sphere]
@@ -263,7 +263,7 @@ def coefficient(restitution: float) -> float:
     """Return the ε with which an impact delivers a restitution e."""
     if restitution >= _ELASTIC:
         return restitution
-    damping = _root(lambda c: _rest(c, restitution), 0.5 * (1.0 - restitution), 1.0 / restitution)
+    damping = _root(lambda c: _excess(c, restitution), 0.5 * (1.0 - restitution), 1.0 / restitution)
     return _root(lambda value: _damping(value) - damping, 0.1 * _LEAST, 1.0)
 
 
@@ -272,7 +272,7 @@ def delivered_restitution(value: float) -> float:
     if value >= _ELASTIC:
         return value
     damping = _damping(value)
-    return _root(lambda e: _rest(damping, e), 0.0, min(1.0, 1.0 / damping))
+    return _root(lambda e: _excess(damping, e), 0.0, min(1.0, 1.0 / damping))
 
 
 def _damping(value: float) -> float:
@@ -282,8 +282,8 @@ def _damping(value: float) -> float:
     return (1.0 - value**2) / value
 
 
-def _rest(damping: float, restitution: float) -> float:
-    # Kept above 0 for the logarithm; at c e = 1 the sphere takes for ever to leave.
+def _excess(damping: float, restitution: float) -> float:
+    # Kept above 0 for the logarithm; at c e = 1 the sphere never separates.
     remaining = max(1.0 - damping * restitution, 1e-300)
     return math.log1p(damping) - math.log(remaining) - damping * (1.0 + restitution)
 

@@ -31,7 +31,7 @@ _BEND = 0.5  # share of second differences: 1/12 in smooth motion, ½ for a jump
 _SWING = 0.5  # share of the difference of accelerations at the ends: three times the cubic's error
 _PATH = 0.5  # share of a velocity's changes by which its mean is off that of its ends
 _POSE = 1.5  # times the responses at the reference pose, for bodies that joints move
-_LASTING = 0.5  # times these, where the ground carries the weight steadily (0.02 is needed)
+_LASTING = 0.5  # factor on `_POSE` if the ground carries the weight steadily (0.02 would do)
 _FLOOR = 1e-3  # share of the trajectory's largest speed, for solvers' tolerances
 _LAG = 3.0  # turning bodies' places do not lag, and accelerations of both kinds may cancel
 _METHOD = 5.0  # times second differences · (step/frame)²: a method's error, as in `kinematics`
@@ -39,7 +39,7 @@ _LATE = 0.5  # share of a frame; a delay of a whole one must show
 _SYSTEMATIC = 0.5  # share of the allowance for bending, in the mean over a trajectory
 _STEADY = 0.1  # share of the floor, in the same mean
 _ERRORS = 4.0  # standard errors
-_FAINT = 1e-12  # least sum of squared gains over what is allowed; less is rounding
+_FAINT = 1e-12  # floor on the weighted sum of squared gains; anything smaller is rounding
 _TINY = np.finfo(float).tiny
 
 

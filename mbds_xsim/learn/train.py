@@ -36,9 +36,9 @@ from mbds_xsim.learn.recipe import (
 )
 from mbds_xsim.learn.window import HISTORY, Motions, Sample
 
-_ANEW = "remove it to start anew"
-_KEPT = ("curve", "ended", "skipped", "wall_s", "cpu_s")  # of a training in its checkpoint
-_LINE = 80  # characters that a message has for differences
+_ANEW = "remove it to start over"
+_KEPT = ("curve", "ended", "skipped", "wall_s", "cpu_s")  # fields saved in a checkpoint
+_LINE = 80  # longest list of differences that a message shows [characters]
 End = Literal["", "steps", "level", "diverged"]
 """Reason why a training ended; empty while it goes on."""
 
@@ -108,7 +108,7 @@ def train(
         recipe: Optimiser and batch.
         profile: Length of the training.
         checkpoint: File to save to at every validation, and to resume from if it exists.
-        tell: Called after every new point of the curve, once the checkpoint has it.
+        tell: Called after every new point of the curve, after it is saved in the checkpoint.
         identity: Further facts that identify a run, besides seed, recipe and profile: its data.
         seed: Seed of the windows drawn and of the noise.
 
@@ -171,8 +171,8 @@ class _Loop:
     ) -> None:
         self.training = Training(model)
         self.recipe, self.profile, self.identity = recipe, profile, identity
-        aimless = profile.until_level and isinstance(recipe.schedule, Cosine)
-        self.schedule = WITHOUT_END if aimless else recipe.schedule
+        endless = profile.until_level and isinstance(recipe.schedule, Cosine)
+        self.schedule = WITHOUT_END if endless else recipe.schedule
         self.clock = time.monotonic(), time.process_time()
         if profile.compiled and next(model.parameters()).is_cuda:
             compile_networks(model)
@@ -235,10 +235,10 @@ class _Loop:
             return "diverged"
         if self.step >= profile.steps:
             return "steps"
-        falls = isinstance(self.schedule, Plateau)
-        settled = not falls or self.rate <= SETTLED * self.recipe.rate
-        long = len(training.curve) >= profile.least
-        level = settled and long and training.last_improvement < profile.improvement
+        by_plateau = isinstance(self.schedule, Plateau)
+        settled = not by_plateau or self.rate <= SETTLED * self.recipe.rate
+        long_enough = len(training.curve) >= profile.least
+        level = settled and long_enough and training.last_improvement < profile.improvement
         return "level" if profile.until_level and level else ""
 
     def _set_rate(self, rate: float) -> None:
@@ -312,13 +312,13 @@ def check_identity(
     if facts:
         msg = (
             f"{path}: {label} of another {', '.join(facts)}; name another place, or remove it "
-            "to start anew"
+            "to start over"
         )
         raise InputError(msg)
 
 
 def _entries_apart(stated: str, own: str) -> str:
-    """Describe the entries in which two JSON objects differ; "" if many, or for other texts."""
+    """Describe the entries in which two JSON objects differ; "" if they are many, or not JSON."""
     try:
         was, now = (msgspec.json.decode(text, type=dict[str, Any]) for text in (stated, own))
     except msgspec.DecodeError:
@@ -334,7 +334,7 @@ def read_identity(path: Path) -> dict[str, str]:
 
 
 def _on_plateau(rate: float, schedule: Plateau, curve: list[CurvePoint]) -> float:
-    """Return the rate after these validations, counted from the first one."""
+    """Return the rate after these validations, by applying the rule to all from the first one."""
     best, waited = math.inf, 0
     for point in curve:
         best, waited = (point.error, 0) if point.error < best else (best, waited + 1)

@@ -103,7 +103,7 @@ def test_a_checkpoint_of_another_run_is_refused(
     with pytest.raises(InputError, match="of another profile, data;"):
         train(_model(parts[0]), *parts, RECIPE, other, checkpoint=path, identity={"data": "other"})
     path.write_bytes(b"no checkpoint")
-    with pytest.raises(InputError, match="remove it to start anew"):
+    with pytest.raises(InputError, match="remove it to start over"):
         train(_model(parts[0]), *parts, RECIPE, SHORT, checkpoint=path)
 
 
