@@ -153,7 +153,7 @@ def _split(
     for where, law in (("ground", ground), ("collisions", collisions)):
         for name in ("friction", "restitution") if law else ():
             if 0.0 < (value := getattr(law, name)) <= _NONE:
-                msg = f"{where}.{name}: got {value}, DART takes {_NONE} and less for 0"
+                msg = f"{where}.{name}: got {value}, DART treats {_NONE} and less as 0"
                 raise Unsupported(msg)
     if collisions is None:
         assert ground is not None
@@ -164,9 +164,9 @@ def _split(
     if ground.friction > collisions.friction or ground.restitution > root:
         msg = (
             f"dart: collisions: got friction {collisions.friction:g} and restitution "
-            f"{collisions.restitution:g}, allowed is as much friction as the ground's, "
-            f"{ground.friction:g}, as the smaller one of two bodies counts, and a restitution from "
-            f"{ground.restitution**2:g} on, the ground's squared, as their product does"
+            f"{collisions.restitution:g}, allowed is a friction of at least the "
+            f"ground's, {ground.friction:g}, since the smaller of two counts, and a restitution of "
+            f"at least the ground's squared, {ground.restitution**2:g}, since the product counts"
         )
         raise Unsupported(msg)
     return (ground.friction, collisions.friction), (ground.restitution / (root or 1.0), root)

@@ -172,7 +172,7 @@ def _law(
     if 0.0 < law.restitution < _LEAST:
         msg = (
             f"exudyn: {where}.restitution: got {law.restitution:g}, allowed is 0, or {_LEAST} to "
-            "1: its law of impact gets too stiff to be integrated on the way to 0"
+            "1: close to 0 its impact law is too stiff to integrate"
         )
         raise Unsupported(msg)
     # On this spring the spheres' bodies alone bounce within `duration`. Joints only add to a body's

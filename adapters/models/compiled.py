@@ -163,8 +163,8 @@ def _mechanics(mujoco: Any, root: Element, path: Path, tags: set[str]) -> Any:
         normal = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
         if joint.get("type") == "planar" and [float(x) for x in normal.split()] != [0, 0, 1]:
             msg = (
-                f"joint {joint.get('name')!r} is planar with the normal {normal}, which MuJoCo "
-                "takes for 0 0 1; turn its origin so that the normal is that"
+                f"joint {joint.get('name')!r} is planar with the normal {normal}, but MuJoCo "
+                "assumes 0 0 1; turn its origin so that this is the normal"
             )
             raise InputError(msg)
     reduced = copy.deepcopy(root)

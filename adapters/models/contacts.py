@@ -80,7 +80,7 @@ def _outer(spheres: list[ContactSphere]) -> Iterator[ContactSphere]:
 
 def _drop_reason(shape: Solid, body: str | None, pair: Pair) -> str:
     if body in (None, WORLD):
-        return "it is fixed in the world, where bodies meet the ground alone"
+        return "it is fixed in the world, and bodies touch only the ground"
     if shape.kind not in BALLS:
         return f"{NO_SPHERES} {shape.kind}"
     return pair.apart

@@ -78,7 +78,7 @@ def _limits(model: Any, k: int, joint: int, gear: float) -> dict[str, Any]:
     if np.isinf(high) and np.isinf(low):
         return {}
     if not 0 < high == -low:
-        return {"limit_loss": f"{low:g} to {high:g} is not as much either way"}
+        return {"limit_loss": f"{low:g} to {high:g} is not symmetric"}
     return {"limit": float(high)}
 
 

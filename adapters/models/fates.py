@@ -110,7 +110,7 @@ _SDF: tuple[_Row, ...] = (
     ("kept", True, "it names no frame", "pose@frame"),
     ("dropped", False, _VISUAL, "visual light scene gui material"),
     ("dropped", True, COLLISION, "collision"),
-    ("kept", True, "who meets whom", "surface collide_bitmask collide_without_contact"),
+    ("kept", True, "decides which shapes touch", "surface collide_bitmask collide_without_contact"),
     ("dropped", True, "a restitution counts at all speeds", "threshold"),
     ("dropped", True, "the ground has the same friction along all directions",
      "mu2 fdir1 slip1 slip2"),

@@ -69,7 +69,5 @@ def floor_fates(solids: Solids, floor: Solid | None) -> Iterator[Fate]:
         yield Fate(solids.element, ("plane",), "approximated", note, True)
     names = tuple(shape.name for shape in solids.shapes if shape is not floor)
     if len(names) > 1:
-        reason = (
-            "no collisions of bodies are made of a model; [collisions] of a scene file has some"
-        )
+        reason = "collisions between bodies are not imported; a scene file can add [collisions]"
         yield Fate(solids.element, ("contact",), "dropped", reason, True, names, len(names))

@@ -52,15 +52,15 @@ def write(scene: Scene) -> Written:
 
 def _loops(mechanism: Mechanism) -> Iterator[Fate]:
     for joint in mechanism.loops:
-        reason = "points of it are kept together, by a solver that is soft"
+        reason = "its points are held together by a soft solver"
         yield Fate("joints", (), "approximated", reason, True, (joint.name,))
         if joint.complies:
             yield dropped_fate("joints", _NO_LAW, [joint.name], "stiffness", "damping")
     for pair in mechanism.distances:
-        reason = "a tendon of constant length, by a solver that is soft"
+        reason = "a tendon of constant length, held by a soft solver"
         yield Fate("distance_links", (), "approximated", reason, True, (pair.name,))
     for tie in mechanism.couplings:
-        reason = "an equality of two joints, by a solver that is soft"
+        reason = "an equality of two joints, held by a soft solver"
         yield Fate("couplings", (), "approximated", reason, True, (tie.name,))
 
 

@@ -40,7 +40,7 @@ _FAR = 1e10  # [rad or m]: a limit beyond this means no limit
 _VERSIONS = ("1.5", "1.6", "1.7", "1.8", "1.9", "1.10", "1.11")
 """Accepted versions. Up to 1.4, axes were in the model's frame, a difference that DART ignores."""
 _FRAMES = ("relative_to", "expressed_in", "frame", "degrees", "rotation_format")
-_ONE = "DART's parser takes one joint for each link, between links that are there"
+_ONE = "DART's parser takes one joint per link, and only between existing links"
 _OFF = ("0", "false")
 _LAW = ("damping", "friction", "spring_stiffness", "spring_reference")
 _UNSUPPORTED = ("include", "frame", "experimental:params")
@@ -63,7 +63,7 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     except (RuntimeError, ValueError) as error:  # ValueError: malformed numbers
         raise InputError(f"DART's parser refuses it: {error}") from error
     if len(models) != len(skeletons):
-        msg = f"DART's parser gives {len(skeletons)} of its {len(models)} models"
+        msg = f"DART's parser returns {len(skeletons)} of its {len(models)} models"
         raise InputError(msg)
     parts: list[Part] = []
     shapes: list[Solid] = []
@@ -123,7 +123,7 @@ def _skeletons(parser: Any, root: Element) -> tuple[list[Any], Array]:
             skeletons = [world.getSkeleton(k) for k in range(count)]
             gravity = np.array(world.getGravity()) if world is not None else gravity
     if not skeletons or None in skeletons:
-        msg = "DART's parser gives no model of it"
+        msg = "DART's parser returns no model"
         raise InputError(msg)
     return skeletons, gravity
 

@@ -65,8 +65,8 @@ def masses_of(model: Element) -> dict[str, tuple[float, Array]]:
     masses = {link.get("name", ""): _mass(link) for link in links}
     for name, (mass, _) in masses.items():
         if mass <= 0 and model.findtext("static") not in ("1", "true"):
-            msg = f"<mass> of <link> {name!r} is {mass:g}, allowed is above 0; what does not "
-            raise InputError(f"{msg}move needs one, too, and a fixed joint to the world")
+            msg = f"<mass> of <link> {name!r} is {mass:g}, allowed is above 0; a link that does "
+            raise InputError(f"{msg}not move needs one, too, and a fixed joint to the world")
     if len(masses) < len(links):
         names = [link.get("name", "") for link in links]
         repeated = next(name for name in names if names.count(name) > 1)

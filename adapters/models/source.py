@@ -88,8 +88,8 @@ class _Reader:
         """Raise InputError if a path leads out of the folder."""
         if not path.resolve().is_relative_to(self._folder):
             msg = (
-                f"names {name!r}, which is not in {self._folder}; where that is meant, "
-                "`mbds-xsim import` takes a --folder with all files of the model"
+                f"names {name!r}, which is not in {self._folder}; if that is intended, "
+                "give `mbds-xsim import` a --folder with all files of the model"
             )
             raise InputError(msg)
 

@@ -115,9 +115,9 @@ def check_above_ground(scene: Scene) -> None:
     if gaps.min() < 0.0:
         body = scene.contacts[int(gaps.min(axis=0).argmin())].body
         msg = (
-            f"--ground: of {_STARTS} drawn starts {np.count_nonzero(gaps.min(axis=1) < 0)} are in "
-            f"the ground, {body!r} by {-gaps.min():.3g} m: it is neither free nor on an upright "
-            "slider, which would be lifted; leave --ground out"
+            f"--ground: {np.count_nonzero(gaps.min(axis=1) < 0)} of {_STARTS} drawn starts are in "
+            f"the ground, {body!r} by {-gaps.min():.3g} m: it cannot be lifted, as it is neither "
+            "free nor on an upright slider; leave --ground out"
         )
         raise InputError(msg)
 

@@ -66,8 +66,8 @@ def _check_layers(sdf: Any, path: Path, folder: Path) -> None:
         visited.add(file)
         if not file.is_relative_to(folder):
             msg = (
-                f"refers to {str(file)!r}, which is not in {folder}; where that is meant, "
-                "`mbds-xsim import` takes a --folder with all files of the model"
+                f"refers to {str(file)!r}, which is not in {folder}; if that is intended, "
+                "give `mbds-xsim import` a --folder with all files of the model"
             )
             raise InputError(msg)
         if not file.is_file():
@@ -202,7 +202,7 @@ class _Reading:
             first, second = axes[:, column - 2], other_axes[:, column - 2]
             start = math.atan2(float(np.cross(first, second) @ axis), float(first @ second))
         if (apart := np.linalg.norm(gap)) > _GAP * extent or tilt > _GAP:
-            msg = f"the joint {name!r} is {apart:.3g} m apart where the bodies stand"
+            msg = f"the ends of the joint {name!r} are {apart:.3g} m apart as the bodies are placed"
             if tilt > _GAP:
                 msg += f", and its axes differ by {tilt:.3g}"
             raise InputError(msg)
@@ -229,7 +229,7 @@ class _Reading:
                 yield Freedom(label, kind, point, axes[:, k], self._limits(limit, kind, 0.0))  # type: ignore[arg-type]
 
         for freedom in drives:
-            reason = "what it leads is locked, or no axis"
+            reason = "what it drives is locked, or is not an axis"
             self.fates.append(Fate("drive", (freedom,), "dropped", reason, False, (name,)))
 
     def _lead(self, drive: Any, joint: str, kind: str, start: float) -> None:

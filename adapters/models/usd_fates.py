@@ -43,7 +43,7 @@ for _outcome, _moves, _reason, _names in (
      "physics:coneAngle0Limit physics:coneAngle1Limit"),
 ):  # fmt: skip
     _TABLE |= dict.fromkeys(_names.split(), (_outcome, _moves, _reason))  # type: ignore[arg-type]
-_CONTACT: _Row = ("kept", True, "of how shapes meet the ground")
+_CONTACT: _Row = ("kept", True, "decides how shapes meet the ground")
 _TOUCHING: dict[str, _Row] = dict.fromkeys(
     ("physics:collisionEnabled", "physics:dynamicFriction", "physics:restitution", "collection",
      "physics:filteredPairs", "physics:filteredGroups", "physics:invertFilteredGroups",

@@ -35,7 +35,7 @@ _LACKS = {
 _GAINS = ("stiffness", "damping")
 _LEAST = float(np.finfo(np.float32).tiny)
 _SINGLE = "numbers of masses, joints and gravity are of single precision in the schema"
-_NAMING = "names of USD are of letters, digits and _, and each stands once"
+_NAMING = "USD names consist of letters, digits and _, and are unique"
 _AS_SERVO = "a drive to its rest: a servo that exerts the same"
 _ONE = "a joint has one drive, which is that of a servo with a limit"
 

@@ -12,7 +12,7 @@ from mbds_xsim.scene.imported import Fate
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
 from mbds_xsim.scene.scene import WORLD, Scene
 
-_SETTING = "how the scene is run, which no model says"
+_SETTING = "a setting of the run, which no model has"
 _START = "the model stands in the reference pose"
 _NO_MODEL: dict[str, tuple[bool, str]] = {
     "forces": (True, "the format has no forces"),
@@ -43,7 +43,7 @@ def no_model(scene: Scene) -> Iterator[Fate]:
             count = len(value) if isinstance(value, tuple) else 1
             yield Fate(key, (), "dropped", reason, moves, (), count)
     yield from lacking(scene, _NO_START)
-    reason = "one inertia; the particles are not in it by themselves"
+    reason = "one inertia, without the single particles"
     for body in scene.bodies:
         if body.particles:
             yield Fate("bodies", ("particles",), "kept", reason, True, (body.name,))

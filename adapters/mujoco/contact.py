@@ -138,7 +138,7 @@ def _check_friction(where: str, law: Ground | Collisions, yields: float, impact:
     if impact.step and 0.0 < law.friction < least:
         msg = (
             f"mujoco: {where}.friction: got {law.friction:g}, allowed is 0, or at least "
-            f"{least:.3g} for bodies so heavy: its solver of friction takes less for none"
+            f"{least:.3g} for bodies this heavy: its friction solver treats less as none"
         )
         raise Unsupported(msg)
 

@@ -67,7 +67,7 @@ class Pinocchio(Adapter):
         small = int(np.argmin(mass))
         if mass[small] >= _LEAST:
             return ""
-        return f"{scene.bodies[small].name!r} has {mass[small]:.3g} kg, Pinocchio takes {_LEAST:g}"
+        return f"{scene.bodies[small].name!r} has {mass[small]:.3g} kg, Pinocchio needs {_LEAST:g}"
 
     def settings(self, scene: Scene, profile: Profile) -> Settings:
         frame = scene.clock.frame

@@ -105,7 +105,7 @@ class PyBullet(Adapter):
         mechanism = Mechanism.of(scene)
         for body, count in Counter(sphere.body for sphere in scene.contacts).items():
             if count > _MOST_SPHERES:
-                most = f"PyBullet takes {_MOST_SPHERES} of one, and leaves out others unsaid"
+                most = f"PyBullet takes {_MOST_SPHERES}, and silently drops the others"
                 return f"{body!r} has {count} contact spheres, {most}"
         for link in mechanism.links:
             inertia = _moved_inertia(mechanism, link)

@@ -289,15 +289,15 @@ def _split(name: str, ground: float | None, collisions: float | None) -> tuple[f
         if name == "friction" and value is not None and value > _FRICTION_CAP:
             msg = (
                 f"pybullet: {where}.friction: got {value:g}, allowed is up to {_FRICTION_CAP:g}, "
-                "to which Bullet cuts it without a word"
+                "to which Bullet silently cuts it"
             )
             raise Unsupported(msg)
     if collisions is None:
         return 1.0, ground or 0.0
     if ground and not collisions:
         msg = (
-            f"pybullet: collisions.{name}: got 0 beside {ground:g} of the ground, which Bullet, "
-            "that multiplies those of two bodies, takes for 0 too"
+            f"pybullet: collisions.{name}: got 0, but the ground has {ground:g}, which would be "
+            "0 too, since Bullet multiplies those of two bodies"
         )
         raise Unsupported(msg)
     root = math.sqrt(collisions)

@@ -172,8 +172,8 @@ def put(path: Path, *pieces: bytes | memoryview) -> None:
         _flush_folder(path.parent)
     except OSError as error:
         msg = (
-            f"cannot write {path}: {error.strerror or error}; once that is mended, run the "
-            "same command again: what is finished is kept"
+            f"cannot write {path}: {error.strerror or error}; fix that, then run the "
+            "same command again: finished work is kept"
         )
         raise InputError(msg) from error
     finally:

@@ -367,7 +367,7 @@ def _of_parts(parts: BalanceEvidence, share: Array, error: Array) -> Iterator[st
         allowed, count = SURE + parts.errors[k] * spread[k], int(known[k].sum())
         if count >= _ENOUGH and abs(mean[k]) > allowed:
             yield (
-                f"{name}: off by a share of {abs(mean[k]):.2g} in {count} trajectories, "
+                f"{name}: relative error {abs(mean[k]):.2g} in {count} trajectories, "
                 f"allowed {allowed:.2g}"
             )
 

@@ -181,7 +181,7 @@ class _Comparison:
         """Return what is wrong with orders of a trajectory without a figure; empty if nothing."""
         orders = self.orders[row][np.isfinite(self.orders[row])]
         if self.unexplained[row] > 1.0:
-            return f"{_describe(orders)} observed, and further from the reference than any explains"
+            return f"{_describe(orders)} observed, but further from the reference than any explains"
         alone = len(orders) == 1 and self.orders.shape[1] == 1 and not self.bumps
         rises = len(orders) > 1 and orders[-1] > orders[0] + OVER and orders.mean() > SHORT
         if not len(orders) or self.harmless[row] or not (alone or len(orders) > 1) or rises:

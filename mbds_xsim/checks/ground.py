@@ -267,7 +267,7 @@ def at_impacts(record: Record, groups: Sequence[tuple[Index, Index, Array]]) -> 
 def restitution_note(ratios: list[float], wanted: float) -> str:
     """Describe the coefficients of restitution that were delivered."""
     if not ratios:
-        return f"no impact that tells it, the scene has {wanted:.4f}"
+        return f"no impact shows it, the scene has {wanted:.4f}"
     text = f"{min(ratios):.4f} to {max(ratios):.4f} delivered, median {np.median(ratios):.4f}"
     return f"{text}, the scene has {wanted:.4f}"
 

@@ -49,7 +49,7 @@ def validate(
     trajectories: Annotated[int, Option(help="Starts of each interval.", min=1, max=10_000)] = 1,
     seed: shared.Seed = 0,
     method: Annotated[
-        str | None, Option(help="Step with this method, with --engines of one engine.")
+        str | None, Option(help="Step with this method; needs one engine in --engines.")
     ] = None,
     step: Annotated[float | None, Option(help="Step [s], a divisor of the frame interval.")] = None,
     noise: Annotated[bool, Option(help="Random forces.")] = True,
@@ -96,10 +96,10 @@ def diff(
     old: Annotated[Path, Argument(metavar="OLD", help="JSON of the earlier result.")],
     new: Annotated[Path, Argument(metavar="NEW", help="JSON of the later one.")],
     rtol: Annotated[
-        float, Option(help="Relative difference of a figure that is no change.", min=0.0)
+        float, Option(help="Largest relative difference that is no change.", min=0.0)
     ] = 1e-6,
     factor: Annotated[
-        float, Option(help="Factor between two times that is no change.", min=1.0)
+        float, Option(help="Largest factor between two times that is no change.", min=1.0)
     ] = 1.5,
 ) -> None:
     """Compare two results of one command and scene: exit code 1 if anything is worse, else 0.
@@ -244,7 +244,7 @@ def show(
     toml: Annotated[bool, Option("--toml", help="Print it as a scene file.")] = False,
     native: Annotated[
         str | None,
-        Option(metavar="ENGINE", help="Print exactly what this engine is given, to run."),
+        Option(metavar="ENGINE", help="Print this engine's exact input, ready to run."),
     ] = None,
     settings: Annotated[
         str, Option(help="With --native: matched, native, or a file of `match --out`.")

@@ -112,7 +112,7 @@ def export(
     to: shared.Outputs,
     dataset: Annotated[Path, Argument(metavar="DATASET", help="A data file or folder.")],
     out: Annotated[Path, Option(metavar="DIR", help="Folder to write, made if needed.")],
-    form: Annotated[Literal["npz", "csv"], Option("--format", help="Of the files.")],
+    form: Annotated[Literal["npz", "csv"], Option("--format", help="Format of the files.")],
     engines: Annotated[
         str | None, Option(help="Comma-separated; all that there are when left out.")
     ] = None,
@@ -153,7 +153,7 @@ def export(
 @shared.command("data", writes="json html opened")
 def audit(
     to: shared.Outputs,
-    file: Annotated[Path, Argument(metavar="FILE", help="Of trajectories: npz, CSV, HDF5.")],
+    file: Annotated[Path, Argument(metavar="FILE", help="File of trajectories: npz, CSV or HDF5.")],
     scene: Annotated[
         str | None,
         Option(help="A built-in name, a family with a size, or a file; else the file's own."),
@@ -166,7 +166,7 @@ def audit(
         bool | None, Option(help="Whether their random forces acted.", show_default=False)
     ] = None,
     order: Annotated[
-        int | None, Option(help="Order of the method that made it; else first.", min=1)
+        int | None, Option(help="Order of the method that made it; 1 when left out.", min=1)
     ] = None,
     step: Annotated[
         float | None, Option(help="Its integration step [s]; else the frame.", min=1e-12)
@@ -175,7 +175,7 @@ def audit(
         float | None, Option(help="Velocities belong to frame time + lag [s].")
     ] = None,
     contact_time: Annotated[
-        float | None, Option(help="Over which it spreads an impact [s].", min=0.0)
+        float | None, Option(help="Time over which it spreads an impact [s].", min=0.0)
     ] = None,
 ) -> None:
     """Check trajectories from any source: another engine, a lab, a learned model.
@@ -218,7 +218,7 @@ def verify(
     ],
     seed: Annotated[
         int | None,
-        Option(help="Chooses what is simulated again; left out, at random.", min=0),
+        Option(help="Seed for choosing what to simulate again; random when left out.", min=0),
     ] = None,
     workers: shared.WorkerCount = None,
     limit: shared.TimeLimit = LIMIT,

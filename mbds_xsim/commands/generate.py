@@ -29,7 +29,7 @@ _FIGURES = ("each", "simulate", "check", "core-h", "wall", "size", "published")
 def plan(
     to: shared.Outputs,
     scene: shared.SceneName,
-    trajectories: Annotated[int, Option(help="How many are planned.", min=1)] = 15_000,
+    trajectories: Annotated[int, Option(help="Number of trajectories planned.", min=1)] = 15_000,
     engines: shared.EngineNames = None,
     settings: Annotated[
         str, Option(help="matched, native, files of settings, or several: matched,native.")
@@ -113,7 +113,7 @@ def generate(
         ),
     ] = "matched",
     trajectories: Annotated[
-        int, Option(help="How many are drawn; rejected ones are not replaced.", min=1)
+        int, Option(help="Number of trajectories drawn; rejected ones are not replaced.", min=1)
     ] = 15_000,
     seed: shared.Seed = 0,
     noise: Annotated[bool, Option(help="Random forces.")] = True,
@@ -123,7 +123,7 @@ def generate(
         str | None,
         Option(
             metavar="ADDRESS",
-            help="A Dask scheduler, whose workers see DIR too, in place of --workers.",
+            help="Dask scheduler in place of --workers; its workers must see DIR.",
         ),
     ] = None,
 ) -> None:

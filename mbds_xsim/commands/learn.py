@@ -33,13 +33,13 @@ _On = Annotated[
     str,
     typer.Option(help="each, leave-one-out, all, by-interval, mujoco, mujoco-low, …; by commas."),
 ]
-_Seeds = Annotated[int, typer.Option(help="How many: 0, 1, …", min=1)]
+_Seeds = Annotated[int, typer.Option(help="Number of seeds: 0, 1, …", min=1)]
 _ProfileName = Annotated[
-    str, typer.Option(help="How long: smoke (minutes), lite (hours), paper (GPU).")
+    str, typer.Option(help="Length of training: smoke (minutes), lite (hours), paper (GPU).")
 ]
 _Steps = Annotated[
     int | None,
-    typer.Option(help="Exactly so many for every run, in place of the profile's.", min=1),
+    typer.Option(help="Number of steps of every run, in place of the profile's.", min=1),
 ]
 _Track = Annotated[
     str | None,
@@ -54,7 +54,7 @@ _Scheduler = Annotated[
     str | None,
     typer.Option(
         metavar="ADDRESS",
-        help="A Dask scheduler, whose workers see DATA and DIR too, in place of --workers.",
+        help="Dask scheduler in place of --workers; its workers must see DATA and DIR.",
     ),
 ]
 _Events = Annotated[Path | None, typer.Option(metavar="DIR", help="Write what TensorBoard reads.")]
@@ -70,17 +70,17 @@ _OnlyScenes = Annotated[
 ]
 _Trajectories = Annotated[
     int | None,
-    typer.Option(help="Test with at most so many; all of the test part when left out.", min=1),
+    typer.Option(help="Most trajectories to test with; all of the test part when left out.", min=1),
 ]
 _OnlySettings = Annotated[
     str | None, typer.Option(help="Only these: native or matched; both when left out.")
 ]
 _OnlyOn = Annotated[
     str | None,
-    typer.Option(help="Only models so trained: each, leave-one-out, all, by-interval."),
+    typer.Option(help="Only models trained this way: each, leave-one-out, all, by-interval."),
 ]
 _OnlySeeds = Annotated[
-    int | None, typer.Option(help="Only models of so many seeds: 0, 1, …", min=1)
+    int | None, typer.Option(help="Number of seeds whose models are used: 0, 1, …", min=1)
 ]
 _At = Annotated[
     int | None,
@@ -276,7 +276,7 @@ def _cost_blocks(plan: TrainingPlan, costs: Sequence[Cost], workers: int) -> Ite
     yield Text(
         f"{counted(len(plan.runs), 'run')}, at most {total:.3g} h of one process, "
         f"{total / workers:.3g} h with {workers}; measured on a few steps, runs "
-        "that are level end before"
+        "end earlier once they are level"
     )
 
 
@@ -294,7 +294,7 @@ def _outcome(plan: TrainingPlan, outcome: TrainingOutcome) -> Iterator[Block]:
         f"{len(outcome.failed)} failed; {', '.join(counts)}"
     )
     advice = (
-        "its file has the best parameters before; check its data, or train it with another "
+        "its file has the best parameters before that; check its data, or train it with another "
         "--track into another --out"
     )
     names = diverged({**plan.done, **outcome.trained})

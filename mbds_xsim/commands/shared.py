@@ -222,7 +222,7 @@ ModelPlaces = Annotated[
 ]
 Device = Annotated[str, typer.Option(help="cpu or cuda.")]
 DeviceWorkers = Annotated[
-    int | None, typer.Option(help="Processes at a time; left out, all cores, on cuda 1.", min=1)
+    int | None, typer.Option(help="Processes at a time; all cores when left out, 1 on cuda.", min=1)
 ]
 LONGEST = 1e7
 """Upper bound of time limits [s]: JSON has no infinity, and a stored one could not be read."""
@@ -230,7 +230,7 @@ TimeLimit = Annotated[
     float,
     typer.Option(
         "--limit",
-        help="Longest that one piece of an engine's work may take [s].",
+        help="Time limit of one piece of an engine's work [s].",
         min=1.0,
         max=LONGEST,
     ),
@@ -361,7 +361,7 @@ def scene_named(name: str) -> Scene:
         if not is_model(name):
             return load_scene(name)
         imported = read_model(Path(name))
-    text = f"{imported.file}: {conclusion(imported)}; mbds-xsim import {shlex.quote(name)} tells"
+    text = f"{imported.file}: {conclusion(imported)}; see mbds-xsim import {shlex.quote(name)}"
     console_for(Path("-")).print(text, highlight=False, soft_wrap=True)
     return imported.scene
 

@@ -208,9 +208,9 @@ def releases(
     ],
     since: Annotated[
         str,
-        Option(metavar="VERSION", help="The first release of one engine; else from what we know."),
+        Option(metavar="VERSION", help="First release of one engine; else that in changes.toml."),
     ] = "",
-    last: Annotated[int | None, Option(help="Only so many releases, the newest.", min=1)] = None,
+    last: Annotated[int | None, Option(help="Number of newest releases to measure.", min=1)] = None,
     fresh: Annotated[
         bool, Option("--fresh", help="Measure anew, and try again what could not be installed.")
     ] = False,

@@ -172,7 +172,7 @@ _Value = Annotated[str | None, Option(help="Only this value; any number, or a na
 _Step = Annotated[float | None, Option(help="Only this step [s]; divides a frame of 0.1 s.")]
 _Quick = Annotated[bool, Option("--quick", help="Three values and three steps.")]
 _CellLimit = Annotated[
-    float, Option(help="Longest that a cell may take [s].", min=1.0, max=shared.LONGEST)
+    float, Option(help="Time limit of one cell [s].", min=1.0, max=shared.LONGEST)
 ]
 _Out = Annotated[Path | None, Option(metavar="DIR", help="Write all files of every study there.")]
 

@@ -180,7 +180,7 @@ class _Case:
         if self.named:
             findings += [*self._inputs(), *self._errors()]
         else:
-            reason = "no --index and --seed: which start it is is not told"
+            reason = "no --index and --seed, so the start is unknown"
             self.not_checked |= dict.fromkeys(("start", *_OF_REFERENCE), reason)
         return findings
 
@@ -206,9 +206,9 @@ class _Case:
             self.not_checked["precision"] = "bodies are fitted to the particles"
         rounding = {"start": blur or 0.0, "finite": turned}
         if max(rounding.values()) > _SAME_INPUT:
-            self.not_checked["precision"] = "the numbers are float32, or have no more digits"
+            self.not_checked["precision"] = "the numbers have float32 precision or less"
             self.assumptions.append(
-                f"rounding: start and finite may be off by {max(rounding.values()):.0e} for it"
+                f"rounding: start and finite may be off by up to {max(rounding.values()):.0e}"
             )
         return [
             dataclasses.replace(one, uncertainty=one.uncertainty + rounding.get(one.check, 0.0))
@@ -234,7 +234,7 @@ class _Case:
         rigid = Finding.of("rigidity", "m", fit.residual, budget=scene.budget.gap, names=names)
         if fit.undetermined:
             few = ", ".join(fit.undetermined[:3]) + (" …" if len(fit.undetermined) > 3 else "")
-            reason = f"the particles do not tell how {few} turned; give body states"
+            reason = f"the particles do not show how {few} turned; give body states"
             self._leave_out(reason, *_positional(scene))
             return [rigid, *self._start_of(position, velocity)]
         self.assumptions.append(
@@ -314,7 +314,7 @@ class _Case:
         findings = error_findings(scene, batch, error, solved.trajectory, solved.growth)
         if all(finding.check != "error at 1 s" for finding in findings):
             self.not_checked["error at 1 s"] = (
-                "needs a frame at 1 s that the reference knows, of an interval low or medium"
+                "needs a frame at 1 s that the reference reaches, in the interval low or medium"
             )
         return findings
 
@@ -373,9 +373,9 @@ def _draw_starts(foreign: Foreign, origin: Provenance) -> Batch:
     clock, own = foreign.original.clock, foreign.scene.clock
     if own.frame != clock.frame or own.steps > clock.steps:
         msg = (
-            f"{foreign.source}: got {own.steps} steps of {own.frame:.6g} s, allowed for a start "
-            f"that --index names are up to {clock.steps} of {clock.frame:g} s, over which its "
-            "inputs are held; leave --index away, or record at the scene's frames"
+            f"{foreign.source}: got {own.steps} steps of {own.frame:.6g} s, allowed with "
+            f"--index is up to {clock.steps} of {clock.frame:g} s, over which the start's inputs "
+            "are held; leave --index out, or record at the scene's frames"
         )
         raise InputError(msg)
     noise, index = origin.noise is not False, origin.index or ()

@@ -178,9 +178,9 @@ class Cluster(AbstractContextManager["Cluster"]):
                 last = time.monotonic() if self.workers else last
                 if time.monotonic() - last > _GRACE:
                     msg = (
-                        f"--scheduler: no worker has been left for {_GRACE:g} s; see their logs, "
+                        f"--scheduler: no workers for {_GRACE:g} s; see their logs, "
                         f"start some with `dask worker {self._address}`, and run the same command "
-                        "again, it goes on"
+                        "again to continue"
                     )
                     raise InputError(msg)
 
@@ -201,7 +201,7 @@ class Cluster(AbstractContextManager["Cluster"]):
         error = future.exception()
         msg = (
             f"--scheduler: workers cannot carry out tasks: {type(error).__name__}: {error}; "
-            "see their logs, install the same on all, and run the same command again, it goes on"
+            "see their logs, install the same on all, and run the same command again to continue"
         )
         raise InputError(" ".join(msg.split()))
 
@@ -209,7 +209,7 @@ class Cluster(AbstractContextManager["Cluster"]):
         reason = f"{type(cause).__name__}: {cause}" if isinstance(cause, Exception) else str(cause)
         return InputError(
             f"--scheduler: {self._address} is gone ({' '.join(reason.split())}); start it again "
-            "with `dask scheduler`, and run the same command again, it goes on"
+            "with `dask scheduler`, and run the same command again to continue"
         )
 
 

@@ -138,7 +138,7 @@ def read_csv(
         InputError: The scene, the time or part of an array is missing, or a column is not known.
     """
     if scene is None:
-        msg = f"{path}: a CSV file does not tell its scene; give it with --scene"
+        msg = f"{path}: a CSV file does not contain its scene; give it with --scene"
         raise InputError(msg)
     lines = path.read_text("utf-8-sig").splitlines()
     comments = [line.lstrip(_COMMENT).partition(":") for line in lines if line.startswith(_COMMENT)]

@@ -132,7 +132,7 @@ def read_foreign(path: Path, scene: Scene | None) -> Iterator[Foreign]:
         with _FORMATS[path.suffix](path, scene) as file:
             yield from _trajectories(file, scene, path)
     except _DAMAGE as error:
-        msg = f"{path} cannot be read as {path.suffix[1:]} ({error}); it is something else"
+        msg = f"{path} cannot be read as {path.suffix[1:]} ({error}); damaged, or another format"
         raise InputError(msg) from error
 
 
@@ -260,7 +260,7 @@ class _Stream:
 
 def _own_scene(facts: Mapping[str, Any], path: Path) -> Scene:
     if "scene" not in facts:
-        msg = f"{path}: the file does not tell its scene; give it with --scene"
+        msg = f"{path}: the file does not contain its scene; give it with --scene"
         raise InputError(msg)
     return scene_of(facts["scene"], path, "give it with --scene")
 

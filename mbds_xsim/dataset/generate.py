@@ -187,9 +187,9 @@ def _check_drawn(scene: Scene, request: Request) -> None:
         )
         if earlier != row:
             msg = (
-                f"{scene.name}: trajectories {earlier} and {row} would be the same, as nothing of "
-                "them is drawn; give the scene [[sampling]] or noise, or ask for --trajectories "
-                f"{row}"
+                f"{scene.name}: trajectories {earlier} and {row} would be the same, as nothing "
+                "in the scene is random; give the scene [[sampling]] or noise, or ask for "
+                f"--trajectories {row}"
             )
             raise InputError(msg)
 
@@ -277,7 +277,7 @@ def _crashes(item: Item, workers: int, carry_out: Carrier) -> Crashes:
     few = [[item.indices[k * (item.count - 1) // (_FEW - 1)]] for k in range(_FEW)]
     guilty = try_groups(few) if item.count > _FEW else []
     if len(guilty) == _FEW:
-        untried = f"not tried, as each of {_FEW} others of its shard ended: {guilty[0][1]}"
+        untried = f"not tried, as {_FEW} others of its shard all failed: {guilty[0][1]}"
         return dict.fromkeys(item.indices, untried) | {group[0]: why for group, why in guilty}
     reasons: dict[int, str] = {}
     groups = [list(item.indices)]

@@ -94,8 +94,8 @@ def refuse_bomb(path: Path, unpacked: int, size: int | None = None) -> None:
     size = path.stat().st_size if size is None else size
     if unpacked > max(_SMALL, _DENSEST * size):
         msg = (
-            f"{path}: its {size / 1e6:.3g} MB say that they unpack to {unpacked / 1e6:.3g} MB, "
-            f"allowed is {_DENSEST} times the size; pack it less densely if that is so"
+            f"{path}: its {size / 1e6:.3g} MB claim to unpack to {unpacked / 1e6:.3g} MB, "
+            f"allowed is {_DENSEST} times the size; compress it less if that is true"
         )
         raise InputError(msg)
 
@@ -118,7 +118,7 @@ def check_sources(dataset: Any) -> None:
         names = {inner for outer, inner in parts if outer == name}
         with open_hdf5(file) as source:
             if any(inner not in source or source[inner].is_virtual for inner in names):
-                msg = f"{path}: {dataset.name} reads what {name} has not; get it again"
+                msg = f"{path}: {dataset.name} reads data that {name} lacks; get it again"
                 raise InputError(msg)
     size = math.prod(dataset.shape) * dataset.dtype.itemsize
     refuse_bomb(path, size, sum(file.stat().st_size for file in files.values()))

@@ -86,7 +86,7 @@ def _numbers(data: Dataset) -> Iterator[str]:
         yield f"index: not ascending from {first} to {first + count - 1}"
     own = "published" if attrs["kind"] == "shard" else "rejected"
     if attrs[own] != len(index) or attrs["published"] + attrs["rejected"] != count:
-        yield f"counts: {own} is {attrs[own]} with {len(index)} trajectories of {count} here"
+        yield f"counts: {own} is {attrs[own]}, but {len(index)} of {count} trajectories are here"
     scene, clock = data.scene, data.scene.clock
     if (attrs["steps"], attrs["frame_s"]) != (clock.steps, clock.frame):
         yield "clock: steps and frame_s are not the scene's"
@@ -137,7 +137,7 @@ def _orientations(data: Dataset) -> Iterator[str]:
     for row, frame in zip(*np.nonzero(flipped.any(axis=(2, 3))), strict=True):
         yield (
             f"body/orientation: changes its sign at frame {frame} of trajectory "
-            f"{data.index[row]}; what is learned from it would see a jump"
+            f"{data.index[row]}; a model trained on it would see a jump"
         )
         return
 
@@ -224,7 +224,7 @@ def _simulate_again(data: Dataset, report: FileReport, count: int, seed: int) ->
     attrs = data.attributes
     version = _version(attrs["engine"])
     if version != attrs["engine_version"]:
-        note = f"not simulated again: {attrs['engine']} {attrs['engine_version']} is not here"
+        note = f"not simulated again: {attrs['engine']} {attrs['engine_version']} is not installed"
         report.notes.append(note + (f", but {version}" if version else ""))
         return
     rng = np.random.default_rng([seed, attrs["first"]])

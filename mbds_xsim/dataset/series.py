@@ -177,7 +177,7 @@ class Rows(ABC):
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         """Read the whole dataset."""
         if copy is False:
-            msg = f"{self.name}: an array of the whole is a copy of what is in the files"
+            msg = f"{self.name}: got copy=False, but an array of the whole dataset is a copy"
             raise ValueError(msg)
         whole = self._take(np.arange(len(self)))
         return whole if dtype is None else whole.astype(dtype)

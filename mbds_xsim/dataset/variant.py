@@ -159,8 +159,8 @@ def pending(variant: Variant, trajectories: int, out: Path) -> list[Item]:
     beyond = sorted(present - {item.file_name for item in items})
     if beyond:
         msg = (
-            f"{folder} holds {beyond[0]}, which {trajectories} trajectories do not have; ask for "
-            "as many as before, or name another --out"
+            f"{folder} holds {beyond[0]}, which does not belong to {trajectories} trajectories; "
+            "ask for as many as before, or name another --out"
         )
         raise InputError(msg)
     return [
@@ -191,14 +191,14 @@ def _is_complete(item: Item, path: Path) -> bool:
     for key, wanted in item.variant.recipe.items():
         if attrs.get(key) != wanted:
             msg = (
-                f"{path} was made otherwise: {_difference(key, attrs.get(key), wanted)}; name "
-                "another --out"
+                f"{path} was made differently: {_difference(key, attrs.get(key), wanted)}; "
+                "name another --out"
             )
             raise InputError(msg)
     if attrs.get("count", 0) > item.count:
         msg = (
-            f"{path} holds {attrs['count']} trajectories, due are {item.count}: it is of a larger "
-            "set, or of another version; ask for as many as before, or name another --out"
+            f"{path} holds {attrs['count']} trajectories, needed are {item.count}: it is from a "
+            "larger set or another version; ask for as many as before, or name another --out"
         )
         raise InputError(msg)
     return bool(attrs["count"] == item.count)
@@ -208,7 +208,7 @@ def _attributes(path: Path) -> dict[str, Any]:
     try:
         return attributes_of(path)
     except InputError as error:
-        msg = f"{error}; delete it to have it made anew, or name another --out"
+        msg = f"{error}; delete it to make it anew, or name another --out"
         raise InputError(msg) from error
 
 

@@ -217,7 +217,7 @@ def _shards(path: Path, file: Any, attributes: dict[str, Any]) -> Iterator[str]:
             yield f"shard {name} is not the one that was joined"
         differing = [k for k in attributes if k not in _OWN and other.get(k) != attributes[k]]
         if differing:
-            yield f"shard {name} was made otherwise: {', '.join(differing)}"
+            yield f"shard {name} was made differently: {', '.join(differing)}"
     if not len(names):
         yield "index: not that of the shards"
 
@@ -273,10 +273,10 @@ def _recheck_joint(path: Path, report: FileReport) -> None:
         stored = {name: values_of(file[name]) for name in wanted}
     if stored["variant"].tolist() != wanted["variant"].tolist():
         about, beside = (", ".join(sets["variant"]) for sets in (stored, wanted))
-        report.problems.append(f"is about {about}; beside it are {beside}")
+        report.problems.append(f"lists {about}; its folder has {beside}")
     else:
         report.problems += [
-            f"{name}: not what the data sets beside it give"
+            f"{name}: not what the data sets in its folder give"
             for name, values in wanted.items()
             if not np.array_equal(stored[name], values)
         ]
@@ -308,7 +308,7 @@ def _tell_differing(report: FileReport, differing: list[str], wanted: dict[str, 
     here = f"mbds-xsim {package_version('mbds-xsim')}"
     if differing and here not in wanted[CARD].decode():
         differing = [each for each in differing if each.startswith(_FILES)]
-        note = f"{report.kind}: words not compared, for the data are not of {here}, which is here"
+        note = f"{report.kind}: texts not compared, as the data are not from the installed {here}"
         report.notes.append(note)
     report.problems += differing
 

@@ -95,7 +95,7 @@ class Graph(Bundle):
         if scene.collisions:
             msg = (
                 f"scene {scene.name!r}: got [collisions], allowed are scenes without; the graph of "
-                "learned models has fixed edges, along which they see no other body come near"
+                "learned models has fixed edges, so they cannot see other bodies come near"
             )
             raise InputError(msg)
         points = Points.of(scene)

@@ -189,8 +189,8 @@ def _frame(mechanism: Mechanism, body: int, idle: Array) -> _Frame:
     if moments.min() < 1e-9 * moments.max():
         msg = (
             f"body {mechanism.scene.bodies[body].name!r}: got smallest second moment "
-            f"{moments.min():.3g} kg·m², allowed is above 0: for HGNN and LGNN points stand for "
-            "bodies, which of a flat one have no mass matrix; take gns or sgnn"
+            f"{moments.min():.3g} kg·m², allowed is above 0: HGNN and LGNN replace bodies "
+            "by points, which have no mass matrix for a flat body; take gns or sgnn"
         )
         raise Unsupported(msg)
     radius = np.sqrt(moments[len(chosen) :] / mass)

@@ -139,7 +139,7 @@ def _no_larger_than(parameters: Mapping[str, torch.Tensor]) -> Iterator[None]:
 
 def _other_code(path: Path, error: Exception) -> InputError:
     reason = str(error).partition("\n")[0]
-    return InputError(f"{path}: a model of other code than this ({reason}); train it again")
+    return InputError(f"{path}: made by another version of the code ({reason}); train it again")
 
 
 def read_facts(path: Path) -> dict[str, str]:

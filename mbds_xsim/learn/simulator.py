@@ -119,7 +119,7 @@ class LearnedSimulator(Simulator):
         torch.set_num_threads(1)
         isolate.begin()
         if truth is None:
-            msg = f"no reference is known here that could give a model its first {HISTORY} frames"
+            msg = f"no reference is known here to give the model its first {HISTORY} frames"
             raise InputError(msg)
         begin = time.perf_counter()
         model, _ = read_model(self.trained.file, scene)

@@ -101,8 +101,8 @@ def _weights(graph: Graph, hinge: PlacedJoint) -> AxisWeights:
         if weights is not None:
             return weights
     msg = (
-        f"joint {hinge.name!r} is driven, but its axis cannot be seen from the particles of "
-        "either body, which are on one line; give one of them a particle beside it"
+        f"joint {hinge.name!r} is driven, but the particles of each of its bodies are on one line, "
+        "which does not show its axis; give one body a particle off that line"
     )
     raise Unsupported(msg)
 

@@ -127,7 +127,7 @@ class TrainedModel:
     def check_scene(self, scene: Scene) -> None:
         """Raise InputError for data of another scene."""
         if self.trained_on != scene:
-            msg = f"{self.path}: a model of another scene than the data's; train it on such data"
+            msg = f"{self.path}: not trained on the scene of the data; train it on such data"
             raise InputError(msg)
 
 
@@ -250,7 +250,7 @@ def find_models(folder: Path, scene: str, selection: Selection = WHOLE) -> list[
         ways = ", ".join(dict.fromkeys(f"{m.way} {m.variant}" for m in models))
         seeds = ", ".join(map(str, sorted({m.seed for m in models})))
         msg = (
-            f"{folder / scene}: none of the {len(models)} models there was asked for; there are "
+            f"{folder / scene}: none of the {len(models)} models there is selected; there are "
             f"{ways}, of seed {seeds}"
         )
         raise InputError(msg)
@@ -272,8 +272,8 @@ def check_budget(models: Sequence[TrainedModel]) -> None:
             usual, first = firsts.setdefault((model.model, key, *group), (value, model))
             if value != usual:
                 msg = (
-                    f"{model.path}: has another {key} than {first.path}; to compare them would "
-                    "tell of that, not of engines: train both alike, or remove one"
+                    f"{model.path}: has another {key} than {first.path}; comparing them would "
+                    "show that, not engines: train both alike, or remove one"
                 )
                 raise InputError(msg)
 

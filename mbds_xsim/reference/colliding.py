@@ -35,7 +35,7 @@ def march_colliding(problem: Problem) -> Marched:
             try:
                 meeting = balls.through_frame(problem.force[row, k], problem.frame)
             except ArithmeticError as error:
-                why = f"{error} after {time:.6g} s: what follows is no motion of impacts alone"
+                why = f"{error} after {time:.6g} s: from then on, not only impacts act"
                 marched.failures[row] = FirstImpact(k + 1, why, time)
                 break
             if meeting is not None:

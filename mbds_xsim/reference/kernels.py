@@ -77,7 +77,7 @@ def compilation(
     if kernels.marker.exists():
         return None
     subject = f"the machine code of the {kernels.name}"
-    notice(f"{subject} is compiled for this machine, once: some {kernels.seconds} s of one core")
+    notice(f"{subject} is compiled for this machine, once: about {kernels.seconds} s on one core")
 
     def then(answer: object) -> None:
         if isinstance(answer, Crash):  # the work itself will fail, and report where

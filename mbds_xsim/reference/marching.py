@@ -173,7 +173,7 @@ def branchless(problem: Problem) -> Mask:
 def stopped(dynamics: Dynamics, state: Array, frame: int, time: float, why: str) -> Failure:
     """Create the failure of a solution that ended at a time [s] in a frame, with a hint."""
     hint = (
-        "the mechanism is in a singular pose there, and its motion does not choose a way on"
+        "the mechanism is in a singular pose there, and its motion could go on in several ways"
         if dynamics.is_singular(state)
         else "something moves too fast or is too stiff there: look at masses, inertias and springs"
     )
@@ -239,7 +239,7 @@ class _March:
         if len(late):
             _, share = self.dynamics.rate(self.y[late], *self._forces(late))
             self.singular[late] += share < self.dynamics.near
-        why = f"{_SINGULAR_STEPS} steps begin where constraints nearly depend: see axes in loops"
+        why = f"{_SINGULAR_STEPS} steps begin at nearly dependent constraints: check axes in loops"
         self._end_together(self.singular > _SINGULAR_STEPS, self._stuck(why))
 
     def _impacts(self, new: Array, forces: tuple[Array, Array], h: Array, good: Mask) -> Array:

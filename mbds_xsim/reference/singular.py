@@ -17,8 +17,8 @@ from mbds_xsim.base.arrays import Array
 
 BIFURCATION = (
     "the start is a bifurcation: the mechanism is in a singular pose, and its velocities (or, at "
-    "rest, its forces) lead into none of the motions that are possible from there; start it "
-    "elsewhere, or with rates of one of them"
+    "rest, its forces) belong to none of the motions possible from there; start it elsewhere, or "
+    "with the rates of one of them"
 )
 
 _X, _Q, _V, _W = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13)

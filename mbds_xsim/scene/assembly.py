@@ -280,8 +280,8 @@ def _check_branch(
         msg = (
             f"the start is a bifurcation at {_owner_name(mechanism, int(rows.owner[worst]))}: the "
             "pose is singular and its motion could go on in several ways, but the initial "
-            "velocities belong to none of them; give the rate of one more joint, as one of these "
-            "motions has it, or another start"
+            "velocities belong to none of them; give the rate of one more joint in one of these "
+            "motions, or another start"
         )
         raise SceneError(msg)
 

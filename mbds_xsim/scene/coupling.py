@@ -56,10 +56,10 @@ def check_couplings(couplings: tuple[Coupling, ...]) -> None:
     for k, coupling in enumerate(couplings):
         if coupling.joint in leaders:
             fault = f"couplings[{k}].joint: got {coupling.joint!r} again"
-            raise SceneError(f"{fault}, allowed is that a joint follows one other")
+            raise SceneError(f"{fault}, allowed is one coupling for each joint")
         leaders[coupling.joint] = leader = coupling.follows
         while leader in leaders and leader != coupling.joint:
             leader = leaders[leader]
         if leader == coupling.joint:
             fault = f"couplings[{k}].follows: got {coupling.follows!r}"
-            raise SceneError(f"{fault}, by which {coupling.joint!r} follows itself")
+            raise SceneError(f"{fault}, so {coupling.joint!r} would follow itself")

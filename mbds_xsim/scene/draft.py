@@ -123,7 +123,7 @@ def lift(term: terms.Lift, drawing: Draft) -> None:
     bodies = _lifted(drawing, drawing.body(term.body))
     own = np.isin(mechanism.sphere_body, bodies)
     if not own.any():
-        msg = f"sampling: {term.body!r} carries no contact sphere, by which to lift it"
+        msg = f"sampling: {term.body!r} carries no contact sphere; a lift needs one"
         raise SceneError(msg)
     low = mechanism.sphere_heights(drawing.position, drawing.native) - mechanism.sphere_radius
     drawing.position[bodies, 2] += drawing.uniform(term.height) - low[own].min()

@@ -94,7 +94,7 @@ def _load(path: Path) -> Mapping[str, Any]:
     try:
         return tomllib.loads(text)
     except RecursionError as error:
-        raise SceneError(f"{path}: this is not TOML: brackets without end") from error
+        raise SceneError(f"{path}: this is not TOML: brackets nested too deeply") from error
     except ValueError as error:  # also raised for a number with too many digits
         raise SceneError(f"{path}: this is not TOML: {error}") from error
 

@@ -318,7 +318,7 @@ def _build(scene: Scene, cut: tuple[JointKind, ...]) -> Mechanism:
             keys = [key for key in ("armature", "friction", "limits") if getattr(joint, key)]
             label = (keys or ["a coupling" if joint.coupled else "a servo with a limit"])[0]
             where = f"joints[{joint.name!r}]: got {label} on a joint that closes a loop"
-            raise SceneError(f"{where}, allowed is it on others; let another joint close it")
+            raise SceneError(f"{where}, allowed only on others; let another joint close it")
     counts = np.array([len(body.particles) for body in scene.bodies])
     particle_body = np.repeat(np.arange(len(counts)), counts)
     particles = np.array(

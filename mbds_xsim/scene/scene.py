@@ -148,13 +148,13 @@ class Joint(Neutral):
         keys = [key for key in ("axis", "start", "rate") if getattr(self, key) is not None]
         keys += [key for key in self.added if getattr(self, key)]
         if not has_axis and keys:
-            msg = f"{keys[0]}: got it on a {self.kind} joint, allowed is it on a hinge or slider"
+            msg = f"{keys[0]}: got it on a {self.kind} joint, allowed only on a hinge or slider"
             raise SceneError(msg)
         if self.kind == "hinge" and abs(self.start or 0.0) > 2 * math.pi:
             msg = f"start: got {self.start}, allowed is −2π to 2π; hinge angles are in radians"
             raise SceneError(msg)
         if self.restitution and not self.limits:
-            msg = f"restitution: got {self.restitution} without limits, allowed is it with them"
+            msg = f"restitution: got {self.restitution} without limits, allowed only with them"
             raise SceneError(msg)
         if self.parent == self.child:
             msg = f"joint {self.name!r} joins {self.parent!r} to itself"

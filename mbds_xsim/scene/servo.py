@@ -45,7 +45,7 @@ class Servo(Neutral):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not (self.stiffness or self.damping):
-            msg = f"servo of {self.joint!r}: got neither stiffness nor damping, allowed is either"
+            msg = f"servo of {self.joint!r}: got neither stiffness nor damping, needs one or both"
             raise SceneError(msg)
 
     @property

@@ -262,8 +262,8 @@ def _read(path: Path) -> tuple[str, dict[str, Matched]]:
         raise InputError(msg) from error
     except msgspec.ValidationError as error:
         msg = (
-            f"--settings {path}: {error}; each engine has a table with `method`, "
-            "`steps_per_frame` and, where need be, `options`, as `mbds-xsim match --out` writes it"
+            f"--settings {path}: {error}; each engine needs a table with `method`, "
+            "`steps_per_frame` and, if any, `options`, as written by `mbds-xsim match --out`"
         )
         raise InputError(msg) from error
     if not isinstance(name, str) or not _NAME.fullmatch(name) or name == _NATIVE:
@@ -280,7 +280,7 @@ def _read(path: Path) -> tuple[str, dict[str, Matched]]:
             )
             raise InputError(msg)
     if not settings:
-        msg = f"--settings {path}: no engine has settings there"
+        msg = f"--settings {path}: got no settings for any engine"
         raise InputError(msg)
     return name, settings
 

@@ -257,7 +257,7 @@ def check_claims(
         if method.adaptive and RTOL not in options:
             raise ValueError(f"its method {name} is adaptive, and it has no option {RTOL}")
     if unknown := set(sweeps) - set(options):
-        raise ValueError(f"it sweeps {sorted(unknown)[0]}, which is no option of its")
+        raise ValueError(f"it sweeps {sorted(unknown)[0]}, which is not one of its options")
     if sorted(cut) != sorted(CUT):
         raise ValueError(f"its cut is {cut}, allowed is each of {', '.join(CUT)} once")
 

@@ -283,7 +283,7 @@ class _StandIn(Adapter):
 
     def cannot_hold(self, scene: Scene) -> str:
         answer = _ask(_cannot_hold, self.point, scene)
-        return f"it does not say: {answer.reason}" if isinstance(answer, Crash) else str(answer)
+        return f"its adapter fails: {answer.reason}" if isinstance(answer, Crash) else str(answer)
 
     def contact_scales(self, settings: Settings) -> ContactScales:
         answer = _ask(_scales, self.point, settings)

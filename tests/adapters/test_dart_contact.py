@@ -277,7 +277,7 @@ def test_what_dart_cannot_mean_is_refused() -> None:
     lively = balls([Flying((0.0, 0.0, 1.0)), Flying((0.3, 0.0, 1.0))], ground=Ground(MU, 0.9))
     assert lively.collisions is not None
     dull = replaced(lively, collisions=replaced(lively.collisions, restitution=0.8))
-    with pytest.raises(Unsupported, match=r"a restitution from 0.81 on"):
+    with pytest.raises(Unsupported, match=r"at least the ground's squared, 0.81"):
         ENGINE.open(dull, careful(20))
     with pytest.raises(UnknownName, match="ode"):
         ENGINE.open(ball(), careful(20, collision_detector="eyes"))

@@ -221,6 +221,6 @@ def test_friction_of_bodies_so_heavy_that_the_solver_loses_it_is_refused() -> No
     for mass, lost in ((3000.0, False), (5000.0, True)):
         body = Body("ball", (Particle((0.0, 0.0, R), mass, 0.4 * mass * R**2),))
         heavy = msgspec.structs.replace(scene, bodies=(body,))
-        refused = pytest.raises(Unsupported, match=r"at least 0\.12 for bodies so heavy")
+        refused = pytest.raises(Unsupported, match=r"at least 0\.12 for bodies this heavy")
         with refused if lost else contextlib.nullcontext():
             ENGINE.open(heavy, settings).close()

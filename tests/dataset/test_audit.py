@@ -168,7 +168,7 @@ def test_particles_of_a_rod_tell_its_length(rod: Scene, swing: Arrays, audited: 
     result = audited(rod, _only(swing, "position"))
     assert result.verdict == "pass"
     assert {"rigidity", "start", "error growth-weighted"} == _checks(result)
-    assert "do not tell how" in result.not_checked["energy"]
+    assert "do not show how" in result.not_checked["energy"]
     longer = audited(rod, _only(swing | {"position": 1.01 * swing["position"]}, "position"))
     assert {"rigidity", "start"} <= _failed(longer)
 
@@ -359,7 +359,7 @@ def test_what_is_no_trajectory_at_all_is_one_line(tmp_path: Path) -> None:
 
     with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("position.npy", bytes(2**27))
-    with pytest.raises(InputError, match="MB say that they unpack to 134 MB, allowed is 100"):
+    with pytest.raises(InputError, match="MB claim to unpack to 134 MB, allowed is 100"):
         audit_file(tmp_path / "bomb.npz", None, Provenance())
 
     (tmp_path / "wide.csv").write_text("time\n" + "1" * 200_000 + "\n0\n0\n")

@@ -119,7 +119,7 @@ def test_more_values_than_a_file_can_have_are_refused(tmp_path: Path) -> None:
         file.create_dataset("position", (10**6, 201, 6, 3), "f8", chunks=True, compression="gzip")
 
     for read in _readers(tmp_path / "bomb.h5", tmp_path / "out").values():
-        with pytest.raises(InputError, match=r"MB say that they unpack to 2\.89e\+04 MB"):
+        with pytest.raises(InputError, match=r"MB claim to unpack to 2\.89e\+04 MB"):
             read()
 
 

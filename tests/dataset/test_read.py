@@ -121,7 +121,7 @@ def test_a_series_knows_what_an_array_knows(data: Dataset) -> None:
     assert (series.shape, series.ndim, series.dtype) == (array.shape, array.ndim, array.dtype)
     assert repr(series) == "<body/position: float64 of shape (40, 11, 1, 3)>"
     assert np.asarray(series, dtype=np.float32).dtype == np.float32
-    with pytest.raises(ValueError, match="an array of the whole is a copy"):
+    with pytest.raises(ValueError, match="an array of the whole dataset is a copy"):
         np.asarray(series, copy=False)
 
 

@@ -181,7 +181,7 @@ def _shorten(name: str) -> Change:
             "checks: gap of trajectory 2 is stored as allowed",
         ),
         (_set("graph/point_body", 0, 1), "graph/point_body: not that of the scene"),
-        (_tell("published", 7), "counts: published is 7 with 8 trajectories of 8 here"),
+        (_tell("published", 7), "counts: published is 7, but 8 of 8 trajectories are here"),
         (_tell("seed", 1), "pairing: position is not what seed 1 and index give"),
         (_tell("steps", 11), "clock: steps and frame_s are not the scene's"),
         (_tell("dimension", 2), "scene_name and dimension are not the scene's"),
@@ -311,7 +311,7 @@ def test_an_engine_that_is_not_here_is_told(copy: Path) -> None:
     _rewrite(copy / SHARD, _tell("engine_version", "0.1"))
     report = recheck(copy / SHARD, "shard", 3)
     assert report.problems == []
-    assert report.notes[0].startswith("not simulated again: mujoco 0.1 is not here, but ")
+    assert report.notes[0].startswith("not simulated again: mujoco 0.1 is not installed, but ")
 
 
 def test_a_shard_that_was_exchanged_is_found(copy: Path) -> None:
@@ -323,7 +323,7 @@ def test_a_shard_that_was_exchanged_is_found(copy: Path) -> None:
 def test_a_variant_that_was_taken_away_is_found(copy: Path) -> None:
     shutil.copy(copy / FILE, copy / "1pendulum/dart-matched.h5")
     (problem,) = recheck(copy / JOINT, "joint").problems
-    assert problem == "is about mujoco-matched; beside it are dart-matched, mujoco-matched"
+    assert problem == "lists mujoco-matched; its folder has dart-matched, mujoco-matched"
 
 
 def test_shards_of_an_unfinished_run_are_told(copy: Path) -> None:

@@ -26,10 +26,10 @@ _SAME = "install the same on all workers"
 _FAULTS = {
     "a worker of two is killed": "",
     "the scheduler is killed": "is gone .*; start it again with `dask scheduler`, and run the same",
-    "the last worker is killed": "no worker has been left for 1 s; see their logs, start some with",
+    "the last worker is killed": "no workers for 1 s; see their logs, start some with",
     "a worker lacks the package": f"mbds-xsim is not installed, here it is .*: {_SAME}",
     # A worker that cannot even read a task gives up.
-    "another lacks it later": "no worker has been left for 1 s; see their logs|cannot carry out ta",
+    "another lacks it later": "no workers for 1 s; see their logs|cannot carry out ta",
 }
 _LATEST = len(_TASKS) - 2 if cases_of("dask") > len(_FAULTS) else 0  # after the last is too late
 

@@ -143,10 +143,10 @@ def test_missing_data_and_models_are_one_line(tmp_path: Path) -> None:
 
 def test_a_model_of_another_scene_is_refused(folder: Path) -> None:
     entry = find_models(folder / "models", SCENE)[0]
-    with pytest.raises(InputError, match="a model of another scene"):
+    with pytest.raises(InputError, match="not trained on the scene of the data"):
         entry.load(load_scene(SCENE))
     paired = dataclasses.replace(load_paired(folder / "data", SCENE), scene=load_scene(SCENE))
-    with pytest.raises(InputError, match="a model of another scene"):
+    with pytest.raises(InputError, match="not trained on the scene of the data"):
         check_data([entry], paired)
 
 
@@ -157,7 +157,7 @@ def test_other_training_data_are_refused(folder: Path) -> None:
     good = dataclasses.replace(entry, data=(("mujoco", content["mujoco"]),))
     check_data([entry, good], paired)
     bad = dataclasses.replace(entry, data=(("mujoco", content["exudyn"]),))
-    with pytest.raises(InputError, match="another data set mujoco-native than is tested on"):
+    with pytest.raises(InputError, match="another data set mujoco-native than the tested one"):
         check_data([good, bad], paired)
 
 
@@ -195,7 +195,7 @@ def test_a_model_that_has_seen_the_test_part_is_refused(folder: Path) -> None:
     for drawn in (None, (0, same), (1, 10 * same)):
         check_data([dataclasses.replace(entry, drawn=drawn)], paired)
     leaking = dataclasses.replace(entry, drawn=(0, 10 * same))
-    with pytest.raises(InputError, match=f"by trajectory {paired.index[0]} of the test part"):
+    with pytest.raises(InputError, match=f"on trajectory {paired.index[0]} of the test part"):
         check_data([leaking], paired)
 
 
@@ -247,6 +247,6 @@ def test_a_part_of_the_models_and_domains(folder: Path) -> None:
     assert {domain.variant for domain in shift.domains} == {"native", ""}
     with pytest.raises(InputError, match="no data of matched settings"):
         study.question_of(models, data, SCENE, part=Selection.parse("matched", None, None))
-    line = "none of the 6 models there was asked for; there are each native, all native, of seed 0"
+    line = "none of the 6 models there is selected; there are each native, all native, of seed 0"
     with pytest.raises(InputError, match=line):
         find_models(models, SCENE, Selection.parse(None, "leave-one-out", None))

@@ -30,12 +30,12 @@ _BAD = {
     "cycle": (_MJCF.format(_BODY, '<include file="model.xml"/>'), "includes itself"),
     "outside": (
         _MJCF.format(_BODY, '<asset><mesh file="../outside.stl"/></asset>'),
-        "takes a --folder",
+        "import` a --folder",
     ),
     "include outside": (_MJCF.format(_BODY, '<include file="../outside.xml"/>'), "--folder"),
     "folder outside": (
         _MJCF.format(_BODY, '<compiler meshdir="/etc"/><asset><mesh file="a.stl"/></asset>'),
-        "takes a --folder",
+        "import` a --folder",
     ),
     "entities": (
         '<!DOCTYPE m [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;">]><mujoco model="&b;"/>',

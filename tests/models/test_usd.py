@@ -250,11 +250,11 @@ _BAD = {
     "units": (_HEAD.format(0, 1, "Z") + _body("rod", "(1, 2, 3)"), "metersPerUnit: got 0.0, allow"),
     "apart": (
         _body("rod", "(1, 2, 3)") + _joint("Revolute", "hip", ("", "rod")),
-        "'hip' is 3.74 m apart",
+        "'hip' are 3.74 m apart",
     ),
     "twisted": (
         _body("rod", "(0, 0, 0)", "(0.8, 0.6, 0, 0)") + _joint("Fixed", "weld", ("", "rod")),
-        "'weld' is 0 m apart where the bodies stand, and its axes differ by 1.7",
+        "'weld' are 0 m apart as the bodies are placed, and its axes differ by 1.7",
     ),
     "reversed": (
         _body("rod", "(0, 0, 0)", "(0, 0, 1, 0)") + _joint("Revolute", "hip", ("", "rod")),
@@ -262,7 +262,7 @@ _BAD = {
     ),
     "mesh": (_body("rod", "(0, 0, 0)", inside=_MESH), "state its mass and diagonalInertia"),
     "reference": ('def "a" (references = @gone.usda@)\n{\n}\n', "'gone.usda', which is not there"),
-    "outside": ('def "a" (references = @../outside.usda@)\n{\n}\n', "takes a --folder"),
+    "outside": ('def "a" (references = @../outside.usda@)\n{\n}\n', "import` a --folder"),
     "nothing": ('def Xform "a"\n{\n}\n', "nothing in it moves"),
 }
 

@@ -30,7 +30,7 @@ def test_it_is_compiled_once_and_told_before(folder: Path) -> None:
         kernels.compile_once(happened.append, workers=0, kernels=some)
 
     message, event = happened
-    assert message.endswith("compiled for this machine, once: some 15 s of one core")
+    assert message.endswith("compiled for this machine, once: about 15 s on one core")
     assert event == "compiled"
 
 

@@ -155,7 +155,7 @@ def test_a_loop_that_shakes_where_constraints_depend_is_given_up(
     locked = msgspec.structs.replace(squeezer, joints=joints, clock=Clock(0.02, 2))
     (failure,) = solve(locked, draw_batch(locked, [0]), rtol=1e-6, cache=False).failures
     assert failure is not None
-    assert "3 steps begin where constraints nearly depend: see axes in loops" in failure.reason
+    assert "3 steps begin at nearly dependent constraints: check axes in loops" in failure.reason
 
 
 def stiff_pendulum() -> Scene:

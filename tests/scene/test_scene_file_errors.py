@@ -303,18 +303,18 @@ _MISTAKES: dict[str, tuple[Edit, str]] = {
     ),
     "gear of a joint on itself": (
         _set("couplings", to=[{"joint": "spindle", "follows": "spindle"}]),
-        "couplings[0].follows: got 'spindle', by which 'spindle' follows itself",
+        "couplings[0].follows: got 'spindle', so 'spindle' would follow itself",
     ),
     "gears in a ring": (
         _set(
             "couplings",
             to=[{"joint": "spindle", "follows": "frame"}, {"joint": "frame", "follows": "spindle"}],
         ),
-        "couplings[1].follows: got 'spindle', by which 'frame' follows itself",
+        "couplings[1].follows: got 'spindle', so 'frame' would follow itself",
     ),
     "two gears of a joint": (
         _set("couplings", to=[{"joint": "spindle", "follows": "frame"}] * 2),
-        "couplings[1].joint: got 'spindle' again, allowed is that a joint follows one other",
+        "couplings[1].joint: got 'spindle' again, allowed is one coupling for each joint",
     ),
     "gear that a draw breaks": (
         _set("couplings", to=[{"joint": "spindle", "follows": "frame"}]),

@@ -165,7 +165,7 @@ def test_a_file_of_settings_is_used_and_names_its_engines(tmp_path: Path) -> Non
             '[mujoco]\nmethod = "RK4"\nsteps_per_frame = 1\n[mujoco.option]\nspin = false',
             "unknown field `option`",
         ),
-        ("", "no engine has settings there"),
+        ("", "got no settings for any engine"),
         ("[", "cannot be read"),
     ],
 )

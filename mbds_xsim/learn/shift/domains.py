@@ -305,16 +305,16 @@ def check_data(models: Sequence[TrainedModel], test: Paired) -> None:
             used = split_of(test.index, model.drawn[1]) != SPLITS.index("test")
             if used.any():
                 msg = (
-                    f"{model.path}: was trained or chosen by trajectory {test.index[used][0]} of "
-                    f"the test part, being made of {model.drawn[1]} drawn with the same seed; test "
-                    "it on as many"
+                    f"{model.path}: trained or validated on trajectory {test.index[used][0]} of "
+                    f"the test part, as its data are {model.drawn[1]} drawn with the same seed; "
+                    "test it on as many"
                 )
                 raise InputError(msg)
         for engine, content in model.data:
             name = f"{engine}-{model.variant}"
             if contents.get(name, content) != content:
                 msg = (
-                    f"{model.path}: was trained on another data set {name} than is tested on; "
+                    f"{model.path}: was trained on another data set {name} than the tested one; "
                     "train it on this one, or test it on its own"
                 )
                 raise InputError(msg)

@@ -242,7 +242,7 @@ def drive(engine: str, release: str, packages: Path) -> None:
     if adapter.version() != release or not any(
         Path(file).is_relative_to(packages) for file in files if file
     ):
-        msg = f"what runs is {engine} {adapter.version()}, and not what {packages} has"
+        msg = f"what runs is {engine} {adapter.version()}, not the release in {packages}"
         raise InputError(msg)
 
 

@@ -170,7 +170,7 @@ def simulators_of(plan: SurveyPlan) -> tuple[list[Simulator], dict[str, str]]:
 
 def _refusal(study: Study, simulator: Simulator, scene: Scene) -> str:
     if simulator.context and not study.known:
-        return f"{simulator.name}: no reference is known that could give it its first frames"
+        return f"{simulator.name}: no reference is known to give it its first frames"
     return simulator.refusal(scene)
 
 
