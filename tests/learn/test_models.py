@@ -58,10 +58,14 @@ def test_a_model_of_other_code_is_refused(data: Data, scratch: Path) -> None:
     model = build("gns", training.graph, statistics, track="lite")
     path = scratch / "model.pt"
     save_model(path, model, "gns", {"width": 64, "pushed": 0.5}, statistics)
-    with pytest.raises(InputError, match=r"other code than this \(.*pushed.*\); train it again"):
+    with pytest.raises(
+        InputError, match=r"another version of the code \(.*pushed.*\); train it again"
+    ):
         read_model(path)
     save_model(path, model, "gns", model.tracks["paper"], statistics)
-    with pytest.raises(InputError, match=r"^[^\n]*other code than this[^\n]*; train it again$"):
+    with pytest.raises(
+        InputError, match=r"^[^\n]*another version of the code[^\n]*; train it again$"
+    ):
         read_model(path)
 
 

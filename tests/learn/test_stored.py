@@ -42,15 +42,18 @@ def _width(whole: dict[str, Any], width: int) -> None:
         (lambda whole: whole.pop("parameters"), "missing required field `parameters`"),
         (lambda whole: whole.pop("scene"), "missing required field `scene`"),
         (lambda whole: whole.update(facts={"seed": 3}), r"Expected `str`, got `int`"),
-        (lambda whole: whole.update(settings="{"), "other code"),
+        (lambda whole: whole.update(settings="{"), "another version of the code"),
         (lambda whole: whole.update(name="oracle"), "no model is called 'oracle'; there are: gns"),
-        (lambda whole: whole.update(scene="gravity = 3"), "other code"),
-        (lambda whole: whole["statistics"].pop("channels"), "other code"),
+        (lambda whole: whole.update(scene="gravity = 3"), "another version of the code"),
+        (lambda whole: whole["statistics"].pop("channels"), "another version of the code"),
         (
             lambda whole: whole["statistics"].update(channels=torch.zeros(1).expand(10**11)),
             r"\(100000000000,\) whose numbers are not all in the file",
         ),
-        (lambda whole: whole["parameters"].update(more=torch.zeros(1)), "other code"),
+        (
+            lambda whole: whole["parameters"].update(more=torch.zeros(1)),
+            "another version of the code",
+        ),
     ],
 )
 def test_absurd_contents_are_refused_in_one_line(change: Change, told: str, tmp_path: Path) -> None:
