@@ -196,15 +196,16 @@ class _Reading:
         if kind == "slider":
             start = float(gap @ axis)
             gap = gap - start * axis
-        fixed = {"ball": [], "hinge": [column]}.get(kind, [0, 1, 2])  # axes that stay in line
-        tilt = float(np.linalg.norm((other_axes - axes)[:, fixed]))
+        aligned = {"ball": [], "hinge": [column]}.get(kind, [0, 1, 2])  # axes of both frames
+        tilt = float(np.linalg.norm((other_axes - axes)[:, aligned]))
         if kind == "hinge":
             first, second = axes[:, column - 2], other_axes[:, column - 2]
             start = math.atan2(float(np.cross(first, second) @ axis), float(first @ second))
         if (apart := np.linalg.norm(gap)) > _GAP * extent or tilt > _GAP:
-            msg = f"the ends of the joint {name!r} are {apart:.3g} m apart as the bodies are placed"
-            if tilt > _GAP:
-                msg += f", and its axes differ by {tilt:.3g}"
+            msg = (
+                f"the frames of the joint {name!r} differ as bodies are placed: got {apart:.3g} "
+                f"m between origins and {tilt:.3g} between axes, allowed is 0"
+            )
             raise InputError(msg)
         if kind == "fixed":
             return Tie(name, ends, (), point)

@@ -250,15 +250,15 @@ _BAD = {
     "units": (_HEAD.format(0, 1, "Z") + _body("rod", "(1, 2, 3)"), "metersPerUnit: got 0.0, allow"),
     "apart": (
         _body("rod", "(1, 2, 3)") + _joint("Revolute", "hip", ("", "rod")),
-        "'hip' are 3.74 m apart",
+        "'hip' differ as bodies are placed: got 3.74 m between",
     ),
     "twisted": (
         _body("rod", "(0, 0, 0)", "(0.8, 0.6, 0, 0)") + _joint("Fixed", "weld", ("", "rod")),
-        "'weld' are 0 m apart as the bodies are placed, and its axes differ by 1.7",
+        "got 0 m between origins and 1.7",
     ),
     "reversed": (
         _body("rod", "(0, 0, 0)", "(0, 0, 1, 0)") + _joint("Revolute", "hip", ("", "rod")),
-        "and its axes differ by 2",
+        "got 0 m between origins and 2 between axes",
     ),
     "mesh": (_body("rod", "(0, 0, 0)", inside=_MESH), "state its mass and diagonalInertia"),
     "reference": ('def "a" (references = @gone.usda@)\n{\n}\n', "'gone.usda', which is not there"),
