@@ -123,7 +123,11 @@ def main() -> None:
     files = sorted(arguments.folder.glob("*.json.gz"))
     results = {file.name.removesuffix(".json.gz"): read_file(file) for file in files}
     studies = {name: msgspec.json.decode(text, type=Shift) for name, text in results.items()}
-    several = {name: shift for name, shift in studies.items() if _factor_count(shift) > 1}
+    several = {
+        name: _with_matched(shift, studies.get(name.replace("-factors", "-matched")))
+        for name, shift in studies.items()
+        if _factor_count(shift) > 1
+    }
     page = io.StringIO()
     with contextlib.redirect_stdout(page):
         _print(arguments.folder, studies, several)
@@ -153,6 +157,16 @@ def _costs(name: str, shift: Shift) -> Iterator[tuple[str, ...]]:
 
 def _factor_count(shift: Shift) -> int:
     return sum(any(_is(pair, factor) for pair in shift.interactions) for factor in _FACTORS)
+
+
+def _with_matched(shift: Shift, matched: Shift | None) -> Shift:
+    """Add the pairs of engines on matched data from the study of these alone, if there is one."""
+    if matched is None or matched.frames != shift.frames:
+        return shift
+    if any(_is(pair, "engine, matched settings") for pair in shift.interactions):
+        return shift
+    pairs = (*shift.interactions, *matched.interactions)
+    return msgspec.structs.replace(shift, interactions=pairs)
 
 
 def _dearest(shift: Shift, model: str, factor: str) -> Interaction | None:
