@@ -54,7 +54,8 @@ when the test data differ from the training data in one respect; 1 is no loss, b
 intervals, and what is bold, or framed, is significant among all pairs of a study. It is
 √(R_ij R_ji / (R_ii R_jj)), R_ij the error of the model trained on i and tested on j. Where several
 pairs of engines fall under a heading it is the largest bold one, or else the largest. A scene's
-page has every pair, and what a model *survives*.
+page has every pair, and what a model *survives*; where matched data have a page of their own, that
+page has theirs, and what is bold is significant among its pairs.
 
 *Equal*: MuJoCo, DART and PyBullet at a step of 1 ms, PyBullet without damping, contact hard.
 *Native*: each engine as its users have it. *Matched*: settings that keep all budgets of the scene.
@@ -160,7 +161,7 @@ def _factor_count(shift: Shift) -> int:
 
 
 def _with_matched(shift: Shift, matched: Shift | None) -> Shift:
-    """Add the pairs of engines on matched data from the study of these alone, if there is one."""
+    """Add the pairs of engines on matched data from their own study, if this one has none."""
     if matched is None or matched.frames != shift.frames:
         return shift
     if any(_is(pair, "engine, matched settings") for pair in shift.interactions):
