@@ -12,6 +12,7 @@ from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
+from mbds_xsim.scene.collisions import count_pairs
 from mbds_xsim.scene.joint_space import BodyStates, to_bodies, to_links
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
 from mbds_xsim.scene.scene import Scene
@@ -62,7 +63,7 @@ class DrakeRun(Run):
         self._servos = names["servos"]
         self._pushes = with_pushes(mechanism.drives, np.zeros((scene.clock.steps, 0)))
         self._looped = [(k, hinge) for k, hinge in hinges if hinge.index not in native]
-        self.size = ModelSize(plant.num_velocities(), _rows(mechanism), len(scene.contacts))
+        self.size = ModelSize(plant.num_velocities(), _rows(mechanism), count_pairs(mechanism))
 
     def rollout(self, batch: Batch) -> Trajectory:
         q, v, turns = (

@@ -20,47 +20,48 @@ _JOINT_NAME, _KIND, _DAMPING, _FRICTION, _LOW, _HIGH, _LINK_NAME, _AXIS = 1, 2, 
 def load(path: Path, floating: bool) -> ModelFacts:
     """Read a URDF, SDF or MJCF file; see `mbds_xsim.simulate.registry`."""
     import pybullet
+    from pybullet_utils.bullet_client import BulletClient
 
-    client = pybullet.connect(pybullet.DIRECT)
+    client = BulletClient(pybullet.DIRECT)  # it disconnects where it is no longer used
     try:
         if path.suffix.lower() == ".urdf":
-            bodies: Any = [pybullet.loadURDF(str(path), useFixedBase=not floating)]
+            bodies: Any = [client.loadURDF(str(path), useFixedBase=not floating)]
         elif path.suffix.lower() == ".sdf":
-            bodies = pybullet.loadSDF(str(path))
+            bodies = client.loadSDF(str(path))
         else:
-            bodies = pybullet.loadMJCF(str(path))
+            bodies = client.loadMJCF(str(path))
     except pybullet.error as error:
         raise InputError(str(error)) from error
     links, joints = [], []
     for body in bodies:
-        links += list(_links(pybullet, body))
-        joints += list(_joints(pybullet, body))
-    version = pybullet.getAPIVersion(client)
+        links += list(_links(client, body))
+        joints += list(_joints(client, body))
+    version = client.getAPIVersion()
     return ModelFacts(f"PyBullet (API {version})", tuple(links), tuple(joints))
 
 
-def _links(pybullet: Any, body: int) -> Iterator[LinkFacts]:
-    place, turn = pybullet.getBasePositionAndOrientation(body)
-    base = pybullet.getBodyInfo(body)[0].decode()
-    yield _link(pybullet, body, -1, base, np.array(place), turn)
-    for j in range(pybullet.getNumJoints(body)):
-        name = pybullet.getJointInfo(body, j)[_LINK_NAME].decode()
-        place, turn = pybullet.getLinkState(body, j, computeForwardKinematics=True)[:2]
-        yield _link(pybullet, body, j, name, np.array(place), turn)
+def _links(client: Any, body: int) -> Iterator[LinkFacts]:
+    place, turn = client.getBasePositionAndOrientation(body)
+    base = client.getBodyInfo(body)[0].decode()
+    yield _link(client, body, -1, base, np.array(place), turn)
+    for j in range(client.getNumJoints(body)):
+        name = client.getJointInfo(body, j)[_LINK_NAME].decode()
+        place, turn = client.getLinkState(body, j, computeForwardKinematics=True)[:2]
+        yield _link(client, body, j, name, np.array(place), turn)
 
 
 def _link(
-    pybullet: Any, body: int, index: int, name: str, com: Array, turn: tuple[float, ...]
+    client: Any, body: int, index: int, name: str, com: Array, turn: tuple[float, ...]
 ) -> LinkFacts:
-    mass, _, moments = pybullet.getDynamicsInfo(body, index)[:3]
+    mass, _, moments = client.getDynamicsInfo(body, index)[:3]
     axes = _matrix(turn)
     return LinkFacts.of(name, mass, com, axes @ np.diag(moments) @ axes.T)
 
 
-def _joints(pybullet: Any, body: int) -> Iterator[JointFacts]:
-    for j in range(pybullet.getNumJoints(body)):
-        info = pybullet.getJointInfo(body, j)
-        state = pybullet.getLinkState(body, j, computeForwardKinematics=True)
+def _joints(client: Any, body: int) -> Iterator[JointFacts]:
+    for j in range(client.getNumJoints(body)):
+        info = client.getJointInfo(body, j)
+        state = client.getLinkState(body, j, computeForwardKinematics=True)
         if (kind := _KINDS[info[_KIND]]) == "fixed":
             continue
         limited = info[_LOW] <= info[_HIGH] and (info[_LOW], info[_HIGH]) != (0.0, 0.0)

@@ -323,8 +323,11 @@ def _entries_apart(stated: str, own: str) -> str:
         was, now = (msgspec.json.decode(text, type=dict[str, Any]) for text in (stated, own))
     except msgspec.DecodeError:
         return ""
-    entries = [f"{key} {was.get(key)}, now {now[key]}" for key in now if was.get(key) != now[key]]
-    differences = "; ".join(entries)
+    differences = "; ".join(
+        f"{key} {was.get(key)}, now {now.get(key)}"
+        for key in {**was, **now}
+        if was.get(key) != now.get(key)
+    )
     return f" ({differences})" if 0 < len(differences) <= _LINE else ""
 
 

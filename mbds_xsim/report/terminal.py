@@ -323,7 +323,7 @@ class GeneratingBar(Bar):
     def advance(self, work: str) -> None:
         """Count a task that precedes the trajectories, such as a search for settings."""
         del work
-        self.made(1, 0)
+        self._show(advance=1)
 
     def made(self, done: int, rejected: int) -> None:
         """Count newly made trajectories, and how many of them were rejected."""

@@ -15,7 +15,7 @@ from mbds_xsim.learn import recipe
 from mbds_xsim.learn.gns import GNS, GNSSettings
 from mbds_xsim.learn.model import build, load_model
 from mbds_xsim.learn.statistics import Statistics
-from mbds_xsim.learn.train import CurvePoint, Training, train
+from mbds_xsim.learn.train import CurvePoint, Training, check_identity, train
 from mbds_xsim.learn.window import Motions, Sample
 from tests.learn.models import squared_error
 
@@ -105,6 +105,14 @@ def test_a_checkpoint_of_another_run_is_refused(
     path.write_bytes(b"no checkpoint")
     with pytest.raises(InputError, match="remove it to start over"):
         train(_model(parts[0]), *parts, RECIPE, SHORT, checkpoint=path)
+
+
+def test_a_refusal_names_what_was_changed_added_and_removed() -> None:
+    stated = {"model": '{"width": 64, "depth": 2}'}
+    own = {"model": '{"width": 32, "noise": 0.1}'}
+    told = r"\(width 64, now 32; depth 2, now None; noise None, now 0.1\)"
+    with pytest.raises(InputError, match=told):
+        check_identity(Path("run.pt"), "a checkpoint", stated, own)
 
 
 @pytest.mark.parametrize("name", ["gns", "sgnn", "hgnn"])

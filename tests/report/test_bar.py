@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from mbds_xsim.report import terminal
-from mbds_xsim.report.terminal import ProgressBar
+from mbds_xsim.report.terminal import GeneratingBar, ProgressBar
 
 
 def test_a_log_gets_a_line_now_and_then(
@@ -41,6 +41,20 @@ def test_a_terminal_shows_what_is_done_as_it_is_called() -> None:
         progress.advance("[/x] matched")
 
     assert "[/x] matched" in shown.getvalue()
+
+
+def test_the_rate_of_a_data_set_counts_trajectories_alone(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(terminal, "_EVERY", 0.01)
+    monkeypatch.setattr(GeneratingBar, "_spent", lambda _: 10.0)
+    with GeneratingBar(Console(file=io.StringIO())) as progress:
+        progress.begin(100, 10)
+        progress.advance("a search for settings")
+        progress.made(50, 3)
+        time.sleep(0.1)
+
+    assert " 61/100 5/s " in capsys.readouterr().err.splitlines()[-1]
 
 
 @pytest.mark.parametrize("terminal", [True, False])

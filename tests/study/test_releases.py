@@ -189,6 +189,24 @@ def test_what_could_not_be_installed_is_tried_again_where_that_is_asked_for(
     assert place == install("toyengine", "1.0") == tmp_path / "releases" / "toyengine-1.0"
 
 
+def test_two_processes_may_install_one_release(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path))
+
+    def overtaken(part: Path, packages: list[str]) -> str:
+        del packages
+        (part / "late").touch()
+        (tmp_path / "releases" / "toyengine-1.0" / "toyengine").mkdir(parents=True)
+        return ""
+
+    monkeypatch.setattr(environments, "_install", overtaken)
+    place = install("toyengine", "1.0")
+    assert place == tmp_path / "releases" / "toyengine-1.0"
+    assert [path.name for path in place.iterdir()] == ["toyengine"]
+    assert list(place.parent.iterdir()) == [place]
+
+
 @pytest.mark.usefixtures("toys")
 @pytest.mark.parametrize("fresh", [False, True])
 def test_the_study_asks_for_it_where_it_measures_again(

@@ -28,7 +28,7 @@ from mbds_xsim.simulate.simulator import NATIVE, EngineMethod
 from mbds_xsim.studies.tradeoff import Measurement, Tradeoff, bench, curves_of
 from mbds_xsim.studies.tradeoff.bench import LIMIT_COUNT, measure
 from mbds_xsim.studies.tradeoff.curves import OWN_LIMIT, curve_results
-from mbds_xsim.studies.tradeoff.study import tradeoff, tradeoff_with_rows
+from mbds_xsim.studies.tradeoff.study import rollout_cost, tradeoff, tradeoff_with_rows
 from tests.plugins import faulty
 
 _HANG = 2.0  # [s] until a hanging task is ended
@@ -184,6 +184,19 @@ def test_a_row_says_when_the_error_of_its_own_start_was_taken() -> None:
     assert [case.row.horizon_s for case in cases] == last
     assert len({case.row.horizon_s for case in cases}) == 2
     assert workbench.horizon == min(case.row.horizon_s for case in cases)
+
+
+def test_a_run_below_the_resolution_of_the_clock_predicts_nothing() -> None:
+    def row(count: int, *cpu_s: float) -> Measurement:
+        return Measurement(
+            key="", scene="", engine="", version="", method="", variation="", options={},
+            steps_per_frame=count, step_s=0.02 / count, trajectory=0, seed=0, machine="",
+            limit_s=60.0, kind="done", cpu_s=cpu_s,
+        )  # fmt: skip
+
+    assert rollout_cost([row(1, 0.0), row(2)], 4, 3.0) is None
+    assert rollout_cost([row(1, 0.0), row(2, 0.1)], 4, 3.0) == pytest.approx(0.6)
+    assert rollout_cost([row(1, 0.05), row(2, 0.1)], 4, 3.0) == pytest.approx(0.6)
 
 
 def test_contact_without_a_unique_answer_ends_the_error_at_the_first_impact() -> None:

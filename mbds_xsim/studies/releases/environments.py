@@ -65,7 +65,13 @@ def install(package: str, version: str, *, fresh: bool = False) -> Path | str:
     if error:
         shutil.rmtree(part)
         write_whole(part / _REASON_FILE, error.encode())
-    part.rename(folder)
+    try:
+        part.rename(folder)
+    except OSError:  # another process has installed the release since
+        if not folder.is_dir():
+            raise
+        shutil.rmtree(part)
+        return install(package, version)
     return error or folder
 
 

@@ -269,7 +269,8 @@ def rollout_cost(rows: Sequence[Measurement], count: int, duration: float) -> fl
     The cost grows as between the last two points, at most in proportion to the steps. It is
     processor time, which does not depend on other work of the machine.
     """
-    timed = [(row.count, float(np.median(row.cpu_s))) for row in rows if row.cpu_s]
+    medians = ((row.count, float(np.median(row.cpu_s))) for row in rows if row.cpu_s)
+    timed = [(count, spent) for count, spent in medians if spent > 0]  # clocks have a resolution
     if not timed:
         return None
     last, spent = timed[-1]
