@@ -228,14 +228,36 @@ $(factor-targets): shift-%-factors: $(VENV)/ready
 		--out $(FACTORS)/models --png $(REPORTS)/shift/$*-factors-curves.png $(ON)
 	$(BIN)/mbds-xsim shift $(FACTORS)/models $(FACTORS) --scene $* $(TESTED) $(ON) $(call told,shift/$*-factors)
 
+# Matched data of the ladders alone, in less time; and 2ladder's at finer steps of the engines of first order.
+alone = $(BIN)/mbds-xsim generate $(1) --trajectories 300 --out $(FACTORS) --settings $(2) --engines $(ENGINES) \
+	|| [ $$? -eq 1 ]; \
+	$(BIN)/mbds-xsim train $(FACTORS)/$(1)/*-$(3).h5 --track native+ --models $(NETWORKS) --steps $(STEPS) \
+		--out $(FACTORS)/models --png $(REPORTS)/shift/$(1)-$(3)-curves.png $(ON) && \
+	$(BIN)/mbds-xsim shift $(FACTORS)/models $(FACTORS) --scene $(1) --settings $(3) $(TESTED) $(ON) \
+		$(call told,shift/$(1)-$(3))
+alone-targets = shift-2ladder-matched shift-3ladder-matched shift-2ladder-fine
+.PHONY: $(alone-targets)
+shift-2ladder-matched shift-2ladder-fine: STEPS = 200
+shift-3ladder-matched: STEPS = 150
+shift-3ladder-matched: TESTED = --trajectories 10
+shift-2ladder-matched shift-3ladder-matched: shift-%-matched: $(VENV)/ready
+	$(call alone,$*,matched,matched)
+shift-2ladder-fine: shift-%-fine: $(VENV)/ready
+	$(call alone,$*,benchmarks/factors/fine.toml,fine)
+
 # How good data must be: models that learned from a ladder of steps of engines, and of tolerances of the
 # reference, by the error on the truth that what they learned from costs them. Half a core-hour a scene.
 WORTH ?= out/worth
+$(worth-targets): STEPS = 100
+shift-balldrop-worth: STEPS = 500
+shift-ballscroll-worth: STEPS = 400
+shift-3ladder-worth: STEPS = 150
+shift-3ladder-worth: TESTED = --trajectories 10
 $(worth-targets): shift-%-worth: $(VENV)/ready
 	$(BIN)/mbds-xsim generate $* --trajectories 300 --out $(WORTH) \
 		--settings $(subst $() ,$(comma),$(wildcard benchmarks/worth/*.toml)) || [ $$? -eq 1 ]
-	$(BIN)/mbds-xsim train $(WORTH)/$* --track native+ --models $(NETWORKS) --steps 100 --out $(WORTH)/models
-	$(BIN)/mbds-xsim shift $(WORTH)/models $(WORTH) --scene $* $(call told,shift/$*-worth)
+	$(BIN)/mbds-xsim train $(WORTH)/$* --track native+ --models $(NETWORKS) --steps $(STEPS) --out $(WORTH)/models
+	$(BIN)/mbds-xsim shift $(WORTH)/models $(WORTH) --scene $* $(TESTED) $(call told,shift/$*-worth)
 
 # All four models until more steps bring no more, on each engine's data: two and a half core-hours.
 reports-lite: $(VENV)/ready
