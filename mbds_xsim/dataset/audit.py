@@ -21,7 +21,7 @@ from mbds_xsim.dataset.foreign import Foreign, Provenance, read_foreign
 from mbds_xsim.dataset.gate import COLUMNS
 from mbds_xsim.dataset.points import Points, recover
 from mbds_xsim.measure.campaign import reference_of
-from mbds_xsim.measure.judge import error_findings, failed_lines, finding_result
+from mbds_xsim.measure.judge import error_findings, failed_lines, finding_result, turn_finding
 from mbds_xsim.measure.result import FindingResult
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
@@ -34,7 +34,7 @@ _OF_VELOCITIES = (
     "gap rate", "angle gap rate", "displacement", "kinematics", "velocity lag", "energy",
     "momentum", "coefficients",
 )  # fmt: skip
-_OF_REFERENCE = ("error at 1 s", "error growth-weighted")
+_OF_REFERENCE = ("error at 1 s", "error growth-weighted", "error of turns")
 _OF_CONTACT = tuple(COLUMNS)[list(COLUMNS).index("penetration") + 1 : -len(_OF_REFERENCE)]
 _MOST_COMPARED = 3
 _SAME_INPUT = 1e-9
@@ -237,9 +237,7 @@ class _Case:
             reason = f"the particles do not show how {few} turned; give body states"
             self._leave_out(reason, *_positional(scene))
             return [rigid, *self._start_of(position, velocity)]
-        self.assumptions.append(
-            "body states: rigid bodies fitted to the particles by least squares"
-        )
+        self.assumptions.append("bodies: fitted to the particles as rigid, by least squares")
         states = {key: getattr(fit, key) for key in STATES}
         return [*self._of_bodies(states, None, 0.0), rigid, *self._start_of(position, velocity)]
 
@@ -316,6 +314,10 @@ class _Case:
             self.not_checked["error at 1 s"] = (
                 "needs a frame at 1 s that the reference reaches, in the interval low or medium"
             )
+        if (turned := self.foreign.arrays.get("body/orientation")) is None:
+            self.not_checked["error of turns"] = "needs the orientations of bodies"
+        else:
+            findings.append(turn_finding(scene, turned[rows], solved.trajectory, solved.growth))
         return findings
 
     def _positions(self) -> Array:

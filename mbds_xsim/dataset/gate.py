@@ -23,7 +23,7 @@ from mbds_xsim.checks.extrapolation import LEAST_SPAN
 from mbds_xsim.checks.mismatch import EVERY_SECOND
 from mbds_xsim.dataset.layout import INTEGRITY, sampled
 from mbds_xsim.measure.campaign import RTOL, reference_of
-from mbds_xsim.measure.judge import error_findings, failed_lines
+from mbds_xsim.measure.judge import error_findings, failed_lines, turn_finding
 from mbds_xsim.measure.outcome import Outcome, ReferenceOutcome
 from mbds_xsim.measure.refinement import compared, convergence, further_step, other_steps, smooth
 from mbds_xsim.scene.mechanism import Mechanism
@@ -57,6 +57,7 @@ COLUMNS: dict[str, str] = {
     **{check.name: check.unit for check in CHECKS},
     "error at 1 s": "m",
     "error growth-weighted": "m",
+    "error of turns": "rad",
 }
 """Columns of the check table and their units: all checks, then the errors against the reference,
 which are known for the audit sample only."""
@@ -210,13 +211,14 @@ def _steps_compared(scene: Scene, group: int) -> tuple[int, int]:
 def sample_findings(
     scene: Scene, batch: Batch, trajectory: Trajectory, solved: ReferenceOutcome
 ) -> list[Finding]:
-    """Compare particles with the reference, as `mbds-xsim validate` does; it compares turns, too.
+    """Compare particles and turns with the reference, as `mbds-xsim validate` does.
 
     Stored solutions would save time, but would not be the same to the last bit.
     """
     truth = solved.trajectory
     error = agreement.particle_error(Mechanism.of(scene), trajectory, truth)
-    return error_findings(scene, batch, error, truth, solved.growth)
+    turns = turn_finding(scene, trajectory.orientation, truth, solved.growth)
+    return [*error_findings(scene, batch, error, truth, solved.growth), turns]
 
 
 def limit_faults(

@@ -55,7 +55,7 @@ def judge(outcome: Outcome, reference: ReferenceOutcome, *, native: bool = True)
         error = agreement.particle_error(Mechanism.of(scene), trajectory, truth)
         findings += [
             *error_findings(scene, batch, error, truth, reference.growth),
-            turn_finding(scene, trajectory, truth, reference.growth),
+            turn_finding(scene, trajectory.orientation, truth, reference.growth),
             *convergence(outcome, reference),
         ]
     result = _result(outcome, findings, error, reference, native)
@@ -110,9 +110,12 @@ def error_findings(
     return findings
 
 
-def turn_finding(scene: Scene, trajectory: Trajectory, truth: Trajectory, growth: Array) -> Finding:
-    """Compare bodies' rotations with the reference's, since a small part moves no particle far."""
-    turn = rotation.multiply(rotation.conjugate(truth.orientation), trajectory.orientation)
+def turn_finding(scene: Scene, orientation: Array, truth: Trajectory, growth: Array) -> Finding:
+    """Compare bodies' rotations with the reference's, since a small part moves no particle far.
+
+    `orientation` has unit quaternions (wxyz), shape (trajectory, frame, body, 4).
+    """
+    turn = rotation.multiply(rotation.conjugate(truth.orientation), orientation)
     angle = 2.0 * np.arctan2(np.linalg.norm(turn[..., 1:], axis=-1), np.abs(turn[..., 0]))
     weighted = np.where(np.isfinite(angle), angle, np.inf) / np.maximum(1.0, growth)[..., None]
     judged = truth.known & (growth < agreement.CHAOS)

@@ -9,7 +9,10 @@ import numpy as np
 from mbds_xsim import reference
 from mbds_xsim.base import rotation
 from mbds_xsim.checks.agreement import particle_error
+from mbds_xsim.dataset.gate import sample_findings
+from mbds_xsim.measure.campaign import RTOL
 from mbds_xsim.measure.judge import error_findings, turn_finding
+from mbds_xsim.measure.outcome import ReferenceOutcome
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene
@@ -36,12 +39,15 @@ def test_a_tiny_part_that_turns_wrong_fails_though_nothing_is_far_off() -> None:
 
     error = particle_error(Mechanism.of(scene), motion, truth)
     lengths = error_findings(scene, batch, error, truth, growth)
-    turns = turn_finding(scene, motion, truth, growth)
+    turns = turn_finding(scene, motion.orientation, truth, growth)
 
     assert all(finding.passed.all() for finding in lengths)
     assert not turns.passed.any()
     assert abs(turns.figure[0] - 0.32) < 1e-9
     assert turns.where == ("grain",)
-    assert turn_finding(scene, truth, truth, growth).figure[0] < 1e-7
+    assert turn_finding(scene, truth.orientation, truth, growth).figure[0] < 1e-7
+    solved = ReferenceOutcome(truth, growth, RTOL, 0, 0.0)
+    (published,) = (f for f in sample_findings(scene, batch, motion, solved) if not f.passed.all())
+    assert published.check == "error of turns"
     growth[:, 10:] = 200.0  # chaos, which is not judged
-    assert turn_finding(scene, motion, truth, growth).figure[0] < 1e-7
+    assert turn_finding(scene, motion.orientation, truth, growth).figure[0] < 1e-7
