@@ -150,6 +150,28 @@ def test_the_answer_names_the_cheapest_data_that_harm_no_model() -> None:
     assert "; a-coarse, 2 ms; b-coarse, 3 ms. No data harm, the harmless" in answer.answer
 
 
+def test_what_is_harmless_before_a_contact_may_harm_after_it() -> None:
+    flying, later = _study({"a-coarse": 4.0}), _study({"a-fine": 4.0, "b-coarse": 4.0})
+    shift = msgspec.structs.replace(flying, contact_frames=(1, 3), harms_after_contact=later.harms)
+    before, after = answer_of_harms(shift)
+    assert before in flying.answers
+    assert after.question == "How good must data be after the first contact?"
+    assert after.answer == (
+        "At t = 3 after the first contact the cheapest data that harm none of gns are "
+        "reference-loose, 1 ms of processor time for a trajectory; a-coarse, 2 ms; none of b"
+    )
+    cells = {row.texts[0]: row.texts[3] for row in worth_table(shift, 1).rows}
+    assert [part.endswith(HARMLESS) for part in cells["a-fine"].split("; after contact ×")] == [
+        True,
+        False,
+    ]
+    unknown = tuple(
+        msgspec.structs.replace(harm, value=(None, None), low=(None, None), high=(None, None))
+        for harm in later.harms
+    )
+    assert len(list(answer_of_harms(msgspec.structs.replace(shift, harms=unknown)))) == 1
+
+
 def test_without_data_of_the_reference_nothing_is_asked() -> None:
     """The best model is not known then; the cost of data is shown all the same."""
     names = tuple(name for name in _COSTS if not name.startswith(REFERENCE))

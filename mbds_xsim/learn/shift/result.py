@@ -239,6 +239,8 @@ class Shift(msgspec.Struct, frozen=True, kw_only=True):
     """Interactions at these frames."""
     harms: tuple[Harm, ...] = ()
     """Harms by data; only in studies that have data of the reference, too."""
+    harms_after_contact: tuple[Harm, ...] = ()
+    """Harms at `contact_frames`."""
     wall_s: float
     kept: int = 0
     """Number of models that had been tested before and took no time of this study."""

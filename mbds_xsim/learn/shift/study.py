@@ -169,7 +169,8 @@ def _shift(evaluation: Evaluation, plan: RolloutPlan, at: int, **facts: Any) -> 
     test, draws = evaluation.test, Draws(evaluation)
     gaps, interactions = tuple(gaps_of(draws)), interactions_of(draws)
     later = from_contact(evaluation)
-    after_contact = interactions_of(Draws(later)) if later else ()
+    later_draws = Draws(later) if later else None
+    after_contact = interactions_of(later_draws) if later_draws else ()
     return Shift(
         scene=test.scene.name,
         description=test.scene.description,
@@ -196,6 +197,7 @@ def _shift(evaluation: Evaluation, plan: RolloutPlan, at: int, **facts: Any) -> 
         contact_trajectories=len(later.test.index) if later else 0,
         after_contact=after_contact,
         harms=harms_of(draws),
+        harms_after_contact=harms_of(later_draws) if later_draws else (),
         answers=(
             *_changes(interactions, evaluation.frames, at),
             *(_changes(after_contact, later.frames, at, _SINCE) if later else ()),

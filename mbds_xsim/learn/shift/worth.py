@@ -90,26 +90,41 @@ def noise_of(shift: Shift, place: int) -> float | None:
 
 
 def answer_of_harms(shift: Shift) -> Iterator[Answer]:
-    """Name the cheapest data that harm no model, and say how far from the truth data may be."""
-    place, cheapest = shift.frames.index(shift.at), dict[str, DomainFacts]()
-    worst, apart = verdicts(shift.harms, place), distances(shift, place)
+    """Name the cheapest data that harm no model, and say how far from the truth data may be.
+
+    Where there is contact, it follows which data harm no model after the first one.
+    """
+    place = shift.frames.index(shift.at)
+    for text in _cheapest(shift, shift.harms, place, f"At t = {shift.at}"):
+        noise = noise_of(shift, place)
+        text += f". {_reach(verdicts(shift.harms, place), distances(shift, place))}"
+        text += f", the random forces, which no model is told, {noise:.2g} m²" if noise else ""
+        yield Answer(WORTH, "How good must data be?", text)
+    if shift.harms_after_contact:
+        frames = [frame for frame in shift.contact_frames if frame <= shift.at]
+        when = f"At t = {frames[-1]} after the first contact"
+        for text in _cheapest(shift, shift.harms_after_contact, len(frames) - 1, when):
+            yield Answer(WORTH, "How good must data be after the first contact?", text)
+
+
+def _cheapest(shift: Shift, harms: Sequence[Harm], place: int, when: str) -> Iterator[str]:
+    """Yield the cheapest data of each engine that harm no model; nothing if there are none."""
+    if all(harm.value[place] is None for harm in harms):  # as where no truth is known any more
+        return
+    worst, cheapest = verdicts(harms, place), dict[str, DomainFacts]()
     by_cost = sorted((d for d in shift.domains if d.name in worst and d.cost_s), key=_milliseconds)
     for domain in by_cost:
-        if worst[domain.name] == HARMLESS and domain.name in apart:
+        if worst[domain.name] == HARMLESS:
             cheapest.setdefault(domain.engine, domain)
-    if not cheapest:
-        return
-    first, *others = (f"{d.name}, {_milliseconds(d):.3g} ms" for d in cheapest.values())
-    none = [f"none of {e}" for e in dict.fromkeys(d.engine for d in by_cost) if e not in cheapest]
-    models = ", ".join(dict.fromkeys(harm.model for harm in shift.harms))
-    text = (
-        f"At t = {shift.at} the cheapest data that harm none of {models} are {first} of processor "
-        f"time for a trajectory{''.join(f'; {engine}' for engine in (*others, *none))}. "
-        f"{_reach(worst, apart)}"
-    )
-    noise = noise_of(shift, place)
-    text += f", the random forces, which no model is told, {noise:.2g} m²" if noise else ""
-    yield Answer(WORTH, "How good must data be?", text)
+    models = ", ".join(dict.fromkeys(harm.model for harm in harms))
+    if cheapest:
+        first, *others = (f"{d.name}, {_milliseconds(d):.3g} ms" for d in cheapest.values())
+        engines = dict.fromkeys(d.engine for d in by_cost)
+        none = [f"none of {engine}" for engine in engines if engine not in cheapest]
+        yield (
+            f"{when} the cheapest data that harm none of {models} are {first} of processor "
+            f"time for a trajectory{''.join(f'; {engine}' for engine in (*others, *none))}"
+        )
 
 
 def _milliseconds(domain: DomainFacts) -> float:

@@ -47,7 +47,11 @@ def worth_table(shift: Shift, place: int) -> Table:
     models, pick = trained_models(shift), at(shift, shift.frames[place])
     matrices = [matrix_of(shift, model, pick) for model in models]
     domains = [d for d in shift.domains if d.cost_s is not None]
-    harms = {(harm.model, harm.first): harm for harm in shift.harms}
+    harms, later = (
+        {(harm.model, harm.first): harm for harm in each}
+        for each in (shift.harms, shift.harms_after_contact)
+    )
+    since = sum(frame <= shift.frames[place] for frame in shift.contact_frames) - 1
     apart = distances(shift, place)
     rows = (
         (
@@ -56,7 +60,8 @@ def worth_table(shift: Shift, place: int) -> Table:
             number(apart.get(domain.name)),
             *(
                 number(matrix.entry(domain.name, REFERENCE))
-                + _harm(harms.get((matrix.model, domain.name)), place)
+                + _harm(", ×", harms.get((matrix.model, domain.name)), place)
+                + _harm("; after contact ×", later.get((matrix.model, domain.name)), since)
                 for matrix in matrices
             ),
         )
@@ -71,17 +76,18 @@ def worth_table(shift: Shift, place: int) -> Table:
         "how good data must be. Beside it stands how many times the error it is of the model that "
         "learned from the reference's best data, and the 95 % interval: data are harmful where "
         f"that is significant, of all together, and {NOTABLE:g} or more, and harmless where "
-        f"it is not and the interval is below {BEARABLE:g}",
+        f"it is not and the interval is below {BEARABLE:g}"
+        + ("; after contact: as many frames from the first contact on" if later else ""),
         ("trained on", "a trajectory", "data", *models),
         rows,
     )
 
 
-def _harm(harm: Harm | None, place: int) -> str:
+def _harm(before: str, harm: Harm | None, place: int) -> str:
     if harm is None or harm.value[place] is None:
         return ""
     value, low, high = (number(each[place]) for each in (harm.value, harm.low, harm.high))
-    return f", × {value} [{low}, {high}] {verdict(harm, place)}"
+    return f"{before} {value} [{low}, {high}] {verdict(harm, place)}"
 
 
 def worth_section(shift: Shift) -> Section:
