@@ -158,7 +158,8 @@ def test_what_is_harmless_before_a_contact_may_harm_after_it() -> None:
     assert after.question == "How good must data be after the first contact?"
     assert after.answer == (
         "At t = 3 after the first contact the cheapest data that harm none of gns are "
-        "reference-loose, 1 ms of processor time for a trajectory; a-coarse, 2 ms; none of b"
+        "reference-loose, 1 ms of processor time for a trajectory; a-coarse, 2 ms; none of b. "
+        "Harmful: a-fine, b-coarse; of 0 it cannot be told"
     )
     cells = {row.texts[0]: row.texts[3] for row in worth_table(shift, 1).rows}
     assert [part.endswith(HARMLESS) for part in cells["a-fine"].split("; after contact ×")] == [

@@ -103,7 +103,12 @@ def answer_of_harms(shift: Shift) -> Iterator[Answer]:
     if shift.harms_after_contact:
         frames = [frame for frame in shift.contact_frames if frame <= shift.at]
         when = f"At t = {frames[-1]} after the first contact"
+        worst = verdicts(shift.harms_after_contact, len(frames) - 1)
+        harmful, unsure = (
+            [name for name, word in worst.items() if word == kind] for kind in (HARMFUL, UNTOLD)
+        )
         for text in _cheapest(shift, shift.harms_after_contact, len(frames) - 1, when):
+            text += f". Harmful: {', '.join(harmful) or 'none'}; of {len(unsure)} it cannot be told"
             yield Answer(WORTH, "How good must data be after the first contact?", text)
 
 
