@@ -44,7 +44,7 @@ _HEAD = """\
 
 **What do learned models inherit from the engine whose data taught them? Its settings; at equal
 settings there is next to nothing to inherit.** At one step, without damping and with hard contact
-data of MuJoCo, PyBullet and DART differ by less than most models err. What costs is a coarser step,
+data of MuJoCo, PyBullet and DART differ by less than any model errs. What costs is a coarser step,
 PyBullet's damping and MuJoCo's soft contact.
 
 ![What a change of engine or settings costs, by scene and model](factors.png)
