@@ -161,7 +161,8 @@ WAYS = each,leave-one-out,all
 # A change of speed, to hold one of engine against.
 SPEEDS = mujoco-low,mujoco-medium,mujoco-high
 SEEDS ?= 1
-SHIFTED ?= 5pendulum 6pendulum 6pendulum-matched balldrop 3ladder simplecubli $(SCENES:%=%-factors) 5pendulum-worth 6pendulum-worth
+SHIFTED ?= 5pendulum 6pendulum 6pendulum-matched balldrop 3ladder simplecubli $(SCENES:%=%-factors) \
+	2ladder-matched 3ladder-matched 2ladder-fine 5pendulum-worth 6pendulum-worth balldrop-worth
 drawn = $(BIN)/mbds-xsim generate $(1) --settings $(2) --trajectories $(DRAWN) --out $(STUDY) \
 	--engines $(ENGINES) \
 	|| [ $$? -eq 1 ]
@@ -228,25 +229,30 @@ $(factor-targets): shift-%-factors: $(VENV)/ready
 		--out $(FACTORS)/models --png $(REPORTS)/shift/$*-factors-curves.png $(ON)
 	$(BIN)/mbds-xsim shift $(FACTORS)/models $(FACTORS) --scene $* $(TESTED) $(ON) $(call told,shift/$*-factors)
 
-# Matched data of the ladders alone, in less time; and 2ladder's at finer steps of the engines of first order.
-alone = $(BIN)/mbds-xsim generate $(1) --trajectories 300 --out $(FACTORS) --settings $(2) --engines $(ENGINES) \
-	|| [ $$? -eq 1 ]; \
-	$(BIN)/mbds-xsim train $(FACTORS)/$(1)/*-$(3).h5 --track native+ --models $(NETWORKS) --steps $(STEPS) \
-		--out $(FACTORS)/models --png $(REPORTS)/shift/$(1)-$(3)-curves.png $(ON) && \
-	$(BIN)/mbds-xsim shift $(FACTORS)/models $(FACTORS) --scene $(1) --settings $(3) $(TESTED) $(ON) \
-		$(call told,shift/$(1)-$(3))
+# Matched data of the ladders alone, in less time; and, in a folder of its own, 2ladder's at finer steps
+# of the engines of first order.
+FINE ?= out/fine
+define alone
+	$(BIN)/mbds-xsim generate $(1) --trajectories 300 --out $(2) --settings $(3) --engines $(ENGINES) \
+		|| [ $$? -eq 1 ]
+	$(BIN)/mbds-xsim train $(2)/$(1)/*-$(4).h5 --track native+ --models $(NETWORKS) --steps $(STEPS) \
+		--out $(2)/models --png $(REPORTS)/shift/$(1)-$(4)-curves.png $(ON)
+	$(BIN)/mbds-xsim shift $(2)/models $(2) --scene $(1) --settings $(4) $(TESTED) $(ON) \
+		$(call told,shift/$(1)-$(4))
+endef
 alone-targets = shift-2ladder-matched shift-3ladder-matched shift-2ladder-fine
 .PHONY: $(alone-targets)
 shift-2ladder-matched shift-2ladder-fine: STEPS = 200
 shift-3ladder-matched: STEPS = 150
 shift-3ladder-matched: TESTED = --trajectories 10
 shift-2ladder-matched shift-3ladder-matched: shift-%-matched: $(VENV)/ready
-	$(call alone,$*,matched,matched)
+	$(call alone,$*,$(FACTORS),matched,matched)
 shift-2ladder-fine: shift-%-fine: $(VENV)/ready
-	$(call alone,$*,benchmarks/factors/fine.toml,fine)
+	$(call alone,$*,$(FINE),benchmarks/factors/fine.toml,fine)
 
 # How good data must be: models that learned from a ladder of steps of engines, and of tolerances of the
-# reference, by the error on the truth that what they learned from costs them. Half a core-hour a scene.
+# reference, by the error on the truth that what they learned from costs them. Half a core-hour a scene, more
+# with its NETWORKS or STEPS.
 WORTH ?= out/worth
 $(worth-targets): STEPS = 100
 shift-balldrop-worth: STEPS = 500

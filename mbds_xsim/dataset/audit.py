@@ -146,6 +146,7 @@ class _Case:
     origin: Provenance
     assumptions: list[str]
     not_checked: dict[str, str]
+    orientation: Array | None = None
 
     @staticmethod
     def of(foreign: Foreign, origin: Provenance) -> _Case:
@@ -192,6 +193,7 @@ class _Case:
         States may be rounded by `blur`, orientations by `turned`. `blur` is None for states fitted
         to points: then the points, and not the bodies, are compared with the start.
         """
+        self.orientation = states["orientation"]
         method, step = self._method()
         spread = self.origin.contact_time_s
         trajectory = self._trajectory(states)
@@ -235,7 +237,7 @@ class _Case:
         if fit.undetermined:
             few = ", ".join(fit.undetermined[:3]) + (" …" if len(fit.undetermined) > 3 else "")
             reason = f"the particles do not show how {few} turned; give body states"
-            self._leave_out(reason, *_positional(scene))
+            self._leave_out(reason, "error of turns", *_positional(scene))
             return [rigid, *self._start_of(position, velocity)]
         self.assumptions.append("bodies: fitted to the particles as rigid, by least squares")
         states = {key: getattr(fit, key) for key in STATES}
@@ -298,8 +300,7 @@ class _Case:
 
     def _errors(self) -> list[Finding]:
         """Compare the points of the first trajectories with the reference."""
-        rows = list(range(min(len(self.batch), _MOST_COMPARED - self.foreign.first)))
-        if not rows:
+        if not (rows := list(range(min(len(self.batch), _MOST_COMPARED - self.foreign.first)))):
             return []
         scene, batch = self.foreign.scene, self.batch[rows]
         solved = reference_of(scene, batch, cache=True)
@@ -314,10 +315,9 @@ class _Case:
             self.not_checked["error at 1 s"] = (
                 "needs a frame at 1 s that the reference reaches, in the interval low or medium"
             )
-        if (turned := self.foreign.arrays.get("body/orientation")) is None:
-            self.not_checked["error of turns"] = "needs the orientations of bodies"
-        else:
-            findings.append(turn_finding(scene, turned[rows], solved.trajectory, solved.growth))
+        if self.orientation is not None:
+            turned = self.orientation[rows]
+            findings.append(turn_finding(scene, turned, solved.trajectory, solved.growth))
         return findings
 
     def _positions(self) -> Array:
@@ -388,8 +388,7 @@ def _draw_starts(foreign: Foreign, origin: Provenance) -> Batch:
 def _unnamed(foreign: Foreign, assumptions: list[str]) -> Batch:
     """Return a batch with the inputs in the file, or with only those that the scene lists."""
     scene, count = foreign.scene, foreign.count
-    batch = draw_batch(scene, [0], noise=False, inputs=False)
-    batch = batch[np.zeros(count, dtype=np.int64)]
+    batch = draw_batch(scene, [0], noise=False, inputs=False)[np.zeros(count, dtype=np.int64)]
     inputs = {}
     for key in ("force", "torque"):
         values = foreign.arrays.get(f"input/{key}")

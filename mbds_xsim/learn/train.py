@@ -39,6 +39,7 @@ from mbds_xsim.learn.window import HISTORY, Motions, Sample
 _ANEW = "remove it to start over"
 _KEPT = ("curve", "ended", "skipped", "wall_s", "cpu_s")  # fields saved in a checkpoint
 _LINE = 80  # longest list of differences that a message shows [characters]
+_ABSENT = "absent"
 End = Literal["", "steps", "level", "diverged"]
 """Reason why a training ended; empty while it goes on."""
 
@@ -324,7 +325,7 @@ def _entries_apart(stated: str, own: str) -> str:
     except msgspec.DecodeError:
         return ""
     differences = "; ".join(
-        f"{key} {was.get(key)}, now {now.get(key)}"
+        f"{key} {was.get(key, _ABSENT)}, now {now.get(key, _ABSENT)}"
         for key in {**was, **now}
         if was.get(key) != now.get(key)
     )

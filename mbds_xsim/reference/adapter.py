@@ -51,7 +51,7 @@ class Reference(Adapter):
     options: ClassVar = {
         RTOL: Option(
             _MATCHED,
-            "allowed error of a step, relative to the size of each component of the state; nothing "
+            "allowed error of a step, relative to 1 plus the size of each component; nothing "
             "of a ball on the ground depends on it",
             least=TIGHTEST,
             most=LOOSEST,

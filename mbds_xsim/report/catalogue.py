@@ -29,9 +29,10 @@ _HEAD = """\
 
 This page is written from the adapters by `mbds-xsim engines --markdown > docs/engines.md`; a
 test compares the two. `mbds-xsim engines` prints the same for what is installed. Every claim is
-measured: the contract suite (`mbds_xsim.testing.AdapterContract`) runs each method on cases with
-exact answers, fits its order of convergence, and checks that what is refused is refused with
-the reason before the engine sees it.
+measured, but for the order of the reference's steps: the contract suite
+(`mbds_xsim.testing.AdapterContract`) runs each method on cases with exact answers, fits its order
+of convergence, and checks that what is refused is refused with the reason before the engine sees
+it.
 
 Which to use for what: [choose-an-engine.md](choose-an-engine.md). One of your own:
 [add-an-engine.md](add-an-engine.md).

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from mbds_xsim.base import rotation
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.audit import Audited, audit_file
 from mbds_xsim.dataset.export import groups
@@ -155,6 +156,17 @@ def test_forces_that_are_not_told_are_missed(rod: Scene, swing: Arrays, audited:
     assert energy > 100 * {one.check: one.figure for one in complete.findings}["energy"]
 
 
+def test_a_wrong_turn_is_seen_beside_the_reference(
+    rod: Scene, swing: Arrays, audited: Audit
+) -> None:
+    """A turn about the rod's own axis moves no particle."""
+    q = swing["body/orientation"]
+    about = rotation.from_vector(np.array([0.0, 0.0, 0.2]))
+    turned = swing | {"body/orientation": rotation.multiply(q, np.broadcast_to(about, q.shape))}
+    assert "error of turns" in _failed(audited(rod, turned))
+    assert "error growth-weighted" not in _failed(audited(rod, turned))
+
+
 def test_positions_alone_leave_velocities_unchecked(
     rod: Scene, swing: Arrays, audited: Audit
 ) -> None:
@@ -169,7 +181,8 @@ def test_particles_of_a_rod_tell_its_length(rod: Scene, swing: Arrays, audited: 
     result = audited(rod, _only(swing, "position"))
     assert result.verdict == "pass"
     assert {"rigidity", "start", "error growth-weighted"} == _checks(result)
-    assert "do not show how" in result.not_checked["energy"]
+    for left_out in ("energy", "error of turns"):
+        assert "do not show how" in result.not_checked[left_out]
     longer = audited(rod, _only(swing | {"position": 1.01 * swing["position"]}, "position"))
     assert {"rigidity", "start"} <= _failed(longer)
 
@@ -179,6 +192,7 @@ def test_particles_of_a_disc_tell_all(drop: tuple[Scene, Arrays], audited: Audit
     result = audited(scene, _only(arrays, "position", "velocity"))
     assert result.reasons == ()
     assert {"start", "energy", "friction", "restitution", "rigidity"} <= _checks(result)
+    assert {"error growth-weighted", "error of turns"} <= _checks(result)
     assert any("fitted" in line for line in result.taken)
     fit = recover(scene, arrays["position"], arrays["velocity"])
     for key in STATES[:1] + STATES[2:]:

@@ -110,7 +110,7 @@ def test_a_checkpoint_of_another_run_is_refused(
 def test_a_refusal_names_what_was_changed_added_and_removed() -> None:
     stated = {"model": '{"width": 64, "depth": 2}'}
     own = {"model": '{"width": 32, "noise": 0.1}'}
-    told = r"\(width 64, now 32; depth 2, now None; noise None, now 0.1\)"
+    told = r"\(width 64, now 32; depth 2, now absent; noise absent, now 0.1\)"
     with pytest.raises(InputError, match=told):
         check_identity(Path("run.pt"), "a checkpoint", stated, own)
 

@@ -159,7 +159,7 @@ def test_what_is_harmless_before_a_contact_may_harm_after_it() -> None:
     assert after.answer == (
         "At t = 3 after the first contact the cheapest data that harm none of gns are "
         "reference-loose, 1 ms of processor time for a trajectory; a-coarse, 2 ms; none of b. "
-        "Harmful: a-fine, b-coarse; of 0 it cannot be told"
+        "Harmful: a-fine, b-coarse"
     )
     cells = {row.texts[0]: row.texts[3] for row in worth_table(shift, 1).rows}
     assert [part.endswith(HARMLESS) for part in cells["a-fine"].split("; after contact ×")] == [
@@ -171,6 +171,23 @@ def test_what_is_harmless_before_a_contact_may_harm_after_it() -> None:
         for harm in later.harms
     )
     assert len(list(answer_of_harms(msgspec.structs.replace(shift, harms=unknown)))) == 1
+
+
+def test_a_study_with_contact_judges_data_after_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert _study({"a-coarse": 4.0}).harms_after_contact == ()
+    monkeypatch.setattr(study, "from_contact", lambda evaluation: evaluation)  # at once
+    shift = _study({"a-coarse": 4.0})
+    assert shift.contact_frames == shift.frames
+    assert shift.harms_after_contact == shift.harms
+    assert [answer.question for answer in shift.answers] == [
+        "How good must data be?", "How good must data be after the first contact?",
+    ]  # fmt: skip
+
+
+def test_without_distances_from_the_truth_none_is_told() -> None:
+    shift = msgspec.structs.replace(_study({}), floors=())
+    (answer,) = answer_of_harms(shift)
+    assert answer.answer.endswith("No data harm")
 
 
 def test_without_data_of_the_reference_nothing_is_asked() -> None:

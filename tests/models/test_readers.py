@@ -13,7 +13,7 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.joint_space import BodyStates, to_links
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.simulate.registry import read_model
+from mbds_xsim.simulate.registry import read_model, registered
 from mbds_xsim.studies.readers import compare
 from tests.command_line import CommandLine
 
@@ -55,6 +55,19 @@ def test_a_solid_ball_is_read_alike_by_all(run: CommandLine, here: Path) -> None
     assert ended.code == 1
     assert "otherwise: pybullet" in ended.out
     assert '"field": "inertia"' in (here / "arm.json").read_text()
+
+
+def test_a_reader_leaves_other_connections_to_pybullet_alone(tmp_path: Path) -> None:
+    load, path = registered("mbds_xsim.model_loaders")["pybullet"].load(), tmp_path / "arm.urdf"
+    path.write_text(_ALIKE.format(0.3))
+    pybullet = pytest.importorskip("pybullet")
+    other = pybullet.connect(pybullet.DIRECT)
+    try:
+        assert len(load(path, floating=False).joints) == 1
+        assert pybullet.getNumBodies(physicsClientId=other) == 0
+        assert pybullet.isConnected(other + 1) == 0
+    finally:
+        pybullet.disconnect(other)
 
 
 def test_what_is_read_otherwise_moves_as_its_own_equation_says() -> None:

@@ -245,6 +245,10 @@ class Shift(msgspec.Struct, frozen=True, kw_only=True):
     kept: int = 0
     """Number of models that had been tested before and took no time of this study."""
 
+    def contact_place(self, frame: int) -> int:
+        """Return the place in `contact_frames` of the last that is not after a frame."""
+        return max(k for k, since in enumerate(self.contact_frames) if since <= frame)
+
 
 def values(numbers: Iterable[float], digits: int = 7) -> Values:
     """Round numbers to so many significant digits; those that are not finite become None."""

@@ -12,7 +12,7 @@ harmless only if the interval, too, is below the bearable ratio.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -92,55 +92,60 @@ def noise_of(shift: Shift, place: int) -> float | None:
 def answer_of_harms(shift: Shift) -> Iterator[Answer]:
     """Name the cheapest data that harm no model, and say how far from the truth data may be.
 
-    Where there is contact, it follows which data harm no model after the first one.
+    With contact a second answer does so for frames after the first contact.
     """
     place = shift.frames.index(shift.at)
-    for text in _cheapest(shift, shift.harms, place, f"At t = {shift.at}"):
-        noise = noise_of(shift, place)
-        text += f". {_reach(verdicts(shift.harms, place), distances(shift, place))}"
+    if text := _cheapest(shift, shift.harms, place, f"At t = {shift.at}"):
+        noise, reach = noise_of(shift, place), _reach(shift, place)
+        text += f". {reach}"
         text += f", the random forces, which no model is told, {noise:.2g} m²" if noise else ""
         yield Answer(WORTH, "How good must data be?", text)
     if shift.harms_after_contact:
-        frames = [frame for frame in shift.contact_frames if frame <= shift.at]
-        when = f"At t = {frames[-1]} after the first contact"
-        worst = verdicts(shift.harms_after_contact, len(frames) - 1)
-        harmful, unsure = (
-            [name for name, word in worst.items() if word == kind] for kind in (HARMFUL, UNTOLD)
-        )
-        for text in _cheapest(shift, shift.harms_after_contact, len(frames) - 1, when):
-            text += f". Harmful: {', '.join(harmful) or 'none'}; of {len(unsure)} it cannot be told"
-            yield Answer(WORTH, "How good must data be after the first contact?", text)
+        yield from _answer_after_contact(shift)
 
 
-def _cheapest(shift: Shift, harms: Sequence[Harm], place: int, when: str) -> Iterator[str]:
-    """Yield the cheapest data of each engine that harm no model; nothing if there are none."""
-    if all(harm.value[place] is None for harm in harms):  # as where no truth is known any more
-        return
+def _answer_after_contact(shift: Shift) -> Iterator[Answer]:
+    place, harms = shift.contact_place(shift.at), shift.harms_after_contact
+    when = f"At t = {shift.contact_frames[place]} after the first contact"
+    if text := _cheapest(shift, harms, place, when):
+        words = verdicts(harms, place)
+        harmful = ", ".join(name for name, word in words.items() if word == HARMFUL)
+        unsure = sum(word == UNTOLD for word in words.values())
+        text += f". Harmful: {harmful or 'none'}" + f"; {unsure} others {UNTOLD}" * bool(unsure)
+        yield Answer(WORTH, "How good must data be after the first contact?", text)
+
+
+def _cheapest(shift: Shift, harms: Sequence[Harm], place: int, when: str) -> str:
+    """Name the cheapest data of each engine that harm no model; "" if none are known to."""
+    if all(harm.value[place] is None for harm in harms):
+        return ""
     worst, cheapest = verdicts(harms, place), dict[str, DomainFacts]()
     by_cost = sorted((d for d in shift.domains if d.name in worst and d.cost_s), key=_milliseconds)
     for domain in by_cost:
         if worst[domain.name] == HARMLESS:
             cheapest.setdefault(domain.engine, domain)
+    if not cheapest:
+        return ""
     models = ", ".join(dict.fromkeys(harm.model for harm in harms))
-    if cheapest:
-        first, *others = (f"{d.name}, {_milliseconds(d):.3g} ms" for d in cheapest.values())
-        engines = dict.fromkeys(d.engine for d in by_cost)
-        none = [f"none of {engine}" for engine in engines if engine not in cheapest]
-        yield (
-            f"{when} the cheapest data that harm none of {models} are {first} of processor "
-            f"time for a trajectory{''.join(f'; {engine}' for engine in (*others, *none))}"
-        )
+    first, *others = (f"{d.name}, {_milliseconds(d):.3g} ms" for d in cheapest.values())
+    none = [f"none of {e}" for e in dict.fromkeys(d.engine for d in by_cost) if e not in cheapest]
+    return (
+        f"{when} the cheapest data that harm none of {models} are {first} of processor "
+        f"time for a trajectory{''.join(f'; {engine}' for engine in (*others, *none))}"
+    )
 
 
 def _milliseconds(domain: DomainFacts) -> float:
     return 1e3 * (domain.cost_s or 0.0)
 
 
-def _reach(worst: Mapping[str, str], apart: Mapping[str, float]) -> str:
+def _reach(shift: Shift, place: int) -> str:
     """Say how far from the truth harmful and harmless data are."""
+    worst, apart = verdicts(shift.harms, place), distances(shift, place)
     harmful, harmless = (
         [apart[name] for name, word in worst.items() if word == kind and name in apart]
         for kind in (HARMFUL, HARMLESS)
     )
     begin = f"Data that harm are at least {min(harmful):.2g} m²" if harmful else "No data harm"
-    return f"{begin}, the harmless are at most {max(harmless):.2g} m² from the truth"
+    end = f", the harmless are at most {max(harmless):.2g} m² from the truth" if harmless else ""
+    return begin + end

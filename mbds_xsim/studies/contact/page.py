@@ -71,10 +71,10 @@ counts as friction here.
 _ENERGY = f"""
 ## Energy
 
-“Elastic ball”: mean change of its energy in a bounce, e = 1, at 1 m/s. The others are of thrown
-cubes that land on corners (`simplecubli`, asked {RESTITUTION}): the rise of energy that the law of
-impact does not explain, the whole rise, both over the energy scale, and the rebound of single
-corners. Newton's law together with Coulomb's may itself raise the energy there
+“Elastic ball”: mean change of its energy in a bounce, e = 1, at 1.0 to 1.2 m/s. The others are of
+thrown cubes that land on corners (`simplecubli`, asked {RESTITUTION}): the rise of energy that the
+law of impact does not explain, the whole rise, both over the energy scale, and the rebound of
+single corners. Newton's law together with Coulomb's may itself raise the energy there
 ([passivity](checks.md#passivity)), and is one law among several.
 """
 _REST = """

@@ -148,9 +148,10 @@ def study_contact(choice: Choice, conduct: Conduct, command: str = "") -> Contac
 
 
 JUDGED = (
-    "Marked is what is further from the law that was asked for than 0.01 of restitution, 2 % of "
-    "friction, 1° of its direction, 1 mm of hops, 1 mm/s of creep or trembling, 2 % of energy in a "
-    "bounce, 0.1 % of energy from nowhere, and a limit that an engine keeps silent about."
+    "Marked is what is further from the law that was asked for than 0.01 of a ball's restitution, "
+    "2 % of friction, 1° of its direction, a push of 1.05 that starts it, 1 mm of hops, 1 mm/s of "
+    "creep or trembling, 2 % of energy in a bounce, 0.1 % of energy from nowhere, and a limit that "
+    "an engine keeps silent about."
 )
 
 

@@ -67,11 +67,11 @@ def install(package: str, version: str, *, fresh: bool = False) -> Path | str:
         write_whole(part / _REASON_FILE, error.encode())
     try:
         part.rename(folder)
-    except OSError:  # another process has installed the release since
+    except OSError:  # another process has been here since; what it installed is as good
         if not folder.is_dir():
             raise
         shutil.rmtree(part)
-        return install(package, version)
+        return install(package, version, fresh=not error)
     return error or folder
 
 

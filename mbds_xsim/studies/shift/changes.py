@@ -19,10 +19,9 @@ def change_tables(shift: Shift, place: int) -> Iterator[Table]:
     yield survivors(interactions, place, when, _noticeable_pairs(shift, interactions, place))
     yield _pairs(interactions, place, when)
     if shift.after_contact:
-        frames = [frame for frame in shift.contact_frames if frame <= shift.frames[place]]
+        place, interactions = shift.contact_place(shift.frames[place]), shift.after_contact
         trajectories = counted(shift.contact_trajectories, "trajectory")
-        when = f"{frames[-1]} frames after the first contact ({trajectories})"
-        place, interactions = len(frames) - 1, shift.after_contact
+        when = f"{shift.contact_frames[place]} frames after the first contact ({trajectories})"
         yield survivors(interactions, place, when, _noticeable_pairs(shift, interactions, place))
         yield _pairs(interactions, place, when)
 

@@ -51,7 +51,8 @@ def worth_table(shift: Shift, place: int) -> Table:
         {(harm.model, harm.first): harm for harm in each}
         for each in (shift.harms, shift.harms_after_contact)
     )
-    since = sum(frame <= shift.frames[place] for frame in shift.contact_frames) - 1
+    touched = shift.contact_place(shift.frames[place]) if later else 0
+    since = shift.contact_frames[touched] if later else 0
     apart = distances(shift, place)
     rows = (
         (
@@ -61,7 +62,7 @@ def worth_table(shift: Shift, place: int) -> Table:
             *(
                 number(matrix.entry(domain.name, REFERENCE))
                 + _harm(", ×", harms.get((matrix.model, domain.name)), place)
-                + _harm("; after contact ×", later.get((matrix.model, domain.name)), since)
+                + _harm("; after contact ×", later.get((matrix.model, domain.name)), touched)
                 for matrix in matrices
             ),
         )
@@ -77,7 +78,7 @@ def worth_table(shift: Shift, place: int) -> Table:
         "learned from the reference's best data, and the 95 % interval: data are harmful where "
         f"that is significant, of all together, and {NOTABLE:g} or more, and harmless where "
         f"it is not and the interval is below {BEARABLE:g}"
-        + ("; after contact: as many frames from the first contact on" if later else ""),
+        + (f"; after contact: {since} frames after the first" if later else ""),
         ("trained on", "a trajectory", "data", *models),
         rows,
     )

@@ -264,13 +264,13 @@ _REPEATS = 0.3
 
 
 def rollout_cost(rows: Sequence[Measurement], count: int, duration: float) -> float | None:
-    """Predict the time of a rollout at a count of its curve [s]; None if no row has a time.
+    """Predict the time of a rollout at a count of its curve [s]; None if no row took any.
 
     The cost grows as between the last two points, at most in proportion to the steps. It is
     processor time, which does not depend on other work of the machine.
     """
     medians = ((row.count, float(np.median(row.cpu_s))) for row in rows if row.cpu_s)
-    timed = [(count, spent) for count, spent in medians if spent > 0]  # clocks have a resolution
+    timed = [(steps, spent) for steps, spent in medians if spent > 0]  # clocks have a resolution
     if not timed:
         return None
     last, spent = timed[-1]
