@@ -188,13 +188,13 @@ shift-5pendulum shift-3ladder shift-simplecubli: DRAWN = 300
 
 shift-6pendulum shift-balldrop: shift-%: $(VENV)/ready
 	$(call drawn,$*,native)
-	$(call trained,$*/*-native.h5,$(WAYS),$*)
-	$(if $(filter 6pendulum,$*),$(call trained,$*/*-native.h5,$(SPEEDS) --seeds $(SEEDS),$*-speed))
+	$(call trained,$*/*-native.h5,$(WAYS) --models $(PUBLISHED),$*)
+	$(if $(filter 6pendulum,$*),$(call trained,$*/*-native.h5,$(SPEEDS) --models $(PUBLISHED) --seeds $(SEEDS),$*-speed))
 	$(call shifted,$*,$* --settings native)
 
 # Of the published models HGNN and LGNN know no contact.
 PUBLISHED = gns,sgnn
-shift-5pendulum: PUBLISHED = gns,hgnn,lgnn,sgnn
+shift-5pendulum shift-6pendulum shift-6pendulum-matched reports-lite: PUBLISHED = gns,hgnn,lgnn,sgnn
 
 shift-5pendulum shift-3ladder shift-simplecubli: shift-%: $(VENV)/ready
 	$(call drawn,$*,native)
@@ -204,7 +204,7 @@ shift-5pendulum shift-3ladder shift-simplecubli: shift-%: $(VENV)/ready
 # The same starts at either settings.
 shift-6pendulum-matched: shift-%-matched: $(VENV)/ready
 	$(call drawn,$*,native$(comma)matched)
-	$(call trained,$*,each --seeds $(SEEDS),$*-matched)
+	$(call trained,$*,each --models $(PUBLISHED) --seeds $(SEEDS),$*-matched)
 	$(call shifted,$*-matched,$* --on each --seeds $(SEEDS))
 
 # Which factor of a change of engine costs how much, by models of bodies, in two core-hours a scene: four engines
@@ -268,7 +268,7 @@ $(worth-targets): shift-%-worth: $(VENV)/ready
 # All four models until more steps bring no more, on each engine's data: two and a half core-hours.
 reports-lite: $(VENV)/ready
 	$(call drawn,6pendulum,native)
-	$(BIN)/mbds-xsim train $(STUDY)/6pendulum/*-native.h5 --on each --seeds 1 --out $(LITE) \
+	$(BIN)/mbds-xsim train $(STUDY)/6pendulum/*-native.h5 --on each --models $(PUBLISHED) --seeds 1 --out $(LITE) \
 		--png $(REPORTS)/lite/6pendulum-curves.png
 	$(BIN)/mbds-xsim shift $(LITE) $(STUDY) --scene 6pendulum --settings native \
 		$(call told,lite/6pendulum)
