@@ -23,7 +23,7 @@ from mbds_xsim.checks.extrapolation import LEAST_SPAN
 from mbds_xsim.checks.mismatch import EVERY_SECOND
 from mbds_xsim.dataset.layout import INTEGRITY, sampled
 from mbds_xsim.measure.campaign import RTOL, reference_of
-from mbds_xsim.measure.judge import error_findings, failed_lines, turn_finding
+from mbds_xsim.measure.judge import failed_lines, reference_findings
 from mbds_xsim.measure.outcome import Outcome, ReferenceOutcome
 from mbds_xsim.measure.refinement import compared, convergence, further_step, other_steps, smooth
 from mbds_xsim.scene.mechanism import Mechanism
@@ -217,8 +217,7 @@ def sample_findings(
     """
     truth = solved.trajectory
     error = agreement.particle_error(Mechanism.of(scene), trajectory, truth)
-    turns = turn_finding(scene, trajectory.orientation, truth, solved.growth)
-    return [*error_findings(scene, batch, error, truth, solved.growth), turns]
+    return reference_findings(scene, batch, trajectory, error, truth, solved.growth)
 
 
 def limit_faults(

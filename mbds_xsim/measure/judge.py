@@ -54,8 +54,7 @@ def judge(outcome: Outcome, reference: ReferenceOutcome, *, native: bool = True)
     if not method.is_truth:
         error = agreement.particle_error(Mechanism.of(scene), trajectory, truth)
         findings += [
-            *error_findings(scene, batch, error, truth, reference.growth),
-            turn_finding(scene, trajectory.orientation, truth, reference.growth),
+            *reference_findings(scene, batch, trajectory, error, truth, reference.growth),
             *convergence(outcome, reference),
         ]
     result = _result(outcome, findings, error, reference, native)
@@ -79,6 +78,19 @@ def reference_result(scene: Scene, batch: Batch, reference: ReferenceOutcome) ->
             for end in reference.trajectory.failures
         ),
     )
+
+
+def reference_findings(
+    scene: Scene,
+    batch: Batch,
+    trajectory: Trajectory,
+    error: Array,
+    truth: Trajectory,
+    growth: Array,
+) -> list[Finding]:
+    """Compare a motion with the reference's: its error, of `particle_error`, and its rotations."""
+    turns = turn_finding(scene, trajectory.orientation, truth, growth)
+    return [*error_findings(scene, batch, error, truth, growth), turns]
 
 
 def error_findings(

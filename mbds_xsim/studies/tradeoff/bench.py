@@ -18,7 +18,7 @@ from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.base.isolate import Conduct, Crash, Task, run_tasks
 from mbds_xsim.checks import Finding, agreement, audit
 from mbds_xsim.measure.campaign import run_references
-from mbds_xsim.measure.judge import error_findings
+from mbds_xsim.measure.judge import reference_findings
 from mbds_xsim.measure.runner import Runner, Store, StudyCase, in_time, machine, row_key
 from mbds_xsim.reference import FirstImpact
 from mbds_xsim.reference.solution import confirmed
@@ -293,7 +293,8 @@ def _of_bodies(
     findings = audit(scene, start, motion, run.method, step=run.step, contact_time=run.contact_time)
     by_check = {finding.check: finding for finding in findings}
     if errors and truth.judged:
-        findings = [*error_findings(scene, start, error, truth.trajectory, truth.growth), *findings]
+        known = truth.trajectory, truth.growth
+        findings = [*reference_findings(scene, start, motion, error, *known), *findings]
     return errors | {
         "gap_m": _figure(by_check, "gap"),
         "energy": _figure(by_check, "passivity" if scene.contacts else "energy"),
