@@ -1,4 +1,5 @@
-# Every target sets up what it needs: a machine with Python 3.11 and make is enough.
+# Every target sets up what it needs: a machine with Python 3.11 and make is enough
+# (`readme` also needs a Chromium, `reports-learn-speed-gpu` a GPU).
 PYTHON ?= python3.11
 VENV ?= .venv
 BIN = $(VENV)/bin
@@ -13,7 +14,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 comma = ,
 
-# One at a time: the reports take times.
+# One at a time: the reports measure times.
 .NOTPARALLEL:
 .PHONY: validate test fuzz lint package docs clean reports reports-validate \
 	reports-tradeoff reports-stability reports-ablation reports-overhead \
@@ -28,7 +29,7 @@ test: $(VENV)/ready
 	MBDS_XSIM_MUST_RUN=mujoco,pybullet,dart,exudyn,pinocchio,mujoco-warp,drake $(BIN)/python -m pytest \
 		--numprocesses logical --dist worksteal
 
-# Ten times the cases of bad input that the tests have, new ones each time.
+# Seven times the cases of bad input that the tests have, new ones each time.
 FUZZ ?= 3000
 fuzz: $(VENV)/ready
 	MBDS_XSIM_FUZZ=$(FUZZ) $(BIN)/python -m pytest tests/fuzz
@@ -50,14 +51,14 @@ docs: $(VENV)/ready
 $(VENV)/ready: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	# Two at a time, of what is known to fit together: no search for that.
+	# Two pip processes at a time; the pinned packages fit together, so none are resolved.
 	grep -v '^#' constraints.txt | xargs -P 2 -n 34 \
 		$(BIN)/python -m pip install --quiet --no-compile --no-deps
 	$(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt --editable '.[dev]'
 	touch $@
 
-# Every report again, in hours on a machine that does nothing else. A chapter has its own target;
-# options for a quick look:
+# Most reports again, in a day or two on a machine that does nothing else. A chapter has its own
+# target; options for a quick look:
 # make reports-tradeoff reports-stability REPORTS=out/reports SCENES=5pendulum \
 #     TRADEOFF="--starts 1 --limit 2" STUDIES=spin STABILITY=--quick
 REPORTS ?= reports
@@ -121,7 +122,7 @@ reports-models-in-the-wild: $(VENV)/ready $(WILD)/ready
 reports-learn-speed: $(VENV)/ready
 	$(BIN)/python -m benchmarks.learn_speed > $(REPORTS)/learn-speed.md
 
-# Needs one; no part of `make reports`.
+# Needs a GPU; no part of `make reports`.
 reports-learn-speed-gpu: $(VENV)/ready
 	$(BIN)/python -m benchmarks.learn_speed 3ladder --device cuda --tracks paper \
 		> $(REPORTS)/learn-speed-gpu.md
@@ -151,9 +152,10 @@ reports-models: $(VENV)/ready
 			--markdown $(REPORTS)/models/$$study.md || exit; \
 	done
 
-# Models under a change of engine, in some ten core-hours; a study has a target of its own, such as
-# shift-3ladder, and whatever is there is gone on with. Data that keep no budget are what the field
-# has: they are published as uncertified. Single-engine trainings alone have one seed; more: SEEDS=3.
+# Models under a change of engine, in some ten core-hours without `-factors` and `-worth`; a study has
+# a target of its own, such as shift-3ladder, and whatever is there is gone on with. Data that keep
+# no budget are what the field has: they are published as uncertified. Single-engine
+# trainings alone have one seed; more: SEEDS=3.
 STUDY ?= out/study
 DRAWN ?= 1000
 STEPS ?= 1000
@@ -252,7 +254,7 @@ shift-2ladder-fine: shift-%-fine: $(VENV)/ready
 
 # How good data must be: models that learned from a ladder of steps of engines, and of tolerances of the
 # reference, by the error on the truth that what they learned from costs them. Half a core-hour a scene, more
-# with its NETWORKS or STEPS.
+# with more NETWORKS or STEPS.
 WORTH ?= out/worth
 $(worth-targets): STEPS = 100
 shift-balldrop-worth: STEPS = 500
