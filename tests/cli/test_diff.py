@@ -284,6 +284,15 @@ def test_a_cell_that_is_stable_no_more_is_worse(compare: CommandLine) -> None:
     assert data["scenes"][0]["worse"] == ["mujoco RK4, spin 10.0 rad/s, 0.01 s: stable → blows up"]
 
 
+def test_a_cell_that_times_out_is_not_worse(compare: CommandLine) -> None:
+    def slower(data: Json) -> None:
+        data["panels"][0]["cells"][0][0].update(outcome="timed out")
+
+    ended, data = compare(_stability(), slower)
+
+    assert (ended.code, data["verdict"], data["scenes"][0]["worse"]) == (0, "changed", [])
+
+
 def test_lists_are_compared_scene_by_scene(run: CommandLine, here: Path) -> None:
     one, other = _tradeoff(), _tradeoff() | {"scene": "other"}
     (here / "old.json").write_text(json.dumps([one, other]))
@@ -411,6 +420,8 @@ def test_results_of_any_command_are_compared(compare: CommandLine) -> None:
     assert entry["reasons_new"] == ["gap: 1 mm, allowed 0.1 mm"]
     assert [one["name"] for one in scene["only_old"]] == ["cases trajectory 2"]
     assert compare(_audit(), lambda _: None)[1]["verdict"] == "same"
+    exported = _audit() | {"schema": "mbds-xsim/export-model/1"}
+    assert compare(exported, lambda _: None)[1]["verdict"] == "same"
 
 
 def test_flags_are_words_and_only_times_are_in_seconds(compare: CommandLine) -> None:

@@ -22,12 +22,12 @@ from mbds_xsim.studies.diff import FAILING, Entry, PhysicalFigure, Value, View
 
 T = TypeVar("T")
 
-_RESULT = re.compile("mbds-xsim/[a-z]+/1")
+_RESULT = re.compile("mbds-xsim/[a-z-]+/1")
 _VERDICTS = {"pass": 0, "warn": 1, "fail": FAILING}
 _POINTS = {"failed": FAILING + 1, "crashed": FAILING + 1, "refused": FAILING + 1}
 """Ranks of points; those that were too slow or timed out have none: the machine decides that."""
 _LARGEST = 100 * 10**6  # bytes of a file
-_OUTCOMES = {"stable": 0, "off course": FAILING, "refused": None}
+_OUTCOMES = {"stable": 0, "off course": FAILING, "refused": None, "timed out": None}
 
 
 def read_views(path: Path) -> tuple[str, dict[str, View]]:
