@@ -147,6 +147,7 @@ class _Case:
     assumptions: list[str]
     not_checked: dict[str, str]
     orientation: Array | None = None
+    """Orientations in the file, or fitted to its points; set by the checks of bodies."""
 
     @staticmethod
     def of(foreign: Foreign, origin: Provenance) -> _Case:

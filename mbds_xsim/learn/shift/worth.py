@@ -111,7 +111,8 @@ def _answer_after_contact(shift: Shift) -> Iterator[Answer]:
         words = verdicts(harms, place)
         harmful = ", ".join(name for name, word in words.items() if word == HARMFUL)
         unsure = sum(word == UNTOLD for word in words.values())
-        text += f". Harmful: {harmful or 'none'}" + f"; {unsure} others {UNTOLD}" * bool(unsure)
+        text += f". Harmful: {harmful or 'none'}"
+        text += f"; of {unsure} others it {UNTOLD}" if unsure else ""
         yield Answer(WORTH, "How good must data be after the first contact?", text)
 
 
