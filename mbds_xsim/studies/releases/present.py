@@ -9,6 +9,8 @@ from functools import partial
 from itertools import groupby
 from typing import Any
 
+import numpy as np
+
 from mbds_xsim.base.text import counted
 from mbds_xsim.report import blocks, quantity, themed
 from mbds_xsim.report.themed import GREY, INK
@@ -84,22 +86,15 @@ def _blocks(history: History) -> Iterator[blocks.Block]:
             _title(history), lambda f: draw(f, history), size_of(history), wide=True
         )
         yield blocks.Section("At a glance", (blocks.FigureGroup((figure,)),), on=page)
-    tables = tuple(table for kind in _KINDS if (table := _figures(history, kind)) is not None)
+    tables = tuple(filter(None, (_figures(history, kind) for kind in _KINDS)))
     yield blocks.Section("All figures", tables, folded=True, on=page)
 
 
 def _steps(history: History) -> blocks.Table:
-    columns = (
-        blocks.Column("release", words=True),
-        blocks.Column("case and method or settings", words=True),
-        blocks.Column("figure", words=True),
-        blocks.Column("before"),
-        blocks.Column("now"),
-        blocks.Column("factor"),
-        blocks.Column("why", "What the change log says, and what the engine did.", words=True),
-    )
+    why = blocks.Column("why", "What the change log says, and what the engine did.", words=True)
+    headings = ("release", "case and method or settings", "figure", ">before", ">now", ">factor")
     rows = (_step(step) for step in history.steps if step.what != "time")
-    return blocks.table_of(columns, rows, title="Steps", most=_MOST, grouped=True)
+    return blocks.table_of((*headings, why), rows, title="Steps", most=_MOST, grouped=True)
 
 
 def _step(step: Step) -> blocks.Row:
@@ -125,10 +120,12 @@ def _remarks(history: History) -> Iterator[tuple[str, str]]:
     for release in history.releases:
         if release.reason:
             yield f"{release.version} is not driven", release.reason
-    for version, rows in groupby(_failed_rows(history), lambda row: row.release):
-        reasons = Counter(row.reason for row in rows)
+    for version in history.driven:
+        failed = (row for row in history.rows if row.release == version and row.kind != "done")
+        reasons = Counter(row.reason for row in failed)
         texts = (f"{reason} ({counted(count, 'row')})" for reason, count in reasons.items())
-        yield f"{version} does not do all", "; ".join(texts)
+        if reasons:
+            yield f"{version} does not do all", "; ".join(texts)
     times = [step for step in history.steps if step.what == "time"]
     for version, steps in groupby(times, lambda step: step.release):
         texts = (f"{step.name} {quantity.number(step.factor)}×" for step in steps)
@@ -137,14 +134,9 @@ def _remarks(history: History) -> Iterator[tuple[str, str]]:
         yield "change log", history.change_log
 
 
-def _failed_rows(history: History) -> Iterator[ReleaseRow]:
-    for version in history.driven:
-        yield from (r for r in history.rows if r.release == version and r.kind != "done")
-
-
 def _figures(history: History, kind: str) -> blocks.Table | None:
     """Lay out one figure of all rows over all releases."""
-    columns = [blocks.Column("case", words=True), *map(blocks.Column, history.driven)]
+    columns = ("case", *(f">{version}" for version in history.driven))
     rows = []
     for name in history.names:
         by_release = history.by_release(name)
@@ -196,8 +188,6 @@ def _title(history: History) -> str:
 
 def draw(figure: Any, history: History) -> None:
     """Draw figures that have a step over the releases, in decades above each one's best."""
-    import numpy as np
-
     pairs, versions = _stepping(history), history.driven
     values = np.full((max(len(pairs), 1), len(versions)), np.nan)
     for y, (name, kind) in enumerate(pairs):
