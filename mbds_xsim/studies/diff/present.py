@@ -17,8 +17,7 @@ from mbds_xsim.studies.diff.compare import (
     FigureChange,
 )
 
-_HEADINGS = ("entry", "what", "before", "now", "change")
-_COLUMNS = tuple(blocks.Column(heading, words=heading != "change") for heading in _HEADINGS)
+_HEADINGS = ("entry", "what", "before", "now", ">change")
 _MOST_FIGURES, _MOST_TIMES = 40, 12
 """Most rows of a table on a terminal; Markdown and JSON have them all."""
 
@@ -56,14 +55,15 @@ def _scenes_apart(comparison: Comparison) -> blocks.Remarks:
 
 
 def _blocks(diff: Diff, comparison: Comparison) -> Iterator[blocks.Block]:
-    figures = tuple(row for entry in diff.entries for row in _entry_rows(entry))
-    times = tuple(_figure(e.name, change) for e in diff.entries for change in e.timings)
+    figures = [row for entry in diff.entries for row in _entry_rows(entry)]
+    times = [_figure(e.name, change) for e in diff.entries for change in e.timings]
     for title, rows, most in (
         ("What changed", figures, _MOST_FIGURES),
         ("Times", times, _MOST_TIMES),
     ):
         if rows:
-            yield blocks.Section(title, (blocks.Table(_COLUMNS, rows, most=most, grouped=True),))
+            table = blocks.table_of(_HEADINGS, rows, most=most, grouped=True)
+            yield blocks.Section(title, (table,))
     yield blocks.Remarks.of(_remarks(diff))
     yield blocks.Remarks(
         tuple(blocks.Remark("worse", line, "fail") for line in diff.worse), _MOST_FIGURES
@@ -79,8 +79,7 @@ def _entry_rows(entry: EntryDiff) -> Iterator[blocks.Row]:
         texts = (name, "verdict", entry.old_verdict, entry.new_verdict, words)
         yield blocks.row_of(texts, "over" if entry.worse else "")
     for change in entry.settings:
-        texts = (name, change.what, _value(change.old), _value(change.new), "")
-        yield blocks.row_of(texts)
+        yield blocks.row_of((name, change.what, _value(change.old), _value(change.new), ""))
     for figure in entry.figures:
         yield _figure(name, figure)
     for reason in entry.reasons_gone:
