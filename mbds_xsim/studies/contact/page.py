@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
 
 from mbds_xsim.base.text import in_markdown
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Cell
 from mbds_xsim.report.files import link, table_text
 from mbds_xsim.simulate.claims import ContactLaw
-from mbds_xsim.studies.contact import FRICTION, RADIUS, RESTITUTION
+from mbds_xsim.studies.contact import FRICTION, RADIUS, RESTITUTION, ContactFigure
 from mbds_xsim.studies.contact.friction import PUSHES
 from mbds_xsim.studies.contact.impacts import DEPTH_SPEEDS, RESTITUTIONS, SPEEDS
 from mbds_xsim.studies.contact.present import (
     JUDGED,
     ContactLine,
     ContactStudy,
-    figure_of,
     heading,
     impact,
     rows_of,
@@ -95,18 +94,21 @@ does not lose the ball.
 # Notes that the tables already show.
 _NO_FAILURE = ("all up to", "told at", "silent at", "does not come back")
 
-Show = Callable[[ContactStudy, str, str], Cell]
-"""Function that returns the cell for a study, an engine and a profile."""
-Columns: TypeAlias = list[ContactLine | tuple[str, Show]]
 
+@dataclass(frozen=True)
+class _Furthest:
+    """Column with the median furthest from `asked` over the speeds."""
 
-def _furthest(asked: float) -> tuple[str, Show]:
-    """Make a column with the median furthest from `asked` over the speeds."""
+    asked: float
 
-    def cell(study: ContactStudy, engine: str, profile: str) -> Cell:
+    @property
+    def label(self) -> str:
+        return f"e = {self.asked:g}"
+
+    def cell(self, study: ContactStudy, engine: str, profile: str) -> Cell:
         deviations = [
-            (abs(m.value - asked), m.at["speed"])
-            for m in study.find(engine, profile, "restitution", restitution=asked)
+            (abs(m.value - self.asked), m.at["speed"])
+            for m in study.find(engine, profile, "restitution", restitution=self.asked)
             if m.value is not None
         ]
         if not deviations:
@@ -115,34 +117,20 @@ def _furthest(asked: float) -> tuple[str, Show]:
         text = f"{deviation:.3f}" if deviation < 5e-4 else f"{deviation:.3f} at {speed:g}"
         return Cell(text, "over" if deviation > 0.01 else "")
 
-    return f"e = {asked:g}", cell
+
+def _range(measured: ContactFigure) -> Cell:
+    """Write the range over the starts."""
+    if measured.low is None or measured.high is None:
+        return Cell(quantity.NONE)
+    return Cell(f"{measured.low:.2f} … {measured.high:.2f}")
 
 
-def _range(label: str, name: str) -> tuple[str, Show]:
-    """Make a column with the range over the starts."""
-
-    def cell(study: ContactStudy, engine: str, profile: str) -> Cell:
-        figure = figure_of(study, engine, profile, name)
-        if figure is None or figure.low is None or figure.high is None:
-            return Cell(quantity.NONE)
-        return Cell(f"{figure.low:.2f} … {figure.high:.2f}")
-
-    return label, cell
-
-
-def _limit(name: str, unit: str) -> tuple[str, Show]:
-    """Make a column with the highest correct speed, and what happens beyond it."""
-
-    def cell(study: ContactStudy, engine: str, profile: str) -> Cell:
-        figure = figure_of(study, engine, profile, name)
-        if figure is None:
-            return Cell(quantity.NONE)
-        text = quantity.NONE if figure.value is None else f"{figure.value:g}"
-        if figure.note.startswith("all"):
-            return Cell(text)
-        return Cell(f"{text}; {figure.note}", "over" if "silent" in figure.note else "")
-
-    return f"{name} [{unit}]", cell
+def _limit(measured: ContactFigure) -> Cell:
+    """Write the highest correct speed, and what happens beyond it."""
+    text = quantity.NONE if measured.value is None else f"{measured.value:g}"
+    if measured.note.startswith("all"):
+        return Cell(text)
+    return Cell(f"{text}; {measured.note}", "over" if "silent" in measured.note else "")
 
 
 def _by_heading(label: str, name: str, *headings: float) -> Iterator[ContactLine]:
@@ -151,8 +139,8 @@ def _by_heading(label: str, name: str, *headings: float) -> Iterator[ContactLine
 
 
 _REBOUNDS = [ContactLine(f"{speed:g} m/s", "restitution", impact(speed)) for speed in SPEEDS]
-_IMPACTS: Columns = [
-    *map(_furthest, RESTITUTIONS),
+_IMPACTS: list[ContactLine | _Furthest] = [
+    *map(_Furthest, RESTITUTIONS),
     *(ContactLine(f"takes, {at:g} m/s", "impact duration", impact(at)) for at in (0.1, 1.0, 10.0)),
     *(ContactLine(f"depth, {at:g} m/s", "impact depth", impact(at)) for at in DEPTH_SPEEDS),
 ]
@@ -165,12 +153,12 @@ _FRICTIONS = [
     *_by_heading("creep", "crate: creep at 0.9 of the limit", 0.0, 45.0),
     *_by_heading("starts", "crate: push that starts it", 0.0, 45.0),
 ]
-_ENERGIES: Columns = [
+_ENERGIES = [
     ContactLine("elastic ball", "elastic ball: energy by bounce"),
     ContactLine("unexplained rise", "cubli: energy that no law explains"),
     ContactLine("whole rise", "cubli: largest rise of energy"),
     ContactLine("corners' rebound", "cubli: restitution of corners"),
-    _range("from … to", "cubli: restitution of corners"),
+    ContactLine("from … to", "cubli: restitution of corners", form=_range),
 ]
 _RESTS = [
     ContactLine(f"{what}: {how.removesuffix(' by')}", f"{what} dropped: {how}")
@@ -178,9 +166,9 @@ _RESTS = [
     for how in ("sinks by", "hops by", "moves at")
 ]
 _UPPER = [
-    _limit("free spin", "rad/s"),
-    _limit("hinge spin", "rad/s"),
-    _limit("impact speed held", "m/s"),
+    ContactLine("free spin [rad/s]", "free spin", form=_limit),
+    ContactLine("hinge spin [rad/s]", "hinge spin", form=_limit),
+    ContactLine("impact speed held [m/s]", "impact speed held", form=_limit),
 ]
 
 
@@ -252,15 +240,14 @@ def _missing(study: ContactStudy) -> Iterator[str]:
         yield "\n".join(lines) + "\n"
 
 
-def _table(study: ContactStudy, columns: Sequence[ContactLine | tuple[str, Show]]) -> str:
+def _table(study: ContactStudy, columns: Sequence[ContactLine | _Furthest]) -> str:
     """Lay out a table with one row per engine and profile."""
-    shown = [(c.label, c.cell) if isinstance(c, ContactLine) else c for c in columns]
     rows = (
-        [profile, engine, *(_mark(cell(study, engine, profile)) for _, cell in shown)]
+        [profile, engine, *(_mark(column.cell(study, engine, profile)) for column in columns)]
         for profile in study.profiles
         for engine in study.versions
     )
-    return table_text(["", ">", *(f">{label}" for label, _ in shown)], rows)
+    return table_text(["", ">", *(f">{column.label}" for column in columns)], rows)
 
 
 def _mark(cell: Cell) -> str:
