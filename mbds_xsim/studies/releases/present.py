@@ -16,11 +16,10 @@ from mbds_xsim.report import blocks, quantity, themed
 from mbds_xsim.report.themed import GREY, INK
 from mbds_xsim.studies.releases.steps import (
     FACTOR,
+    UNITS,
     History,
-    ReleaseRow,
     Step,
     comparable,
-    figures_of,
 )
 
 _MOST = 40
@@ -99,7 +98,7 @@ def _steps(history: History) -> blocks.Table:
 
 def _step(step: Step) -> blocks.Row:
     courses = {"lost": ("runs", "lost"), "runs": ("lost", "runs")}
-    texts = (_format_figure(step.what, value, step.unit) for value in (step.old, step.new))
+    texts = (_written(step.what, value, step.unit) for value in (step.old, step.new))
     before, now = courses.get(step.course) or texts
     factor = quantity.NONE if step.factor is None else f"{quantity.number(step.factor)}×"
     reason = f"before: {step.reason}" if step.course == "runs" else step.reason
@@ -110,7 +109,7 @@ def _step(step: Step) -> blocks.Row:
     return blocks.row_of(cells, mark)
 
 
-def _format_figure(kind: str, value: float | None, unit: str) -> str:
+def _written(kind: str, value: float | None, unit: str) -> str:
     if kind in ("order", "restitution") and value is not None:
         return f"{value:.2f}"
     return quantity.with_unit(value, unit)
@@ -139,15 +138,10 @@ def _figures(history: History, kind: str) -> blocks.Table | None:
     columns = ("case", *(f">{version}" for version in history.driven))
     rows = []
     for name in history.names:
-        by_release = history.by_release(name)
-        texts = [_cell(by_release.get(version), kind) for version in history.driven]
+        texts = [_written(kind, value, UNITS[kind]) for value in history.series(name, kind)]
         if any(text != quantity.NONE for text in texts):
             rows.append([name, *texts])
     return blocks.table_of(columns, rows, title=_KINDS[kind]) if rows else None
-
-
-def _cell(row: ReleaseRow | None, kind: str) -> str:
-    return quantity.NONE if row is None else _format_figure(kind, *figures_of(row)[kind])
 
 
 def to_png(histories: list[History], stored: bytes = b"") -> bytes:
@@ -175,8 +169,8 @@ def _stepping(history: History) -> list[tuple[str, str]]:
 
 def _telling(history: History, name: str) -> str:
     """Return the first kind of figure that a row has in any release."""
-    rows = [figures_of(row) for row in history.by_release(name).values()]
-    return next((kind for kind in _KINDS if any(row[kind][0] is not None for row in rows)), "error")
+    shown = (kind for kind in _KINDS if set(history.series(name, kind)) != {None})
+    return next(shown, "error")
 
 
 def _title(history: History) -> str:
@@ -191,10 +185,7 @@ def draw(figure: Any, history: History) -> None:
     pairs, versions = _stepping(history), history.driven
     values = np.full((max(len(pairs), 1), len(versions)), np.nan)
     for y, (name, kind) in enumerate(pairs):
-        rows = history.by_release(name)
-        for x, version in enumerate(versions):
-            row = rows.get(version)
-            value = None if row is None else figures_of(row)[kind][0]
+        for x, value in enumerate(history.series(name, kind)):
             if value is not None:
                 values[y, x] = math.log10(max(comparable(kind, value), 1e-12))
     values -= np.fmin.reduce(values, axis=1, keepdims=True)

@@ -18,6 +18,8 @@ SCHEMA = "mbds-xsim/releases/1"
 FACTOR = 2.0
 """Factor between two figures above which their difference is a step."""
 
+UNITS = {"error": "m", "order": "1", "gap": "m", "energy": "1", "restitution": "1", "time": "s"}
+"""Units of the figures of a row."""
 _QUARTER = 4.0
 """Orders are compared by the error's fall at a quarter of the step: half an order is a step."""
 _LEAST = {"error": 1e-9, "gap": 1e-9, "energy": 1e-9, "restitution": 0.01, "order": 1e-14}
@@ -48,6 +50,18 @@ class ReleaseRow(Keyed, frozen=True, kw_only=True):
     def name(self) -> str:
         """Case and way."""
         return f"{self.case}, {self.way}"
+
+    @property
+    def figures(self) -> dict[str, float | None]:
+        """Figures by name."""
+        return {
+            "error": self.error_m,
+            "order": self.order,
+            "gap": self.gap_m,
+            "energy": self.energy,
+            "restitution": self.restitution,
+            "time": self.cpu_s,
+        }
 
 
 class Release(msgspec.Struct, frozen=True):
@@ -132,6 +146,11 @@ class History(msgspec.Struct, frozen=True, kw_only=True):
         """Return the rows of a name keyed by release, in the order of the releases."""
         return {row.release: row for row in self.rows if row.name == name}
 
+    def series(self, name: str, what: str) -> list[float | None]:
+        """Return a figure of the rows of a name in each release that was driven, if it has any."""
+        rows = self.by_release(name)
+        return [rows[each].figures[what] if each in rows else None for each in self.driven]
+
 
 class LogLine(msgspec.Struct, frozen=True):
     """Explanation of some rows' steps from a change log."""
@@ -175,18 +194,6 @@ def steps_of(rows: Sequence[ReleaseRow], known: KnownReleases) -> Iterator[Step]
         last[row.name] = row
 
 
-def figures_of(row: ReleaseRow) -> dict[str, tuple[float | None, str]]:
-    """Return the figures of a row by name, each with its unit."""
-    return {
-        "error": (row.error_m, "m"),
-        "order": (row.order, "1"),
-        "gap": (row.gap_m, "m"),
-        "energy": (row.energy, "1"),
-        "restitution": (row.restitution, "1"),
-        "time": (row.cpu_s, "s"),
-    }
-
-
 def comparable(kind: str, value: float) -> float:
     """Convert a figure to the number that is compared, of which smaller is always better."""
     if kind == "order":
@@ -203,13 +210,12 @@ def _steps_between(old: ReleaseRow, new: ReleaseRow) -> Iterator[Step]:
             course="lost" if lost else "runs", reason=new.reason if lost else old.reason,
         )  # fmt: skip
         return
-    figures = figures_of(new)
-    for what, (was, unit) in figures_of(old).items():
-        now, _ = figures[what]
-        factor = _factor(what, was, now)
+    figures = new.figures
+    for what, was in old.figures.items():
+        factor = _factor(what, was, figures[what])
         if factor is not None:
             yield Step(
-                **at, what=what, unit=unit, old=was, new=now, factor=factor,
+                **at, what=what, unit=UNITS[what], old=was, new=figures[what], factor=factor,
                 course="worse" if factor > 1.0 else "better",
             )  # fmt: skip
 
