@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,10 +26,8 @@ from mbds_xsim.simulate.choice import Choice, Contender
 from mbds_xsim.simulate.timed import simulate
 from mbds_xsim.studies.ablate.analyse import (
     Ablation,
-    Floor,
     Size,
     WeakenedEffect,
-    Window,
     disagreement,
     floor_of,
     least_size,
@@ -71,7 +69,7 @@ def ablate(
         scene, choice=chosen, starts=starts, conduct=conduct
     )
     contenders, _ = chosen.contenders(scene)
-    bench, least = Bench.of(validation, evidence, contenders), least_size(scene)
+    bench, least = Bench(validation, evidence, contenders), least_size(scene)
     rows = bench.rows(variants_of(scene, effects, evidence.batch, starts.seed), conduct)
     sizes = sizes_of(scene, contenders, least, conduct.workers)
     return Ablation(
@@ -117,22 +115,15 @@ class _Phases:
 _TIMEOUT = 600.0  # for all starts of one ablated scene [s]
 
 
-@dataclass(frozen=True, eq=False)
 class Bench:
-    """Judge that simulates ablated scenes, its motion of the full scene, and the floor."""
+    """Judge that simulates ablated scenes, its motion of the full scene, and the floor.
 
-    scene: Scene
-    judge: Contender | None
-    """Engine that simulates the scenes; None for the reference."""
-    judge_name: str
-    full: Trajectory
-    window: Window
-    floor: Floor
-    floor_engines: tuple[str, ...]
+    The judge is the reference, or the best engine if the reference ends early.
+    """
 
-    @staticmethod
-    def of(validation: Validation, evidence: Evidence, contenders: Sequence[Contender]) -> Bench:
-        """Choose the judge: the reference, or the best engine if the reference ends early."""
+    def __init__(
+        self, validation: Validation, evidence: Evidence, contenders: Sequence[Contender]
+    ) -> None:
         runs = {
             result.engine: run
             for result, run in zip(validation.engines, evidence.trajectories, strict=True)
@@ -144,23 +135,17 @@ class Bench:
         if not voters:
             msg = f"{evidence.scene.name}: no engine delivered a motion; nothing can be compared"
             raise InputError(msg)
-        apart = disagreement(evidence.scene, [runs[r.engine] for r in voters])
-        window = window_of(evidence, apart)
-        judge, full, name = None, evidence.reference, "the reference"
+        self.scene, self.floor_engines = evidence.scene, tuple(r.engine for r in voters)
+        apart = disagreement(self.scene, [runs[engine] for engine in self.floor_engines])
+        self.window = window_of(evidence, apart)
+        self.floor = floor_of(self.scene, self.window)
+        self.full, self.judge_name = evidence.reference, "the reference"
+        self.judge: Contender | None = None  # the reference
         if not evidence.reference.known.all():
             best = min(voters, key=_inaccuracy)
-            full = runs[best.engine]
-            judge = next(c for c in contenders if c.engine == best.engine)
-            name = f"{best.engine}, {best.method}, step {best.step_s:g} s"
-        return Bench(
-            scene=evidence.scene,
-            judge=judge,
-            judge_name=name,
-            full=full,
-            window=window,
-            floor=floor_of(evidence.scene, window),
-            floor_engines=tuple(r.engine for r in voters),
-        )
+            self.full = runs[best.engine]
+            self.judge = next(c for c in contenders if c.engine == best.engine)
+            self.judge_name = f"{best.engine}, {best.method}, step {best.step_s:g} s"
 
     def rows(self, variants: list[AblatedScene], conduct: Conduct) -> list[WeakenedEffect]:
         """Simulate all variants and judge them."""
