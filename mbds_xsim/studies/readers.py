@@ -17,7 +17,7 @@ from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.base.text import counted
 from mbds_xsim.reference import solve
 from mbds_xsim.report import quantity
-from mbds_xsim.report.blocks import Cell, Report, Row, Table, row_of, table_of
+from mbds_xsim.report.blocks import Cell, Report, Row, row_of, table_of
 from mbds_xsim.scene.imported import Imported, JointFacts, LinkFacts, ModelFacts
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mass import with_mass_properties
@@ -212,10 +212,15 @@ def _format(values: Array) -> str:
     return " ".join(f"{value:.4g}" for value in values) or "none"
 
 
+_COLUMNS = ("engine", "field", ">wrong", ">of", "for one", "engine has", "file says")
+_TITLE = "what engines' own readers make of it"
+
+
 def present(readings: Readings, command: str) -> Report:
     """Report how each engine reads a file."""
     wrong = [reading.engine for reading in readings.readings if not reading.alike]
     right = [reading.engine for reading in readings.readings if reading.alike]
+    rows = (row for reading in readings.readings for row in _rows(reading))
     return Report(
         title=readings.file,
         what="read alike by all engines" if not wrong else "read otherwise",
@@ -223,17 +228,10 @@ def present(readings: Readings, command: str) -> Report:
         f"{counted(readings.joints, 'joint')}",
         conclusion=f"as the file says: {', '.join(right) or 'no engine'}; "
         f"otherwise: {', '.join(wrong) or 'none'}",
-        blocks=(_table(readings),),
+        blocks=(table_of(_COLUMNS, rows, title=_TITLE, grouped=True),),
         command=command,
         verdict="fail" if wrong else "pass",
     )
-
-
-def _table(readings: Readings) -> Table:
-    columns = ("engine", "field", ">wrong", ">of", "for one", "engine has", "file says")
-    rows = (row for reading in readings.readings for row in _rows(reading))
-    title = "what engines' own readers make of it"
-    return table_of(columns, rows, title=title, grouped=True)
 
 
 def _rows(reading: EngineReading) -> Iterator[Row]:

@@ -24,8 +24,12 @@ _MOST_FIGURES, _MOST_TIMES = 40, 12
 
 def present(comparison: Comparison) -> Iterator[blocks.Report]:
     """Report for each scene what changed, and whether anything is worse."""
+    sides = (("old", comparison.scenes_only_old), ("new", comparison.scenes_only_new))
+    apart = blocks.Remarks.of(
+        (f"scenes only in the {which} one", ", ".join(names)) for which, names in sides if names
+    )
     for diff in comparison.scenes:
-        first = (_scenes_apart(comparison),) if diff is comparison.scenes[0] else ()
+        first = (apart,) if diff is comparison.scenes[0] else ()
         yield blocks.Report(
             title=diff.scene,
             what="worse" if diff.worse else "nothing worse",
@@ -44,14 +48,6 @@ def _command(comparison: Comparison) -> str:
     options = (word for name, value, usual in flags if value != usual for word in (name, value))
     words = ("mbds-xsim", "diff", comparison.old, comparison.new, *options)
     return shlex.join(map(str, words))
-
-
-def _scenes_apart(comparison: Comparison) -> blocks.Remarks:
-    """Name the scenes that only one of the results has."""
-    sides = (("old", comparison.scenes_only_old), ("new", comparison.scenes_only_new))
-    return blocks.Remarks.of(
-        (f"scenes only in the {which} one", ", ".join(names)) for which, names in sides if names
-    )
 
 
 def _blocks(diff: Diff, comparison: Comparison) -> Iterator[blocks.Block]:

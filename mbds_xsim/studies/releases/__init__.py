@@ -123,7 +123,9 @@ class ReleaseStudy:
     def _runner(self) -> Runner[ReleaseRow]:
         return Runner(
             Store.of("releases", self.engine, ReleaseRow),
-            crashed=_crash_row,
+            crashed=lambda row, crash: msgspec.structs.replace(
+                row, kind=crash.kind, reason=on_a_line(crash.reason)
+            ),
             conduct=self.conduct,
         )
 
@@ -219,10 +221,6 @@ def _case(
         group=(row.release, function, row.way),
         pace=(row.case, row.way),
     )
-
-
-def _crash_row(row: ReleaseRow, crash: Crash) -> ReleaseRow:
-    return msgspec.structs.replace(row, kind=crash.kind, reason=on_a_line(crash.reason))
 
 
 # Functions that run in a process of a release.
