@@ -152,7 +152,8 @@ def _differences(read: ModelFacts, imported: Imported) -> Iterator[Difference]:
     joints = [pair for pair in joints if pair[0].kind != "free"]  # some readers have no such joint
     yield from _missing("joints", joints)
     turning = [pair for pair in joints if pair[1] is not None]
-    yield from _kinds(turning)
+    kinds = [(a.name, b.kind, a.kind) for a, b in turning if b is not None and a.kind != b.kind]
+    yield from _difference("kind", "joints", len(turning), kinds)
     yield from _field("joints", "anchor", turning, lambda joint: joint.anchor, scale=length)
     yield from _field("joints", "axis", turning, lambda joint: joint.axis)
     for name in _JOINT_FIELDS:
@@ -173,11 +174,6 @@ def _pair_by_name(stated: Sequence[T], read: Sequence[T]) -> list[tuple[T, T | N
 def _missing(of: Part, pairs: list[tuple[T, T | None]]) -> Iterator[Difference]:
     wrong = [(item.name, "nothing", "there") for item, read in pairs if read is None]
     yield from _difference("existence", of, len(pairs), wrong)
-
-
-def _kinds(pairs: list[tuple[JointFacts, JointFacts | None]]) -> Iterator[Difference]:
-    wrong = [(a.name, b.kind, a.kind) for a, b in pairs if b is not None and a.kind != b.kind]
-    yield from _difference("kind", "joints", len(pairs), wrong)
 
 
 def _field(

@@ -196,24 +196,20 @@ def rest(engine: str, profile: Profile) -> list[ContactFigure]:
     for body, make, like in (("ball", ball, "balldrop"), ("crate", crate, "simplecubli")):
         bench = ContactBench(engine, profile, like)
         scene, batch = make(_LIVELY, bench.clock(_ENERGY_FRAME, _FROM + _LONG), position=start)
-        figures += _stillness(bench, body, scene, bench.motion(scene, batch))
+        motion, mechanism = bench.motion(scene, batch), Mechanism.of(scene)
+        late = motion.time >= _FROM - 1e-9
+        # Depth and hops of the lowest sphere, and the speed of the centre of mass.
+        gap = spheres_of(mechanism, BodyStates.of(mechanism, motion)).gap
+        lowest = gap[:, late].min(axis=2)
+        speed = np.linalg.norm(motion.velocity[:, late, 0], axis=-1).max(axis=1)
+        for row, way in enumerate(_WAYS):
+            for name, unit, values in (
+                ("sinks by", "m", -lowest.min(axis=1)),
+                ("hops by", "m", np.ptp(lowest, axis=1)),
+                ("moves at", "m/s", speed),
+            ):
+                figures.append(bench.figure(f"{body} {way}: {name}", unit, values[row], motion))
     return figures
-
-
-def _stillness(
-    bench: ContactBench, body: str, scene: Scene, motion: Trajectory
-) -> list[ContactFigure]:
-    """Measure depth and hops of the lowest sphere, and the speed of the centre of mass."""
-    mechanism, late = Mechanism.of(scene), motion.time >= _FROM - 1e-9
-    gap = spheres_of(mechanism, BodyStates.of(mechanism, motion)).gap
-    lowest = gap[:, late].min(axis=2)
-    speed = np.linalg.norm(motion.velocity[:, late, 0], axis=-1).max(axis=1)
-    figures = (("sinks by", "m", -lowest.min(axis=1)), ("hops by", "m", np.ptp(lowest, axis=1)))
-    return [
-        bench.figure(f"{body} {start}: {name}", unit, values[row], motion)
-        for row, start in enumerate(_WAYS)
-        for name, unit, values in (*figures, ("moves at", "m/s", speed))
-    ]
 
 
 # Speeds up to which an engine is right, and whether it reports a failure beyond.
