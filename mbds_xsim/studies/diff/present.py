@@ -41,10 +41,7 @@ def present(comparison: Comparison) -> Iterator[blocks.Report]:
 
 
 def _command(comparison: Comparison) -> str:
-    flags = (
-        ("--rtol", comparison.rtol, RTOL),
-        ("--factor", comparison.factor, FACTOR),
-    )
+    flags = (("--rtol", comparison.rtol, RTOL), ("--factor", comparison.factor, FACTOR))
     options = (word for name, value, usual in flags if value != usual for word in (name, value))
     words = ("mbds-xsim", "diff", comparison.old, comparison.new, *options)
     return shlex.join(map(str, words))

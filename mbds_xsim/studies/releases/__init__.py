@@ -22,14 +22,7 @@ import numpy as np
 from mbds_xsim.base.errors import InputError, check_name
 from mbds_xsim.base.isolate import USUAL, Conduct, Crash, Task, run_tasks
 from mbds_xsim.base.text import on_a_line
-from mbds_xsim.measure.runner import (
-    Runner,
-    Store,
-    StudyCase,
-    machine,
-    row_key,
-    versions_of,
-)
+from mbds_xsim.measure.runner import Runner, Store, StudyCase, machine, row_key, versions_of
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch

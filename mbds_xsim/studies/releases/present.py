@@ -14,13 +14,7 @@ import numpy as np
 from mbds_xsim.base.text import counted
 from mbds_xsim.report import blocks, quantity, themed
 from mbds_xsim.report.themed import GREY, INK
-from mbds_xsim.studies.releases.steps import (
-    FACTOR,
-    UNITS,
-    History,
-    Step,
-    comparable,
-)
+from mbds_xsim.studies.releases.steps import FACTOR, UNITS, History, Step, comparable
 
 _MOST = 40
 """Largest number of steps that a terminal shows."""
