@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import SceneError
-from mbds_xsim.scene.scene import Body
+from mbds_xsim.scene.scene import Body, Inertia
 
 
 def mass_properties(body: Body) -> tuple[float, Array, Array]:
@@ -38,6 +39,15 @@ def mass_properties(body: Body) -> tuple[float, Array, Array]:
         )
         raise SceneError(msg)
     return float(masses.sum()), np.array(body.position) + turn @ com, turn @ tensor @ turn.T
+
+
+def with_mass_properties(body: Body, mass: float, com: Array, tensor: Array) -> Body:
+    """Replace what `mass_properties` returns; a body of particles has none of them any more."""
+    turn = rotation.matrix(np.array(body.orientation))
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = (turn.T @ tensor @ turn).tolist()
+    x, y, z = (turn.T @ (com - np.array(body.position))).tolist()
+    inertia = Inertia(float(mass), (xx, yy, zz), (xy, xz, yz), (x, y, z))
+    return msgspec.structs.replace(body, particles=(), inertia=inertia)
 
 
 def of_revolution(inertia: Array, axis: Array) -> tuple[float, float, float]:

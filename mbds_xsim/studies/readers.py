@@ -4,29 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import EntryPoint
+from operator import attrgetter
 from pathlib import Path
 from typing import Literal, TypeVar
 
 import msgspec
 import numpy as np
 
-from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError, check_name
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.base.text import counted
 from mbds_xsim.reference import solve
 from mbds_xsim.report import quantity
-from mbds_xsim.report.blocks import Cell, Report, Row, Table, row_of, table_of
+from mbds_xsim.report.blocks import Cell, Report, Row, row_of, table_of
 from mbds_xsim.scene.imported import Imported, JointFacts, LinkFacts, ModelFacts
+from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.mass import with_mass_properties
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Body, Clock, Inertia, Scene
+from mbds_xsim.scene.scene import Body, Clock, Scene
 from mbds_xsim.simulate.registry import read_model, registered
 
 Loader = Callable[[Path, bool], ModelFacts]
 """Function of a file and whether its base floats; raises `InputError` if the engine refuses it."""
 
+Part = Literal["links", "joints"]
 T = TypeVar("T", LinkFacts, JointFacts)
 _TIMEOUT = 300.0  # time limit of a reader [s]
 _PATIENCE = 30.0  # time limit of a motion [s]
@@ -42,7 +45,7 @@ class Difference(msgspec.Struct, frozen=True):
     """A field that a reader reads differently from the file."""
 
     field: str
-    of: Literal["links", "joints"]
+    of: Part
     count: int
     """Number of links or joints with another value."""
     among: int
@@ -105,39 +108,32 @@ def compare_imported(
     imported: Imported, path: Path, engines: Sequence[str], *, floating: bool = False
 ) -> Readings:
     """Compare an imported model with engines' readings of its file, as in `compare`."""
-    answers = _engine_facts(path, engines, floating=floating)
+    loaders = registered("mbds_xsim.model_loaders")
+    for engine in engines:
+        check_name("engine with a reader of its own", engine, sorted(loaders))
+    tasks = [Task(_load, (loaders[name], path.absolute(), floating), _TIMEOUT) for name in engines]
+    answers: dict[str, ModelFacts | str] = {
+        engine: answer.reason if isinstance(answer, Crash) else answer
+        for engine, answer in zip(engines, run_tasks(tasks), strict=True)
+    }
     read = {engine: facts for engine, facts in answers.items() if isinstance(facts, ModelFacts)}
-    by_engine = {engine: tuple(_differences(facts, imported)) for engine, facts in read.items()}
-    others = [engine for engine, differences in by_engine.items() if differences]
+    differences = {engine: tuple(_differences(facts, imported)) for engine, facts in read.items()}
+    others = [engine for engine in read if differences[engine]]
     motions = run_tasks([Task(divergence, (imported, read[name]), _PATIENCE) for name in others])
-    moves: dict[str, float | None] = dict.fromkeys(read, 0.0)
-    for engine, motion in zip(others, motions, strict=True):
-        moves[engine] = None if isinstance(motion, Crash) else motion
+    moved = {
+        engine: None if isinstance(motion, Crash) else motion
+        for engine, motion in zip(others, motions, strict=True)
+    }
     readings = tuple(
-        EngineReading(engine, "", by_engine[engine], moves[engine])
+        EngineReading(engine, "", differences[engine], moved.get(engine, 0.0))
         if engine in read
-        else EngineReading(engine, str(answers[engine]), ())
-        for engine in answers
+        else EngineReading(engine, str(answer), ())
+        for engine, answer in answers.items()
     )
     stated = imported.facts
     return Readings(
         imported.file, imported.format, floating, len(stated.links), len(stated.joints), readings
     )
-
-
-def _engine_facts(
-    path: Path, engines: Sequence[str], *, floating: bool = False
-) -> dict[str, ModelFacts | str]:
-    """Let engines read a file with their own readers; return each one's facts, or why it failed."""
-    loaders = registered("mbds_xsim.model_loaders")
-    for engine in engines:
-        check_name("engine with a reader of its own", engine, sorted(loaders))
-    tasks = [Task(_load, (loaders[name], path.absolute(), floating), _TIMEOUT) for name in engines]
-    answers = run_tasks(tasks)
-    return {
-        engine: answer.reason if isinstance(answer, Crash) else answer
-        for engine, answer in zip(engines, answers, strict=True)
-    }
 
 
 def _load(point: EntryPoint, path: Path, floating: bool) -> ModelFacts:
@@ -149,21 +145,22 @@ def _differences(read: ModelFacts, imported: Imported) -> Iterator[Difference]:
     facts, length = imported.facts, imported.scene.length
     links = _pair_by_name(facts.links, read.links)
     yield from _missing("links", links)
-    yield from _field("links", "mass", links, lambda link: [link.mass])
+    yield from _field("links", "mass", links, lambda link: link.mass)
     yield from _field("links", "centre of mass", links, lambda link: link.com, scale=length)
     yield from _field("links", "inertia", links, lambda link: link.inertia)
     joints = _pair_by_name(facts.joints, read.joints)
     joints = [pair for pair in joints if pair[0].kind != "free"]  # some readers have no such joint
     yield from _missing("joints", joints)
     turning = [pair for pair in joints if pair[1] is not None]
-    yield from _kinds(turning)
+    kinds = [(a.name, b.kind, a.kind) for a, b in turning if b is not None and a.kind != b.kind]
+    yield from _difference("kind", "joints", len(turning), kinds)
     yield from _field("joints", "anchor", turning, lambda joint: joint.anchor, scale=length)
     yield from _field("joints", "axis", turning, lambda joint: joint.axis)
     for name in _JOINT_FIELDS:
-        yield from _field("joints", name, turning, _single(name))
+        yield from _field("joints", name, turning, attrgetter(name))
     yield from _field("joints", "limits", turning, lambda joint: joint.limits or ())
     limited = [pair for pair in turning if pair[0].limits]
-    yield from _field("joints", "enforcement of limits", limited, lambda j: [float(j.enforced)])
+    yield from _field("joints", "enforcement of limits", limited, lambda j: float(j.enforced))
     if facts.couplings > read.couplings:
         lost = facts.couplings - read.couplings
         yield Difference("coupling", "joints", lost, facts.couplings, "", "none", "follows another")
@@ -174,26 +171,16 @@ def _pair_by_name(stated: Sequence[T], read: Sequence[T]) -> list[tuple[T, T | N
     return [(item, by_name.get(item.name)) for item in stated]
 
 
-def _missing(
-    of: Literal["links", "joints"], pairs: list[tuple[T, T | None]]
-) -> Iterator[Difference]:
-    lost = [item.name for item, read in pairs if read is None]
-    if lost:
-        yield Difference("existence", of, len(lost), len(pairs), lost[0], "nothing", "there")
-
-
-def _kinds(pairs: list[tuple[JointFacts, JointFacts | None]]) -> Iterator[Difference]:
-    wrong = [(a, b) for a, b in pairs if b is not None and a.kind != b.kind]
-    if wrong:
-        item, read = wrong[0]
-        yield Difference("kind", "joints", len(wrong), len(pairs), item.name, read.kind, item.kind)
+def _missing(of: Part, pairs: list[tuple[T, T | None]]) -> Iterator[Difference]:
+    wrong = [(item.name, "nothing", "there") for item, read in pairs if read is None]
+    yield from _difference("existence", of, len(pairs), wrong)
 
 
 def _field(
-    of: Literal["links", "joints"],
+    of: Part,
     name: str,
     pairs: list[tuple[T, T | None]],
-    value: Callable[[T], Sequence[float]],
+    value: Callable[[T], float | Sequence[float]],
     *,
     scale: float = 0.0,
 ) -> Iterator[Difference]:
@@ -202,27 +189,34 @@ def _field(
     for item, read in pairs:
         if read is None:
             continue
-        ours, theirs = np.array(value(item)), np.array(value(read))
+        ours, theirs = np.atleast_1d(value(item)), np.atleast_1d(value(read))
         bound = _SAME * (scale + float(np.linalg.norm(ours)))
         if ours.shape != theirs.shape or np.linalg.norm(ours - theirs) > bound:
-            wrong.append((item.name, theirs, ours))
+            wrong.append((item.name, _format(theirs), _format(ours)))
+    yield from _difference(name, of, len(pairs), wrong)
+
+
+def _difference(
+    field: str, of: Part, among: int, wrong: list[tuple[str, str, str]]
+) -> Iterator[Difference]:
+    """Yield the difference of a field: name, reading and statement of the first that is wrong."""
     if wrong:
-        first, theirs, ours = wrong[0]
-        yield Difference(name, of, len(wrong), len(pairs), first, _format(theirs), _format(ours))
-
-
-def _single(name: str) -> Callable[[JointFacts], Sequence[float]]:
-    return lambda joint: [getattr(joint, name)]
+        yield Difference(field, of, len(wrong), among, *wrong[0])
 
 
 def _format(values: Array) -> str:
     return " ".join(f"{value:.4g}" for value in values) or "none"
 
 
+_COLUMNS = ("engine", "field", ">wrong", ">of", "for one", "engine has", "file says")
+_TITLE = "what engines' own readers make of it"
+
+
 def present(readings: Readings, command: str) -> Report:
     """Report how each engine reads a file."""
     wrong = [reading.engine for reading in readings.readings if not reading.alike]
     right = [reading.engine for reading in readings.readings if reading.alike]
+    rows = (row for reading in readings.readings for row in _rows(reading))
     return Report(
         title=readings.file,
         what="read alike by all engines" if not wrong else "read otherwise",
@@ -230,17 +224,10 @@ def present(readings: Readings, command: str) -> Report:
         f"{counted(readings.joints, 'joint')}",
         conclusion=f"as the file says: {', '.join(right) or 'no engine'}; "
         f"otherwise: {', '.join(wrong) or 'none'}",
-        blocks=(_table(readings),),
+        blocks=(table_of(_COLUMNS, rows, title=_TITLE, grouped=True),),
         command=command,
         verdict="fail" if wrong else "pass",
     )
-
-
-def _table(readings: Readings) -> Table:
-    columns = ("engine", "field", ">wrong", ">of", "for one", "engine has", "file says")
-    rows = (row for reading in readings.readings for row in _rows(reading))
-    title = "what engines' own readers make of it"
-    return table_of(columns, rows, title=title, grouped=True)
 
 
 def _rows(reading: EngineReading) -> Iterator[Row]:
@@ -319,15 +306,7 @@ def _with_mass_of(body: Body, links: list[LinkFacts]) -> Body:
     for link in links:
         arm = np.array(link.com) - com
         tensor += link.tensor + link.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-    back = rotation.matrix(np.array(body.orientation)).T
-    tensor = back @ tensor @ back.T
-    inertia = Inertia(
-        mass=mass,
-        moments=(tensor[0, 0], tensor[1, 1], tensor[2, 2]),
-        products=(tensor[0, 1], tensor[0, 2], tensor[1, 2]),
-        com=(back @ (com - np.array(body.position))).tolist(),
-    )
-    return msgspec.structs.replace(body, inertia=inertia)
+    return with_mass_properties(body, mass, com, tensor)
 
 
 def _ends(scene: Scene, points: Array) -> Array:
@@ -340,8 +319,7 @@ def _ends(scene: Scene, points: Array) -> Array:
     Returns:
         Positions in W [m], shape (start, body, 3).
     """
-    motion = solve(scene, draw_batch(scene, _STARTS), rtol=1e-9)
     mechanism = Mechanism.of(scene)
-    arm = points - mechanism.com
-    native = mechanism.native_rotation(motion.orientation[:, -1])
-    return np.asarray(motion.position[:, -1] + rotation.rotate(native, arm))
+    motion = solve(scene, draw_batch(scene, _STARTS), rtol=1e-9)
+    last = BodyStates.of(mechanism, motion)[:, -1]
+    return last.points(np.arange(len(points)), points - mechanism.com)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,28 +17,22 @@ from mbds_xsim.measure.quick import searched
 from mbds_xsim.measure.result import EngineResult, Evidence, Validation
 from mbds_xsim.reference import FirstImpact
 from mbds_xsim.report import quantity
-from mbds_xsim.report.blocks import Block, Cell, Column, Mark, Remarks, Report, Row, Table, table_of
+from mbds_xsim.report.blocks import Block, Cell, Column, Mark, Remarks, Report, Row, table_of
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import Starts
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
-from mbds_xsim.simulate.adapter import ModelSize
 from mbds_xsim.simulate.choice import Choice, Contender
 from mbds_xsim.simulate.timed import simulate
 from mbds_xsim.studies.ablate.analyse import (
     Ablation,
-    Floor,
-    Least,
     Size,
     WeakenedEffect,
-    Window,
-    compare_size,
     disagreement,
     floor_of,
-    impossible,
     least_size,
-    native_size,
     row_of,
+    sizes_of,
     window_of,
 )
 from mbds_xsim.studies.ablate.effects import EFFECTS, AblatedScene, Effect, variants_of
@@ -75,9 +69,9 @@ def ablate(
         scene, choice=chosen, starts=starts, conduct=conduct
     )
     contenders, _ = chosen.contenders(scene)
-    bench, least = Bench.of(validation, evidence, contenders), least_size(scene)
+    bench, least = Bench(validation, evidence, contenders), least_size(scene)
     rows = bench.rows(variants_of(scene, effects, evidence.batch, starts.seed), conduct)
-    sizes = _sizes(scene, contenders, least, conduct.workers)
+    sizes = sizes_of(scene, contenders, least, conduct.workers)
     return Ablation(
         scene=scene.name,
         description=scene.description,
@@ -105,16 +99,6 @@ def ablate(
     )
 
 
-def _sizes(
-    scene: Scene, contenders: Sequence[Contender], least: Least, workers: int | None
-) -> Iterator[Size]:
-    """Compare the engines' models with the smallest one; engines that report none are left out."""
-    tasks = [Task(native_size, (scene, c.engine, c.settings)) for c in contenders]
-    for contender, size in zip(contenders, run_tasks(tasks, workers=workers), strict=True):
-        if isinstance(size, ModelSize):
-            yield compare_size(contender.engine, size, least)
-
-
 class _Phases:
     """Meter that reports successive pieces of work as one."""
 
@@ -131,49 +115,37 @@ class _Phases:
 _TIMEOUT = 600.0  # for all starts of one ablated scene [s]
 
 
-@dataclass(frozen=True, eq=False)
 class Bench:
-    """Judge that simulates ablated scenes, its motion of the full scene, and the floor."""
+    """Judge that simulates ablated scenes, its motion of the full scene, and the floor.
 
-    scene: Scene
-    judge: Contender | None
-    """Engine that simulates the scenes; None for the reference."""
-    judge_name: str
-    full: Trajectory
-    window: Window
-    floor: Floor
-    floor_engines: tuple[str, ...]
+    The judge is the reference, or the best engine if the reference ends early.
+    """
 
-    @staticmethod
-    def of(validation: Validation, evidence: Evidence, contenders: Sequence[Contender]) -> Bench:
-        """Choose the judge: the reference, or the best engine if the reference ends early."""
+    def __init__(
+        self, validation: Validation, evidence: Evidence, contenders: Sequence[Contender]
+    ) -> None:
         runs = {
             result.engine: run
             for result, run in zip(validation.engines, evidence.trajectories, strict=True)
             if run is not None
         }
-        passed = [r for r in validation.engines if r.verdict != "fail" and r.engine in runs]
-        voters = [r for r in validation.engines if r.engine in runs] if len(passed) < 2 else passed
+        ran = [result for result in validation.engines if result.engine in runs]
+        passed = [result for result in ran if result.verdict != "fail"]
+        voters = ran if len(passed) < 2 else passed
         if not voters:
             msg = f"{evidence.scene.name}: no engine delivered a motion; nothing can be compared"
             raise InputError(msg)
-        apart = disagreement(evidence.scene, [runs[r.engine] for r in voters])
-        window = window_of(evidence, apart)
-        judge, full, name = None, evidence.reference, "the reference"
+        self.scene, self.floor_engines = evidence.scene, tuple(r.engine for r in voters)
+        apart = disagreement(self.scene, [runs[engine] for engine in self.floor_engines])
+        self.window = window_of(evidence, apart)
+        self.floor = floor_of(self.scene, self.window)
+        self.full, self.judge_name = evidence.reference, "the reference"
+        self.judge: Contender | None = None  # the reference
         if not evidence.reference.known.all():
             best = min(voters, key=_inaccuracy)
-            full = runs[best.engine]
-            judge = next(c for c in contenders if c.engine == best.engine)
-            name = f"{best.engine}, {best.method}, step {best.step_s:g} s"
-        return Bench(
-            scene=evidence.scene,
-            judge=judge,
-            judge_name=name,
-            full=full,
-            window=window,
-            floor=floor_of(evidence.scene, window, apart),
-            floor_engines=tuple(r.engine for r in voters),
-        )
+            self.full = runs[best.engine]
+            self.judge = next(c for c in contenders if c.engine == best.engine)
+            self.judge_name = f"{best.engine}, {best.method}, step {best.step_s:g} s"
 
     def rows(self, variants: list[AblatedScene], conduct: Conduct) -> list[WeakenedEffect]:
         """Simulate all variants and judge them."""
@@ -185,8 +157,8 @@ class Bench:
             workers=conduct.workers,
             finished=lambda place, _: meter.advance(f"without {possible[place].effect.name}"),
         )
-        answer_by_id = dict(zip(map(id, possible), answers, strict=True))
-        return [self._row(variant, answer_by_id.get(id(variant))) for variant in variants]
+        rest = iter(answers)
+        return [self._row(each, None if each.reason else next(rest)) for each in variants]
 
     def _task(self, variant: AblatedScene, cache: bool) -> Task:
         if self.judge is None:
@@ -198,11 +170,10 @@ class Bench:
         effect, factor = variant.effect, variant.factor
         if answer is None or isinstance(answer, Crash):
             reason = variant.reason if answer is None else answer.reason
-            return impossible(effect, factor, reason)
-        change = agreement.particle_error(Mechanism.of(self.scene), answer, self.full)
-        padded = np.full(self.window.judged.shape, np.nan)
-        padded[:, : change.shape[1]] = change
-        return row_of(effect, factor, padded, self.window, self.floor, _describe_failures(answer))
+            return WeakenedEffect(effect.name, factor, effect.dropped, "not possible", reason)
+        padded = answer.padded(self.full.time)
+        change = agreement.particle_error(Mechanism.of(self.scene), padded, self.full)
+        return row_of(effect, factor, change, self.window, self.floor, _describe_failures(answer))
 
 
 def _inaccuracy(result: EngineResult) -> tuple[bool, float]:
@@ -277,7 +248,8 @@ def _blocks(ablation: Ablation) -> Iterator[Block]:
             *((f"{engine} left out", reason) for engine, reason in ablation.left_out.items()),
         ]
     )
-    yield _size_lines(ablation)
+    headings = ("engine", ">coordinates", ">constraints", ">contact pairs", "")
+    yield table_of(headings, map(_size_row, ablation.sizes))
     yield Remarks.of([("scene", _smallest(ablation))])
 
 
@@ -296,13 +268,9 @@ def _row(row: WeakenedEffect) -> Row:
     return Row((*map(Cell, texts), verdict), reasons=() if plain else (row.sentence,))
 
 
-def _size_lines(ablation: Ablation) -> Table:
-    headings = ("engine", ">coordinates", ">constraints", ">contact pairs", "")
-    rows = [
-        [s.engine, *map(str, (s.coordinates, s.constraints, s.contact_pairs)), _more(s)]
-        for s in ablation.sizes
-    ]
-    return table_of(headings, rows)
+def _size_row(size: Size) -> tuple[str, ...]:
+    counts = map(str, (size.coordinates, size.constraints, size.contact_pairs))
+    return size.engine, *counts, _more(size)
 
 
 def _conclusion(ablation: Ablation) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal
@@ -11,6 +12,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
+from mbds_xsim.base.isolate import Task, run_tasks
 from mbds_xsim.checks import agreement
 from mbds_xsim.measure.result import Evidence
 from mbds_xsim.scene.collisions import count_pairs
@@ -19,6 +21,7 @@ from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Trajectory
 from mbds_xsim.simulate.adapter import ModelSize, Settings
+from mbds_xsim.simulate.choice import Contender
 from mbds_xsim.simulate.registry import load_adapter
 from mbds_xsim.studies.ablate.effects import Effect
 
@@ -219,12 +222,12 @@ def disagreement(scene: Scene, runs: list[Trajectory]) -> Array:
     return np.asarray(np.max(np.nan_to_num(pairs, nan=0.0), axis=0))
 
 
-def floor_of(scene: Scene, window: Window, apart: Array) -> Floor:
+def floor_of(scene: Scene, window: Window) -> Floor:
     """Compute the thresholds that a change must exceed."""
-    at_one = window.at_instant(apart)
+    at_one = window.at_instant(window.apart)
     return Floor(
         disagreement_1s_m=float(at_one.max()) if at_one.size else None,
-        disagreement_m=float(window.weighted(apart).max()),
+        disagreement_m=float(window.weighted(window.apart).max()),
         budget_1s_m=scene.budget.error_1s * scene.length,
         budget_m=scene.budget.error * scene.length,
     )
@@ -275,11 +278,6 @@ def row_of(
         over_floor=excess,
         over_disagreement=apart if np.isfinite(apart) else None,
     )
-
-
-def impossible(effect: Effect, factor: float, reason: str) -> WeakenedEffect:
-    """Return the row of an effect that this scene cannot do without."""
-    return WeakenedEffect(effect.name, factor, effect.dropped, "not possible", reason)
 
 
 def _over(change: float, disagreement: float | None) -> float:
@@ -343,23 +341,27 @@ def least_size(scene: Scene) -> Least:
     return Least(freedom, coordinates, coordinates - freedom, count_pairs(mechanism))
 
 
-def native_size(scene: Scene, engine: str, settings: Settings) -> ModelSize:
-    """Load a scene and return the size of the engine's model."""
+def sizes_of(
+    scene: Scene, contenders: Sequence[Contender], least: Least, workers: int | None
+) -> Iterator[Size]:
+    """Compare the engines' models with the smallest one; engines that report none are left out."""
+    tasks = [Task(_native_size, (scene, c.engine, c.settings)) for c in contenders]
+    for contender, size in zip(contenders, run_tasks(tasks, workers=workers), strict=True):
+        if isinstance(size, ModelSize):
+            yield Size(
+                engine=contender.engine,
+                coordinates=size.coordinates,
+                constraints=size.constraints,
+                contact_pairs=size.contact_pairs,
+                more_coordinates=size.coordinates - least.coordinates,
+                more_constraints=size.constraints - least.conditions,
+                more_pairs=size.contact_pairs - least.spheres,
+            )
+
+
+def _native_size(scene: Scene, engine: str, settings: Settings) -> ModelSize:
     with load_adapter(engine).open(scene, settings) as run:
         return run.size
-
-
-def compare_size(engine: str, size: ModelSize, least: Least) -> Size:
-    """Compute the excess of a model over the smallest one."""
-    return Size(
-        engine=engine,
-        coordinates=size.coordinates,
-        constraints=size.constraints,
-        contact_pairs=size.contact_pairs,
-        more_coordinates=size.coordinates - least.coordinates,
-        more_constraints=size.constraints - least.conditions,
-        more_pairs=size.contact_pairs - least.spheres,
-    )
 
 
 def _planar_freedom(mechanism: Mechanism, moving: tuple[int, ...]) -> int:

@@ -15,15 +15,15 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import SceneError
 from mbds_xsim.scene.assembly import check_joints
 from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.mass import with_mass_properties
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import INTERVALS, Levels
-from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene
+from mbds_xsim.scene.scene import Joint, Scene
 from mbds_xsim.scene.state import Batch
 
 DROP, HALF = 0.0, 0.5
@@ -106,15 +106,13 @@ def _gears(scene: Scene, _: float) -> Scene | None:
 
 def _stops(scene: Scene, _: float) -> Scene | None:
     limited = {joint.name for joint in scene.joints if joint.limits}
-    without_limits = functools.partial(msgspec.structs.replace, limits=None, restitution=0.0)
-    return _with_joints(scene, limited, without_limits)
+    return _with_joints(scene, limited, lambda j: _replace(j, limits=None, restitution=0.0))
 
 
 def _saturation(scene: Scene, _: float) -> Scene | None:
     if not any(servo.limit for servo in scene.servos):
         return None
-    servos = (msgspec.structs.replace(servo, limit=None) for servo in scene.servos)
-    return _replace(scene, servos=tuple(servos))
+    return _replace(scene, servos=tuple(_replace(servo, limit=None) for servo in scene.servos))
 
 
 def _loop_axes(scene: Scene, _: float) -> Scene | None:
@@ -136,9 +134,7 @@ def _third_dimension(scene: Scene, _: float) -> Scene | None:
             "hinges about y in closed loops repeat conditions, with which the reference cannot step"
         )
         raise SceneError(msg)
-    return _with_joints(
-        scene, names, lambda joint: _replace(joint, kind="hinge", axis=(0.0, 1.0, 0.0))
-    )
+    return _with_joints(scene, names, lambda j: _replace(j, kind="hinge", axis=(0.0, 1.0, 0.0)))
 
 
 def _with_joints(
@@ -160,7 +156,7 @@ LEAST = 1e-3  # remaining share of a dropped inertia
 _ON_LINE = 1e-9  # largest offset from a line, over the longest arm
 
 
-def rotary_inertia(scene: Scene, factor: float) -> Scene | None:
+def _rotary_inertia(scene: Scene, factor: float) -> Scene | None:
     """Weaken the whole inertia of bodies; None if every body is a single particle."""
     if all(len(body.particles) == 1 for body in scene.bodies):
         return None
@@ -168,36 +164,24 @@ def rotary_inertia(scene: Scene, factor: float) -> Scene | None:
     return _with_inertia(mechanism, {k: share * t for k, t in enumerate(mechanism.inertia)})
 
 
-def rod_inertia(scene: Scene, factor: float) -> Scene | None:
-    """Weaken the inertia about the line on which a body's ball joints and centre of mass lie."""
-    return _about_axes(scene, _rod_axis, factor)
+def _inertia_about(axis_of: Callable[[Mechanism, int], Array | None]) -> Weaken:
+    """Return a function that scales bodies' moments about an axis; those about normals stay."""
 
+    def weaken(scene: Scene, factor: float) -> Scene | None:
+        mechanism, share = Mechanism.of(scene), max(factor, LEAST)
+        tensors = {}
+        for body, tensor in enumerate(mechanism.inertia):
+            axis = axis_of(mechanism, body)
+            if axis is not None:
+                less = (1.0 - share) * (axis @ tensor @ axis)
+                tensors[body] = np.asarray(tensor - less * np.outer(axis, axis))
+        return _with_inertia(mechanism, tensors) if tensors else None
 
-def wheel_inertia(scene: Scene, factor: float) -> Scene | None:
-    """Weaken the inertia of bodies about the hinge by which the spanning tree holds them."""
-    return _about_axes(scene, _hinge_axis, factor)
-
-
-def _about_axes(
-    scene: Scene, axis_of: Callable[[Mechanism, int], Array | None], factor: float
-) -> Scene | None:
-    mechanism = Mechanism.of(scene)
-    axes = {body: axis_of(mechanism, body) for body in range(mechanism.body_count)}
-    tensors = {
-        body: _less_about(mechanism.inertia[body], axis, max(factor, LEAST))
-        for body, axis in axes.items()
-        if axis is not None
-    }
-    return _with_inertia(mechanism, tensors) if tensors else None
-
-
-def _less_about(tensor: Array, axis: Array, share: float) -> Array:
-    """Scale the moment about a unit axis; moments about its normals stay."""
-    return np.asarray(tensor - (1.0 - share) * (axis @ tensor @ axis) * np.outer(axis, axis))
+    return weaken
 
 
 def _rod_axis(mechanism: Mechanism, body: int) -> Array | None:
-    """Return the direction of a rod; None if a joint is no ball joint or off the line."""
+    """Return the line through a body's ball joints and centre of mass; None if there is none."""
     own = [joint for joint in mechanism.joints if body in (joint.parent, joint.child)]
     arms = np.array([j.in_child if j.child == body else j.in_parent for j in own]).reshape(-1, 3)
     lengths = np.linalg.norm(arms, axis=1)
@@ -209,6 +193,7 @@ def _rod_axis(mechanism: Mechanism, body: int) -> Array | None:
 
 
 def _hinge_axis(mechanism: Mechanism, body: int) -> Array | None:
+    """Return the axis of the hinge by which the spanning tree holds a body, if it does."""
     joint = next(link.joint for link in mechanism.links if link.body == body)
     return joint.axis if joint is not None and joint.kind == "hinge" else None
 
@@ -217,17 +202,9 @@ def _with_inertia(mechanism: Mechanism, tensors: Mapping[int, Array]) -> Scene:
     """Replace particles of bodies by inertia tensors about their centres of mass, in N."""
     bodies = list(mechanism.scene.bodies)
     for k, tensor in tensors.items():
-        bodies[k] = _with_mass(bodies[k], mechanism.mass[k], mechanism.com[k], tensor)
+        bodies[k] = with_mass_properties(bodies[k], mechanism.mass[k], mechanism.com[k], tensor)
     # The skeleton is drawn between particles, and some are gone.
     return _replace(mechanism.scene, bodies=tuple(bodies), edges=(), anchors=())
-
-
-def _with_mass(body: Body, mass: float, com: Array, tensor: Array) -> Body:
-    turn = rotation.matrix(np.array(body.orientation))
-    (xx, xy, xz), (_, yy, yz), (_, _, zz) = (turn.T @ tensor @ turn).tolist()
-    x, y, z = (turn.T @ (com - np.array(body.position))).tolist()
-    inertia = Inertia(float(mass), (xx, yy, zz), (xy, xz, yz), (x, y, z))
-    return _replace(body, particles=(), inertia=inertia)
 
 
 EFFECTS = (
@@ -239,15 +216,15 @@ EFFECTS = (
     Effect(
         "spin inertia of rods",
         "no inertia about the line through a body's ball joints and centre of mass",
-        rod_inertia,
+        _inertia_about(_rod_axis),
     ),
     Effect(
         "inertia about hinges",
         "half the inertia of bodies about the hinge that holds them",
-        wheel_inertia,
+        _inertia_about(_hinge_axis),
         (HALF,),
     ),
-    Effect("rotary inertia", "half the inertia of every body", rotary_inertia, (HALF,)),
+    Effect("rotary inertia", "half the inertia of every body", _rotary_inertia, (HALF,)),
     Effect("ground", "no contact at all", _ground, (DROP,)),
     Effect("friction", "smooth contact", _part("ground.friction", "collisions.friction")),
     Effect(
@@ -274,12 +251,7 @@ EFFECTS = (
             ("wind", "no wind", "sampling.wind:mean"),
             ("gusts", "a constant wind", "sampling.wind:deviation"),
             ("drives", "no hinge torques", "sampling.hinge_torque:torque"),
-            (
-                "listed loads",
-                "without the scene's own series",
-                "forces.series",
-                "torques.series",
-            ),
+            ("listed loads", "without the scene's own series", "forces.series", "torques.series"),
             ("noise", "no random forces", "noise"),
             (
                 "listed velocities",
@@ -352,8 +324,7 @@ def _starts(
 def _fit_batch(scene: Scene, ablated: Scene, batch: Batch) -> Batch:
     """Fit the full scene's starts and inputs to the ablated one; raise if joints forbid it."""
     mechanism, other = Mechanism.of(scene), Mechanism.of(ablated)
-    native = mechanism.native_rotation(batch.orientation)
-    check_joints(other, BodyStates(batch.position, native, batch.velocity, batch.angular_velocity))
+    check_joints(other, BodyStates.of(mechanism, batch))
     torque = np.zeros((len(batch), batch.steps, len(other.hinges)))
     columns = {joint.name: k for k, joint in enumerate(mechanism.hinges)}
     for k, joint in enumerate(other.hinges):

@@ -133,28 +133,15 @@ class ContactBench:
 def ball(ground: Ground, clock: Clock, **start: Array) -> tuple[Scene, Batch]:
     """Make one particle and its starts, with fields of shape (row, 3); by default at rest."""
     body = Body("ball", particles=(Particle(_CENTRE),))
-    return _sphere(body, ground, clock, start)
+    return _scene(body, 1.0, [_CENTRE], ground, clock, start)
 
 
 def wheel(ground: Ground, clock: Clock, **start: Array) -> tuple[Scene, Batch]:
     """Make a ball with a particle's inertia about y and ten times as much about x and z."""
     moment = 0.4 * RADIUS**2
     inertia = Inertia(1.0, (10.0 * moment, moment, 10.0 * moment))
-    return _sphere(Body("wheel", inertia=inertia, position=_CENTRE), ground, clock, start)
-
-
-def _sphere(
-    body: Body, ground: Ground, clock: Clock, start: dict[str, Array]
-) -> tuple[Scene, Batch]:
-    scene = Scene(
-        body.name,
-        (body,),
-        length=1.0,
-        contacts=(ContactSphere(body.name, _CENTRE, RADIUS),),
-        ground=ground,
-        clock=clock,
-    )
-    return scene, _batch_of(scene, start)
+    body = Body("wheel", inertia=inertia, position=_CENTRE)
+    return _scene(body, 1.0, [_CENTRE], ground, clock, start)
 
 
 def crate(ground: Ground, clock: Clock, **start: Array) -> tuple[Scene, Batch]:
@@ -163,15 +150,7 @@ def crate(ground: Ground, clock: Clock, **start: Array) -> tuple[Scene, Batch]:
     corners = np.array(list(product((-_HALF_EDGE, _HALF_EDGE), repeat=3))) + middle
     moment = CRATE_MASS * (2.0 * _HALF_EDGE) ** 2 / 6.0
     body = Body("crate", inertia=Inertia(CRATE_MASS, (moment,) * 3), position=middle)
-    scene = Scene(
-        "crate",
-        (body,),
-        length=0.4,
-        contacts=tuple(ContactSphere("crate", (x, y, z), RADIUS) for x, y, z in corners.tolist()),
-        ground=ground,
-        clock=clock,
-    )
-    return scene, _batch_of(scene, start)
+    return _scene(body, 0.4, corners.tolist(), ground, clock, start)
 
 
 def reason(motion: Trajectory) -> str:
@@ -179,8 +158,17 @@ def reason(motion: Trajectory) -> str:
     return next((failure.reason for failure in motion.failures if failure), "")
 
 
-def _batch_of(scene: Scene, start: dict[str, Array]) -> Batch:
-    """Build a batch of starts; positions are offsets, and a force stays constant."""
+def _scene(
+    body: Body,
+    length: float,
+    centres: list[Any],
+    ground: Ground,
+    clock: Clock,
+    start: dict[str, Array],
+) -> tuple[Scene, Batch]:
+    """Put a body with contact spheres on the ground; positions are offsets, a force is constant."""
+    spheres = tuple(ContactSphere(body.name, (x, y, z), RADIUS) for x, y, z in centres)
+    scene = Scene(body.name, (body,), length, contacts=spheres, ground=ground, clock=clock)
     rows = len(next(iter(start.values()))) if start else 1
     batch = draw_batch(scene, range(rows), noise=False)
     fields: dict[str, Any] = {key: value[:, None] for key, value in start.items()}
@@ -188,4 +176,4 @@ def _batch_of(scene: Scene, start: dict[str, Array]) -> Batch:
         fields["force"] = np.broadcast_to(fields["force"][:, None], batch.force.shape).copy()
     if "position" in fields:
         fields["position"] = batch.position + fields["position"]
-    return dataclasses.replace(batch, **fields)
+    return scene, dataclasses.replace(batch, **fields)

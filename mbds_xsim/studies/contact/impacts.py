@@ -131,8 +131,8 @@ def energy(engine: str, profile: Profile) -> list[ContactFigure]:
 def _elastic(bench: ContactBench) -> ContactFigure:
     clock = bench.clock(_ENERGY_FRAME, _BOUNCING)
     motion = bench.motion(*ball(Ground(FRICTION, 1.0), clock, position=np.outer(_HEIGHTS, UP)))
-    gap = motion.position[:, :, 0, 2] - RADIUS
-    climb = motion.velocity[:, :, 0, 2] + PULL * bench.lag
+    gap, raw = _height(motion)
+    climb = raw + PULL * bench.lag
     change = [per_bounce(g, c, h) for g, c, h in zip(gap, climb, _HEIGHTS, strict=True)]
     return bench.figure("elastic ball: energy by bounce", "1", np.array(change), motion)
 
@@ -196,25 +196,20 @@ def rest(engine: str, profile: Profile) -> list[ContactFigure]:
     for body, make, like in (("ball", ball, "balldrop"), ("crate", crate, "simplecubli")):
         bench = ContactBench(engine, profile, like)
         scene, batch = make(_LIVELY, bench.clock(_ENERGY_FRAME, _FROM + _LONG), position=start)
-        figures += _stillness(bench, body, scene, bench.motion(scene, batch))
+        motion, mechanism = bench.motion(scene, batch), Mechanism.of(scene)
+        late = motion.time >= _FROM - 1e-9
+        # Depth and hops of the lowest sphere, and the speed of the centre of mass.
+        gap = spheres_of(mechanism, BodyStates.of(mechanism, motion)).gap
+        lowest = gap[:, late].min(axis=2)
+        speed = np.linalg.norm(motion.velocity[:, late, 0], axis=-1).max(axis=1)
+        for row, way in enumerate(_WAYS):
+            for name, unit, values in (
+                ("sinks by", "m", -lowest.min(axis=1)),
+                ("hops by", "m", np.ptp(lowest, axis=1)),
+                ("moves at", "m/s", speed),
+            ):
+                figures.append(bench.figure(f"{body} {way}: {name}", unit, values[row], motion))
     return figures
-
-
-def _stillness(
-    bench: ContactBench, body: str, scene: Scene, motion: Trajectory
-) -> list[ContactFigure]:
-    """Measure depth and hops of the lowest sphere, and the speed of the centre of mass."""
-    mechanism, late = Mechanism.of(scene), motion.time >= _FROM - 1e-9
-    native = mechanism.native_rotation(motion.orientation)
-    states = BodyStates(motion.position, native, motion.velocity, motion.angular_velocity)
-    lowest = spheres_of(mechanism, states).gap[:, late].min(axis=2)
-    speed = np.linalg.norm(motion.velocity[:, late, 0], axis=-1).max(axis=1)
-    figures = (("sinks by", "m", -lowest.min(axis=1)), ("hops by", "m", np.ptp(lowest, axis=1)))
-    return [
-        bench.figure(f"{body} {start}: {name}", unit, values[row], motion)
-        for row, start in enumerate(_WAYS)
-        for name, unit, values in (*figures, ("moves at", "m/s", speed))
-    ]
 
 
 # Speeds up to which an engine is right, and whether it reports a failure beyond.
@@ -291,13 +286,12 @@ def _highest(
     motion: Trajectory,
 ) -> ContactFigure:
     """Return the highest correct speed, with a note on what the engine does beyond it."""
-    failed = np.array([failure is not None for failure in motion.failures])
-    beyond = np.flatnonzero(failed | ~right)
-    first = int(beyond[0]) if len(beyond) else len(speeds)
+    reached: float | None = None
     note = f"all up to {speeds[-1]:g} {unit} delivered"
-    if first < len(speeds):
-        failure = motion.failures[first]
-        silent = f"silent at {speeds[first]:g} {unit}: {delivered[first]:.4g}"
-        note = silent if failure is None else f"told at {speeds[first]:g} {unit}: {failure.reason}"
-    reached = speeds[first - 1] if first else None
+    for speed, fine, value, failure in zip(speeds, right, delivered, motion.failures, strict=True):
+        if failure is not None or not fine:
+            silent = f"silent at {speed:g} {unit}: {value:.4g}"
+            note = f"told at {speed:g} {unit}: {failure.reason}" if failure else silent
+            break
+        reached = speed
     return ContactFigure(bench.engine, bench.profile, quantity, unit, reached, note=note)

@@ -3,30 +3,28 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
 
 from mbds_xsim.base.text import in_markdown
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Cell
 from mbds_xsim.report.files import link, table_text
 from mbds_xsim.simulate.claims import ContactLaw
-from mbds_xsim.studies.contact import FRICTION, RADIUS, RESTITUTION
+from mbds_xsim.studies.contact import FRICTION, RADIUS, RESTITUTION, ContactFigure
 from mbds_xsim.studies.contact.friction import PUSHES
 from mbds_xsim.studies.contact.impacts import DEPTH_SPEEDS, RESTITUTIONS, SPEEDS
 from mbds_xsim.studies.contact.present import (
     JUDGED,
     ContactLine,
     ContactStudy,
-    figure_of,
     heading,
     impact,
     rows_of,
 )
 
-_PUSHES = ", ".join(f"{push:g}" for push in PUSHES)
-_HEAD = """\
+_PAGE = """\
 # What contact means in each engine
 
 Each engine has its own idea of what happens where bodies touch. This page is what comes of it,
@@ -37,76 +35,88 @@ measured from trajectories alone: written, with its figures, by
 ```
 
 {made}
-"""
-_ORIGIN = """
-on {machine}, with {versions}. `native` is what an ordinary user of the engine gets, `matched`
-what data are published with; both run through the same adapter. {judged} What the checks of
-`validate` make of contact stands in [checks.md](checks.md), what an engine can represent at all
-in [engines.md](engines.md).
-"""
-_WORDS = """
+
+{summary}
+
 ## In words
-"""
-_REBOUND = f"""
+
+{words}
 ## Rebound
 
-A ball of radius {1e3 * RADIUS:.0f} mm falls onto the ground at a known speed, from eight phases of
+A ball of radius {radius:.0f} mm falls onto the ground at a known speed, from eight phases of
 a step. Both flights are parabolas, so speeds before and after are known without looking into the
 impact. “Takes” is the time from touch to take-off, negative where an engine acts ahead of the
 touch; “depth” the deepest overlap at any phase. Figures are medians over the starts, bands in the
 picture go from the least to the most.
-"""
-_SHARES = """
+{rebound_picture}
+Speed after over speed before, asked {restitution}:
+
+{rebounds}
+
 Largest distance from what was asked, over these speeds, and the speed at which it is:
-"""
-_FRICTION = f"""
+
+{impacts}
+
 ## Friction
 
-A ball that slides at 5 m/s, and a crate on four points at 2 m/s, asked {FRICTION}: the horizontal
+A ball that slides at 5 m/s, and a crate on four points at 2 m/s, asked {friction}: the horizontal
 impulse over the vertical one. “Aside” is the angle between friction and slip. The crate is then
 pushed by a held force F, at 0.9 μ m g, where it should stand, and above; the last columns are the
-push at which it starts, of {_PUSHES}. Drag that a profile has
+push at which it starts, of {pushes}. Drag that a profile has
 counts as friction here.
-"""
-_ENERGY = f"""
+{friction_picture}
+{frictions}
+
 ## Energy
 
 “Elastic ball”: mean change of its energy in a bounce, e = 1, at 1.0 to 1.2 m/s. The others are of
-thrown cubes that land on corners (`simplecubli`, asked {RESTITUTION}): the rise of energy that the
+thrown cubes that land on corners (`simplecubli`, asked {restitution}): the rise of energy that the
 law of impact does not explain, the whole rise, both over the energy scale, and the rebound of
 single corners. Newton's law together with Coulomb's may itself raise the energy there
 ([passivity](checks.md#passivity)), and is one law among several.
-"""
-_REST = """
+
+{energies}
+
 ## Rest
 
 A second after it was dropped from 5 cm with e = 0.5: how deep the lowest sphere is, how far it
 moves up and down, and the speed of the centre of mass.
-"""
-_LIMITS = """
+
+{rests}
+
 ## How fast
 
 The fastest of some speeds at which an engine still delivers what was asked within 1 %, and what
 happens at the next: *told* is a failure of the trajectory with its reason, *silent* a wrong motion
 without a word, if only for a drag that is on by default. An impact counts as held if the ground
 does not lose the ball.
+
+{limits}{missing}"""
+_ORIGIN = """
+on {machine}, with {versions}. `native` is what an ordinary user of the engine gets, `matched`
+what data are published with; both run through the same adapter. {judged} What the checks of
+`validate` make of contact stands in [checks.md](checks.md), what an engine can represent at all
+in [engines.md](engines.md).
 """
 
 # Notes that the tables already show.
 _NO_FAILURE = ("all up to", "told at", "silent at", "does not come back")
 
-Show = Callable[[ContactStudy, str, str], Cell]
-"""Function that returns the cell for a study, an engine and a profile."""
-Columns: TypeAlias = list[ContactLine | tuple[str, Show]]
 
+@dataclass(frozen=True)
+class _Furthest:
+    """Column with the median furthest from `asked` over the speeds."""
 
-def _furthest(asked: float) -> tuple[str, Show]:
-    """Make a column with the median furthest from `asked` over the speeds."""
+    asked: float
 
-    def cell(study: ContactStudy, engine: str, profile: str) -> Cell:
+    @property
+    def label(self) -> str:
+        return f"e = {self.asked:g}"
+
+    def cell(self, study: ContactStudy, engine: str, profile: str) -> Cell:
         deviations = [
-            (abs(m.value - asked), m.at["speed"])
-            for m in study.find(engine, profile, "restitution", restitution=asked)
+            (abs(m.value - self.asked), m.at["speed"])
+            for m in study.find(engine, profile, "restitution", restitution=self.asked)
             if m.value is not None
         ]
         if not deviations:
@@ -115,34 +125,20 @@ def _furthest(asked: float) -> tuple[str, Show]:
         text = f"{deviation:.3f}" if deviation < 5e-4 else f"{deviation:.3f} at {speed:g}"
         return Cell(text, "over" if deviation > 0.01 else "")
 
-    return f"e = {asked:g}", cell
+
+def _range(measured: ContactFigure) -> Cell:
+    """Write the range over the starts."""
+    if measured.low is None or measured.high is None:
+        return Cell(quantity.NONE)
+    return Cell(f"{measured.low:.2f} … {measured.high:.2f}")
 
 
-def _range(label: str, name: str) -> tuple[str, Show]:
-    """Make a column with the range over the starts."""
-
-    def cell(study: ContactStudy, engine: str, profile: str) -> Cell:
-        figure = figure_of(study, engine, profile, name)
-        if figure is None or figure.low is None or figure.high is None:
-            return Cell(quantity.NONE)
-        return Cell(f"{figure.low:.2f} … {figure.high:.2f}")
-
-    return label, cell
-
-
-def _limit(name: str, unit: str) -> tuple[str, Show]:
-    """Make a column with the highest correct speed, and what happens beyond it."""
-
-    def cell(study: ContactStudy, engine: str, profile: str) -> Cell:
-        figure = figure_of(study, engine, profile, name)
-        if figure is None:
-            return Cell(quantity.NONE)
-        text = quantity.NONE if figure.value is None else f"{figure.value:g}"
-        if figure.note.startswith("all"):
-            return Cell(text)
-        return Cell(f"{text}; {figure.note}", "over" if "silent" in figure.note else "")
-
-    return f"{name} [{unit}]", cell
+def _limit(measured: ContactFigure) -> Cell:
+    """Write the highest correct speed, and what happens beyond it."""
+    text = quantity.NONE if measured.value is None else f"{measured.value:g}"
+    if measured.note.startswith("all"):
+        return Cell(text)
+    return Cell(f"{text}; {measured.note}", "over" if "silent" in measured.note else "")
 
 
 def _by_heading(label: str, name: str, *headings: float) -> Iterator[ContactLine]:
@@ -150,38 +146,44 @@ def _by_heading(label: str, name: str, *headings: float) -> Iterator[ContactLine
         yield ContactLine(f"{label} {angle:g}°", name, heading(angle))
 
 
-_REBOUNDS = [ContactLine(f"{speed:g} m/s", "restitution", impact(speed)) for speed in SPEEDS]
-_IMPACTS: Columns = [
-    *map(_furthest, RESTITUTIONS),
-    *(ContactLine(f"takes, {at:g} m/s", "impact duration", impact(at)) for at in (0.1, 1.0, 10.0)),
-    *(ContactLine(f"depth, {at:g} m/s", "impact depth", impact(at)) for at in DEPTH_SPEEDS),
-]
-_FRICTIONS = [
-    *_by_heading("ball", "ball: sliding friction", 0.0, 15.0, 45.0),
-    *_by_heading("aside", "ball: friction aside of the slip", 15.0),
-    *_by_heading("wheel aside", "wheel: friction aside of the slip", 30.0),
-    ContactLine("hops by", "ball: hops while it slides"),
-    *_by_heading("crate", "crate: sliding friction", 0.0, 45.0),
-    *_by_heading("creep", "crate: creep at 0.9 of the limit", 0.0, 45.0),
-    *_by_heading("starts", "crate: push that starts it", 0.0, 45.0),
-]
-_ENERGIES: Columns = [
-    ContactLine("elastic ball", "elastic ball: energy by bounce"),
-    ContactLine("unexplained rise", "cubli: energy that no law explains"),
-    ContactLine("whole rise", "cubli: largest rise of energy"),
-    ContactLine("corners' rebound", "cubli: restitution of corners"),
-    _range("from … to", "cubli: restitution of corners"),
-]
-_RESTS = [
-    ContactLine(f"{what}: {how.removesuffix(' by')}", f"{what} dropped: {how}")
-    for what in ("ball", "crate")
-    for how in ("sinks by", "hops by", "moves at")
-]
-_UPPER = [
-    _limit("free spin", "rad/s"),
-    _limit("hinge spin", "rad/s"),
-    _limit("impact speed held", "m/s"),
-]
+_TABLES: dict[str, Sequence[ContactLine | _Furthest]] = {
+    "rebounds": [ContactLine(f"{at:g} m/s", "restitution", impact(at)) for at in SPEEDS],
+    "impacts": [
+        *map(_Furthest, RESTITUTIONS),
+        *(
+            ContactLine(f"takes, {at:g} m/s", "impact duration", impact(at))
+            for at in (0.1, 1.0, 10.0)
+        ),
+        *(ContactLine(f"depth, {at:g} m/s", "impact depth", impact(at)) for at in DEPTH_SPEEDS),
+    ],
+    "frictions": [
+        *_by_heading("ball", "ball: sliding friction", 0.0, 15.0, 45.0),
+        *_by_heading("aside", "ball: friction aside of the slip", 15.0),
+        *_by_heading("wheel aside", "wheel: friction aside of the slip", 30.0),
+        ContactLine("hops by", "ball: hops while it slides"),
+        *_by_heading("crate", "crate: sliding friction", 0.0, 45.0),
+        *_by_heading("creep", "crate: creep at 0.9 of the limit", 0.0, 45.0),
+        *_by_heading("starts", "crate: push that starts it", 0.0, 45.0),
+    ],
+    "energies": [
+        ContactLine("elastic ball", "elastic ball: energy by bounce"),
+        ContactLine("unexplained rise", "cubli: energy that no law explains"),
+        ContactLine("whole rise", "cubli: largest rise of energy"),
+        ContactLine("corners' rebound", "cubli: restitution of corners"),
+        ContactLine("from … to", "cubli: restitution of corners", form=_range),
+    ],
+    "rests": [
+        ContactLine(f"{what}: {how.removesuffix(' by')}", f"{what} dropped: {how}")
+        for what in ("ball", "crate")
+        for how in ("sinks by", "hops by", "moves at")
+    ],
+    "limits": [
+        ContactLine("free spin [rad/s]", "free spin", form=_limit),
+        ContactLine("hinge spin [rad/s]", "hinge spin", form=_limit),
+        ContactLine("impact speed held [m/s]", "impact speed held", form=_limit),
+    ],
+}
+"""Columns of the page's tables, by the place of the table in `_PAGE`."""
 
 
 def contact_page(study: ContactStudy, figures: dict[str, Path], folder: Path) -> str:
@@ -189,33 +191,26 @@ def contact_page(study: ContactStudy, figures: dict[str, Path], folder: Path) ->
     versions = ", ".join(f"{engine} {version}" for engine, version in study.versions.items())
     judged = JUDGED.replace("Marked", "Bold")
     made = _ORIGIN.format(machine=study.machine, versions=versions, judged=judged)
-    picture = {name: _picture(name, path, folder) for name, path in figures.items()}
-    return "\n".join(
-        [
-            _HEAD.format(command=study.command, made=textwrap.fill(made.strip(), 100)),
-            *_summary(study),
-            _WORDS,
-            *(words_of(engine, law) for engine, law in study.laws.items()),
-            _REBOUND + picture.get("restitution", ""),
-            f"Speed after over speed before, asked {RESTITUTION}:\n",
-            _table(study, _REBOUNDS),
-            _SHARES,
-            _table(study, _IMPACTS),
-            _FRICTION + picture.get("friction", ""),
-            _table(study, _FRICTIONS),
-            _ENERGY,
-            _table(study, _ENERGIES),
-            _REST,
-            _table(study, _RESTS),
-            _LIMITS,
-            _table(study, _UPPER),
-            *_missing(study),
-        ]
+    return _PAGE.format(
+        command=study.command,
+        made=textwrap.fill(made.strip(), 100),
+        summary="\n".join(_summary(study)),
+        words="".join(f"{words_of(engine, law)}\n" for engine, law in study.laws.items()),
+        radius=1e3 * RADIUS,
+        restitution=RESTITUTION,
+        friction=FRICTION,
+        pushes=", ".join(f"{push:g}" for push in PUSHES),
+        rebound_picture=_picture("restitution", figures, folder),
+        friction_picture=_picture("friction", figures, folder),
+        **{name: _table(study, columns) for name, columns in _TABLES.items()},
+        missing=_missing(study),
     )
 
 
-def _picture(name: str, path: Path, folder: Path) -> str:
-    address = link(path, folder / "page")
+def _picture(name: str, figures: dict[str, Path], folder: Path) -> str:
+    if name not in figures:
+        return ""
+    address = link(figures[name], folder / "page")
     return f"\n![{name} of each engine, native and matched]({address})\n"
 
 
@@ -238,7 +233,7 @@ def words_of(engine: str, law: ContactLaw) -> str:
     )
 
 
-def _missing(study: ContactStudy) -> Iterator[str]:
+def _missing(study: ContactStudy) -> str:
     """List the reasons for empty cells and for trajectories that ended early."""
     study = in_markdown(study)
     lines = [f"- {m.engine} `{m.profile}`, all of {m.part}: {m.reason}" for m in study.missing]
@@ -247,20 +242,17 @@ def _missing(study: ContactStudy) -> Iterator[str]:
         if m.note and not m.note.startswith(_NO_FAILURE):
             early.setdefault(f"{m.engine} `{m.profile}`: {m.note}", []).append(m.quantity)
     lines += [f"- {note} ({'; '.join(dict.fromkeys(names))})" for note, names in early.items()]
-    if lines:
-        yield "\n## Cells with a reason\n"
-        yield "\n".join(lines) + "\n"
+    return "\n".join(["\n\n## Cells with a reason\n", *lines, ""]) if lines else ""
 
 
-def _table(study: ContactStudy, columns: Sequence[ContactLine | tuple[str, Show]]) -> str:
+def _table(study: ContactStudy, columns: Sequence[ContactLine | _Furthest]) -> str:
     """Lay out a table with one row per engine and profile."""
-    shown = [(c.label, c.cell) if isinstance(c, ContactLine) else c for c in columns]
     rows = (
-        [profile, engine, *(_mark(cell(study, engine, profile)) for _, cell in shown)]
+        [profile, engine, *(_mark(column.cell(study, engine, profile)) for column in columns)]
         for profile in study.profiles
         for engine in study.versions
     )
-    return table_text(["", ">", *(f">{label}" for label, _ in shown)], rows)
+    return table_text(["", ">", *(f">{column.label}" for column in columns)], rows)
 
 
 def _mark(cell: Cell) -> str:

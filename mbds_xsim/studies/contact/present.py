@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from mbds_xsim.base.files import write_whole
 from mbds_xsim.base.isolate import Conduct, Crash, Task, run_tasks
 from mbds_xsim.measure.runner import machine
 from mbds_xsim.report import quantity
-from mbds_xsim.report.blocks import Block, Cell, Column, Remarks, Row, Text, row_of, table_of
+from mbds_xsim.report.blocks import Block, Cell, Remarks, Row, Text, row_of, table_of
 from mbds_xsim.report.themed import DOTTED, ENGINES, engine_style, png
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.simulate import registry
@@ -87,14 +88,14 @@ class ContactStudy(msgspec.Struct, frozen=True):
     machine: str
     wall_s: float
 
-    def find(self, engine: str, profile: str, quantity: str, **at: float) -> list[ContactFigure]:
-        """List the figures of a quantity under given conditions."""
-        return [
-            m
-            for m in self.figures
-            if (m.engine, m.profile, m.quantity) == (engine, profile, quantity)
-            and at.items() <= m.at.items()
-        ]
+    def find(
+        self, engine: str, profile: str, quantity: str, **at: float
+    ) -> Iterator[ContactFigure]:
+        """Yield the figures of a quantity under given conditions."""
+        for m in self.figures:
+            wanted = (m.engine, m.profile, m.quantity) == (engine, profile, quantity)
+            if wanted and at.items() <= m.at.items():
+                yield m
 
 
 def study_contact(choice: Choice, conduct: Conduct, command: str = "") -> ContactStudy:
@@ -109,11 +110,10 @@ def study_contact(choice: Choice, conduct: Conduct, command: str = "") -> Contac
     profiles = tuple(map(as_profile, choice.profiles))
     adapters = {engine: registry.load_adapter(engine) for engine in choice.engines}
     without = {
-        engine: f"it has no contact: {adapter.limits[Feature.CONTACT]}"
-        for engine, adapter in adapters.items()
-        if Feature.CONTACT in adapter.limits
+        engine: f"it has no contact: {adapters.pop(engine).limits[Feature.CONTACT]}"
+        for engine in list(adapters)
+        if Feature.CONTACT in adapters[engine].limits
     }
-    adapters = {engine: adapters[engine] for engine in adapters if engine not in without}
     if not adapters:
         msg = "; ".join(f"--engines: got {engine}: {reason}" for engine, reason in without.items())
         raise InputError(msg)
@@ -126,12 +126,12 @@ def study_contact(choice: Choice, conduct: Conduct, command: str = "") -> Contac
         workers=conduct.workers,
         finished=lambda place, _: conduct.meter.advance(f"{work[place][0]}: {work[place][2]}"),
     )
-    laws = {engine: adapter.contact_law for engine, adapter in adapters.items()}
+    laws = ((engine, adapter.contact_law) for engine, adapter in adapters.items())
     results = list(zip(work, answers, strict=True))
     return ContactStudy(
         versions={engine: adapter.version() for engine, adapter in adapters.items()},
         profiles=profiles,
-        laws={engine: law for engine, law in laws.items() if law is not None},
+        laws={engine: law for engine, law in laws if law is not None},
         figures=tuple(m for _, part in results if not isinstance(part, Crash) for m in part),
         missing=(
             *(Missing(*w, part.reason) for w, part in results if isinstance(part, Crash)),
@@ -213,34 +213,35 @@ class ContactLine:
     quantity: str
     at: dict[str, float] = field(default_factory=dict)
     nominal: str = ""
-    most: float | None = None
-    """Largest value tried, if the quantity is a limit."""
-    write: Callable[[float], str] | None = None
-    """Format in place of the usual one."""
+    form: Callable[[ContactFigure], Cell] | None = None
+    """Function that makes the cell of a figure, in place of `_WAYS`."""
 
     def cell(self, study: ContactStudy, engine: str, profile: str) -> Cell:
         """Return the cell of an engine at a profile."""
-        return self.show(figure_of(study, engine, profile, self.quantity, **self.at))
+        measured = next(study.find(engine, profile, self.quantity, **self.at), None)
+        return Cell(quantity.NONE) if measured is None else (self.form or self.show)(measured)
 
-    def show(self, measured: ContactFigure | None) -> Cell:
+    def show(self, measured: ContactFigure) -> Cell:
         """Format a figure; one that is far from the requested value is marked."""
-        if measured is None:
+        write, right = _WAYS[self.quantity.rpartition(": ")[2]]
+        if measured.value is None:
             return Cell(quantity.NONE)
-        usual, right = _WAYS.get(self.quantity.rpartition(": ")[2], ("{:g}".format, _any))
-        value = measured.value
-        text = quantity.NONE if value is None else (self.write or usual)(value)
-        if self.most is None:
-            return Cell(text, "" if value is None or right(value) else "over")
-        ending = measured.note.split(" ")[0]  # how it ends: told or silent
-        text = f"≥ {self.most:g}" if value == self.most else f"{text} {ending}".rstrip()
-        return Cell(text, "over" if text.endswith("silent") else "")
+        return Cell(write(measured.value), "" if right(measured.value) else "over")
 
 
-def figure_of(
-    study: ContactStudy, engine: str, profile: str, name: str, **at: float
-) -> ContactFigure | None:
-    """Find one figure; None if the engine did not deliver it."""
-    return next(iter(study.find(engine, profile, name, **at)), None)
+def _depth(measured: ContactFigure) -> Cell:
+    """Write a depth as a share of the radius."""
+    value = measured.value
+    return Cell(quantity.NONE if value is None else f"{100.0 * value / RADIUS:.2g} %")
+
+
+def _highest(measured: ContactFigure, most: float) -> Cell:
+    """Write the highest correct speed, of `most` at most, and whether its end is told or silent."""
+    if measured.value == most:
+        return Cell(f"≥ {most:g}")
+    text = quantity.NONE if measured.value is None else f"{measured.value:g}"
+    ending = measured.note.split(" ")[0]
+    return Cell(f"{text} {ending}".rstrip(), "over" if ending == "silent" else "")
 
 
 def impact(at: float) -> dict[str, float]:
@@ -259,12 +260,7 @@ LINES = (
     ContactLine("rebound at 1 m/s", "restitution", impact(1.0), _E),
     ContactLine("rebound at 0.1 m/s", "restitution", impact(0.1), _E),
     ContactLine("an impact at 1 m/s takes", "impact duration", impact(1.0)),
-    ContactLine(
-        "depth at 5 m/s, of radius",
-        "impact depth",
-        impact(5.0),
-        write=lambda depth: f"{100.0 * depth / RADIUS:.2g} %",
-    ),
+    ContactLine("depth at 5 m/s, of radius", "impact depth", impact(5.0), form=_depth),
     ContactLine("friction along x", "ball: sliding friction", heading(0.0), _MU),
     ContactLine("friction at 45°", "ball: sliding friction", heading(45.0), _MU),
     ContactLine("friction aside at 15°", "ball: friction aside of the slip", heading(15.0), "0"),
@@ -279,8 +275,10 @@ LINES = (
     ContactLine("cubli, rebound of corners", "cubli: restitution of corners", nominal=_E),
     ContactLine("ball at rest sinks by", "ball dropped: sinks by", nominal="0"),
     ContactLine("crate at rest trembles at", "crate dropped: moves at", nominal="0"),
-    ContactLine("spin up to, rad/s", "free spin", most=SPINS[-1]),
-    ContactLine("impacts held up to, m/s", "impact speed held", most=DROPS[-1]),
+    ContactLine("spin up to, rad/s", "free spin", form=partial(_highest, most=SPINS[-1])),
+    ContactLine(
+        "impacts held up to, m/s", "impact speed held", form=partial(_highest, most=DROPS[-1])
+    ),
     ContactLine("cost of 1 s of balldrop", "cost of a simulated second"),
 )
 """Rows of the summary, in this order."""
@@ -295,7 +293,7 @@ def rows_of(study: ContactStudy, profile: Profile) -> Iterator[Row]:
 
 def present(study: ContactStudy) -> Iterator[Block]:
     """Summarise contact in each engine, with one table per profile."""
-    columns = (Column("", words=True), *map(Column, ("asked", *study.versions)))
+    columns = ("", ">asked", *(f">{engine}" for engine in study.versions))
     for profile in study.profiles:
         yield table_of(columns, rows_of(study, profile), title=f"{profile} settings")
     yield Remarks.of((f"{m.engine} {m.profile}, {m.part}", m.reason) for m in study.missing)
@@ -312,30 +310,25 @@ def draw_study(study: ContactStudy, files: dict[str, Path]) -> None:
     """Draw `restitution` and `friction` into PNG files, each with panels for the profiles."""
     count = len(study.profiles)
     rebound, friction = (8.8, 0.9 + 2.1 * count), (1.0 + 3.9 * count, 3.7)
-    title = "rebound over impact speed"
-    _draw(study, files["restitution"], _restitution, rebound, title)
-    title = "friction of a sliding ball over its heading"
-    _draw(study, files["friction"], _friction, friction, title)
+    for name, panels, size, title in (
+        ("restitution", _restitution, rebound, "rebound over impact speed"),
+        ("friction", _friction, friction, "friction of a sliding ball over its heading"),
+    ):
+        draw = partial(_draw, study=study, panels=panels, title=title)
+        write_whole(files[name], png(draw, size))
 
 
 def _draw(
-    study: ContactStudy,
-    path: Path,
-    panels: Callable[[Any, ContactStudy], Any],
-    size: tuple[float, float],
-    title: str,
+    figure: Any, study: ContactStudy, panels: Callable[[Any, ContactStudy], None], title: str
 ) -> None:
-    def draw(figure: Any) -> None:
-        first = panels(figure, study)
-        figure.suptitle(f"{title}   ({study.command})", fontsize=10, x=0.01, ha="left")
-        handles, labels = first.get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False)
-
-    write_whole(path, png(draw, size))
+    panels(figure, study)
+    figure.suptitle(f"{title}   ({study.command})", fontsize=10, x=0.01, ha="left")
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False)
 
 
-def _restitution(figure: Any, study: ContactStudy) -> Any:
-    """Draw a row per profile and a column per restitution; return a panel with all labels."""
+def _restitution(figure: Any, study: ContactStudy) -> None:
+    """Draw a row per profile and a column per restitution."""
     panels = figure.subplots(
         len(study.profiles), len(_BOUNCING), sharex=True, sharey="col", squeeze=False
     )
@@ -346,7 +339,6 @@ def _restitution(figure: Any, study: ContactStudy) -> Any:
         row[0].set_ylabel("speed after over before")
     for axes in panels[-1]:
         axes.set_xlabel("impact speed [m/s]")
-    return panels[0][0]
 
 
 def _rebounds(axes: Any, study: ContactStudy, profile: Profile, asked: float) -> None:
@@ -362,23 +354,18 @@ def _rebounds(axes: Any, study: ContactStudy, profile: Profile, asked: float) ->
     axes.set_ylim(-0.05 * asked, 1.22 * asked)
 
 
-def _friction(figure: Any, study: ContactStudy) -> Any:
-    """Draw a panel per profile; return the first."""
+def _friction(figure: Any, study: ContactStudy) -> None:
+    """Draw a panel per profile."""
     panels = figure.subplots(1, len(study.profiles), sharey=True, squeeze=False)[0]
     for axes, profile in zip(panels, study.profiles, strict=True):
-        _headings(axes, study, profile)
+        axes.axhline(FRICTION, **_NOMINAL_LINE)
+        for figures, style in _curves(study, profile, "ball: sliding friction"):
+            axes.plot([m.at["heading_deg"] for m in figures], [m.value for m in figures], **style)
+        axes.set_ylim(0.0, 0.7)
+        axes.set_xticks(range(0, 91, 15))
         axes.set_title(f"{profile} settings", fontsize=9, loc="left")
         axes.set_xlabel("heading of the slip [° from x]")
     panels[0].set_ylabel("horizontal over vertical impulse")
-    return panels[0]
-
-
-def _headings(axes: Any, study: ContactStudy, profile: Profile) -> None:
-    axes.axhline(FRICTION, **_NOMINAL_LINE)
-    for figures, style in _curves(study, profile, "ball: sliding friction"):
-        axes.plot([m.at["heading_deg"] for m in figures], [m.value for m in figures], **style)
-    axes.set_ylim(0.0, 0.7)
-    axes.set_xticks(range(0, 91, 15))
 
 
 def _curves(

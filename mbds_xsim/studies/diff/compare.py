@@ -137,12 +137,13 @@ def compare_files(
         msg = f"{old} is {schema} and {new} is {other_schema}; give two of the same"
         raise InputError(msg)
     both = [name for name in after if name in before]
-    alone = [name for name in (*before, *after) if name not in both]
     if not both:
         old_names, new_names = ", ".join(before), ", ".join(after)
         msg = f"{old} is about {old_names} and {new} about {new_names}; give two of one"
         raise InputError(msg)
     scenes = tuple(_diff(before[name], after[name], rtol, factor) for name in both)
+    only_old = tuple(name for name in before if name not in both)
+    only_new = tuple(name for name in after if name not in both)
     return Comparison(
         schema=SCHEMA,
         compared=schema,
@@ -150,14 +151,14 @@ def compare_files(
         new=in_utf8(str(new)),
         rtol=rtol,
         factor=factor,
-        verdict=_verdict(scenes, alone),
+        verdict=_verdict(scenes, bool(only_old or only_new)),
         scenes=scenes,
-        scenes_only_old=tuple(name for name in before if name not in after),
-        scenes_only_new=tuple(name for name in after if name not in before),
+        scenes_only_old=only_old,
+        scenes_only_new=only_new,
     )
 
 
-def _verdict(scenes: tuple[Diff, ...], alone: list[str]) -> Literal["worse", "changed", "same"]:
+def _verdict(scenes: tuple[Diff, ...], alone: bool) -> Literal["worse", "changed", "same"]:
     if any(diff.worse for diff in scenes):
         return "worse"
     changed = any(
@@ -175,29 +176,29 @@ def _diff(old: View, new: View, rtol: float, factor: float) -> Diff:
                 f"and {change.new}; give two results of one scene"
             )
             raise InputError(msg)
-    pairs = {
-        name: entry_diff(name, old.entries[name], entry, rtol, factor)
+    pairs = [
+        _entry_diff(name, old.entries[name], entry, rtol, factor)
         for name, entry in new.entries.items()
         if name in old.entries
-    }
+    ]
+    shown = tuple(pair for pair in pairs if pair.changed or pair.timings)
     only_old = tuple(_only_in(old, new))
-    ranks = {one.name: old.entries[one.name].rank for one in only_old if one.why}
-    lost = [one for one in only_old if (rank := ranks.get(one.name)) is not None and rank < FAILING]
+    lost = [one for one in only_old if one.why and old.entries[one.name].rank in range(FAILING)]
     return Diff(
         scene=new.scene,
         old_command=old.command,
         new_command=new.command,
         sample=tuple(_changes(old.sample, new.sample)),
         circumstances=tuple(_changes(old.circumstances, new.circumstances)),
-        entries=tuple(pair for pair in pairs.values() if pair.changed or pair.timings),
-        unchanged=sum(not (pair.changed or pair.timings) for pair in pairs.values()),
+        entries=shown,
+        unchanged=len(pairs) - len(shown),
         only_old=only_old,
         only_new=tuple(_only_in(new, old)),
         worse=(
-            *(f"{pair.name}: {line}" for pair in pairs.values() for line in pair.worse),
+            *(f"{pair.name}: {line}" for pair in pairs for line in pair.worse),
             *(f"{one.name}: was {one.verdict}, is left out now: {one.why}" for one in lost),
         ),
-        better=tuple(f"{pair.name}: {line}" for pair in pairs.values() for line in pair.better),
+        better=tuple(f"{pair.name}: {line}" for pair in pairs for line in pair.better),
     )
 
 
@@ -214,7 +215,7 @@ def _only_in(view: View, other: View) -> Iterator[OnlyIn]:
         yield OnlyIn(name, entry.verdict, next(reasons, ""))
 
 
-def entry_diff(name: str, old: Entry, new: Entry, rtol: float, factor: float) -> EntryDiff:
+def _entry_diff(name: str, old: Entry, new: Entry, rtol: float, factor: float) -> EntryDiff:
     """Return the changes of an entry; the thresholds are those of `compare_files`."""
     return EntryDiff(
         name=name,

@@ -17,16 +17,19 @@ from mbds_xsim.studies.diff.compare import (
     FigureChange,
 )
 
-_HEADINGS = ("entry", "what", "before", "now", "change")
-_COLUMNS = tuple(blocks.Column(heading, words=heading != "change") for heading in _HEADINGS)
+_HEADINGS = ("entry", "what", "before", "now", ">change")
 _MOST_FIGURES, _MOST_TIMES = 40, 12
 """Most rows of a table on a terminal; Markdown and JSON have them all."""
 
 
 def present(comparison: Comparison) -> Iterator[blocks.Report]:
     """Report for each scene what changed, and whether anything is worse."""
+    sides = (("old", comparison.scenes_only_old), ("new", comparison.scenes_only_new))
+    apart = blocks.Remarks.of(
+        (f"scenes only in the {which} one", ", ".join(names)) for which, names in sides if names
+    )
     for diff in comparison.scenes:
-        first = (_scenes_apart(comparison),) if diff is comparison.scenes[0] else ()
+        first = (apart,) if diff is comparison.scenes[0] else ()
         yield blocks.Report(
             title=diff.scene,
             what="worse" if diff.worse else "nothing worse",
@@ -38,32 +41,22 @@ def present(comparison: Comparison) -> Iterator[blocks.Report]:
 
 
 def _command(comparison: Comparison) -> str:
-    flags = (
-        ("--rtol", comparison.rtol, RTOL),
-        ("--factor", comparison.factor, FACTOR),
-    )
+    flags = (("--rtol", comparison.rtol, RTOL), ("--factor", comparison.factor, FACTOR))
     options = (word for name, value, usual in flags if value != usual for word in (name, value))
     words = ("mbds-xsim", "diff", comparison.old, comparison.new, *options)
     return shlex.join(map(str, words))
 
 
-def _scenes_apart(comparison: Comparison) -> blocks.Remarks:
-    """Name the scenes that only one of the results has."""
-    sides = (("old", comparison.scenes_only_old), ("new", comparison.scenes_only_new))
-    return blocks.Remarks.of(
-        (f"scenes only in the {which} one", ", ".join(names)) for which, names in sides if names
-    )
-
-
 def _blocks(diff: Diff, comparison: Comparison) -> Iterator[blocks.Block]:
-    figures = tuple(row for entry in diff.entries for row in _entry_rows(entry))
-    times = tuple(_figure(e.name, change) for e in diff.entries for change in e.timings)
+    figures = [row for entry in diff.entries for row in _entry_rows(entry)]
+    times = [_figure(e.name, change) for e in diff.entries for change in e.timings]
     for title, rows, most in (
         ("What changed", figures, _MOST_FIGURES),
         ("Times", times, _MOST_TIMES),
     ):
         if rows:
-            yield blocks.Section(title, (blocks.Table(_COLUMNS, rows, most=most, grouped=True),))
+            table = blocks.table_of(_HEADINGS, rows, most=most, grouped=True)
+            yield blocks.Section(title, (table,))
     yield blocks.Remarks.of(_remarks(diff))
     yield blocks.Remarks(
         tuple(blocks.Remark("worse", line, "fail") for line in diff.worse), _MOST_FIGURES
@@ -79,8 +72,7 @@ def _entry_rows(entry: EntryDiff) -> Iterator[blocks.Row]:
         texts = (name, "verdict", entry.old_verdict, entry.new_verdict, words)
         yield blocks.row_of(texts, "over" if entry.worse else "")
     for change in entry.settings:
-        texts = (name, change.what, _value(change.old), _value(change.new), "")
-        yield blocks.row_of(texts)
+        yield blocks.row_of((name, change.what, _value(change.old), _value(change.new), ""))
     for figure in entry.figures:
         yield _figure(name, figure)
     for reason in entry.reasons_gone:

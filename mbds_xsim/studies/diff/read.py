@@ -91,12 +91,11 @@ def _keyed_by_name(pairs: Iterable[tuple[str, T]]) -> dict[str, T]:
 
 def _validation(part: object) -> View:
     stored = result.from_plain(part, result.Validation)
-    budgets = {f"budget {key}": value for key, value in stored.budget.items()}
     return _view(
         stored,
         ((f"{e.engine} {e.profile}", _engine_entry(e, stored)) for e in stored.engines),
         identity=_fields(stored, "length_m"),
-        sample={"seed": stored.seed, "trajectories": len(stored.trajectories), **budgets},
+        sample={"seed": stored.seed, "trajectories": len(stored.trajectories)},
     )
 
 
@@ -121,13 +120,12 @@ def _engine_entry(engine: result.EngineResult, stored: result.Validation) -> Ent
 
 def _tradeoff(part: object) -> View:
     study = msgspec.convert(part, tradeoff.Tradeoff)
-    budgets = {f"budget {key}": value for key, value in study.budget.items()}
     limits = _fields(study, "horizon_s", "limit_s")
     return _view(
         study,
         _curve_entries(study),
         identity=_fields(study, "length_m", "duration_s"),
-        sample={"seed": study.seed, "starts": len(study.trajectories), **limits, **budgets},
+        sample={"seed": study.seed, "starts": len(study.trajectories), **limits},
     )
 
 
@@ -248,13 +246,14 @@ def _view(
     sample: Mapping[str, Value],
 ) -> View:
     """Make a view from the fields that results of all commands have, and from those given."""
+    budgets = {f"budget {key}": value for key, value in getattr(stored, "budget", {}).items()}
     if hasattr(stored, "fingerprint"):
         identity = identity | {"fingerprint": stored.fingerprint or None}
     return View(
         scene=stored.scene if hasattr(stored, "scene") else stored.study,
         command=stored.command,
         identity=identity,
-        sample=sample,
+        sample={**sample, **budgets},
         circumstances={**getattr(stored, "versions", {}), "machine": stored.machine},
         entries=_keyed_by_name(entries),
         left_out=stored.left_out,
@@ -357,14 +356,13 @@ def _holds_records(value: Any) -> bool:
 
 def _label_records(records: list[dict[str, Any]]) -> Iterator[tuple[str, dict[str, Any]]]:
     """Label records by their texts if these are unique, or else by their position."""
-    words = [
-        [v for k, v in one.items() if isinstance(v, str) and k not in _VERDICT_KEYS]
+    labels = [
+        " ".join(v for k, v in one.items() if isinstance(v, str) and k not in _VERDICT_KEYS)
         for one in records
     ]
-    labels = [" ".join(texts) for texts in words]
     unique = len(set(labels)) == len(labels)
-    for place, one in enumerate(records):
-        yield labels[place] if unique and labels[place] else str(place), one
+    for place, (label, one) in enumerate(zip(labels, records, strict=True)):
+        yield label if unique and label else str(place), one
 
 
 def _entry(own: Mapping[str, Any]) -> Entry:

@@ -205,10 +205,7 @@ def matched_toml(match: Match, before: str = "") -> str:
 
 
 def _table(result: MatchedSettings) -> dict[str, Any]:
-    settings: dict[str, Any] = {
-        "method": result.method,
-        "steps_per_frame": result.steps_per_frame,
-    }
+    settings: dict[str, Any] = {"method": result.method, "steps_per_frame": result.steps_per_frame}
     if result.options:
         settings["options"] = dict(result.options)
     figures = {

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import heapq
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any
 
 from mbds_xsim.base.errors import InputError
@@ -43,7 +41,7 @@ _GRACE = 60.0
 _PATIENCE = 8.0
 
 
-@dataclass
+@dataclass(eq=False)
 class _Candidate:
     """A curve that is searched for the fewest steps that pass."""
 
@@ -99,11 +97,11 @@ class _Field:
         return joined(self._run(jobs))
 
     def _run(self, jobs: Sequence[tuple[EngineMethod, int, list[int], int]]) -> list[Trial]:
-        def finished(place: int, _: Any) -> None:
-            self.conduct.meter.advance(jobs[place][0].name)
-
-        tasks = [self._task(*job) for job in jobs]
-        answers = run_tasks(tasks, workers=self.conduct.workers, finished=finished)
+        answers = run_tasks(
+            [self._task(*job) for job in jobs],
+            workers=self.conduct.workers,
+            finished=lambda place, _: self.conduct.meter.advance(jobs[place][0].name),
+        )
         return [failed_trial(a) if isinstance(a, Crash) else a for a in answers]
 
     def _task(self, curve: EngineMethod, count: int, rows: list[int], sample: int) -> Task:
@@ -145,7 +143,11 @@ def match(
         InputError: An argument cannot be used.
     """
     curves, left_out = _curves(scene, choice, options=options)
-    field_of = partial(_field, scene, limit=limit, conduct=conduct)
+
+    def field_of(starts: Starts) -> _Field:
+        batch = starts.draw(scene)
+        return _Field(scene, batch, run_references(scene, batch, conduct), limit, conduct)
+
     ground, seed = field_of(starts), starts.seed
     used = _try_settings_in_use(ground, {curve.engine for curve in curves})
     candidates = _search_all(ground, curves, used)
@@ -166,12 +168,6 @@ def match(
     )
 
 
-def _field(scene: Scene, starts: Starts, *, limit: float, conduct: Conduct) -> _Field:
-    """Draw starts, and solve their references."""
-    batch = starts.draw(scene)
-    return _Field(scene, batch, run_references(scene, batch, conduct), limit, conduct)
-
-
 def _curves(
     scene: Scene, choice: Choice, *, options: bool
 ) -> tuple[list[EngineMethod], dict[str, str]]:
@@ -188,27 +184,28 @@ def _curves(
 
 def _try_settings_in_use(ground: _Field, engines: set[str]) -> dict[str, tuple[Settings, Trial]]:
     """Try each engine's settings in use."""
-    scene, by_engine = ground.scene, {}
-    jobs = []
-    for name in sorted(engines):
-        settings = settings_for(scene, registry.load_adapter(name), "matched")
-        count = settings.substeps(scene.clock.frame)
-        curve = EngineMethod(name, settings.method, own_options=settings.options, counts=(count,))
-        jobs.append((curve, count))
-        by_engine[name] = settings
-    trials = ground.run(jobs)
-    pairs = zip(jobs, trials, strict=True)
-    return {curve.engine: (by_engine[curve.engine], trial) for (curve, _), trial in pairs}
+    adapters = {name: registry.load_adapter(name) for name in sorted(engines)}
+    used = {name: settings_for(ground.scene, each, "matched") for name, each in adapters.items()}
+    curves = [_curve_in_use(ground.scene, *item) for item in used.items()]
+    trials = ground.run([(curve, curve.counts[0]) for curve in curves])
+    return {name: (used[name], trial) for name, trial in zip(used, trials, strict=True)}
+
+
+def _curve_in_use(
+    scene: Scene, engine: str, settings: Settings, variation: str = ""
+) -> EngineMethod:
+    counts, options = (settings.substeps(scene.clock.frame),), settings.options
+    return EngineMethod(
+        engine, settings.method, variation=variation, own_options=options, counts=counts
+    )
 
 
 def _in_use(scene: Scene, engine: str, settings: Settings, trial: Trial) -> _Candidate:
     """Make a candidate of the settings in use, so that the result never costs more than they do."""
-    count = settings.substeps(scene.clock.frame)
-    curve = EngineMethod(
-        engine, settings.method, variation=_IN_USE, own_options=settings.options, counts=(count,)
-    )
+    curve = _curve_in_use(scene, engine, settings, _IN_USE)
+    (count,) = curve.counts
     own = registry.load_adapter(engine).methods[settings.method].own
-    search = Search(counts=(count,))
+    search = Search(counts=curve.counts)
     search.tell(count, trial.passed and own)
     return _Candidate(curve, search, {count: trial} if own else {})
 
@@ -231,28 +228,23 @@ def _rate_alike(candidates: Sequence[_Candidate]) -> None:
 def _search_all(
     ground: _Field, curves: Sequence[EngineMethod], used: Mapping[str, tuple[Settings, Trial]]
 ) -> list[_Candidate]:
-    """Search all curves, with the settings in use as competitors."""
+    """Search all curves together, one trial of each at a time; the settings in use compete."""
     candidates = [_Candidate(curve) for curve in curves]
     candidates += [_in_use(ground.scene, name, *pair) for name, pair in used.items()]
-    _search(ground, candidates)
-    _rate_alike(candidates)
-    return candidates
-
-
-def _search(ground: _Field, candidates: list[_Candidate]) -> None:
-    """Advance all searches together, one trial of each at a time."""
     while True:
         for candidate in candidates:
             if _hopeless(ground, candidate, candidates):
                 candidate.search.closed = True
         pending = [(c, count) for c in candidates if (count := c.search.next) is not None]
         if not pending:
-            return
+            break
         ground.conduct.meter.forecast(_remaining_work(ground, pending))
         trials = ground.run([(candidate.curve, count) for candidate, count in pending])
         for (candidate, count), trial in zip(pending, trials, strict=True):
             candidate.trials[count] = trial
             candidate.search.tell(count, trial.passed)
+    _rate_alike(candidates)
+    return candidates
 
 
 def _hopeless(ground: _Field, candidate: _Candidate, candidates: list[_Candidate]) -> bool:
@@ -280,11 +272,9 @@ def _settle(
 ) -> MatchedSettings:
     """Verify the cheapest; if it fails, its next shorter step, or a method that is now cheaper."""
     candidates, used = [c for c in every if c.curve.engine == engine], by_engine[engine]
-    queue = [(c.rank, place) for place, c in enumerate(candidates) if c.cost < math.inf]
-    heapq.heapify(queue)
-    while queue:
-        _, place = heapq.heappop(queue)
-        candidate = candidates[place]
+    pending = [c for c in candidates if c.cost < math.inf]
+    while pending:
+        candidate = min(pending, key=lambda c: c.rank)
         count = candidate.search.smallest
         assert count is not None
         trial = proof.run_spread(candidate.curve, count)
@@ -294,10 +284,9 @@ def _settle(
                 (candidate.trials[count],) = ground.run([(candidate.curve, count)])
             return _matched_settings(proof, candidate, count, trial, candidates, used)
         candidate.search.refuse(count)
-        if _stuck(candidate):
-            continue
-        if candidate.cost * proof.scene.clock.duration <= proof.limit:
-            heapq.heappush(queue, (candidate.rank, place))
+        too_slow = candidate.cost * proof.scene.clock.duration > proof.limit
+        if too_slow or _stuck(candidate):
+            pending.remove(candidate)
     return _best_effort(proof, candidates, used)
 
 
@@ -319,14 +308,13 @@ def _best_effort(
     Of the settings that break the fewest checks, it is the cheapest of the nearest. If any setting
     passed the search and was verified, only verified ones count; else the search's trials do.
     """
-    proofs = [(t, k, n) for k, c in enumerate(candidates) for n, t in c.proofs.items()]
-    trials = [(t, k, n) for k, c in enumerate(candidates) for n, t in c.trials.items()]
+    proofs = [(t, c, n) for c in candidates for n, t in c.proofs.items()]
+    trials = [(t, c, n) for c in candidates for n, t in c.trials.items()]
     fewest = min(trial.broken for trial, *_ in proofs or trials)
     best = [entry for entry in proofs or trials if entry[0].broken == fewest]
     largest = _NEAR * min(trial.excess for trial, *_ in best)
     near = [entry for entry in best if entry[0].excess <= largest]
-    _, place, count = min(near, key=lambda entry: entry[0].cpu_s)
-    candidate = candidates[place]
+    _, candidate, count = min(near, key=lambda entry: entry[0].cpu_s)
     trial = candidate.proofs.get(count) or proof.run_spread(candidate.curve, count)
     if trial.passed:  # it failed only on the starts of the search
         trial = dataclasses.replace(trial, reasons=candidate.trials[count].reasons)

@@ -22,14 +22,7 @@ import numpy as np
 from mbds_xsim.base.errors import InputError, check_name
 from mbds_xsim.base.isolate import USUAL, Conduct, Crash, Task, run_tasks
 from mbds_xsim.base.text import on_a_line
-from mbds_xsim.measure.runner import (
-    Runner,
-    Store,
-    StudyCase,
-    machine,
-    row_key,
-    versions_of,
-)
+from mbds_xsim.measure.runner import Runner, Store, StudyCase, machine, row_key, versions_of
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch
@@ -49,7 +42,6 @@ from mbds_xsim.studies.releases.steps import (
     steps_of,
 )
 from mbds_xsim.studies.tradeoff.bench import Truth, measure, references
-from mbds_xsim.testing.case import Case
 from mbds_xsim.testing.cases import CASES
 from mbds_xsim.testing.ladder import EXACT, STEPS_PER_FRAME, case_settings, measured_order
 
@@ -124,7 +116,9 @@ class ReleaseStudy:
     def _runner(self) -> Runner[ReleaseRow]:
         return Runner(
             Store.of("releases", self.engine, ReleaseRow),
-            crashed=_crash_row,
+            crashed=lambda row, crash: msgspec.structs.replace(
+                row, kind=crash.kind, reason=on_a_line(crash.reason)
+            ),
             conduct=self.conduct,
         )
 
@@ -157,8 +151,7 @@ class ReleaseStudy:
                     start = draw_batch(case.scene, [0])
                     key = _key("case", case.scene, start, ran, STEPS_PER_FRAME[-1])
                     row = ReleaseRow(key=key, release=version, case=case.name, way=name)
-                    arguments = (self.engine, case.name, name)
-                    yield _case(row, climb, arguments, (version, "ladder", name))
+                    yield _case(row, climb, self.engine, case.name, name)
 
     def _scene_cases(self, version: str) -> Iterator[StudyCase[ReleaseRow]]:
         """Yield the cases of every scene at native and matched settings."""
@@ -167,8 +160,7 @@ class ReleaseStudy:
                 start, truth = self._truth(scene)
                 key = _key("scene", scene, start, ran, count)
                 row = ReleaseRow(key=key, release=version, case=scene.name, way=ran.profile)
-                arguments = (ran, scene, start, count, truth)
-                yield _case(row, play, arguments, (version, "scenes", ran.profile))
+                yield _case(row, play, ran, scene, start, count, truth)
 
     def _bounces(self, version: str) -> Iterator[StudyCase[ReleaseRow]]:
         """Yield the cases of a ball's impacts."""
@@ -178,8 +170,7 @@ class ReleaseStudy:
                 key = _key(f"rebound {speed}", scene, draw_batch(scene, [0]), ran, count)
                 name = f"rebound at {speed:g} m/s"
                 row = ReleaseRow(key=key, release=version, case=name, way=ran.profile)
-                arguments = (self.engine, ran.profile, speed)
-                yield _case(row, bounce, arguments, (version, "rebounds", ran.profile))
+                yield _case(row, bounce, self.engine, ran.profile, speed)
 
     def _profile_settings(self, scene: Scene, version: str) -> Iterator[tuple[EngineMethod, int]]:
         """Yield the engine at the settings of each profile, with its steps per frame."""
@@ -211,18 +202,18 @@ def _key(label: str, scene: Scene, start: Batch, ran: Simulator, count: int) -> 
 
 
 def _case(
-    row: ReleaseRow,
-    function: Callable[..., dict[str, Any]],
-    arguments: tuple[Any, ...],
-    group: tuple[str, str, str],
+    row: ReleaseRow, function: Callable[..., dict[str, Any]], *arguments: Any
 ) -> StudyCase[ReleaseRow]:
-    name = f"{row.release}: {row.name}"
-    pace = row.case, row.way
-    return StudyCase(row, name, function, lambda: arguments, _LIMIT, group, pace)
-
-
-def _crash_row(row: ReleaseRow, crash: Crash) -> ReleaseRow:
-    return msgspec.structs.replace(row, kind=crash.kind, reason=on_a_line(crash.reason))
+    """Make a case; those of a release with one function and way share a process."""
+    return StudyCase(
+        row,
+        f"{row.release}: {row.name}",
+        function,
+        lambda: arguments,
+        _LIMIT,
+        group=(row.release, function, row.way),
+        pace=(row.case, row.way),
+    )
 
 
 # Functions that run in a process of a release.
@@ -235,8 +226,13 @@ def drive(engine: str, release: str, packages: Path) -> None:
         InputError: The engine that runs is not the release of the folder.
     """
     adapter = load_adapter(engine)
-    case = next(case for case in CASES if any(_able(adapter, case)))
-    with adapter.open(case.scene, next(_able(adapter, case))) as run:
+    case, settings = next(
+        (case, case_settings(adapter, case, method, 1))
+        for case in CASES
+        for name, method in adapter.methods.items()
+        if not adapter.refusals(case.scene, name)
+    )
+    with adapter.open(case.scene, settings) as run:
         run.rollout(draw_batch(case.scene, [0]))
     files = [getattr(module, "__file__", None) for module in list(sys.modules.values())]
     if adapter.version() != release or not any(
@@ -244,12 +240,6 @@ def drive(engine: str, release: str, packages: Path) -> None:
     ):
         msg = f"what runs is {engine} {adapter.version()}, not the release in {packages}"
         raise InputError(msg)
-
-
-def _able(adapter: Adapter, case: Case) -> Iterator[Any]:
-    for name, method in adapter.methods.items():
-        if not adapter.refusals(case.scene, name):
-            yield case_settings(adapter, case, method, 1)
 
 
 def climb(engine: str, name: str, method: str) -> dict[str, Any]:

@@ -9,17 +9,12 @@ from functools import partial
 from itertools import groupby
 from typing import Any
 
+import numpy as np
+
 from mbds_xsim.base.text import counted
 from mbds_xsim.report import blocks, quantity, themed
 from mbds_xsim.report.themed import GREY, INK
-from mbds_xsim.studies.releases.steps import (
-    FACTOR,
-    History,
-    ReleaseRow,
-    Step,
-    comparable,
-    figures_of,
-)
+from mbds_xsim.studies.releases.steps import FACTOR, UNITS, History, Step, comparable
 
 _MOST = 40
 """Largest number of steps that a terminal shows."""
@@ -84,27 +79,20 @@ def _blocks(history: History) -> Iterator[blocks.Block]:
             _title(history), lambda f: draw(f, history), size_of(history), wide=True
         )
         yield blocks.Section("At a glance", (blocks.FigureGroup((figure,)),), on=page)
-    tables = tuple(table for kind in _KINDS if (table := _figures(history, kind)) is not None)
+    tables = tuple(filter(None, (_figures(history, kind) for kind in _KINDS)))
     yield blocks.Section("All figures", tables, folded=True, on=page)
 
 
 def _steps(history: History) -> blocks.Table:
-    columns = (
-        blocks.Column("release", words=True),
-        blocks.Column("case and method or settings", words=True),
-        blocks.Column("figure", words=True),
-        blocks.Column("before"),
-        blocks.Column("now"),
-        blocks.Column("factor"),
-        blocks.Column("why", "What the change log says, and what the engine did.", words=True),
-    )
+    why = blocks.Column("why", "What the change log says, and what the engine did.", words=True)
+    headings = ("release", "case and method or settings", "figure", ">before", ">now", ">factor")
     rows = (_step(step) for step in history.steps if step.what != "time")
-    return blocks.table_of(columns, rows, title="Steps", most=_MOST, grouped=True)
+    return blocks.table_of((*headings, why), rows, title="Steps", most=_MOST, grouped=True)
 
 
 def _step(step: Step) -> blocks.Row:
     courses = {"lost": ("runs", "lost"), "runs": ("lost", "runs")}
-    texts = (_format_figure(step.what, value, step.unit) for value in (step.old, step.new))
+    texts = (_written(step.what, value, step.unit) for value in (step.old, step.new))
     before, now = courses.get(step.course) or texts
     factor = quantity.NONE if step.factor is None else f"{quantity.number(step.factor)}×"
     reason = f"before: {step.reason}" if step.course == "runs" else step.reason
@@ -115,7 +103,7 @@ def _step(step: Step) -> blocks.Row:
     return blocks.row_of(cells, mark)
 
 
-def _format_figure(kind: str, value: float | None, unit: str) -> str:
+def _written(kind: str, value: float | None, unit: str) -> str:
     if kind in ("order", "restitution") and value is not None:
         return f"{value:.2f}"
     return quantity.with_unit(value, unit)
@@ -125,10 +113,12 @@ def _remarks(history: History) -> Iterator[tuple[str, str]]:
     for release in history.releases:
         if release.reason:
             yield f"{release.version} is not driven", release.reason
-    for version, rows in groupby(_failed_rows(history), lambda row: row.release):
-        reasons = Counter(row.reason for row in rows)
+    for version in history.driven:
+        failed = (row for row in history.rows if row.release == version and row.kind != "done")
+        reasons = Counter(row.reason for row in failed)
         texts = (f"{reason} ({counted(count, 'row')})" for reason, count in reasons.items())
-        yield f"{version} does not do all", "; ".join(texts)
+        if reasons:
+            yield f"{version} does not do all", "; ".join(texts)
     times = [step for step in history.steps if step.what == "time"]
     for version, steps in groupby(times, lambda step: step.release):
         texts = (f"{step.name} {quantity.number(step.factor)}×" for step in steps)
@@ -137,25 +127,15 @@ def _remarks(history: History) -> Iterator[tuple[str, str]]:
         yield "change log", history.change_log
 
 
-def _failed_rows(history: History) -> Iterator[ReleaseRow]:
-    for version in history.driven:
-        yield from (r for r in history.rows if r.release == version and r.kind != "done")
-
-
 def _figures(history: History, kind: str) -> blocks.Table | None:
     """Lay out one figure of all rows over all releases."""
-    columns = [blocks.Column("case", words=True), *map(blocks.Column, history.driven)]
+    columns = ("case", *(f">{version}" for version in history.driven))
     rows = []
     for name in history.names:
-        by_release = history.by_release(name)
-        texts = [_cell(by_release.get(version), kind) for version in history.driven]
+        texts = [_written(kind, value, UNITS[kind]) for value in history.series(name, kind)]
         if any(text != quantity.NONE for text in texts):
             rows.append([name, *texts])
     return blocks.table_of(columns, rows, title=_KINDS[kind]) if rows else None
-
-
-def _cell(row: ReleaseRow | None, kind: str) -> str:
-    return quantity.NONE if row is None else _format_figure(kind, *figures_of(row)[kind])
 
 
 def to_png(histories: list[History], stored: bytes = b"") -> bytes:
@@ -183,8 +163,8 @@ def _stepping(history: History) -> list[tuple[str, str]]:
 
 def _telling(history: History, name: str) -> str:
     """Return the first kind of figure that a row has in any release."""
-    rows = [figures_of(row) for row in history.by_release(name).values()]
-    return next((kind for kind in _KINDS if any(row[kind][0] is not None for row in rows)), "error")
+    shown = (kind for kind in _KINDS if set(history.series(name, kind)) != {None})
+    return next(shown, "error")
 
 
 def _title(history: History) -> str:
@@ -196,15 +176,10 @@ def _title(history: History) -> str:
 
 def draw(figure: Any, history: History) -> None:
     """Draw figures that have a step over the releases, in decades above each one's best."""
-    import numpy as np
-
     pairs, versions = _stepping(history), history.driven
     values = np.full((max(len(pairs), 1), len(versions)), np.nan)
     for y, (name, kind) in enumerate(pairs):
-        rows = history.by_release(name)
-        for x, version in enumerate(versions):
-            row = rows.get(version)
-            value = None if row is None else figures_of(row)[kind][0]
+        for x, value in enumerate(history.series(name, kind)):
             if value is not None:
                 values[y, x] = math.log10(max(comparable(kind, value), 1e-12))
     values -= np.fmin.reduce(values, axis=1, keepdims=True)

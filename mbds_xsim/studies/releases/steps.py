@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import math
 import re
-import tomllib
 from collections.abc import Iterator, Sequence
 from functools import cache
 from importlib.resources import files
@@ -13,18 +13,17 @@ import msgspec
 
 from mbds_xsim.measure.runner import Keyed
 from mbds_xsim.studies.contact import RESTITUTION
-from mbds_xsim.studies.diff import FAILING, Entry, PhysicalFigure
-from mbds_xsim.studies.diff.compare import entry_diff
 
 SCHEMA = "mbds-xsim/releases/1"
 FACTOR = 2.0
 """Factor between two figures above which their difference is a step."""
 
-_SAME = 1.0 - 1.0 / FACTOR
+UNITS = {"error": "m", "order": "1", "gap": "m", "energy": "1", "restitution": "1", "time": "s"}
+"""Units of the figures of a row."""
 _QUARTER = 4.0
 """Orders are compared by the error's fall at a quarter of the step: half an order is a step."""
-_LEAST = {"error": 1e-9, "gap": 1e-9, "energy": 1e-9, "restitution": 0.01}
-"""Differences below these do not count, in the figures' units."""
+_LEAST = {"error": 1e-9, "gap": 1e-9, "energy": 1e-9, "restitution": 0.01, "order": 1e-14}
+"""Differences below these do not count, in the units of the figures that are compared."""
 
 
 class ReleaseRow(Keyed, frozen=True, kw_only=True):
@@ -51,6 +50,18 @@ class ReleaseRow(Keyed, frozen=True, kw_only=True):
     def name(self) -> str:
         """Case and way."""
         return f"{self.case}, {self.way}"
+
+    @property
+    def figures(self) -> dict[str, float | None]:
+        """Figures by name."""
+        return {
+            "error": self.error_m,
+            "order": self.order,
+            "gap": self.gap_m,
+            "energy": self.energy,
+            "restitution": self.restitution,
+            "time": self.cpu_s,
+        }
 
 
 class Release(msgspec.Struct, frozen=True):
@@ -135,6 +146,11 @@ class History(msgspec.Struct, frozen=True, kw_only=True):
         """Return the rows of a name keyed by release, in the order of the releases."""
         return {row.release: row for row in self.rows if row.name == name}
 
+    def series(self, name: str, what: str) -> list[float | None]:
+        """Return a figure of the rows of a name in each release that was driven, if it has any."""
+        rows = self.by_release(name)
+        return [rows[each].figures[what] if each in rows else None for each in self.driven]
+
 
 class LogLine(msgspec.Struct, frozen=True):
     """Explanation of some rows' steps from a change log."""
@@ -160,15 +176,12 @@ class KnownReleases(msgspec.Struct, frozen=True):
         return next(lines, "")
 
 
+@cache
 def known_of(engine: str) -> KnownReleases:
     """Return the known facts about an engine's releases."""
-    return _known_releases().get(engine, KnownReleases())
-
-
-@cache
-def _known_releases() -> dict[str, KnownReleases]:
-    text = (files(__package__ or "") / "changes.toml").read_text("utf-8")
-    return msgspec.convert(tomllib.loads(text), dict[str, KnownReleases])
+    text = (files(__package__ or "") / "changes.toml").read_bytes()
+    known = msgspec.toml.decode(text, type=dict[str, KnownReleases])
+    return known.get(engine, KnownReleases())
 
 
 def steps_of(rows: Sequence[ReleaseRow], known: KnownReleases) -> Iterator[Step]:
@@ -179,18 +192,6 @@ def steps_of(rows: Sequence[ReleaseRow], known: KnownReleases) -> Iterator[Step]
             explanation = known.explanation(step.release, f"{step.name}: {step.what}")
             yield msgspec.structs.replace(step, explanation=explanation)
         last[row.name] = row
-
-
-def figures_of(row: ReleaseRow) -> dict[str, tuple[float | None, str]]:
-    """Return the figures of a row by name, each with its unit."""
-    return {
-        "error": (row.error_m, "m"),
-        "order": (row.order, "1"),
-        "gap": (row.gap_m, "m"),
-        "energy": (row.energy, "1"),
-        "restitution": (row.restitution, "1"),
-        "time": (row.cpu_s, "s"),
-    }
 
 
 def comparable(kind: str, value: float) -> float:
@@ -209,29 +210,20 @@ def _steps_between(old: ReleaseRow, new: ReleaseRow) -> Iterator[Step]:
             course="lost" if lost else "runs", reason=new.reason if lost else old.reason,
         )  # fmt: skip
         return
-    before, now = figures_of(old), figures_of(new)
-    changed = entry_diff(new.name, _entry(old), _entry(new), _SAME, FACTOR)
-    for change in (*changed.figures, *changed.timings):
-        if change.ratio is not None:
-            (was, unit), (is_now, _) = before[change.what], now[change.what]
-            course: Literal["worse", "better"] = "worse" if change.ratio > 1.0 else "better"
+    figures = new.figures
+    for what, was in old.figures.items():
+        factor = _factor(what, was, figures[what])
+        if factor is not None:
             yield Step(
-                **at, what=change.what, unit=unit, old=was, new=is_now, factor=change.ratio,
-                course=course,
+                **at, what=what, unit=UNITS[what], old=was, new=figures[what], factor=factor,
+                course="worse" if factor > 1.0 else "better",
             )  # fmt: skip
 
 
-def _entry(row: ReleaseRow) -> Entry:
-    """Convert a row into an entry that `diff` can compare."""
-    numbers = {
-        kind: comparable(kind, value)
-        for kind, (value, _) in figures_of(row).items()
-        if value is not None
-    }
-    time = numbers.pop("time", None)
-    return Entry(
-        verdict=row.kind,
-        rank=0 if row.kind == "done" else FAILING,
-        figures={w: PhysicalFigure(v, "1", _LEAST.get(w, 0.0) / _SAME) for w, v in numbers.items()},
-        timings={} if time is None else {"time": time},
-    )
+def _factor(what: str, was: float | None, now: float | None) -> float | None:
+    """Return the new over the old figure, both by `comparable`; None if there is no step."""
+    if was is None or now is None:
+        return None
+    old, new = comparable(what, was), comparable(what, now)
+    same = math.isclose(old, new, rel_tol=1.0 - 1.0 / FACTOR, abs_tol=_LEAST.get(what, 0.0))
+    return None if same or old == 0.0 else new / old
