@@ -44,6 +44,13 @@ class BodyStates:
         native = mechanism.native_rotation(motion.orientation)
         return BodyStates(motion.position, native, motion.velocity, motion.angular_velocity)
 
+    @staticmethod
+    def at_reference(mechanism: Mechanism) -> BodyStates:
+        """Return bodies at rest at the reference pose."""
+        still = np.zeros((mechanism.body_count, 3))
+        native = np.tile(rotation.IDENTITY, (mechanism.body_count, 1))
+        return BodyStates(mechanism.com.copy(), native, still, still.copy())
+
     def __getitem__(self, rows: Any) -> BodyStates:
         """Select states along their leading axes."""
         return self.each(lambda values: values[rows])
@@ -200,21 +207,21 @@ def joint_loads(mechanism: Mechanism, bodies: BodyStates, push: Array) -> tuple[
     return force[..., :-1, :], moment[..., :-1, :]
 
 
-def rate_row(mechanism: Mechanism, joint: PlacedJoint, position: Array, native: Array) -> csr_array:
+def rate_row(mechanism: Mechanism, joint: PlacedJoint, bodies: BodyStates) -> csr_array:
     """Return the row that maps twists to a hinge's or slider's rate, shape (1, 6 · body)."""
     from scipy.sparse import csr_array
 
     on_world = joint.parent == WORLD_INDEX
-    axis = joint.axis if on_world else rotation.rotate(native[joint.parent], joint.axis)
+    axis = joint.axis if on_world else bodies.arms(joint.parent, joint.axis)
     # Blocks of the world are left out below.
     if joint.kind == "hinge":
         child, parent = [0.0, 0.0, 0.0, *axis], [0.0, 0.0, 0.0, *-axis]
     else:
         anchor = joint.in_child
         if joint.child != WORLD_INDEX:
-            anchor = position[joint.child] + rotation.rotate(native[joint.child], joint.in_child)
-        child = [*axis, *np.cross(anchor - position[joint.child], axis)]
-        parent = [*-axis, *-np.cross(anchor - position[joint.parent], axis)]
+            anchor = bodies.points(joint.child, joint.in_child)
+        child = [*axis, *np.cross(anchor - bodies.position[joint.child], axis)]
+        parent = [*-axis, *-np.cross(anchor - bodies.position[joint.parent], axis)]
     ends = [(joint.child, child), (joint.parent, parent)]
     values = np.array([block for body, block in ends if body != WORLD_INDEX]).reshape(-1)
     columns = [6 * body + k for body, _ in ends if body != WORLD_INDEX for k in range(6)]
@@ -222,11 +229,11 @@ def rate_row(mechanism: Mechanism, joint: PlacedJoint, position: Array, native: 
     return csr_array((values, ([0] * len(columns), columns)), shape=shape)
 
 
-def coupling_rows(mechanism: Mechanism, position: Array, native: Array) -> list[csr_array]:
+def coupling_rows(mechanism: Mechanism, bodies: BodyStates) -> list[csr_array]:
     """Return each coupling's row, whose product with the twists is 0, shape (1, 6 · body)."""
 
     def row(joint: PlacedJoint) -> csr_array:
-        return rate_row(mechanism, joint, position, native)
+        return rate_row(mechanism, joint, bodies)
 
     return [row(each.follower) - each.ratio * row(each.leader) for each in mechanism.couplings]
 
@@ -234,7 +241,8 @@ def coupling_rows(mechanism: Mechanism, position: Array, native: Array) -> list[
 def to_links(mechanism: Mechanism, bodies: BodyStates) -> LinkStates:
     """Express body states in the coordinates of the spanning tree."""
     tree = _Tree.of(mechanism)
-    parent, child = _of_parents(tree, bodies), _of_children(tree, bodies)
+    parent = bodies.with_world()[..., tree.parent_body, :]
+    child = bodies[..., tree.body, :]
     back = rotation.conjugate(child.native)
     relative = child.angular_velocity - parent.angular_velocity
     coordinate, rate = np.zeros(child.position.shape[:-1]), np.zeros(child.position.shape[:-1])
@@ -342,15 +350,11 @@ class _Tree:
     turns_freely: Mask
     """Whether the link is a free body or has a ball joint."""
     hinge: Mask
-    slider: Mask
+    scalar: Index
+    """Links with one coordinate."""
     axis: Array
     in_parent: Array
     in_child: Array
-
-    @property
-    def scalar(self) -> Index:
-        """Links with one coordinate."""
-        return np.flatnonzero(self.hinge | self.slider)
 
     @staticmethod
     @functools.lru_cache(maxsize=64)
@@ -375,18 +379,8 @@ class _Tree:
             free=kinds == "free",
             turns_freely=(kinds == "free") | (kinds == "ball"),
             hinge=kinds == "hinge",
-            slider=kinds == "slider",
+            scalar=np.flatnonzero((kinds == "hinge") | (kinds == "slider")),
             axis=places("axis"),
             in_parent=places("in_parent"),
             in_child=places("in_child"),
         )
-
-
-def _of_children(tree: _Tree, bodies: BodyStates) -> BodyStates:
-    """Return the states of the links' bodies, in link order."""
-    return bodies.each(lambda values: values[..., tree.body, :])
-
-
-def _of_parents(tree: _Tree, bodies: BodyStates) -> BodyStates:
-    """Return the states of the links' parents, including the world, in link order."""
-    return bodies.with_world().each(lambda values: values[..., tree.parent_body, :])
