@@ -39,8 +39,7 @@ def load_scene(scene: Any) -> Scene:
             return scene
         case str() | Path():
             return registry.load_scene(str(scene))
-    msg = f"scene: got {scene!r}, allowed is a Scene, a name or the path of a file"
-    raise InputError(msg)
+    raise InputError(f"scene: got {scene!r}, allowed is a Scene, a name or the path of a file")
 
 
 def validate(
@@ -157,8 +156,7 @@ def generate(
     several: Any = (scenes,) if single else scenes
     loaded = tuple(map(load_scene, several))
     if not loaded:
-        msg = "scenes: got none, allowed are scenes, their names, or their files"
-        raise InputError(msg)
+        raise InputError("scenes: got none, allowed are scenes, their names, or their files")
     request = Request(
         scenes=loaded,
         choice=Choice.parse(engines=words_of(engines) or None, profiles=settings, limit=limit),
@@ -247,8 +245,7 @@ def _seconds(name: str, value: object) -> float | None:
     if value is None:
         return None
     if not isinstance(value, int | float | np.number):
-        msg = f"--{name}: got {value!r}, allowed is a number [s]"
-        raise InputError(msg)
+        raise InputError(f"--{name}: got {value!r}, allowed is a number [s]")
     return float(value)
 
 
@@ -257,12 +254,10 @@ def _check(workers: int | None = None, limit: object = LIMIT, **flags: object) -
     if workers is not None:
         _whole("workers", workers, 0)
     if not isinstance(limit, int | float) or not limit >= 1.0:
-        msg = f"--limit: got {limit!r}, allowed is 1 or more [s]"
-        raise InputError(msg)
+        raise InputError(f"--limit: got {limit!r}, allowed is 1 or more [s]")
     for name, value in flags.items():
         if not isinstance(value, bool | np.bool_):
-            msg = f"--{name}: got {value!r}, allowed is True or False"
-            raise InputError(msg)
+            raise InputError(f"--{name}: got {value!r}, allowed is True or False")
 
 
 def _whole(name: str, value: object, least: int, most: int | None = None) -> int:
@@ -272,6 +267,5 @@ def _whole(name: str, value: object, least: int, most: int | None = None) -> int
         or (most is not None and value > most)
     ):
         allowed = f"{least} or more" if most is None else f"{least} to {most}"
-        msg = f"--{name}: got {value!r}, allowed is a whole number, {allowed}"
-        raise InputError(msg)
+        raise InputError(f"--{name}: got {value!r}, allowed is a whole number, {allowed}")
     return int(value)

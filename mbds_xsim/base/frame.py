@@ -21,11 +21,10 @@ def optional(module: str, wanted_by: str, extra: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        msg = (
+        raise InputError(
             f"{wanted_by} needs {module}, which is not installed: "
             f"pip install 'mbds-xsim[{extra}]' ({error})"
-        )
-        raise InputError(msg) from error
+        ) from error
 
 
 def frame_of(rows: Sequence[Any]) -> Any:

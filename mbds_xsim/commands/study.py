@@ -89,19 +89,17 @@ def _targets(scenes: list[str], engines: tuple[str, ...], out: Path | None) -> l
     from mbds_xsim.studies.match import stored_path
 
     if out is not None and len(scenes) > 1:
-        msg = f"--out: got {len(scenes)} scenes for one file {out}; match one at a time"
-        raise InputError(msg)
+        raise InputError(f"--out: got {len(scenes)} scenes for one file {out}; match one at a time")
     for name in scenes if out is None else []:
         if name not in scene_names():
             msg = f"{name} has no place among the built-in scenes; say where to write with --out"
             raise InputError(msg)
     foreign = [name for name in engines if name != REFERENCE and is_foreign(name)]
     if out is None and foreign:
-        msg = (
+        raise InputError(
             f"{foreign[0]} is another package's engine, whose settings do not stand among the "
             "toolkit's; say where to write with --out"
         )
-        raise InputError(msg)
     return [out] if out is not None else [stored_path(name) for name in scenes]
 
 
@@ -233,8 +231,7 @@ def releases(
     from mbds_xsim.studies.releases.present import present, to_png
 
     if since and len(engines) > 1:
-        msg = f"--since: got {since} for {len(engines)} engines; name one ENGINE"
-        raise InputError(msg)
+        raise InputError(f"--since: got {since} for {len(engines)} engines; name one ENGINE")
     histories = []
     for engine in engines:
         with StudyBar(to.console, workers or core_count(), engine) as meter:

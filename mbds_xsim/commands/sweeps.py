@@ -279,11 +279,10 @@ def _profiles(words: str) -> tuple[Profile, ...]:
     from mbds_xsim.simulate.choice import as_profile, is_file
 
     if paths := [word for word in words.split(",") if is_file(word)]:
-        msg = (
+        raise InputError(
             f"--settings {paths[0]}: a file has the settings of one scene, and a map makes scenes "
             "and steps of its own; allowed are matched, native, or both"
         )
-        raise InputError(msg)
     return tuple(dict.fromkeys(as_profile(word.strip()) for word in words.split(",")))
 
 

@@ -348,11 +348,10 @@ def _completed(origin: Provenance, foreign: Foreign) -> Provenance:
     facts = {key: value for key, value in vars(origin).items() if value is not None}
     if origin.index is not None:
         if len(origin.index) != total:
-            msg = (
+            raise InputError(
                 f"--index: got {len(origin.index)} numbers, allowed for {foreign.source} are "
                 f"{total}, one a trajectory"
             )
-            raise InputError(msg)
         facts["index"] = origin.index[first : first + foreign.count]
     elif len(index := foreign.facts.get("index", range(foreign.count))) != foreign.count:
         msg = f"{foreign.source}: index: got {len(index)} numbers, allowed is one a trajectory"
@@ -375,12 +374,11 @@ def _draw_starts(foreign: Foreign, origin: Provenance) -> Batch:
     """Draw the starts; the file may have fewer frames than the scene, but at the same times."""
     clock, own = foreign.original.clock, foreign.scene.clock
     if own.frame != clock.frame or own.steps > clock.steps:
-        msg = (
+        raise InputError(
             f"{foreign.source}: got {own.steps} steps of {own.frame:.6g} s, allowed with "
             f"--index is up to {clock.steps} of {clock.frame:g} s, over which the start's inputs "
             "are held; leave --index out, or record at the scene's frames"
         )
-        raise InputError(msg)
     noise, index = origin.noise is not False, origin.index or ()
     batch = draw_batch(foreign.original, index, seed=origin.seed or 0, noise=noise)
     return batch.truncated(own.steps)

@@ -138,17 +138,15 @@ def read_csv(
         InputError: The scene, the time or part of an array is missing, or a column is not known.
     """
     if scene is None:
-        msg = f"{path}: a CSV file does not contain its scene; give it with --scene"
-        raise InputError(msg)
+        raise InputError(f"{path}: a CSV file does not contain its scene; give it with --scene")
     lines = path.read_text("utf-8-sig").splitlines()
     comments = [line.lstrip(_COMMENT).partition(":") for line in lines if line.startswith(_COMMENT)]
     facts = {key.strip(): text.strip() for key, _, text in comments}
     rows = list(csv.reader(line for line in lines if line and not line.startswith(_COMMENT)))
     if len(rows) < 3:
-        msg = (
+        raise InputError(
             f"{path}: got {max(len(rows) - 1, 0)} frames, allowed is a line of names and 2 or more"
         )
-        raise InputError(msg)
     names = [name.strip() for name in rows[0]]
     arrays, rounding = dict[str, NDArray[Any]](), dict[str, float]()
     for group in (_TIME, *_sort_columns(scene, names, str(path))):

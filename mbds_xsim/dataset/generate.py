@@ -104,8 +104,7 @@ def generate(
     """
     begin, progress = time.perf_counter(), progress or Silent()
     if not 1 <= request.trajectories <= _MOST:
-        msg = f"--trajectories: got {request.trajectories}, allowed is 1 to {_MOST}"
-        raise InputError(msg)
+        raise InputError(f"--trajectories: got {request.trajectories}, allowed is 1 to {_MOST}")
     if request.seed > _LARGEST_SEED:
         msg = f"--seed: got {request.seed}, allowed is 0 to {_LARGEST_SEED}, which a file can store"
         raise InputError(msg)
@@ -186,12 +185,11 @@ def _check_drawn(scene: Scene, request: Request) -> None:
             b"".join(v.tobytes() for v in (*values, start.force, start.torque)), row
         )
         if earlier != row:
-            msg = (
+            raise InputError(
                 f"{scene.name}: trajectories {earlier} and {row} would be the same, as nothing "
                 "in the scene is random; give the scene [[sampling]] or noise, or ask for "
                 f"--trajectories {row}"
             )
-            raise InputError(msg)
 
 
 def _make(

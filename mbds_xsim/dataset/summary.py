@@ -174,8 +174,7 @@ def draw_paths(data: Dataset, path: Path) -> None:
         if len(matches := np.flatnonzero(data.index % len(INTERVALS) == k))
     ]
     if not rows:
-        msg = f"--png: {data.path} has no trajectories to draw"
-        raise InputError(msg)
+        raise InputError(f"--png: {data.path} has no trajectories to draw")
     size, stacked = _panel_size(data, rows)
     down, across = (len(rows), 1) if stacked else (1, len(rows))
 

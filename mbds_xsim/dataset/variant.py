@@ -158,11 +158,10 @@ def pending(variant: Variant, trajectories: int, out: Path) -> list[Item]:
     present = {path.name for path in folder.glob(f"*{SUFFIX}")}
     beyond = sorted(present - {item.file_name for item in items})
     if beyond:
-        msg = (
+        raise InputError(
             f"{folder} holds {beyond[0]}, which does not belong to {trajectories} trajectories; "
             "ask for as many as before, or name another --out"
         )
-        raise InputError(msg)
     return [
         item
         for item in items
@@ -178,11 +177,10 @@ def check_same_draws(variant: Variant, out: Path) -> None:
         attrs = _attributes(path)
         for key in SHARED:
             if attrs.get(key) != variant.recipe[key]:
-                msg = (
+                raise InputError(
                     f"{folder} holds trajectories that cannot be paired with those asked for: "
                     f"{_difference(key, attrs.get(key), variant.recipe[key])}; name another --out"
                 )
-                raise InputError(msg)
 
 
 def _is_complete(item: Item, path: Path) -> bool:
@@ -190,17 +188,15 @@ def _is_complete(item: Item, path: Path) -> bool:
     attrs = _attributes(path)
     for key, wanted in item.variant.recipe.items():
         if attrs.get(key) != wanted:
-            msg = (
+            raise InputError(
                 f"{path} was made differently: {_difference(key, attrs.get(key), wanted)}; "
                 "name another --out"
             )
-            raise InputError(msg)
     if attrs.get("count", 0) > item.count:
-        msg = (
+        raise InputError(
             f"{path} holds {attrs['count']} trajectories, needed are {item.count}: it is from a "
             "larger set or another version; ask for as many as before, or name another --out"
         )
-        raise InputError(msg)
     return bool(attrs["count"] == item.count)
 
 
@@ -208,8 +204,7 @@ def _attributes(path: Path) -> dict[str, Any]:
     try:
         return attributes_of(path)
     except InputError as error:
-        msg = f"{error}; delete it to make it anew, or name another --out"
-        raise InputError(msg) from error
+        raise InputError(f"{error}; delete it to make it anew, or name another --out") from error
 
 
 def _difference(key: str, got: Any, wanted: Any) -> str:

@@ -126,11 +126,10 @@ def check_joints(mechanism: Mechanism, starts: BodyStates) -> None:
             worst = int(np.argmax(per_row))
             name = _owner_name(mechanism, int(owners[worst]))
             fault = template.format(name, per_row[worst])
-            msg = (
+            raise SceneError(
                 f"sampling: the drawn {fault}, allowed is {allowed:.0e}; draw the others that this "
                 "joint holds along with it, or leave the draw out"
             )
-            raise SceneError(msg)
 
 
 def check_limits(mechanism: Mechanism, starts: BodyStates) -> None:
@@ -138,11 +137,10 @@ def check_limits(mechanism: Mechanism, starts: BodyStates) -> None:
     for joint in mechanism.limited:
         past = joint.beyond(joint_coordinate(joint, starts.position, starts.native)).max(initial=0)
         if past > _GAP_TOLERANCE:
-            msg = (
+            raise SceneError(
                 f"the start of joint {joint.name!r} is {past:.3g} rad or m past its limits, "
                 f"allowed is {list(joint.limits or ())}; start it within"
             )
-            raise SceneError(msg)
 
 
 def _assemble_pose(mechanism: Mechanism, start: BodyStates) -> BodyStates:
@@ -177,12 +175,11 @@ def _close(mechanism: Mechanism, start: BodyStates, goal: _Goal, *, again: bool)
     tree = [link.joint.index for link in mechanism.links if link.joint is not None]
     blamed = np.where(np.isin(owner, tree) & (np.arange(len(owner)) < len(owner) - len(goal)), 0, 1)
     worst = int(np.argmax(np.abs(residual) * blamed))
-    msg = (
+    raise SceneError(
         f"{_owner_name(mechanism, int(owner[worst]))} cannot be closed: the start leaves it off by "
         f"{abs(residual[worst]):.3g} m or rad, allowed is {tolerance:.0e}; change a length, an "
         "anchor or a joint's start"
     )
-    raise SceneError(msg)
 
 
 def _pose_rows(
@@ -242,12 +239,11 @@ def _complete_velocities(mechanism: Mechanism, start: BodyStates) -> BodyStates:
     worst = int(np.argmax(off))
     allowed = _VELOCITY_TOLERANCE * max(1.0, float(np.abs(goal).max()))
     if off[worst] > allowed:
-        msg = (
+        raise SceneError(
             f"the initial velocities contradict each other at {names[worst]}: off by "
             f"{off[worst]:.3g} m/s or rad/s, allowed is {allowed:.0e}; leave out those that follow "
             "from the joints"
         )
-        raise SceneError(msg)
     parts = twist.reshape(-1, 2, 3)
     start = dataclasses.replace(
         start, velocity=parts[:, 0].copy(), angular_velocity=parts[:, 1].copy()
@@ -268,13 +264,12 @@ def _check_branch(mechanism: Mechanism, start: BodyStates) -> None:
     off = np.abs(jacobian @ _least_energy(mechanism, start, jacobian, -rows.bias) + rows.bias)
     worst = int(np.argmax(off))
     if off[worst] > _BRANCH_TOLERANCE * np.abs(rows.bias).max():
-        msg = (
+        raise SceneError(
             f"the start is a bifurcation at {_owner_name(mechanism, int(rows.owner[worst]))}: the "
             "pose is singular and its motion could go on in several ways, but the initial "
             "velocities belong to none of them; give the rate of one more joint in one of these "
             "motions, or another start"
         )
-        raise SceneError(msg)
 
 
 def _least_energy(mechanism: Mechanism, start: BodyStates, matrix: csr_array, goal: Array) -> Array:

@@ -123,8 +123,7 @@ def lift(term: terms.Lift, drawing: Draft) -> None:
     bodies = _lifted(drawing, drawing.body(term.body))
     own = np.isin(mechanism.sphere_body, bodies)
     if not own.any():
-        msg = f"sampling: {term.body!r} carries no contact sphere; a lift needs one"
-        raise SceneError(msg)
+        raise SceneError(f"sampling: {term.body!r} carries no contact sphere; a lift needs one")
     low = mechanism.sphere_heights(drawing.position, drawing.native) - mechanism.sphere_radius
     drawing.position[bodies, 2] += drawing.uniform(term.height) - low[own].min()
 
@@ -159,8 +158,7 @@ def _placed(drawing: Draft, name: str) -> tuple[PlacedJoint, Array, Array]:
     """Find a joint of the tree with its present anchor and axis in W."""
     joint = _tree_joints(drawing.mechanism).get(name)
     if joint is None:
-        msg = f"sampling: the joint {name!r} closes a loop; it follows from the others"
-        raise SceneError(msg)
+        raise SceneError(f"sampling: the joint {name!r} closes a loop; it follows from the others")
     if joint.parent == WORLD_INDEX:
         return joint, joint.in_parent, joint.axis
     native = drawing.native[joint.parent]

@@ -108,16 +108,14 @@ def _text(path: Path) -> str:
             raise SceneError(f"{path}: got more than {size}: 20 000 bodies with joints take 7 MB")
         text = content.decode("utf-8-sig")  # Windows may add a byte order mark
     except OSError as error:
-        msg = (
+        raise SceneError(
             f"{path}: cannot be read ({error.strerror}); give the path of a .toml file or the "
             "name of a scene (mbds-xsim scenes lists them)"
-        )
-        raise SceneError(msg) from error
+        ) from error
     except UnicodeDecodeError as error:
-        msg = (
+        raise SceneError(
             f"{path}: got byte {error.object[error.start]:#04x} at {error.start}, allowed is UTF-8"
-        )
-        raise SceneError(msg) from error
+        ) from error
     for table, count in Counter(_PARTS.findall(text)).items():
         bounds.count(f"{path}: {table}", count, MOST_PARTS, "larger scenes are not tested")
     if _is_deep(text):

@@ -224,15 +224,13 @@ def _hung(mechanism: Mechanism, bodies: tuple[str, ...]) -> _Hung:
     for name in bodies:
         joint = links[names.index(name)].joint
         if joint is None or joint.kind != "ball":
-            msg = f"sampling: {name!r} hangs on no ball joint and cannot swing"
-            raise SceneError(msg)
+            raise SceneError(f"sampling: {name!r} hangs on no ball joint and cannot swing")
         arm = -joint.in_child
         if not np.hypot(arm[0], arm[1]) < -1e-9 * arm[2]:
-            msg = (
+            raise SceneError(
                 f"sampling: {name!r} must hang straight down (−z) from its joint at the reference "
                 f"pose to swing, got the arm {arm.tolist()}"
             )
-            raise SceneError(msg)
         joints.append(joint)
     body = [names.index(name) for name in bodies]
     parent = [joint.parent for joint in joints]
@@ -290,11 +288,10 @@ def _roll(term: terms.Roll, drawing: Draft) -> None:
     bodies = carried_by(mechanism, body)
     own = mechanism.sphere_body == body
     if own.sum() != 1 or np.abs(mechanism.sphere_offset[own]).max() > _CENTRED:
-        msg = (
+        raise SceneError(
             f"sampling: {term.body!r} has {own.sum()} contact spheres; to roll it needs one, "
             "centred at its centre of mass"
         )
-        raise SceneError(msg)
     rolling = np.cross([0.0, 0.0, 1.0], drawing.velocity[body]) / mechanism.sphere_radius[own]
     drawing.add_twist(bodies, drawing.position[body], drawing.uniform(term.share) * rolling)
 
