@@ -175,9 +175,8 @@ def explain(error: msgspec.ValidationError, data: Mapping[str, Any]) -> str:
     if field := _FIELD.match(text):
         return _explain_key(field["fault"] == "contains unknown", field["key"], path, data)
     value, kind = _descend(path, data)
-    if isinstance(value, str) and (tags := _tags(kind)):
-        return f"{_where(path, data)}got {_text_of(value)}, allowed is {tags}"
-    return f"{_where(path, data)}got {_text_of(value)}, allowed is {_allowed(kind)}"
+    allowed = (isinstance(value, str) and _tags(kind)) or _allowed(kind)
+    return f"{_where(path, data)}got {_text_of(value)}, allowed is {allowed}"
 
 
 def _steps(path: str) -> _Path:

@@ -58,7 +58,11 @@ def draw_batch(
     mechanism = Mechanism.of(scene)
     drafts = _begun(mechanism, list(indices), seed, inputs)
     for term in scene.sampling:
-        _DRAWS[type(term)](term, drafts)
+        if isinstance(term, terms.Swing):
+            _swing(term, drafts)
+            continue
+        for drawing in drafts.each:
+            _DRAWS[type(term)](term, drawing)
     if noise and scene.noise > 0:
         for drawing in drafts.each:
             _add_noise(drawing)
@@ -147,17 +151,19 @@ def _scene_inputs(mechanism: Mechanism) -> tuple[Array, Array]:
     torque = np.zeros((scene.clock.steps, len(mechanism.hinges)))
     bodies = {body.name: k for k, body in enumerate(scene.bodies)}
     hinges = {joint.name: k for k, joint in enumerate(mechanism.hinges)}
+
+    def held(series: Any, hold: int) -> Array:
+        return zero_order_hold(np.array(series), hold, scene.clock.steps)
+
     for item in scene.forces:
-        force[:, bodies[item.body]] += zero_order_hold(
-            np.array(item.series), item.hold, scene.clock.steps
-        )
+        force[:, bodies[item.body]] += held(item.series, item.hold)
     for joint in mechanism.joints:
         own = scene.joints[joint.index]
         servos = [s for s in scene.servos if s.joint == joint.name and not s.is_drive(own)]
         push = np.zeros(scene.clock.steps)
         for servo in servos:
             for part in servo.push(joint.rest):
-                push += zero_order_hold(part, servo.hold, scene.clock.steps)
+                push += held(part, servo.hold)
         if joint.name in hinges:
             torque[:, hinges[joint.name]] += push
         elif any(servo.needs_input for servo in servos):
@@ -165,9 +171,7 @@ def _scene_inputs(mechanism: Mechanism) -> tuple[Array, Array]:
             body, sign = (joint.child, 1.0) if joint.parent == WORLD_INDEX else (joint.parent, -1.0)
             force[:, body] += sign * push[:, None] * joint.axis
     for load in scene.torques:
-        torque[:, hinges[load.joint]] += zero_order_hold(
-            np.array(load.series), load.hold, scene.clock.steps
-        )
+        torque[:, hinges[load.joint]] += held(load.series, load.hold)
     return force, torque
 
 
@@ -327,24 +331,14 @@ def _wind(term: terms.Wind, drawing: Draft) -> None:
         drawing.force += strength[:, None, None] * per_body
 
 
-def _one_by_one(draw: Callable[[Any, Draft], None]) -> Callable[[Any, Drafts], None]:
-    """Apply a draw to every trajectory separately."""
-
-    def draw_all(term: Any, drafts: Drafts) -> None:
-        for drawing in drafts.each:
-            draw(term, drawing)
-
-    return draw_all
-
-
-_DRAWS: dict[type, Callable[[Any, Drafts], None]] = {
-    terms.Swing: _swing,
-    terms.Turn: _one_by_one(_turn),
-    terms.Throw: _one_by_one(_throw),
-    terms.Roll: _one_by_one(_roll),
-    terms.Lift: _one_by_one(lift),
-    terms.Pose: _one_by_one(pose),
-    terms.HingeRate: _one_by_one(hinge_rate),
-    terms.HingeTorque: _one_by_one(_hinge_torque),
-    terms.Wind: _one_by_one(_wind),
+_DRAWS: dict[type, Callable[[Any, Draft], None]] = {
+    terms.Turn: _turn,
+    terms.Throw: _throw,
+    terms.Roll: _roll,
+    terms.Lift: lift,
+    terms.Pose: pose,
+    terms.HingeRate: hinge_rate,
+    terms.HingeTorque: _hinge_torque,
+    terms.Wind: _wind,
 }
+"""Draws of single trajectories; `Swing` is drawn for all together."""

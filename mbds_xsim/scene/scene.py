@@ -308,26 +308,17 @@ class Scene(Neutral):
         ends = bodies | {WORLD}
         hinges = {joint.name for joint in self.joints if joint.kind == "hinge"}
         coordinates = hinges | {joint.name for joint in self.joints if joint.kind == "slider"}
-        for k, joint in enumerate(self.joints):
-            for key in ("parent", "child"):
-                _known(f"joints[{k}].{key}", getattr(joint, key), ends)
+        self._check_keys("joints", ("parent", "child"), ends, "body")
         for table in ("distance_links", "springs"):
             for k, item in enumerate(getattr(self, table)):
                 for end in (0, 1):
                     _known(f"{table}[{k}].bodies[{end}]", item.bodies[end], ends)
-        for k, force in enumerate(self.forces):
-            _known(f"forces[{k}].body", force.body, bodies)
-        for k, torque in enumerate(self.torques):
-            _known(f"torques[{k}].joint", torque.joint, hinges, kind="hinge")
-        for k, servo in enumerate(self.servos):
-            _known(f"servos[{k}].joint", servo.joint, coordinates, kind="hinge or slider")
-        for k, coupling in enumerate(self.couplings):
-            for key in ("joint", "follows"):
-                got = getattr(coupling, key)
-                _known(f"couplings[{k}].{key}", got, coordinates, kind="hinge or slider")
+        self._check_keys("forces", ("body",), bodies, "body")
+        self._check_keys("torques", ("joint",), hinges, "hinge")
+        self._check_keys("servos", ("joint",), coordinates, "hinge or slider")
+        self._check_keys("couplings", ("joint", "follows"), coordinates, "hinge or slider")
         check_couplings(self.couplings)
-        for k, sphere in enumerate(self.contacts):
-            _known(f"contacts[{k}].body", sphere.body, bodies)
+        self._check_keys("contacts", ("body",), bodies, "body")
         self._check_contacts()
         for k, draw in enumerate(self.sampling):
             for body in getattr(draw, "bodies", ()):
@@ -338,6 +329,11 @@ class Scene(Neutral):
                 _known(f"sampling[{k}].joints", joint_name, allowed, kind=kind)
             if isinstance(draw, Throw | Roll | Lift):
                 _known(f"sampling[{k}].body", draw.body, bodies)
+
+    def _check_keys(self, table: str, keys: tuple[str, ...], allowed: set[str], kind: str) -> None:
+        for k, item in enumerate(getattr(self, table)):
+            for key in keys:
+                _known(f"{table}[{k}].{key}", getattr(item, key), allowed, kind=kind)
 
     def _check_contacts(self) -> None:
         if bool(self.contacts) != bool(self.ground or self.collisions):
