@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.files import path_of
+from mbds_xsim.base.files import check_writable, path_of
 from mbds_xsim.base.isolate import LIMIT, Conduct
 from mbds_xsim.scene.sampling import Starts
 from mbds_xsim.scene.scene import Scene
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from mbds_xsim.dataset.audit import Audited
     from mbds_xsim.dataset.generate import Generated
     from mbds_xsim.dataset.verify import Verified
-    from mbds_xsim.measure.result import Evidence, Validation
+    from mbds_xsim.measure.result import Validation
 
 _MOST_STARTS = 10_000
 
@@ -83,7 +83,9 @@ def validate(
     trajectories = _whole("trajectories", trajectories, 1, _MOST_STARTS)
     seed = _whole("seed", seed, 0)
     _check(workers, limit, noise=noise, inputs=inputs, cache=cache)
-    target = None if page is None else _writable(page)
+    target = None if page is None else path_of("page", page)
+    if target is not None:
+        check_writable(target, "page")
     word = None if method is None else str(method)
     choice = Choice.parse(
         engines=words_of(engines) or None, profiles=settings, method=word, step=step, limit=limit
@@ -96,24 +98,12 @@ def validate(
         command="mbds_xsim.validate",
     )
     if target is not None:
-        _write_page(target, validation, evidence)
+        from mbds_xsim.report.files import write_reports
+        from mbds_xsim.studies.validate.present import present
+
+        report = present(validation, evidence)
+        write_reports([report], report.title, html=target)
     return validation
-
-
-def _writable(page: object) -> Path:
-    from mbds_xsim.base.files import check_writable
-
-    path = path_of("page", page)
-    check_writable(path, "page")
-    return path
-
-
-def _write_page(page: Path, validation: Validation, evidence: Evidence) -> None:
-    from mbds_xsim.report.files import write_reports
-    from mbds_xsim.studies.validate.present import present
-
-    report = present(validation, evidence)
-    write_reports([report], report.title, html=page)
 
 
 def generate(

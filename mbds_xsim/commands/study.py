@@ -8,7 +8,7 @@ from typing import Annotated
 from typer import Argument, Exit, Option
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.isolate import LIMIT, Conduct
+from mbds_xsim.base.isolate import LIMIT, Conduct, core_count
 from mbds_xsim.base.text import each_once
 from mbds_xsim.commands import shared
 
@@ -45,7 +45,6 @@ def match(
         mbds-xsim match my.toml --out my-settings.toml --engines mujoco
     """
     from mbds_xsim.base.files import write_whole
-    from mbds_xsim.base.isolate import core_count
     from mbds_xsim.report.terminal import StudyBar, print_report
     from mbds_xsim.scene.sampling import Starts
     from mbds_xsim.simulate.choice import Choice
@@ -224,7 +223,6 @@ def releases(
         mbds-xsim releases dart exudyn --html releases.html --png releases.png
         mbds-xsim releases mujoco --last 2 --json -
     """
-    from mbds_xsim.base.isolate import core_count
     from mbds_xsim.report.files import link, results_json, rows_csv, write_if
     from mbds_xsim.report.terminal import StudyBar, print_report
     from mbds_xsim.studies.releases import ReleaseStudy

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 from typer import Argument, Option
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.isolate import Conduct
+from mbds_xsim.base.isolate import Conduct, core_count
 from mbds_xsim.base.text import each_once
 from mbds_xsim.commands import shared
 
@@ -69,7 +69,6 @@ def tradeoff(
         mbds-xsim tradeoff 5pendulum 6pendulum --engines mujoco,exudyn --csv rows.csv
         mbds-xsim tradeoff 6pendulum --models models/6pendulum --onto 6pendulum.json --png both.png
     """
-    from mbds_xsim.base.isolate import core_count
     from mbds_xsim.report.files import link, results_json, rows_csv, write_if
     from mbds_xsim.report.terminal import StudyBar, print_report
     from mbds_xsim.simulate.choice import Choice
