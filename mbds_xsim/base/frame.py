@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import importlib
 from collections.abc import Sequence
 from typing import Any
@@ -38,6 +37,4 @@ def frame_of(rows: Sequence[Any]) -> Any:
 
 
 def _fields(row: Any) -> dict[str, Any]:
-    if isinstance(row, msgspec.Struct):
-        return msgspec.structs.asdict(row)
-    return {field.name: getattr(row, field.name) for field in dataclasses.fields(row)}
+    return msgspec.structs.asdict(row) if isinstance(row, msgspec.Struct) else vars(row)
