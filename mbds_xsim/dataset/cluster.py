@@ -72,7 +72,7 @@ class Cluster(AbstractContextManager["Cluster"]):
                 "`dask worker ADDRESS`"
             ) from error
         try:
-            self._check(address, out.absolute())
+            self._check(out.absolute())
         except InputError:
             self._client.close()
             raise
@@ -109,7 +109,7 @@ class Cluster(AbstractContextManager["Cluster"]):
                 self._client.cancel(futures, force=True)
         return answers
 
-    def _check(self, address: str, out: Path) -> None:
+    def _check(self, out: Path) -> None:
         """Check that there are workers, that they see the folder, and that their versions match."""
         out.mkdir(parents=True, exist_ok=True)
         mark = out / f".seen-{uuid.uuid4().hex}"
@@ -119,7 +119,8 @@ class Cluster(AbstractContextManager["Cluster"]):
         finally:
             mark.unlink()
         if not sight:
-            msg = f"--scheduler: {address} has no workers; start some with `dask worker {address}`"
+            here = self._address
+            msg = f"--scheduler: {here} has no workers; start some with `dask worker {here}`"
             raise InputError(msg)
         blind = [worker for worker, sees in sight.items() if sees is not True]
         if blind:
@@ -161,16 +162,15 @@ class Cluster(AbstractContextManager["Cluster"]):
         last = time.monotonic()
         while pending:
             ended = [place for place, future in pending.items() if future.status not in _AWAITED]
-            came = False
+            before = len(pending)
             for place in ended:
                 try:
                     answer = self._answer(pending[place])
                 except OSError:  # the transfer broke off; the workers are checked below
                     continue
-                came = True
                 del pending[place]
                 yield place, answer
-            if not came:
+            if len(pending) == before:
                 time.sleep(_LOOK)
                 last = time.monotonic() if self.workers else last
                 if time.monotonic() - last > _GRACE:

@@ -283,9 +283,7 @@ def _absent(data: Dataset, numbers: Sequence[int] | None) -> list[int]:
     if beyond:
         msg = f"--indices: got {beyond[0]}, allowed for {data.path} is {first} … {end - 1}"
         raise InputError(msg)
-    missing: list[int] = np.setdiff1d(
-        data.index if numbers is None else numbers, data.index
-    ).tolist()
+    missing: list[int] = np.setdiff1d(numbers or (), data.index).tolist()
     return missing
 
 
@@ -314,14 +312,10 @@ def _npz(data: Dataset, part: Dataset, rows: NDArray[np.int64]) -> Iterator[tupl
     """Yield a file with the chosen trajectories of a shard, under the names of the data set."""
     if not len(rows):
         return
-    fields = [
-        field
-        for field in FIELDS.values()
-        if field.name in part and not field.name.startswith(_NOT_CARRIED)
-    ]
     arrays: dict[str, Any] = {
-        field.name: part[field.name][rows] if field.per_trajectory else part[field.name]
-        for field in fields
+        name: part[name][rows] if FIELDS[name].per_trajectory else part[name]
+        for name in part
+        if not name.startswith(_NOT_CARRIED)
     }
     splits = _splits(data)
     if splits:

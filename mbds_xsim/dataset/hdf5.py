@@ -249,19 +249,16 @@ def check_content(path: Path, names: Collection[str] | None = None) -> str | Non
     Only the values of the datasets in `names` are read, or of all if it is None.
     """
     with open_hdf5(path) as file:
-        for name, dataset in datasets_in(file).items():
+        sets = datasets_in(file)
+        for name, dataset in sets.items():
             checksum = dataset.attrs.get(SUM) if names is None or name in names else None
             if checksum is not None and str(checksum) != sum_of(np.asarray(dataset[()])):
                 return f"dataset {name} is not what was written"
-        if str(file.attrs.get(CONTENT)) != _content_of(file):
+        own = {key: value for key, value in file.attrs.items() if key != CONTENT}
+        content = digest({name: dataset.attrs for name, dataset in sets.items()} | {"": own})
+        if str(file.attrs.get(CONTENT)) != content:
             return "attributes are not what was written"
     return None
-
-
-def _content_of(file: Any) -> str:
-    attributes = {name: dataset.attrs for name, dataset in datasets_in(file).items()}
-    own = {key: value for key, value in file.attrs.items() if key != CONTENT}
-    return digest({**attributes, "": own})
 
 
 def digest(attributes: Mapping[str, Attributes]) -> str:

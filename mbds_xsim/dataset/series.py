@@ -124,9 +124,9 @@ class Rows(ABC):
     def __len__(self) -> int:
         """Return the number of trajectories."""
 
-    @abstractmethod
     def _one(self, row: int) -> NDArray[Any]:
         """Return one trajectory, by a row counted from 0."""
+        return self._take(np.array([row]))[0]
 
     @abstractmethod
     def _take(self, rows: Index) -> NDArray[Any]:
@@ -240,9 +240,6 @@ class PairedSeries(Rows):
     def __len__(self) -> int:
         return len(self.rows[0])
 
-    def _one(self, row: int) -> NDArray[Any]:
-        return self._take(np.array([row]))[0]
-
     def _take(self, rows: Index) -> NDArray[Any]:
         pairs = zip(self.members, self.rows, strict=True)
         return np.stack([one[own[rows]] for one, own in pairs], axis=rows.ndim)
@@ -306,8 +303,7 @@ class Windows:
         return list(zip(*self.take(numbers), strict=True))
 
     def _gather(self, series: Series, shard: Index, row: Index, frame: Index) -> NDArray[Any]:
-        shape = (len(row), self.length, *series.shape[2:])
-        windows = np.empty(shape, series.shard(0).dtype)
+        windows = np.empty((len(row), self.length, *series.shape[2:]), series.shard(0).dtype)
         for k in np.unique(shard):
             here = np.flatnonzero(shard == k)
             first = (row[here] - series.first[k]) * series.shape[1] + frame[here]

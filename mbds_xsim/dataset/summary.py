@@ -201,10 +201,7 @@ def _panel_size(data: Dataset, rows: list[int]) -> tuple[tuple[float, float], bo
     """Return the size of a panel [inches] that fits the motion, and whether panels are stacked."""
     if data.attributes["dimension"] == 1:
         return (3.6, 4.0), False
-    view, points = _view(data), Points.of(data.scene)
-    flat = np.concatenate(
-        [view.flat(points.lifted(data.position[row])).reshape(-1, 2) for row in rows]
-    )
+    flat = np.concatenate([_flat(data, data.position[row]).reshape(-1, 2) for row in rows])
     width, height = np.ptp(flat, axis=0) + 1e-9
     if width > _WIDE * height:
         return (9.0, max(1.2, 9.0 * float(height / width)) + 0.6), True
@@ -223,25 +220,27 @@ def _panel(axes: Any, data: Dataset, row: int) -> None:
     if data.attributes["dimension"] == 1:
         axes.plot(data["time"], position[..., 0], color=colour, linewidth=1.0)
         return
-    view = _view(data)
-    flat = view.flat(Points.of(data.scene).lifted(position))
+    flat = _flat(data, position)
     for point in range(flat.shape[1]):
         axes.plot(*flat[:, point].T, color=colour, linewidth=0.9, alpha=0.85)
     for frame, shade, width in ((0, PALE, 1.0), (-1, DRAWN, 1.2)):
-        _bones(axes, data, view, flat[frame], shade, width)
+        _bones(axes, data, flat[frame], shade, width)
     axes.set_aspect("equal", adjustable="box")
 
 
-def _bones(
-    axes: Any, data: Dataset, view: Projection, flat: Array, colour: str, width: float
-) -> None:
+def _bones(axes: Any, data: Dataset, flat: Array, colour: str, width: float) -> None:
     """Draw the points, edges and fixed nodes of one frame."""
-    fixed = view.flat(Points.of(data.scene).lifted(np.asarray(data["graph/static_node"])))
+    fixed = _flat(data, np.asarray(data["graph/static_node"]))
     nodes = np.concatenate([flat, fixed])
     for a, b in np.asarray(data["graph/edge"]):
         axes.plot(*nodes[[a, b]].T, color=colour, linewidth=width)
     axes.plot(*flat.T, ".", color=colour, ms=3)
     axes.plot(*fixed.T, "^", color=DRAWN, ms=6)
+
+
+def _flat(data: Dataset, values: NDArray[Any]) -> Array:
+    """Project positions, given by the components in which the scene moves."""
+    return _view(data).flat(Points.of(data.scene).lifted(values))
 
 
 def _view(data: Dataset) -> Projection:
