@@ -147,14 +147,8 @@ def generate(
     loaded = tuple(map(load_scene, several))
     if not loaded:
         raise InputError("scenes: got none, allowed are scenes, their names, or their files")
-    request = Request(
-        scenes=loaded,
-        choice=Choice.parse(engines=words_of(engines) or None, profiles=settings, limit=limit),
-        trajectories=trajectories,
-        out=path_of("--out", out),
-        seed=seed,
-        noise=noise,
-    )
+    choice = Choice.parse(engines=words_of(engines) or None, profiles=settings, limit=limit)
+    request = Request(loaded, choice, trajectories, path_of("--out", out), seed, noise)
     return run(request, workers=workers)
 
 
