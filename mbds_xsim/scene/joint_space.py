@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbds_xsim.base import rotation
-from mbds_xsim.base.arrays import Array, Index, Mask
+from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 from mbds_xsim.scene.state import Batch, Trajectory
 
@@ -240,7 +240,7 @@ def coupling_rows(mechanism: Mechanism, bodies: BodyStates) -> list[csr_array]:
 
 def to_links(mechanism: Mechanism, bodies: BodyStates) -> LinkStates:
     """Express body states in the coordinates of the spanning tree."""
-    tree = _Tree.of(mechanism)
+    tree = _tree(mechanism)
     parent = bodies.with_world()[..., tree.parent_body, :]
     child = bodies[..., tree.body, :]
     back = rotation.conjugate(child.native)
@@ -277,7 +277,7 @@ def to_bodies(mechanism: Mechanism, links: LinkStates) -> BodyStates:
     Ball joints and free bodies read `rotation` and `angular_velocity`, free bodies `position` and
     `velocity` too, hinges and sliders only `coordinate` and `rate`.
     """
-    tree = _Tree.of(mechanism)
+    tree = _tree(mechanism)
     # Only the recursion from parent to child runs link by link. Axis 0 is the link.
     native = _natives(tree, links)
     parent = _above(tree, native, rotation.IDENTITY)
@@ -337,50 +337,28 @@ def _down(tree: _Tree, steps: Array) -> Array:
     return total
 
 
-@dataclass(frozen=True, eq=False)
 class _Tree:
     """Links of the spanning tree as arrays, in link order."""
 
-    body: Index
-    link_of_body: Index
-    parent_body: Index
-    parent_link: Index
-    """Link of the parent; −1 if the parent is the world."""
-    free: Mask
-    turns_freely: Mask
-    """Whether the link is a free body or has a ball joint."""
-    hinge: Mask
-    scalar: Index
-    """Links with one coordinate."""
-    axis: Array
-    in_parent: Array
-    in_child: Array
-
-    @staticmethod
-    @functools.lru_cache(maxsize=64)
-    def of(mechanism: Mechanism) -> _Tree:
-        """Collect the links of a mechanism (cached)."""
+    def __init__(self, mechanism: Mechanism) -> None:
         links = mechanism.links
-        body = np.array([link.body for link in links])
-        link_of_body = np.argsort(body)
-        parent_body = np.array([link.parent for link in links])
         kinds = np.array([link.joint.kind if link.joint else "free" for link in links])
-
-        def places(key: str) -> Array:
-            return np.array(
-                [getattr(link.joint, key) if link.joint else np.zeros(3) for link in links]
-            )
-
-        return _Tree(
-            body=body,
-            link_of_body=link_of_body,
-            parent_body=parent_body,
-            parent_link=np.where(parent_body == WORLD_INDEX, -1, link_of_body[parent_body]),
-            free=kinds == "free",
-            turns_freely=(kinds == "free") | (kinds == "ball"),
-            hinge=kinds == "hinge",
-            scalar=np.flatnonzero((kinds == "hinge") | (kinds == "slider")),
-            axis=places("axis"),
-            in_parent=places("in_parent"),
-            in_child=places("in_child"),
+        self.body = np.array([link.body for link in links])
+        self.link_of_body = np.argsort(self.body)
+        self.parent_body = np.array([link.parent for link in links])
+        parent_link = self.link_of_body[self.parent_body]
+        self.parent_link = np.where(self.parent_body == WORLD_INDEX, -1, parent_link)
+        """Link of the parent; −1 if the parent is the world."""
+        self.free = kinds == "free"
+        self.turns_freely = self.free | (kinds == "ball")
+        """Whether the link is a free body or has a ball joint."""
+        self.hinge = kinds == "hinge"
+        self.scalar = np.flatnonzero(self.hinge | (kinds == "slider"))
+        """Links with one coordinate."""
+        self.axis, self.in_parent, self.in_child = (
+            np.array([getattr(link.joint, key) if link.joint else np.zeros(3) for link in links])
+            for key in ("axis", "in_parent", "in_child")
         )
+
+
+_tree = functools.lru_cache(maxsize=64)(_Tree)

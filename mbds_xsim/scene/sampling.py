@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from mbds_xsim.base import rotation
-from mbds_xsim.base.arrays import Array, Index
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import SceneError
 from mbds_xsim.scene import sampling_terms as terms
 from mbds_xsim.scene.assembly import assemble, check_joints, check_limits
@@ -205,48 +205,38 @@ def _swing(term: terms.Swing, drafts: Drafts) -> None:
         states.velocity[:, body] = pivot_velocity + relative[:, k]
 
 
-@dataclass(frozen=True, eq=False)
 class _Hung:
-    """Bodies that hang straight down from ball joints, as arrays."""
+    """Bodies that hang straight down from ball joints, as arrays; others are refused."""
 
-    body: list[int]
-    parent: list[int]
-    above: Index
-    """Place of the parent in this list; −1 unless it is one of those before."""
-    arm: Array
-    """Arm from the joint to the centre of mass [m], shape (hung, 3)."""
-    in_parent: Array
-    """Joint relative to the parent's centre of mass [m], shape (hung, 3)."""
+    def __init__(self, mechanism: Mechanism, bodies: tuple[str, ...]) -> None:
+        names = [body.name for body in mechanism.scene.bodies]
+        links = {link.body: link for link in mechanism.links}
+        joints = []
+        for name in bodies:
+            joint = links[names.index(name)].joint
+            if joint is None or joint.kind != "ball":
+                raise SceneError(f"sampling: {name!r} hangs on no ball joint and cannot swing")
+            arm = -joint.in_child
+            if not np.hypot(arm[0], arm[1]) < -1e-9 * arm[2]:
+                raise SceneError(
+                    f"sampling: {name!r} must hang straight down (−z) from its joint at the "
+                    f"reference pose to swing, got the arm {arm.tolist()}"
+                )
+            joints.append(joint)
+        self.body = [names.index(name) for name in bodies]
+        self.parent = [joint.parent for joint in joints]
+        place = {own: k for k, own in enumerate(self.body)}
+        self.above = np.array(
+            [place[up] if place.get(up, k) < k else -1 for k, up in enumerate(self.parent)]
+        )
+        """Place of the parent in this list; −1 unless it is one of those before."""
+        self.arm = np.array([-joint.in_child for joint in joints])
+        """Arm from the joint to the centre of mass [m], shape (hung, 3)."""
+        self.in_parent = np.array([joint.in_parent for joint in joints])
+        """Joint relative to the parent's centre of mass [m], shape (hung, 3)."""
 
 
-@functools.lru_cache(maxsize=64)
-def _hung(mechanism: Mechanism, bodies: tuple[str, ...]) -> _Hung:
-    """Find the ball joints of bodies that swing; raise SceneError if a body cannot."""
-    names = [body.name for body in mechanism.scene.bodies]
-    links = {link.body: link for link in mechanism.links}
-    joints = []
-    for name in bodies:
-        joint = links[names.index(name)].joint
-        if joint is None or joint.kind != "ball":
-            raise SceneError(f"sampling: {name!r} hangs on no ball joint and cannot swing")
-        arm = -joint.in_child
-        if not np.hypot(arm[0], arm[1]) < -1e-9 * arm[2]:
-            raise SceneError(
-                f"sampling: {name!r} must hang straight down (−z) from its joint at the reference "
-                f"pose to swing, got the arm {arm.tolist()}"
-            )
-        joints.append(joint)
-    body = [names.index(name) for name in bodies]
-    parent = [joint.parent for joint in joints]
-    place = {own: k for k, own in enumerate(body)}
-    above = [place[up] if place.get(up, k) < k else -1 for k, up in enumerate(parent)]
-    return _Hung(
-        body=body,
-        parent=parent,
-        above=np.array(above),
-        arm=np.array([-joint.in_child for joint in joints]),
-        in_parent=np.array([joint.in_parent for joint in joints]),
-    )
+_hung = functools.lru_cache(maxsize=64)(_Hung)
 
 
 def _pivots(hung: _Hung, states: BodyStates, turn: Array, rate: Array) -> tuple[Array, Array]:
