@@ -181,7 +181,9 @@ def _trajectories(file: _OpenFile, override: Scene | None, path: Path) -> Iterat
     each = max((math.prod(sources[name].shape[1:3]) for name in many), default=1)
     size = max(1, _AT_ONCE // max(1, each))
     shared = {name: np.asarray(source[()]) for name, source in sources.items() if name not in many}
-    scene = override or _own_scene(file.facts, path)
+    if override is None and "scene" not in file.facts:
+        raise InputError(f"{path}: the file does not contain its scene; give it with --scene")
+    scene = override or scene_of(file.facts["scene"], path, "give it with --scene")
     for first in range(0, total, size):
         arrays = shared | {name: np.asarray(sources[name][first : first + size]) for name in many}
         rounding = {name: rounding_of(array) for name, array in arrays.items()} | file.rounding
@@ -251,12 +253,6 @@ class _Stream:
         if len(content) < size or min(shape, default=0) < 0:
             raise EOFError("an array ends too early")
         return np.frombuffer(content, self.dtype).reshape(shape)
-
-
-def _own_scene(facts: Mapping[str, Any], path: Path) -> Scene:
-    if "scene" not in facts:
-        raise InputError(f"{path}: the file does not contain its scene; give it with --scene")
-    return scene_of(facts["scene"], path, "give it with --scene")
 
 
 def _facts_of(arrays: Mapping[str, Any], facts: Mapping[str, Any], where: str) -> dict[str, Any]:

@@ -66,9 +66,8 @@ class PairedData:
         series = tuple(value for value in values if isinstance(value, Series))
         if series:
             return PairedSeries.of(series, self.rows)
-        per_trajectory = FIELDS[name].per_trajectory
         whole = np.asarray(values[0])
-        return whole[self.rows[0]] if per_trajectory else whole
+        return whole[self.rows[0]] if FIELDS[name].per_trajectory else whole
 
     def to_xarray(self, names: Sequence[str] = ("position", "velocity")) -> Any:
         """Read datasets into an `xarray.Dataset` with the axes of the layout, and `engine`.

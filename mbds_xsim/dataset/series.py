@@ -308,9 +308,5 @@ class Windows:
             here = np.flatnonzero(shard == k)
             first = (row[here] - series.first[k]) * series.shape[1] + frame[here]
             frames = series.shard(int(k)).reshape(-1, *series.shape[2:])
-            windows[here] = frames[first[:, None] + self._steps]
+            windows[here] = frames[first[:, None] + np.arange(self.length)]
         return windows
-
-    @functools.cached_property
-    def _steps(self) -> Index:
-        return np.arange(self.length)

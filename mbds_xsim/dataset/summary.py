@@ -94,12 +94,7 @@ def summaries(path: Path) -> list[Summary]:
 def summary_of(data: Dataset) -> Summary:
     """Summarize a data set."""
     attrs, scene = data.attributes, data.scene
-    rejected = rejected_beside(data)
-    files = {data.path, *data.files, *rejected.glob("*.h5")}
-    names = [file.name for file in data.files]
-    by_cause = causes(rejected, names)
-    if attrs["kind"] == "rejected":
-        by_cause = Counter(map(cause_of, data.small["reason"]))
+    files = {data.path, *data.files, *_rejected_beside(data).glob("*.h5")}
     own = {field.name for field in dataclasses.fields(Summary)} - {"scene"}
     return Summary(
         **{key: attrs[key] for key in own & ATTRIBUTES.keys()},
@@ -109,7 +104,7 @@ def summary_of(data: Dataset) -> Summary:
         bodies=len(scene.bodies),
         points=len(data["graph/point_body"]),
         drawn=attrs["count"],
-        rejected_by=dict(by_cause.most_common()),
+        rejected_by=dict(causes_of(data).most_common()),
         counts=counts_of(data),
         figures=tuple(_ranges(data)),
         shards=len(data.files),
@@ -117,7 +112,14 @@ def summary_of(data: Dataset) -> Summary:
     )
 
 
-def rejected_beside(data: Dataset) -> Path:
+def causes_of(data: Dataset) -> Counter[str]:
+    """Count rejected trajectories, beside a data set or in it, by the check that failed first."""
+    if data.attributes["kind"] == "rejected":
+        return Counter(map(cause_of, data.small["reason"]))
+    return causes(_rejected_beside(data), [file.name for file in data.files])
+
+
+def _rejected_beside(data: Dataset) -> Path:
     """Return the folder of a joined file's rejected trajectories; an absent one for other files."""
     folder = data.path.absolute().with_suffix("")
     return rejected_folder(folder) if data.attributes["kind"] == "joined" else folder
@@ -168,11 +170,7 @@ def draw_paths(data: Dataset, path: Path) -> None:
     Raises:
         InputError: The set is empty, or the file cannot be written.
     """
-    rows = [
-        int(matches[0])
-        for k in range(len(INTERVALS))
-        if len(matches := np.flatnonzero(data.index % len(INTERVALS) == k))
-    ]
+    rows = np.unique(data.index % len(INTERVALS), return_index=True)[1].tolist()
     if not rows:
         raise InputError(f"--png: {data.path} has no trajectories to draw")
     size, stacked = _panel_size(data, rows)
