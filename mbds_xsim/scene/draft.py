@@ -20,21 +20,32 @@ UPRIGHT = 1.0 - 1e-9
 """Least |z component| of a slider's unit axis with which it can lift bodies."""
 
 
-@dataclass
-class Draft:
-    """A trajectory whose start and inputs are being drawn."""
+@dataclass(frozen=True, eq=False)
+class Drafts:
+    """Several trajectories of a mechanism that are being drawn together."""
 
     mechanism: Mechanism
-    index: int
-    interval: terms.Interval
-    rng: np.random.Generator
-    position: Array
-    native: Array
-    velocity: Array
-    angular_velocity: Array
+    states: BodyStates
+    """Body states, with shapes (trajectory, body, …)."""
     force: Array
+    """Forces [N], shape (trajectory, step, body, 3)."""
     torque: Array
+    """Torques [N·m], shape (trajectory, step, hinge)."""
     inputs: bool
+    """Whether drawn forces and torques act."""
+
+
+class Draft:
+    """A trajectory of several that are being drawn; its arrays are views of theirs."""
+
+    def __init__(self, drafts: Drafts, row: int, index: int, seed: int) -> None:
+        self.mechanism, self.inputs = drafts.mechanism, drafts.inputs
+        self.interval = terms.INTERVALS[index % len(terms.INTERVALS)]
+        self.rng = np.random.default_rng(np.random.SeedSequence([seed, index]))
+        states = drafts.states[row]
+        self.position, self.native = states.position, states.native
+        self.velocity, self.angular_velocity = states.velocity, states.angular_velocity
+        self.force, self.torque = drafts.force[row], drafts.torque[row]
 
     def body(self, name: str) -> int:
         """Return the index of a body."""
@@ -64,21 +75,6 @@ class Draft:
         """Add a rigid angular velocity about a point in W."""
         self.velocity[bodies] += rotation.cross(rate, self.position[bodies] - point)
         self.angular_velocity[bodies] += rate
-
-
-@dataclass(frozen=True, eq=False)
-class Drafts:
-    """Several trajectories of a mechanism that are being drawn together."""
-
-    mechanism: Mechanism
-    each: list[Draft]
-    """One draft per trajectory; its arrays are views of those below."""
-    states: BodyStates
-    """Body states, with shapes (trajectory, body, …)."""
-    force: Array
-    """Forces [N], shape (trajectory, step, body, 3)."""
-    torque: Array
-    """Torques [N·m], shape (trajectory, step, hinge)."""
 
 
 def pose(term: terms.Pose, drawing: Draft) -> None:

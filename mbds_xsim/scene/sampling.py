@@ -56,21 +56,23 @@ def draw_batch(
         SceneError: A draw does not fit the scene's joints.
     """
     mechanism = Mechanism.of(scene)
-    drafts = _begun(mechanism, list(indices), seed, inputs)
+    index = np.array(list(indices), dtype=np.int64)
+    drafts = _begun(mechanism, len(index), inputs)
+    each = [Draft(drafts, row, number, seed) for row, number in enumerate(index.tolist())]
     for term in scene.sampling:
         if isinstance(term, terms.Swing):
-            _swing(term, drafts)
+            _swing(term, drafts, each)
             continue
-        for drawing in drafts.each:
+        for drawing in each:
             _DRAWS[type(term)](term, drawing)
     if noise and scene.noise > 0:
-        for drawing in drafts.each:
+        for drawing in each:
             _add_noise(drawing)
     starts = drafts.states
     check_joints(mechanism, starts)
     check_limits(mechanism, starts)
     return Batch(
-        index=np.array([drawing.index for drawing in drafts.each], dtype=np.int64),
+        index=index,
         position=starts.position,
         orientation=mechanism.body_orientation(starts.native),
         velocity=starts.velocity,
@@ -119,28 +121,14 @@ def noise_components(scene: Scene) -> list[int]:
     return [0, 1, 2][_MOVING[scene.dimension]]
 
 
-def _begun(mechanism: Mechanism, indices: list[int], seed: int, inputs: bool) -> Drafts:
+def _begun(mechanism: Mechanism, count: int, inputs: bool) -> Drafts:
     """Begin every trajectory with the scene's own start and inputs."""
 
     def for_all(values: Array) -> Array:
-        return np.repeat(values[None], len(indices), axis=0)
+        return np.repeat(values[None], count, axis=0)
 
-    states = assemble(mechanism).each(for_all)
     force, torque = map(for_all, _scene_inputs(mechanism))
-    each = [
-        Draft(
-            mechanism=mechanism,
-            index=index,
-            interval=terms.INTERVALS[index % len(terms.INTERVALS)],
-            rng=np.random.default_rng(np.random.SeedSequence([seed, index])),
-            force=force[row],
-            torque=torque[row],
-            inputs=inputs,
-            **{key: values[row] for key, values in vars(states).items()},
-        )
-        for row, index in enumerate(indices)
-    ]
-    return Drafts(mechanism, each, states, force, torque)
+    return Drafts(mechanism, assemble(mechanism).each(for_all), force, torque, inputs)
 
 
 @functools.lru_cache(maxsize=16)
@@ -182,10 +170,10 @@ def _add_noise(drawing: Draft) -> None:
     force += sigma[:, None] * drawing.rng.standard_normal(force.shape)
 
 
-def _swing(term: terms.Swing, drafts: Drafts) -> None:
+def _swing(term: terms.Swing, drafts: Drafts, each: list[Draft]) -> None:
     states, hung = drafts.states, _hung(drafts.mechanism, term.bodies)
     spans = (term.polar, _ALL_ROUND, term.speed, _ALL_ROUND)
-    draws = np.array([drawing.uniforms(spans, len(hung.body)) for drawing in drafts.each])
+    draws = np.array([drawing.uniforms(spans, len(hung.body)) for drawing in each])
     polar, azimuth, speed, heading = np.moveaxis(draws, -1, 0).copy()[..., None]
     # Turning by `polar` about a horizontal axis leaves the body without spin about its arm.
     axis = np.concatenate([np.sin(azimuth), -np.cos(azimuth), np.zeros_like(polar)], axis=-1)
