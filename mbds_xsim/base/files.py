@@ -97,8 +97,7 @@ def check_writable(path: Path, option: str) -> None:
         raise InputError(f"{option}: cannot write {path}: it is read-only; name another file")
     if _is_stream(path):
         return
-    parents = path.absolute().parents
-    folder = next(parent for parent in parents if os.path.lexists(parent))
+    folder = next(parent for parent in path.absolute().parents if os.path.lexists(parent))
     try:
         tempfile.TemporaryFile(dir=folder).close()  # only trying shows what root may do
     except OSError as error:

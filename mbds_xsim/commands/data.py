@@ -232,8 +232,7 @@ def verify(
     from mbds_xsim.dataset.verify import verify as run
 
     with shared.progress_on(to.console) as progress:
-        conduct = Conduct(workers, meter=progress)
-        verified = run(path, seed=seed, limit=limit, conduct=conduct)
+        verified = run(path, seed=seed, limit=limit, conduct=Conduct(workers, meter=progress))
     to.answer(_outcome(verified), verified, "verify")
     raise Exit(0 if verified.sound else 1)
 

@@ -178,8 +178,7 @@ def contact(
     for picture in pictures.values():
         to.check(figures=picture)
     with shared.progress_on(to.console) as progress:
-        conduct = Conduct(workers, meter=progress)
-        study = study_contact(choice, conduct, shared.command_line())
+        study = study_contact(choice, Conduct(workers, meter=progress), shared.command_line())
     to.answer(present(study), study, "contact")
     if pictures:
         from mbds_xsim.studies.contact.present import draw_study

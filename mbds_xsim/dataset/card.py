@@ -225,10 +225,9 @@ def _rejections(data: Dataset) -> str:
 
 
 def _parts(data: Dataset) -> str:
-    rows = counts_of(data).items()
     return "".join(
         f"| `{data.path.name}` | {part} | {' | '.join(map(str, counts.values()))} |\n"
-        for part, counts in rows
+        for part, counts in counts_of(data).items()
     )
 
 

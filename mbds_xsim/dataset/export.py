@@ -291,8 +291,7 @@ def _check_target(data: Dataset, out: Path, form: Form, numbers: Sequence[int] |
     """Refuse a folder with files that this export does not write: they would look like its own."""
     folder = _folder(data, out)
     if form == "csv":
-        chosen = data.index if numbers is None else numbers
-        names = {_csv_name(int(number)) for number in chosen}
+        names = {_csv_name(int(n)) for n in (data.index if numbers is None else numbers)}
     else:
         ends = np.cumsum([part.rows for part in data.parts])
         rows = np.flatnonzero(np.isin(data.index, data.index if numbers is None else numbers))

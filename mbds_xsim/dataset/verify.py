@@ -295,8 +295,7 @@ def _recheck_metadata(path: Path, report: FileReport) -> None:
     if not isinstance(metadata, dict):
         report.problems.append("is no Croissant metadata")
         return
-    differing = [*_differing_entries(metadata, json.loads(wanted[CROISSANT]))]
-    _tell_differing(report, differing, wanted)
+    _tell_differing(report, [*_differing_entries(metadata, json.loads(wanted[CROISSANT]))], wanted)
 
 
 def _tell_differing(report: FileReport, differing: list[str], wanted: dict[str, bytes]) -> None:
