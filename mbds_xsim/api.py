@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.files import path_of
+from mbds_xsim.base.files import check_writable, path_of
 from mbds_xsim.base.isolate import LIMIT, Conduct
 from mbds_xsim.scene.sampling import Starts
 from mbds_xsim.scene.scene import Scene
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from mbds_xsim.dataset.audit import Audited
     from mbds_xsim.dataset.generate import Generated
     from mbds_xsim.dataset.verify import Verified
-    from mbds_xsim.measure.result import Evidence, Validation
+    from mbds_xsim.measure.result import Validation
 
 _MOST_STARTS = 10_000
 
@@ -39,8 +39,7 @@ def load_scene(scene: Any) -> Scene:
             return scene
         case str() | Path():
             return registry.load_scene(str(scene))
-    msg = f"scene: got {scene!r}, allowed is a Scene, a name or the path of a file"
-    raise InputError(msg)
+    raise InputError(f"scene: got {scene!r}, allowed is a Scene, a name or the path of a file")
 
 
 def validate(
@@ -84,7 +83,9 @@ def validate(
     trajectories = _whole("trajectories", trajectories, 1, _MOST_STARTS)
     seed = _whole("seed", seed, 0)
     _check(workers, limit, noise=noise, inputs=inputs, cache=cache)
-    target = None if page is None else _writable(page)
+    target = None if page is None else path_of("page", page)
+    if target is not None:
+        check_writable(target, "page")
     word = None if method is None else str(method)
     choice = Choice.parse(
         engines=words_of(engines) or None, profiles=settings, method=word, step=step, limit=limit
@@ -97,24 +98,12 @@ def validate(
         command="mbds_xsim.validate",
     )
     if target is not None:
-        _write_page(target, validation, evidence)
+        from mbds_xsim.report.files import write_reports
+        from mbds_xsim.studies.validate.present import present
+
+        report = present(validation, evidence)
+        write_reports([report], report.title, html=target)
     return validation
-
-
-def _writable(page: object) -> Path:
-    from mbds_xsim.base.files import check_writable
-
-    path = path_of("page", page)
-    check_writable(path, "page")
-    return path
-
-
-def _write_page(page: Path, validation: Validation, evidence: Evidence) -> None:
-    from mbds_xsim.report.files import write_reports
-    from mbds_xsim.studies.validate.present import present
-
-    report = present(validation, evidence)
-    write_reports([report], report.title, html=page)
 
 
 def generate(
@@ -157,16 +146,9 @@ def generate(
     several: Any = (scenes,) if single else scenes
     loaded = tuple(map(load_scene, several))
     if not loaded:
-        msg = "scenes: got none, allowed are scenes, their names, or their files"
-        raise InputError(msg)
-    request = Request(
-        scenes=loaded,
-        choice=Choice.parse(engines=words_of(engines) or None, profiles=settings, limit=limit),
-        trajectories=trajectories,
-        out=path_of("--out", out),
-        seed=seed,
-        noise=noise,
-    )
+        raise InputError("scenes: got none, allowed are scenes, their names, or their files")
+    choice = Choice.parse(engines=words_of(engines) or None, profiles=settings, limit=limit)
+    request = Request(loaded, choice, trajectories, path_of("--out", out), seed, noise)
     return run(request, workers=workers)
 
 
@@ -247,8 +229,7 @@ def _seconds(name: str, value: object) -> float | None:
     if value is None:
         return None
     if not isinstance(value, int | float | np.number):
-        msg = f"--{name}: got {value!r}, allowed is a number [s]"
-        raise InputError(msg)
+        raise InputError(f"--{name}: got {value!r}, allowed is a number [s]")
     return float(value)
 
 
@@ -257,12 +238,10 @@ def _check(workers: int | None = None, limit: object = LIMIT, **flags: object) -
     if workers is not None:
         _whole("workers", workers, 0)
     if not isinstance(limit, int | float) or not limit >= 1.0:
-        msg = f"--limit: got {limit!r}, allowed is 1 or more [s]"
-        raise InputError(msg)
+        raise InputError(f"--limit: got {limit!r}, allowed is 1 or more [s]")
     for name, value in flags.items():
         if not isinstance(value, bool | np.bool_):
-            msg = f"--{name}: got {value!r}, allowed is True or False"
-            raise InputError(msg)
+            raise InputError(f"--{name}: got {value!r}, allowed is True or False")
 
 
 def _whole(name: str, value: object, least: int, most: int | None = None) -> int:
@@ -272,6 +251,5 @@ def _whole(name: str, value: object, least: int, most: int | None = None) -> int
         or (most is not None and value > most)
     ):
         allowed = f"{least} or more" if most is None else f"{least} to {most}"
-        msg = f"--{name}: got {value!r}, allowed is a whole number, {allowed}"
-        raise InputError(msg)
+        raise InputError(f"--{name}: got {value!r}, allowed is a whole number, {allowed}")
     return int(value)

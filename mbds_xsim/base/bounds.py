@@ -38,8 +38,7 @@ _TOO_SMALL = "products of smaller numbers underflow"
 def rows(key: str, values: tuple[float | tuple[float, ...], ...]) -> None:
     """Raise unless a series has at least one row and all its numbers are finite."""
     if not values:
-        msg = f"{key}: got no row, allowed is one or more"
-        raise SceneError(msg)
+        raise SceneError(f"{key}: got no row, allowed is one or more")
     for value in values:
         finite(key, value)
 
@@ -49,8 +48,7 @@ def finite(key: str, values: float | tuple[float, ...]) -> None:
     values = values if isinstance(values, tuple) else (values,)
     for value in values:
         if not math.isfinite(value):
-            msg = f"{key}: got {list(values)}, allowed are finite numbers"
-            raise SceneError(msg)
+            raise SceneError(f"{key}: got {list(values)}, allowed are finite numbers")
         _at_most(key, value, _LARGEST, "products of larger numbers overflow")
 
 
@@ -75,8 +73,7 @@ def interval(key: str, value: float) -> None:
 def share(key: str, value: float) -> None:
     """Raise unless a value is in [0, 1]."""
     if not 0.0 <= value <= 1.0:
-        msg = f"{key}: got {value}, allowed is 0 to 1"
-        raise SceneError(msg)
+        raise SceneError(f"{key}: got {value}, allowed is 0 to 1")
 
 
 def span(key: str, values: tuple[float, float]) -> None:
@@ -96,19 +93,16 @@ def size(key: str, value: float) -> None:
 def positive(key: str, value: float, *, least: float = _SMALLEST, why: str = _TOO_SMALL) -> None:
     """Raise unless a number is finite, above 0 and at least `least`; `why` explains that bound."""
     if not (math.isfinite(value) and value > 0):
-        msg = f"{key}: got {value}, allowed is a finite number above 0"
-        raise SceneError(msg)
+        raise SceneError(f"{key}: got {value}, allowed is a finite number above 0")
     if value < least:
-        msg = f"{key}: got {value}, allowed is {least:.0e} or more: {why}"
-        raise SceneError(msg)
+        raise SceneError(f"{key}: got {value}, allowed is {least:.0e} or more: {why}")
     finite(key, value)
 
 
 def at_least_zero(key: str, value: float) -> None:
     """Raise unless a number is finite and 0 or more."""
     if not (math.isfinite(value) and value >= 0):
-        msg = f"{key}: got {value}, allowed is a finite number, 0 or more"
-        raise SceneError(msg)
+        raise SceneError(f"{key}: got {value}, allowed is a finite number, 0 or more")
     finite(key, value)
 
 
@@ -118,39 +112,34 @@ def name(key: str, value: str) -> None:
         msg = f"{key}: got {value!r}, allowed is a line of text without control characters"
         raise SceneError(msg)
     if (size := len(value.encode("utf-8", "replace"))) > _LONGEST_NAME:
-        msg = (
+        raise SceneError(
             f"{key}: got {size} bytes of UTF-8, allowed are {_LONGEST_NAME} at most: "
             "files are named after it"
         )
-        raise SceneError(msg)
 
 
 def names(key: str, values: tuple[str, ...]) -> None:
     """Raise unless a list has at least one name and no duplicates."""
     if not values or len(set(values)) < len(values):
-        msg = f"{key}: got {list(values)}, allowed is one name or more, each once"
-        raise SceneError(msg)
+        raise SceneError(f"{key}: got {list(values)}, allowed is one name or more, each once")
 
 
 def count(key: str, got: int, most: int, why: str) -> None:
     """Raise if a number of things exceeds `most`; `why` explains that bound."""
     if got > most:
-        msg = f"{key}: got {got}, allowed are {most} at most: {why}"
-        raise SceneError(msg)
+        raise SceneError(f"{key}: got {got}, allowed are {most} at most: {why}")
 
 
 def _at_most(key: str, value: float, most: float, why: str) -> None:
     if abs(value) > most:
-        msg = f"{key}: got {value}, allowed is {most:.0e} at most: {why}"
-        raise SceneError(msg)
+        raise SceneError(f"{key}: got {value}, allowed is {most:.0e} at most: {why}")
 
 
 def at_least_one(key: str, value: int) -> None:
     """Raise unless a count is 1 or more and at most 1e9."""
     if not 1 <= value <= _MOST:
         allowed = "1 or more" if value < 1 else f"at most {_MOST}"
-        msg = f"{key}: got {value}, allowed is a whole number, {allowed}"
-        raise SceneError(msg)
+        raise SceneError(f"{key}: got {value}, allowed is a whole number, {allowed}")
 
 
 def direction(key: str, value: tuple[float, ...]) -> None:
@@ -158,8 +147,7 @@ def direction(key: str, value: tuple[float, ...]) -> None:
     if not all(map(math.isfinite, value)):
         finite(key, value)
     if not math.hypot(*value) > 0:
-        msg = f"{key}: got {list(value)}, allowed is any non-zero vector"
-        raise SceneError(msg)
+        raise SceneError(f"{key}: got {list(value)}, allowed is any non-zero vector")
 
 
 def unit(key: str, value: tuple[float, ...]) -> None:
@@ -177,18 +165,16 @@ def physical_inertia(
     (xx, yy, zz), (xy, xz, yz) = moments, products
     low, mid, high = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     if 0 < high < _LEAST_MOMENT:
-        msg = (
+        raise SceneError(
             f"moments: got {list(moments)}, allowed is {_LEAST_MOMENT:.0e} or more of the largest: "
             f"{_TOO_SMALL}"
         )
-        raise SceneError(msg)
     # A vanishing moment leaves the spin about that axis undefined: no engine can step it.
     if not high > 0 or low < 1e-9 * high or low + mid < high * (1 - 1e-9):
-        msg = (
+        raise SceneError(
             f"moments, products: got principal moments {low:.6g}, {mid:.6g}, {high:.6g}; allowed "
             "is each above 0 and at most the sum of the other two (triangle inequality)"
         )
-        raise SceneError(msg)
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(msgspec.field,))

@@ -37,8 +37,7 @@ def path_of(name: str, value: object) -> Path:
         InputError: The value is not a path.
     """
     if not isinstance(value, str | Path) or value == "":
-        msg = f"{name}: got {value!r}, allowed is the path of a file or folder"
-        raise InputError(msg)
+        raise InputError(f"{name}: got {value!r}, allowed is the path of a file or folder")
     return Path(value)
 
 
@@ -59,8 +58,7 @@ def write_whole(path: Path, content: bytes) -> None:
         else:
             _replace(path.resolve(), content)
     except OSError as error:
-        msg = f"cannot write {path}: {error.strerror or error}"
-        raise InputError(msg) from error
+        raise InputError(f"cannot write {path}: {error.strerror or error}") from error
 
 
 def check_regular(path: Path) -> None:
@@ -92,18 +90,14 @@ def read_file(path: Path, most: int = -1) -> bytes:
 def check_writable(path: Path, option: str) -> None:
     """Raise InputError before long work if `write_whole` would fail after it."""
     if str(path) == "-":
-        msg = f"{option}: got -, but standard output is for --json alone; name a file"
-        raise InputError(msg)
+        raise InputError(f"{option}: got -, but standard output is for --json alone; name a file")
     if path.is_dir():
-        msg = f"{option}: cannot write {path}: it is a folder; name a file"
-        raise InputError(msg)
+        raise InputError(f"{option}: cannot write {path}: it is a folder; name a file")
     if path.exists() and not os.access(path, os.W_OK):
-        msg = f"{option}: cannot write {path}: it is read-only; name another file"
-        raise InputError(msg)
+        raise InputError(f"{option}: cannot write {path}: it is read-only; name another file")
     if _is_stream(path):
         return
-    parents = path.absolute().parents
-    folder = next(parent for parent in parents if os.path.lexists(parent))
+    folder = next(parent for parent in path.absolute().parents if os.path.lexists(parent))
     try:
         tempfile.TemporaryFile(dir=folder).close()  # only trying shows what root may do
     except OSError as error:
@@ -171,11 +165,10 @@ def put(path: Path, *pieces: bytes | memoryview) -> None:
         os.replace(part, path)
         _flush_folder(path.parent)
     except OSError as error:
-        msg = (
+        raise InputError(
             f"cannot write {path}: {error.strerror or error}; fix that, then run the "
             "same command again: finished work is kept"
-        )
-        raise InputError(msg) from error
+        ) from error
     finally:
         with suppress(OSError):  # there is no part if the folder's name is taken by a file
             part.unlink()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import importlib
 from collections.abc import Sequence
 from typing import Any
@@ -21,11 +20,10 @@ def optional(module: str, wanted_by: str, extra: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        msg = (
+        raise InputError(
             f"{wanted_by} needs {module}, which is not installed: "
             f"pip install 'mbds-xsim[{extra}]' ({error})"
-        )
-        raise InputError(msg) from error
+        ) from error
 
 
 def frame_of(rows: Sequence[Any]) -> Any:
@@ -39,6 +37,4 @@ def frame_of(rows: Sequence[Any]) -> Any:
 
 
 def _fields(row: Any) -> dict[str, Any]:
-    if isinstance(row, msgspec.Struct):
-        return msgspec.structs.asdict(row)
-    return {field.name: getattr(row, field.name) for field in dataclasses.fields(row)}
+    return msgspec.structs.asdict(row) if isinstance(row, msgspec.Struct) else vars(row)

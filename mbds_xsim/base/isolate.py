@@ -262,8 +262,7 @@ class _Process:
         self._task, self._starter = task, starter
         self._file = starter.folder / str(place)
         self._begun = self._file.with_suffix(".begun")
-        question = pickle.dumps((task.function, task.arguments))
-        self._file.with_suffix(".task").write_bytes(question)
+        self._file.with_suffix(".task").write_bytes(pickle.dumps((task.function, task.arguments)))
         starter.order("start", place)
         self._usage, self._number = Usage(starter.number), 0
         self._limit, self._since = _START_UP, 0

@@ -217,8 +217,7 @@ def engines(
     from mbds_xsim.report.catalogue import engine_rows, engines_page
 
     if markdown and json:
-        msg = "engines gives one form at a time; choose one of --markdown and --json"
-        raise InputError(msg)
+        raise InputError("engines gives one form at a time; choose one of --markdown and --json")
     to = shared.Outputs(json)
     to.check()
     rows = engine_rows()
@@ -270,8 +269,7 @@ def show(
     from mbds_xsim.scene.file import write_scene
 
     if sum(map(bool, (toml, native, to.json))) > 1:
-        msg = "show gives one form at a time; choose one of --toml, --native and --json"
-        raise InputError(msg)
+        raise InputError("show gives one form at a time; choose one of --toml, --native and --json")
     if start is not None and png is None and native is None:
         msg = f"--start: got {start}, which says what is drawn or given; add --png or --native"
         raise InputError(msg)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -130,23 +131,22 @@ def export(
     from mbds_xsim.dataset.read import parse_numbers
 
     console = to.console
+    say = partial(console.print, highlight=False, soft_wrap=True)
     numbers = None if indices is None else parse_numbers(indices, "--indices")
     with shared.progress_on(console) as progress:
         exported = run(dataset, out, form, engines=engines, numbers=numbers, progress=progress)
-    console.print(
+    say(
         f"{counted(exported.trajectories, 'trajectory')} in "
         f"{counted(exported.files, 'file')}, {exported.bytes / 1e6:.4g} MB, "
-        f"written to {exported.out}",
-        highlight=False,
-        soft_wrap=True,
+        f"written to {exported.out}"
     )
     for file, missing in exported.absent.items():
         if missing:
             some = ", ".join(map(str, missing[:10])) + (" …" if len(missing) > 10 else "")
-            console.print(f"{file} has not {some}: rejected", highlight=False, soft_wrap=True)
+            say(f"{file} has not {some}: rejected")
     console.print("not carried over:")
     for line in exported.lost:
-        console.print(f"  {line}", highlight=False, soft_wrap=True)
+        say(f"  {line}")
     shared.write_json(shared.encoded(exported, "export"), to.json)
 
 
@@ -232,8 +232,7 @@ def verify(
     from mbds_xsim.dataset.verify import verify as run
 
     with shared.progress_on(to.console) as progress:
-        conduct = Conduct(workers, meter=progress)
-        verified = run(path, seed=seed, limit=limit, conduct=conduct)
+        verified = run(path, seed=seed, limit=limit, conduct=Conduct(workers, meter=progress))
     to.answer(_outcome(verified), verified, "verify")
     raise Exit(0 if verified.sound else 1)
 

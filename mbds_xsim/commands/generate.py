@@ -139,14 +139,9 @@ def generate(
     from mbds_xsim.report.terminal import GeneratingBar
     from mbds_xsim.simulate.choice import Choice
 
-    request = Request(
-        scenes=tuple(shared.scene_named(name) for name in dict.fromkeys(scenes)),
-        choice=Choice.parse(engines=engines, profiles=settings, limit=limit),
-        trajectories=trajectories,
-        out=out,
-        seed=seed,
-        noise=noise,
-    )
+    loaded = tuple(map(shared.scene_named, scenes))
+    choice = Choice.parse(engines=engines, profiles=settings, limit=limit)
+    request = Request(loaded, choice, trajectories, out, seed, noise)
     with ExitStack() as stack:
         carry_out, at_once = carrier_of(stack, scheduler, workers, out)
         progress = stack.enter_context(GeneratingBar(to.console))

@@ -221,8 +221,7 @@ def _check_options(device: str, tensorboard: Path | None, *, fast: bool, far: bo
 
     check_device(device, here=not far)
     if fast and device != "cuda":
-        msg = f"--bf16 and --compile: got --device {device}, allowed with them is cuda"
-        raise InputError(msg)
+        raise InputError(f"--bf16 and --compile: got --device {device}, allowed with them is cuda")
     if tensorboard is not None:
         check_events(tensorboard)
 
@@ -377,8 +376,7 @@ def _scenes(models: Path, data: Path) -> list[str]:
 
     scenes = [name for name in scenes_in(data) if any((models / name).glob("*/*/*-s*.pt"))]
     if not scenes:
-        msg = (
+        raise InputError(
             f"no scene has both trained models in {models} and data in {data}; see train, generate"
         )
-        raise InputError(msg)
     return scenes

@@ -62,15 +62,13 @@ class Command(TyperCommand):
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write arguments and options."""
         for heading, kind in (("Arguments", "argument"), ("Options", "option")):
-            pairs = (p.get_help_record(ctx) for p in self.params_of(ctx, kind))
-            rows = [(_TYPE.sub(_readable(kind), name), text) for name, text in filter(None, pairs)]
+            params = (p for p in self.get_params(ctx) if p.param_type_name == kind)
+            pairs = filter(None, (p.get_help_record(ctx) for p in params))
+            word: str | Callable[[re.Match[str]], str] = "" if kind == "argument" else _readable
+            rows = [(_TYPE.sub(word, name), text) for name, text in pairs]
             if rows:
                 with formatter.section(heading):
                     formatter.write_dl(rows)
-
-    def params_of(self, ctx: Any, kind: str) -> list[Any]:
-        """List the parameters of a kind."""
-        return [p for p in self.get_params(ctx) if p.param_type_name == kind]
 
 
 class Commands(TyperGroup):
@@ -89,14 +87,9 @@ class Commands(TyperGroup):
                 formatter.write_dl(rows)
 
 
-def _readable(kind: str) -> Callable[[re.Match[str]], str]:
-    def word(match: re.Match[str]) -> str:
-        if kind == "argument":
-            return ""
-        name = match["kind"].removesuffix(" range").removeprefix("list[").removesuffix("]")
-        return f" {_WORDS.get(name, name)}"
-
-    return word
+def _readable(match: re.Match[str]) -> str:
+    name = match["kind"].removesuffix(" range").removeprefix("list[").removesuffix("]")
+    return f" {_WORDS.get(name, name)}"
 
 
 app = typer.Typer(

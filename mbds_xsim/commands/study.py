@@ -8,7 +8,7 @@ from typing import Annotated
 from typer import Argument, Exit, Option
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.isolate import LIMIT, Conduct
+from mbds_xsim.base.isolate import LIMIT, Conduct, core_count
 from mbds_xsim.base.text import each_once
 from mbds_xsim.commands import shared
 
@@ -45,7 +45,6 @@ def match(
         mbds-xsim match my.toml --out my-settings.toml --engines mujoco
     """
     from mbds_xsim.base.files import write_whole
-    from mbds_xsim.base.isolate import core_count
     from mbds_xsim.report.terminal import StudyBar, print_report
     from mbds_xsim.scene.sampling import Starts
     from mbds_xsim.simulate.choice import Choice
@@ -89,19 +88,17 @@ def _targets(scenes: list[str], engines: tuple[str, ...], out: Path | None) -> l
     from mbds_xsim.studies.match import stored_path
 
     if out is not None and len(scenes) > 1:
-        msg = f"--out: got {len(scenes)} scenes for one file {out}; match one at a time"
-        raise InputError(msg)
+        raise InputError(f"--out: got {len(scenes)} scenes for one file {out}; match one at a time")
     for name in scenes if out is None else []:
         if name not in scene_names():
             msg = f"{name} has no place among the built-in scenes; say where to write with --out"
             raise InputError(msg)
     foreign = [name for name in engines if name != REFERENCE and is_foreign(name)]
     if out is None and foreign:
-        msg = (
+        raise InputError(
             f"{foreign[0]} is another package's engine, whose settings do not stand among the "
             "toolkit's; say where to write with --out"
         )
-        raise InputError(msg)
     return [out] if out is not None else [stored_path(name) for name in scenes]
 
 
@@ -181,8 +178,7 @@ def contact(
     for picture in pictures.values():
         to.check(figures=picture)
     with shared.progress_on(to.console) as progress:
-        conduct = Conduct(workers, meter=progress)
-        study = study_contact(choice, conduct, shared.command_line())
+        study = study_contact(choice, Conduct(workers, meter=progress), shared.command_line())
     to.answer(present(study), study, "contact")
     if pictures:
         from mbds_xsim.studies.contact.present import draw_study
@@ -226,15 +222,13 @@ def releases(
         mbds-xsim releases dart exudyn --html releases.html --png releases.png
         mbds-xsim releases mujoco --last 2 --json -
     """
-    from mbds_xsim.base.isolate import core_count
     from mbds_xsim.report.files import link, results_json, rows_csv, write_if
     from mbds_xsim.report.terminal import StudyBar, print_report
     from mbds_xsim.studies.releases import ReleaseStudy
     from mbds_xsim.studies.releases.present import present, to_png
 
     if since and len(engines) > 1:
-        msg = f"--since: got {since} for {len(engines)} engines; name one ENGINE"
-        raise InputError(msg)
+        raise InputError(f"--since: got {since} for {len(engines)} engines; name one ENGINE")
     histories = []
     for engine in engines:
         with StudyBar(to.console, workers or core_count(), engine) as meter:

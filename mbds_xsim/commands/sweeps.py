@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 from typer import Argument, Option
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.isolate import Conduct
+from mbds_xsim.base.isolate import Conduct, core_count
 from mbds_xsim.base.text import each_once
 from mbds_xsim.commands import shared
 
@@ -69,7 +69,6 @@ def tradeoff(
         mbds-xsim tradeoff 5pendulum 6pendulum --engines mujoco,exudyn --csv rows.csv
         mbds-xsim tradeoff 6pendulum --models models/6pendulum --onto 6pendulum.json --png both.png
     """
-    from mbds_xsim.base.isolate import core_count
     from mbds_xsim.report.files import link, results_json, rows_csv, write_if
     from mbds_xsim.report.terminal import StudyBar, print_report
     from mbds_xsim.simulate.choice import Choice
@@ -279,11 +278,10 @@ def _profiles(words: str) -> tuple[Profile, ...]:
     from mbds_xsim.simulate.choice import as_profile, is_file
 
     if paths := [word for word in words.split(",") if is_file(word)]:
-        msg = (
+        raise InputError(
             f"--settings {paths[0]}: a file has the settings of one scene, and a map makes scenes "
             "and steps of its own; allowed are matched, native, or both"
         )
-        raise InputError(msg)
     return tuple(dict.fromkeys(as_profile(word.strip()) for word in words.split(",")))
 
 

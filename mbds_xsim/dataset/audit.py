@@ -82,10 +82,10 @@ def audit_file(path: Path, scene: Scene | None, origin: Provenance) -> Audited:
     assumptions, not_checked = dict[str, None](), dict[str, str]()
     first: _Case | None = None
     for foreign in read_foreign(path, scene):
-        case = _Case.of(foreign, origin)
+        case = _Case(foreign, origin)
         first = first or case
         for finding in case.findings():
-            by_check.setdefault(finding.check, []).append(_Part.of(case.batch, finding))
+            by_check.setdefault(finding.check, []).append(_Part(case.batch, finding))
         assumptions |= dict.fromkeys(case.assumptions)
         not_checked |= case.not_checked
     assert first is not None  # a file without trajectories is refused
@@ -106,21 +106,16 @@ def audit_file(path: Path, scene: Scene | None, origin: Provenance) -> Audited:
     )
 
 
-@dataclass(frozen=True)
 class _Part:
     """Finding of one check about some of the trajectories."""
 
-    excess: float
-    """Worst figure less its uncertainty; infinite if it is NaN."""
-    result: FindingResult
-    lines: list[str]
-    """Reasons why the check failed."""
-
-    @staticmethod
-    def of(batch: Batch, finding: Finding) -> _Part:
+    def __init__(self, batch: Batch, finding: Finding) -> None:
         over = finding.figure[finding.worst] - finding.uncertainty[finding.worst]
-        excess = float(np.nan_to_num(over, nan=np.inf))
-        return _Part(excess, finding_result(batch, finding), failed_lines(batch, [finding]))
+        self.excess = float(np.nan_to_num(over, nan=np.inf))
+        """Worst figure less its uncertainty; infinite if it is NaN."""
+        self.result = finding_result(batch, finding)
+        self.lines = failed_lines(batch, [finding])
+        """Reasons why the check failed."""
 
 
 def _pooled(worst: _Part, parts: list[_Part]) -> FindingResult:
@@ -135,28 +130,22 @@ def _pooled(worst: _Part, parts: list[_Part]) -> FindingResult:
     )
 
 
-@dataclass(eq=False)
 class _Case:
     """A file with its starts and inputs; collects the assumptions made and the checks left out."""
 
-    foreign: Foreign
-    batch: Batch
-    named: bool
-    """Whether seed and index are given, so that the start is known."""
-    origin: Provenance
-    assumptions: list[str]
-    not_checked: dict[str, str]
-    orientation: Array | None = None
-    """Orientations in the file, or fitted to its points; set by the checks of bodies."""
-
-    @staticmethod
-    def of(foreign: Foreign, origin: Provenance) -> _Case:
-        """Determine starts and inputs."""
-        origin = _completed(origin, foreign)
-        assumptions: list[str] = []
-        named = origin.index is not None and origin.seed is not None
-        batch = _draw_starts(foreign, origin) if named else _unnamed(foreign, assumptions)
-        return _Case(foreign, batch, named, origin, assumptions, {})
+    def __init__(self, foreign: Foreign, origin: Provenance) -> None:
+        self.foreign, self.origin = foreign, _completed(origin, foreign)
+        self.assumptions: list[str] = []
+        self.not_checked: dict[str, str] = {}
+        self.orientation: Array | None = None
+        """Orientations in the file, or fitted to its points; set by the checks of bodies."""
+        self.named = self.origin.index is not None and self.origin.seed is not None
+        """Whether seed and index are given, so that the start is known."""
+        self.batch = (
+            _draw_starts(foreign, self.origin)
+            if self.named
+            else _unnamed(foreign, self.assumptions)
+        )
 
     @functools.cached_property
     def points(self) -> Points:
@@ -348,11 +337,10 @@ def _completed(origin: Provenance, foreign: Foreign) -> Provenance:
     facts = {key: value for key, value in vars(origin).items() if value is not None}
     if origin.index is not None:
         if len(origin.index) != total:
-            msg = (
+            raise InputError(
                 f"--index: got {len(origin.index)} numbers, allowed for {foreign.source} are "
                 f"{total}, one a trajectory"
             )
-            raise InputError(msg)
         facts["index"] = origin.index[first : first + foreign.count]
     elif len(index := foreign.facts.get("index", range(foreign.count))) != foreign.count:
         msg = f"{foreign.source}: index: got {len(index)} numbers, allowed is one a trajectory"
@@ -375,12 +363,11 @@ def _draw_starts(foreign: Foreign, origin: Provenance) -> Batch:
     """Draw the starts; the file may have fewer frames than the scene, but at the same times."""
     clock, own = foreign.original.clock, foreign.scene.clock
     if own.frame != clock.frame or own.steps > clock.steps:
-        msg = (
+        raise InputError(
             f"{foreign.source}: got {own.steps} steps of {own.frame:.6g} s, allowed with "
             f"--index is up to {clock.steps} of {clock.frame:g} s, over which the start's inputs "
             "are held; leave --index out, or record at the scene's frames"
         )
-        raise InputError(msg)
     noise, index = origin.noise is not False, origin.index or ()
     batch = draw_batch(foreign.original, index, seed=origin.seed or 0, noise=noise)
     return batch.truncated(own.steps)

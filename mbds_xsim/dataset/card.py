@@ -20,8 +20,7 @@ from mbds_xsim.base.text import in_markdown, sentence
 from mbds_xsim.dataset.hdf5 import open_hdf5
 from mbds_xsim.dataset.layout import FIELDS, FORMAT, JOINT, SPLITS, VERSION, variant_files
 from mbds_xsim.dataset.read import Dataset, load_dataset
-from mbds_xsim.dataset.shard import causes
-from mbds_xsim.dataset.summary import counts_of, rejected_beside
+from mbds_xsim.dataset.summary import causes_of, counts_of
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.simulate.claims import RTOL, TRUTH
 
@@ -218,19 +217,17 @@ def _truth(sets: Sequence[Dataset]) -> str:
 
 def _rejections(data: Dataset) -> str:
     """Return a line that counts rejections by check; empty if all trajectories passed."""
-    names = [file.name for file in data.files]
-    counts = causes(rejected_beside(data), names).most_common()
+    counts = sorted(causes_of(data).items())
     if not counts:
         return ""
-    listing = ", ".join(f"{cause} {count}" for cause, count in sorted(counts))
+    listing = ", ".join(f"{cause} {count}" for cause, count in counts)
     return f"\nRejected from `{data.path.name}` by the check that failed first: {listing}.\n"
 
 
 def _parts(data: Dataset) -> str:
-    rows = counts_of(data).items()
     return "".join(
         f"| `{data.path.name}` | {part} | {' | '.join(map(str, counts.values()))} |\n"
-        for part, counts in rows
+        for part, counts in counts_of(data).items()
     )
 
 

@@ -66,14 +66,13 @@ class Cluster(AbstractContextManager["Cluster"]):
                 address, timeout=_PATIENCE
             )
         except (OSError, ValueError) as error:
-            msg = (
+            raise InputError(
                 f"--scheduler: got {address!r}, where no Dask scheduler answers within "
                 f"{_PATIENCE:g} s; start one with `dask scheduler`, workers with "
                 "`dask worker ADDRESS`"
-            )
-            raise InputError(msg) from error
+            ) from error
         try:
-            self._check(address, out.absolute())
+            self._check(out.absolute())
         except InputError:
             self._client.close()
             raise
@@ -110,7 +109,7 @@ class Cluster(AbstractContextManager["Cluster"]):
                 self._client.cancel(futures, force=True)
         return answers
 
-    def _check(self, address: str, out: Path) -> None:
+    def _check(self, out: Path) -> None:
         """Check that there are workers, that they see the folder, and that their versions match."""
         out.mkdir(parents=True, exist_ok=True)
         mark = out / f".seen-{uuid.uuid4().hex}"
@@ -120,15 +119,15 @@ class Cluster(AbstractContextManager["Cluster"]):
         finally:
             mark.unlink()
         if not sight:
-            msg = f"--scheduler: {address} has no workers; start some with `dask worker {address}`"
+            here = self._address
+            msg = f"--scheduler: {here} has no workers; start some with `dask worker {here}`"
             raise InputError(msg)
         blind = [worker for worker, sees in sight.items() if sees is not True]
         if blind:
-            msg = (
+            raise InputError(
                 f"--scheduler: the worker {blind[0]} does not see {out} ({len(blind)} of "
                 f"{len(sight)}); --out must be a folder that all workers share under one path"
             )
-            raise InputError(msg)
         self._alike("python", self._ask_workers(platform.python_version), platform.python_version())
         for package in _PACKAGES:
             self._alike(package, self._ask_workers(version, package), package_version(package))
@@ -138,11 +137,10 @@ class Cluster(AbstractContextManager["Cluster"]):
         for worker, answer in theirs.items():
             there = "not installed" if isinstance(answer, PackageNotFoundError) else answer
             if there != here:
-                msg = (
+                raise InputError(
                     f"--scheduler: on the worker {worker} {package} is {there}, here it is {here}; "
                     "data of two versions do not mix: install the same on all workers"
                 )
-                raise InputError(msg)
 
     def _ask_workers(self, function: Callable[..., Any], *arguments: Any) -> dict[str, Any]:
         """Call a function on every worker: one of the standard library, which all of them have."""
@@ -164,25 +162,23 @@ class Cluster(AbstractContextManager["Cluster"]):
         last = time.monotonic()
         while pending:
             ended = [place for place, future in pending.items() if future.status not in _AWAITED]
-            came = False
+            before = len(pending)
             for place in ended:
                 try:
                     answer = self._answer(pending[place])
                 except OSError:  # the transfer broke off; the workers are checked below
                     continue
-                came = True
                 del pending[place]
                 yield place, answer
-            if not came:
+            if len(pending) == before:
                 time.sleep(_LOOK)
                 last = time.monotonic() if self.workers else last
                 if time.monotonic() - last > _GRACE:
-                    msg = (
+                    raise InputError(
                         f"--scheduler: no workers for {_GRACE:g} s; see their logs, "
                         f"start some with `dask worker {self._address}`, and run the same command "
                         "again to continue"
                     )
-                    raise InputError(msg)
 
     def _answer(self, future: Any) -> Any:
         """Return the answer of a task.

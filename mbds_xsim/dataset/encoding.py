@@ -64,8 +64,7 @@ def encode(datasets: Datasets, attributes: Attributes) -> list[memoryview]:
                 about |= {**more, SUM: sum_of(stored)}
             descriptions[name] = about
             _put_attributes(file[name], about)
-        content = digest({**descriptions, "": attributes})
-        _put_attributes(file, {**attributes, CONTENT: content})
+        _put_attributes(file, {**attributes, CONTENT: digest({**descriptions, "": attributes})})
         file.flush()
         return _with_values(memoryview(file.id.get_file_image()), values)
 

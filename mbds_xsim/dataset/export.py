@@ -138,17 +138,15 @@ def read_csv(
         InputError: The scene, the time or part of an array is missing, or a column is not known.
     """
     if scene is None:
-        msg = f"{path}: a CSV file does not contain its scene; give it with --scene"
-        raise InputError(msg)
+        raise InputError(f"{path}: a CSV file does not contain its scene; give it with --scene")
     lines = path.read_text("utf-8-sig").splitlines()
     comments = [line.lstrip(_COMMENT).partition(":") for line in lines if line.startswith(_COMMENT)]
     facts = {key.strip(): text.strip() for key, _, text in comments}
     rows = list(csv.reader(line for line in lines if line and not line.startswith(_COMMENT)))
     if len(rows) < 3:
-        msg = (
+        raise InputError(
             f"{path}: got {max(len(rows) - 1, 0)} frames, allowed is a line of names and 2 or more"
         )
-        raise InputError(msg)
     names = [name.strip() for name in rows[0]]
     arrays, rounding = dict[str, NDArray[Any]](), dict[str, float]()
     for group in (_TIME, *_sort_columns(scene, names, str(path))):
@@ -285,9 +283,7 @@ def _absent(data: Dataset, numbers: Sequence[int] | None) -> list[int]:
     if beyond:
         msg = f"--indices: got {beyond[0]}, allowed for {data.path} is {first} … {end - 1}"
         raise InputError(msg)
-    missing: list[int] = np.setdiff1d(
-        data.index if numbers is None else numbers, data.index
-    ).tolist()
+    missing: list[int] = np.setdiff1d(numbers or (), data.index).tolist()
     return missing
 
 
@@ -295,8 +291,7 @@ def _check_target(data: Dataset, out: Path, form: Form, numbers: Sequence[int] |
     """Refuse a folder with files that this export does not write: they would look like its own."""
     folder = _folder(data, out)
     if form == "csv":
-        chosen = data.index if numbers is None else numbers
-        names = {_csv_name(int(number)) for number in chosen}
+        names = {_csv_name(int(n)) for n in (data.index if numbers is None else numbers)}
     else:
         ends = np.cumsum([part.rows for part in data.parts])
         rows = np.flatnonzero(np.isin(data.index, data.index if numbers is None else numbers))
@@ -316,14 +311,10 @@ def _npz(data: Dataset, part: Dataset, rows: NDArray[np.int64]) -> Iterator[tupl
     """Yield a file with the chosen trajectories of a shard, under the names of the data set."""
     if not len(rows):
         return
-    fields = [
-        field
-        for field in FIELDS.values()
-        if field.name in part and not field.name.startswith(_NOT_CARRIED)
-    ]
     arrays: dict[str, Any] = {
-        field.name: part[field.name][rows] if field.per_trajectory else part[field.name]
-        for field in fields
+        name: part[name][rows] if FIELDS[name].per_trajectory else part[name]
+        for name in part
+        if not name.startswith(_NOT_CARRIED)
     }
     splits = _splits(data)
     if splits:

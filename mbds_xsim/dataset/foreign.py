@@ -177,12 +177,13 @@ def _trajectories(file: _OpenFile, override: Scene | None, path: Path) -> Iterat
         many = set()  # one trajectory: no array has an axis that counts them
     total = _same_count({name: sources[name].shape[0] for name in sorted(many)}, path)
     if total < 1:
-        msg = f"{path}: got no trajectory, allowed is 1 or more"
-        raise InputError(msg)
+        raise InputError(f"{path}: got no trajectory, allowed is 1 or more")
     each = max((math.prod(sources[name].shape[1:3]) for name in many), default=1)
     size = max(1, _AT_ONCE // max(1, each))
     shared = {name: np.asarray(source[()]) for name, source in sources.items() if name not in many}
-    scene = override or _own_scene(file.facts, path)
+    if override is None and "scene" not in file.facts:
+        raise InputError(f"{path}: the file does not contain its scene; give it with --scene")
+    scene = override or scene_of(file.facts["scene"], path, "give it with --scene")
     for first in range(0, total, size):
         arrays = shared | {name: np.asarray(sources[name][first : first + size]) for name in many}
         rounding = {name: rounding_of(array) for name, array in arrays.items()} | file.rounding
@@ -196,8 +197,7 @@ def _sources(arrays: Mapping[str, Any], path: Path) -> dict[str, Any]:
     strange = [name for name in arrays if name not in FIELDS]
     if strange or TIME not in arrays:
         fault = f"an array {strange[0]!r}" if strange else "no array 'time'"
-        msg = f"{path}: got {fault}, allowed are {', '.join((TIME, *MOTION))}"
-        raise InputError(msg)
+        raise InputError(f"{path}: got {fault}, allowed are {', '.join((TIME, *MOTION))}")
     sources = {name: one for name, one in arrays.items() if name in (TIME, *_RANKS)}
     for name, one in sources.items():
         if one.dtype.kind not in "fiu":
@@ -210,8 +210,7 @@ def _same_count(counts: dict[str, int], source: Path | str) -> int:
     """Return the number of trajectories common to all arrays; 1 if there are no arrays."""
     if len(set(counts.values())) > 1:
         sizes = ", ".join(f"{name} {count}" for name, count in counts.items())
-        msg = f"{source}: got arrays of different numbers of trajectories: {sizes}"
-        raise InputError(msg)
+        raise InputError(f"{source}: got arrays of different numbers of trajectories: {sizes}")
     return max(counts.values(), default=1)
 
 
@@ -228,8 +227,7 @@ def _member(file: IO[bytes], path: Path) -> Any:
         msg = f"{path}: holds {file.name}, which is no array; allowed are arrays of numbers"
         raise InputError(msg) from error
     if dtype.hasobject:
-        msg = f"{path}: holds Python objects; allowed are arrays of numbers"
-        raise InputError(msg)
+        raise InputError(f"{path}: holds Python objects; allowed are arrays of numbers")
     stream = _Stream(file, shape, dtype)
     return stream.take(shape[::-1]).transpose() if by_columns else stream
 
@@ -253,16 +251,8 @@ class _Stream:
         size = math.prod(shape) * self.dtype.itemsize
         content = self.file.read(size)
         if len(content) < size or min(shape, default=0) < 0:
-            msg = "an array ends too early"
-            raise EOFError(msg)
+            raise EOFError("an array ends too early")
         return np.frombuffer(content, self.dtype).reshape(shape)
-
-
-def _own_scene(facts: Mapping[str, Any], path: Path) -> Scene:
-    if "scene" not in facts:
-        msg = f"{path}: the file does not contain its scene; give it with --scene"
-        raise InputError(msg)
-    return scene_of(facts["scene"], path, "give it with --scene")
 
 
 def _facts_of(arrays: Mapping[str, Any], facts: Mapping[str, Any], where: str) -> dict[str, Any]:
@@ -301,18 +291,16 @@ def _clock(time: Array, blur: float, scene: Scene, source: str) -> Clock:
         raise InputError(msg)
     if not np.isfinite(time).all():
         k = int(np.isfinite(time).argmin())
-        msg = f"{source}: time: got {time[k]} in frame {k}; allowed are finite numbers"
-        raise InputError(msg)
+        raise InputError(f"{source}: time: got {time[k]} in frame {k}; allowed are finite numbers")
     steps = np.diff(time)
     median = float(np.median(steps))
     deviation = np.abs(steps - median)
     if median <= 0 or deviation.max() > _SAME_FRAME * median + min(4.0 * blur, 0.5 * median):
         k = int(deviation.argmax())
-        msg = (
+        raise InputError(
             f"{source}: time is not uniform: frame {k + 1} comes {steps[k]:.6g} s after the one "
             f"before, the median is {median:.6g} s; resample it, or leave frames out"
         )
-        raise InputError(msg)
     frame, mean = scene.clock.frame, float(steps.mean())
     tolerance = min(2.0 * blur / len(steps), 0.1 * frame)
     same = abs(mean - frame) <= _SAME_FRAME * frame + tolerance
@@ -333,20 +321,18 @@ def _shaped(
         values = values[None] if values.ndim == len(wanted) else values
         if values.shape[1:] != wanted:
             shape = ", ".join(map(str, wanted))
-            msg = (
+            raise InputError(
                 f"{source}: {group.name}: got shape {values.shape}, allowed for {scene.name} is "
                 f"(trajectories, {shape}): {'steps' if per_step else 'frames'}, then {group.span}"
             )
-            raise InputError(msg)
         bad = np.argwhere(~np.isfinite(values))
         if len(bad):
             row, frame = bad[0][:2]
-            msg = (
+            raise InputError(
                 f"{source}: {group.name}: got {values[tuple(bad[0])]} in trajectory "
                 f"{first + row}, frame {frame}; allowed are finite numbers: cut the "
                 "trajectory off before"
             )
-            raise InputError(msg)
         shaped[group.name] = values
     _same_count({name: len(values) for name, values in shaped.items()}, source)
     return shaped

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim import reference
-from mbds_xsim.base.arrays import Array, Index, Mask
+from mbds_xsim.base.arrays import Index, Mask
 from mbds_xsim.base.isolate import Crash
 from mbds_xsim.checks import CHECKS, Finding, Record, agreement, audited
 from mbds_xsim.checks.coefficients import evidence_of, shared_faults
@@ -65,37 +64,24 @@ which are known for the audit sample only."""
 _NUMBERS = {name: k for k, name in enumerate(COLUMNS)}
 
 
-@dataclass(eq=False)
 class CheckTable:
-    """Results of the checks on some trajectories, as they are stored."""
+    """Results of the checks on some trajectories, as they are stored; there are none at first."""
 
-    figure: Array
-    """Worst figures, NaN where a check does not apply, shape (trajectory, check)."""
-    allowed: Array
-    """Largest allowed figures; ∞ if a figure is shown but not judged."""
-    frame: NDArray[np.int32]
-    reasons: list[list[str]]
-    """Reasons why each trajectory fails, in the order of the checks."""
-    failed: Mask
-    """Whether each check fails, shape (trajectory, check)."""
-    ended: Mask
-    """Whether the engine ended the trajectory early, so that it fails anyway; (trajectory,)."""
-    misbuilt: list[str]
-    """Faults of the engine's model as a whole: with any of them all trajectories are wrong."""
-
-    @staticmethod
-    def empty(count: int) -> CheckTable:
-        """Return a table in which nothing has been checked yet."""
+    def __init__(self, count: int) -> None:
         shape = (count, len(COLUMNS))
-        return CheckTable(
-            figure=np.full(shape, np.nan),
-            allowed=np.full(shape, np.nan),
-            frame=np.full(shape, -1, dtype=np.int32),
-            reasons=[[] for _ in range(count)],
-            failed=np.zeros(shape, dtype=bool),
-            ended=np.zeros(count, dtype=bool),
-            misbuilt=[],
-        )
+        self.figure = np.full(shape, np.nan)
+        """Worst figures, NaN where a check does not apply, shape (trajectory, check)."""
+        self.allowed = np.full(shape, np.nan)
+        """Largest allowed figures; ∞ if a figure is shown but not judged."""
+        self.frame = np.full(shape, -1, dtype=np.int32)
+        self.reasons: list[list[str]] = [[] for _ in range(count)]
+        """Reasons why each trajectory fails, in the order of the checks."""
+        self.failed = np.zeros(shape, dtype=bool)
+        """Whether each check fails, shape (trajectory, check)."""
+        self.ended = np.zeros(count, dtype=bool)
+        """Whether the engine ended the trajectory early, so that it fails anyway; (trajectory,)."""
+        self.misbuilt: list[str] = []
+        """Faults of the engine's model as a whole: with any of them all trajectories are wrong."""
 
     def add(self, rows: Index, findings: Iterable[Finding]) -> None:
         """Store findings about some of the trajectories."""
@@ -150,7 +136,7 @@ def judge_rows(
 
     `truth` is the reference solution of the rows in the audit sample; it is solved here if None.
     """
-    verdict = CheckTable.empty(len(batch))
+    verdict = CheckTable(len(batch))
     for row, failure in enumerate(trajectory.failures):
         if failure is not None:
             verdict.ended[row] = True

@@ -39,6 +39,7 @@ from mbds_xsim.reference.kernels import REFERENCE, compile_once
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import STATES
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.timed import Work, forewarnings
 
@@ -104,8 +105,7 @@ def generate(
     """
     begin, progress = time.perf_counter(), progress or Silent()
     if not 1 <= request.trajectories <= _MOST:
-        msg = f"--trajectories: got {request.trajectories}, allowed is 1 to {_MOST}"
-        raise InputError(msg)
+        raise InputError(f"--trajectories: got {request.trajectories}, allowed is 1 to {_MOST}")
     if request.seed > _LARGEST_SEED:
         msg = f"--seed: got {request.seed}, allowed is 0 to {_LARGEST_SEED}, which a file can store"
         raise InputError(msg)
@@ -180,18 +180,14 @@ def _check_drawn(scene: Scene, request: Request) -> None:
     drawn = draw_batch(scene, range(count), seed=request.seed, noise=request.noise)
     first: dict[bytes, int] = {}
     for row in range(count):
-        start = drawn[row : row + 1]
-        values = (start.position, start.orientation, start.velocity, start.angular_velocity)
-        earlier = first.setdefault(
-            b"".join(v.tobytes() for v in (*values, start.force, start.torque)), row
-        )
+        values = (getattr(drawn, key)[row] for key in (*STATES, "force", "torque"))
+        earlier = first.setdefault(b"".join(each.tobytes() for each in values), row)
         if earlier != row:
-            msg = (
+            raise InputError(
                 f"{scene.name}: trajectories {earlier} and {row} would be the same, as nothing "
                 "in the scene is random; give the scene [[sampling]] or noise, or ask for "
                 f"--trajectories {row}"
             )
-            raise InputError(msg)
 
 
 def _make(

@@ -74,10 +74,8 @@ def refuse_other(path: Path) -> None:
     if path.is_file():
         return
     if path.exists():
-        msg = f"{path}: this is no file but a folder, a pipe or a device; name a file"
-        raise InputError(msg)
-    msg = f"{path}: there is no such file"
-    raise InputError(msg)
+        raise InputError(f"{path}: this is no file but a folder, a pipe or a device; name a file")
+    raise InputError(f"{path}: there is no such file")
 
 
 def refuse_bomb(path: Path, unpacked: int, size: int | None = None) -> None:
@@ -93,11 +91,10 @@ def refuse_bomb(path: Path, unpacked: int, size: int | None = None) -> None:
     """
     size = path.stat().st_size if size is None else size
     if unpacked > max(_SMALL, _DENSEST * size):
-        msg = (
+        raise InputError(
             f"{path}: its {size / 1e6:.3g} MB claim to unpack to {unpacked / 1e6:.3g} MB, "
             f"allowed is {_DENSEST} times the size; compress it less if that is true"
         )
-        raise InputError(msg)
 
 
 def check_sources(dataset: Any) -> None:
@@ -130,8 +127,7 @@ def _check_self_contained(file: Any, path: Path) -> None:
     # Nothing may be raised while the library visits.
     file.id.links.visit(lambda name, link: links.append((name, link.type)), info=True)
     if any(kind == h5py.h5l.TYPE_EXTERNAL for _, kind in links):
-        msg = f"{path}: holds a link to another file; put all data into one"
-        raise InputError(msg)
+        raise InputError(f"{path}: holds a link to another file; put all data into one")
     total = 0
     for name, kind in links:
         item = h5py.h5o.open(file.id, name) if kind == h5py.h5l.TYPE_HARD else None
@@ -164,11 +160,10 @@ def attributes_of(path: Path) -> dict[str, Any]:
         msg = f"{path} is HDF5, but no {FORMAT} file: its attribute 'format' does not say so"
         raise InputError(msg)
     if not isinstance(attrs.get("layout_version"), int) or attrs["layout_version"] > VERSION:
-        msg = (
+        raise InputError(
             f"{path} has layout version {attrs.get('layout_version')}, this program reads up to "
             f"{VERSION}; install a newer mbds-xsim"
         )
-        raise InputError(msg)
     required = [key for key in ATTRIBUTES if key in _JOINT or not _is(attrs.get("kind"), "joint")]
     context = f"{path}: attribute ", "; get the file again"
     with_defaults = ATTRIBUTE_DEFAULTS | attrs
@@ -185,16 +180,14 @@ def scene_of(text: Any, path: Path, advice: str = "get the file again") -> Scene
         return msgspec.convert(tomllib.loads(str(text)), Scene)
     # The parser raises the last two for invalid text, huge numbers and deep nesting.
     except (msgspec.ValidationError, TypeError, ValueError, RecursionError) as error:
-        msg = f"{path}: its attribute scene is no scene: {error}; {advice}"
-        raise InputError(msg) from error
+        raise InputError(f"{path}: its attribute scene is no scene: {error}; {advice}") from error
 
 
 def check_fit(file: Any, path: Path, kind: str, scene: Scene | None) -> None:
     """Raise InputError unless the datasets are those of the layout and the scene."""
     fault = next(misfits(file, kind, scene), None)
     if fault is not None:
-        msg = f"{path}: {fault}; get it again, or generate it anew"
-        raise InputError(msg)
+        raise InputError(f"{path}: {fault}; get it again, or generate it anew")
 
 
 def misfits(file: Any, kind: str, scene: Scene | None) -> Iterator[str]:
@@ -256,19 +249,16 @@ def check_content(path: Path, names: Collection[str] | None = None) -> str | Non
     Only the values of the datasets in `names` are read, or of all if it is None.
     """
     with open_hdf5(path) as file:
-        for name, dataset in datasets_in(file).items():
+        sets = datasets_in(file)
+        for name, dataset in sets.items():
             checksum = dataset.attrs.get(SUM) if names is None or name in names else None
             if checksum is not None and str(checksum) != sum_of(np.asarray(dataset[()])):
                 return f"dataset {name} is not what was written"
-        if str(file.attrs.get(CONTENT)) != _content_of(file):
+        own = {key: value for key, value in file.attrs.items() if key != CONTENT}
+        content = digest({name: dataset.attrs for name, dataset in sets.items()} | {"": own})
+        if str(file.attrs.get(CONTENT)) != content:
             return "attributes are not what was written"
     return None
-
-
-def _content_of(file: Any) -> str:
-    attributes = {name: dataset.attrs for name, dataset in datasets_in(file).items()}
-    own = {key: value for key, value in file.attrs.items() if key != CONTENT}
-    return digest({**attributes, "": own})
 
 
 def digest(attributes: Mapping[str, Attributes]) -> str:

@@ -66,9 +66,8 @@ class PairedData:
         series = tuple(value for value in values if isinstance(value, Series))
         if series:
             return PairedSeries.of(series, self.rows)
-        per_trajectory = FIELDS[name].per_trajectory
         whole = np.asarray(values[0])
-        return whole[self.rows[0]] if per_trajectory else whole
+        return whole[self.rows[0]] if FIELDS[name].per_trajectory else whole
 
     def to_xarray(self, names: Sequence[str] = ("position", "velocity")) -> Any:
         """Read datasets into an `xarray.Dataset` with the axes of the layout, and `engine`.
@@ -135,11 +134,10 @@ def check_alike(files: Sequence[Dataset]) -> None:
         for key in _SAME:
             if file.attributes[key] != first.attributes[key]:
                 mismatch = "another scene" if key == "scene" else f"{key} {file.attributes[key]}"
-                msg = (
+                raise InputError(
                     f"{file.path}: {mismatch}, unlike {first.path.name}; domains must be the same "
                     "motions, generate them in one run"
                 )
-                raise InputError(msg)
 
 
 def check_paired(files: Sequence[Dataset], rows: Sequence[Index], names: Sequence[str]) -> None:
@@ -150,8 +148,7 @@ def check_paired(files: Sequence[Dataset], rows: Sequence[Index], names: Sequenc
             same = (file[name][chosen] == first).reshape(len(first), -1).all(axis=1)
             if not same.all():
                 number = file.index[chosen[np.flatnonzero(~same)[0]]]
-                msg = (
+                raise InputError(
                     f"{file.path}: {name} of trajectory {number} is not that of "
                     f"{files[0].path.name}; the domains are not paired, generate them in one run"
                 )
-                raise InputError(msg)

@@ -50,8 +50,7 @@ def load_dataset(path: str | Path) -> Dataset:
     attributes = attributes_of(path)
     kind = attributes["kind"]
     if kind not in ("shard", "rejected", "joined"):
-        msg = f"{path} holds no trajectories, it is of the kind {kind!r}"
-        raise InputError(msg)
+        raise InputError(f"{path} holds no trajectories, it is of the kind {kind!r}")
     scene = scene_of(attributes["scene"], path)
     with open_hdf5(path) as file:
         check_fit(file, path, kind, scene)
@@ -126,11 +125,10 @@ class Dataset:
         """
         if not isinstance(name, str):
             got = repr(name) if isinstance(name, int | slice) else "…"
-            msg = (
+            raise UnknownDataset(
                 f"data[{got}]: a data set is indexed by names of its datasets; give rows of "
                 f'trajectories to one of them, as data["position"][{got}]'
             )
-            raise UnknownDataset(msg)
         if name in self.small:
             return self.small[name]
         if name not in self.like:
@@ -210,8 +208,7 @@ class Dataset:
             InputError: There is no such part, or the file is a shard, which has no split.
         """
         if split not in SPLITS:
-            msg = f"split: got {split!r}, allowed is {', '.join(SPLITS)}"
-            raise InputError(msg)
+            raise InputError(f"split: got {split!r}, allowed is {', '.join(SPLITS)}")
         if "split" not in self.small:
             msg = f"{self.path} is one shard; the split is in the file that joins the shards"
             raise InputError(msg)
@@ -312,8 +309,7 @@ def joined_files(path: Path, engines: str | None = None) -> list[Path]:
         InputError: There are no data sets, or none of an engine named.
     """
     if not path.exists():
-        msg = f"{path}: there is no such file or folder"
-        raise InputError(msg)
+        raise InputError(f"{path}: there is no such file or folder")
     # Data sets are named by engine and settings, shards by a number; others need not be read.
     candidates = [path] if path.is_file() else sorted(path.rglob(f"*-*{SUFFIX}"))
     kinds = {file: attributes_of(file) for file in candidates}
@@ -343,10 +339,9 @@ def parse_numbers(text: str, option: str) -> list[int]:
         match = re.fullmatch(r"\s*(\d{1,15})(?:-(\d{1,15}))?\s*", word)
         first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
         if not 0 <= last - first < _LONGEST:
-            msg = (
+            raise InputError(
                 f"{option}: got {text!r}, allowed are numbers and ranges of up to {_LONGEST}, as "
                 "0-9,15"
             )
-            raise InputError(msg)
         numbers |= set(range(first, last + 1))
     return sorted(numbers)

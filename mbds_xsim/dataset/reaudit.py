@@ -203,8 +203,7 @@ def making_of(data: Dataset) -> Making:
         velocity_lag=attrs["velocity_lag_s"] / attrs["step_s"],
         single=attrs["single_precision"],
     )
-    adaptive = method.order > method.order_for(data.scene)
-    method = dataclasses.replace(method, adaptive=adaptive)
+    method = dataclasses.replace(method, adaptive=method.order > method.order_for(data.scene))
     return Making(method, attrs["step_s"], attrs["contact_time_s"])
 
 

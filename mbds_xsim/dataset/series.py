@@ -53,11 +53,10 @@ class MappedFile:
         values = _values(self, name)
         wanted = (self.rows, *like.shape[1:])
         if (values.shape, values.dtype) != (wanted, like.dtype):
-            msg = (
+            raise InputError(
                 f"{self.path}: {name} is {values.dtype} of shape {values.shape}, expected is "
                 f"{like.dtype} of {wanted}; get it again, or generate it anew"
             )
-            raise InputError(msg)
         return values
 
 
@@ -69,8 +68,7 @@ def _values(part: MappedFile, name: str) -> NDArray[Any]:
             raise InputError(msg)
         dataset = file.get(name)
         if not isinstance(dataset, h5py.Dataset):
-            msg = f"{part.path} has no dataset {name!r}"
-            raise InputError(msg)
+            raise InputError(f"{part.path} has no dataset {name!r}")
         offset = _offset(dataset, part.stamp)
         if offset is None:
             values = values_of(dataset)
@@ -126,9 +124,9 @@ class Rows(ABC):
     def __len__(self) -> int:
         """Return the number of trajectories."""
 
-    @abstractmethod
     def _one(self, row: int) -> NDArray[Any]:
         """Return one trajectory, by a row counted from 0."""
+        return self._take(np.array([row]))[0]
 
     @abstractmethod
     def _take(self, rows: Index) -> NDArray[Any]:
@@ -157,8 +155,7 @@ class Rows(ABC):
         rows, *rest = key if isinstance(key, tuple) and key else (key,)
         if isinstance(rows, int | np.integer) and not isinstance(rows, bool):
             if not -len(self) <= rows < len(self):
-                msg = f"row {rows} of {len(self)}"
-                raise IndexError(msg)
+                raise IndexError(f"row {rows} of {len(self)}")
             one = self._one(int(rows) % len(self))
             return one[None][(0, *rest)] if rest else one
         chosen = np.arange(len(self))[rows] if isinstance(rows, slice | list | np.ndarray) else None
@@ -243,9 +240,6 @@ class PairedSeries(Rows):
     def __len__(self) -> int:
         return len(self.rows[0])
 
-    def _one(self, row: int) -> NDArray[Any]:
-        return self._take(np.array([row]))[0]
-
     def _take(self, rows: Index) -> NDArray[Any]:
         pairs = zip(self.members, self.rows, strict=True)
         return np.stack([one[own[rows]] for one, own in pairs], axis=rows.ndim)
@@ -268,8 +262,7 @@ class Windows:
     def __post_init__(self) -> None:
         frames = self.series[0].shape[1]
         if not isinstance(self.length, int | np.integer) or not 1 <= self.length <= frames:
-            msg = f"length: got {self.length!r}, allowed is 1 to {frames} frames"
-            raise InputError(msg)
+            raise InputError(f"length: got {self.length!r}, allowed is 1 to {frames} frames")
 
     @property
     def per_trajectory(self) -> int:
@@ -291,13 +284,11 @@ class Windows:
         """
         indices = np.asarray(numbers)
         if indices.size and indices.dtype.kind not in "iu":
-            msg = f"windows are taken by whole numbers, got {indices.dtype}"
-            raise IndexError(msg)
+            raise IndexError(f"windows are taken by whole numbers, got {indices.dtype}")
         numbers = indices.astype(np.int64)
         outside = numbers[(numbers < 0) | (numbers >= len(self))]
         if len(outside):
-            msg = f"window {outside[0]} of {len(self)}"
-            raise IndexError(msg)
+            raise IndexError(f"window {outside[0]} of {len(self)}")
         row, frame = self.where(numbers)
         shard = self.series[0].shard_of(row)
         return tuple(self._gather(series, shard, row, frame) for series in self.series)
@@ -312,15 +303,10 @@ class Windows:
         return list(zip(*self.take(numbers), strict=True))
 
     def _gather(self, series: Series, shard: Index, row: Index, frame: Index) -> NDArray[Any]:
-        shape = (len(row), self.length, *series.shape[2:])
-        windows = np.empty(shape, series.shard(0).dtype)
+        windows = np.empty((len(row), self.length, *series.shape[2:]), series.shard(0).dtype)
         for k in np.unique(shard):
             here = np.flatnonzero(shard == k)
             first = (row[here] - series.first[k]) * series.shape[1] + frame[here]
             frames = series.shard(int(k)).reshape(-1, *series.shape[2:])
-            windows[here] = frames[first[:, None] + self._steps]
+            windows[here] = frames[first[:, None] + np.arange(self.length)]
         return windows
-
-    @functools.cached_property
-    def _steps(self) -> Index:
-        return np.arange(self.length)

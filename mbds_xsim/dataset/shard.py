@@ -144,12 +144,12 @@ def _simulated(
     some = batch if len(runs) == len(batch) else batch[runs]
     simulation = simulate(scene, some, contender.engine, contender.settings)
     about = Mechanism.of(scene), some, contender.settings
-    lines = compare(*about, simulation.readback, variant.method)
-    misbuilt = [f"read-back: {line}" for line in lines]
-    if some is batch:
-        return simulation.trajectory, misbuilt, simulation.cpu_s
-    whole = _crashed(variant, batch, crashes).replaced(np.array(runs), simulation.trajectory)
-    return whole, misbuilt, simulation.cpu_s
+    faults = compare(*about, simulation.readback, variant.method)
+    misbuilt = [f"read-back: {line}" for line in faults]
+    trajectory = simulation.trajectory
+    if some is not batch:
+        trajectory = _crashed(variant, batch, crashes).replaced(np.array(runs), trajectory)
+    return trajectory, misbuilt, simulation.cpu_s
 
 
 def _crashed(variant: Variant, batch: Batch, crashes: Crashes) -> Trajectory:

@@ -94,12 +94,7 @@ def summaries(path: Path) -> list[Summary]:
 def summary_of(data: Dataset) -> Summary:
     """Summarize a data set."""
     attrs, scene = data.attributes, data.scene
-    rejected = rejected_beside(data)
-    files = {data.path, *data.files, *rejected.glob("*.h5")}
-    names = [file.name for file in data.files]
-    by_cause = causes(rejected, names)
-    if attrs["kind"] == "rejected":
-        by_cause = Counter(map(cause_of, data.small["reason"]))
+    files = {data.path, *data.files, *_rejected_beside(data).glob("*.h5")}
     own = {field.name for field in dataclasses.fields(Summary)} - {"scene"}
     return Summary(
         **{key: attrs[key] for key in own & ATTRIBUTES.keys()},
@@ -109,7 +104,7 @@ def summary_of(data: Dataset) -> Summary:
         bodies=len(scene.bodies),
         points=len(data["graph/point_body"]),
         drawn=attrs["count"],
-        rejected_by=dict(by_cause.most_common()),
+        rejected_by=dict(causes_of(data).most_common()),
         counts=counts_of(data),
         figures=tuple(_ranges(data)),
         shards=len(data.files),
@@ -117,7 +112,14 @@ def summary_of(data: Dataset) -> Summary:
     )
 
 
-def rejected_beside(data: Dataset) -> Path:
+def causes_of(data: Dataset) -> Counter[str]:
+    """Count rejected trajectories, beside a data set or in it, by the check that failed first."""
+    if data.attributes["kind"] == "rejected":
+        return Counter(map(cause_of, data.small["reason"]))
+    return causes(_rejected_beside(data), [file.name for file in data.files])
+
+
+def _rejected_beside(data: Dataset) -> Path:
     """Return the folder of a joined file's rejected trajectories; an absent one for other files."""
     folder = data.path.absolute().with_suffix("")
     return rejected_folder(folder) if data.attributes["kind"] == "joined" else folder
@@ -168,14 +170,9 @@ def draw_paths(data: Dataset, path: Path) -> None:
     Raises:
         InputError: The set is empty, or the file cannot be written.
     """
-    rows = [
-        int(matches[0])
-        for k in range(len(INTERVALS))
-        if len(matches := np.flatnonzero(data.index % len(INTERVALS) == k))
-    ]
+    rows = np.unique(data.index % len(INTERVALS), return_index=True)[1].tolist()
     if not rows:
-        msg = f"--png: {data.path} has no trajectories to draw"
-        raise InputError(msg)
+        raise InputError(f"--png: {data.path} has no trajectories to draw")
     size, stacked = _panel_size(data, rows)
     down, across = (len(rows), 1) if stacked else (1, len(rows))
 
@@ -202,10 +199,7 @@ def _panel_size(data: Dataset, rows: list[int]) -> tuple[tuple[float, float], bo
     """Return the size of a panel [inches] that fits the motion, and whether panels are stacked."""
     if data.attributes["dimension"] == 1:
         return (3.6, 4.0), False
-    view, points = _view(data), Points.of(data.scene)
-    flat = np.concatenate(
-        [view.flat(points.lifted(data.position[row])).reshape(-1, 2) for row in rows]
-    )
+    flat = np.concatenate([_flat(data, data.position[row]).reshape(-1, 2) for row in rows])
     width, height = np.ptp(flat, axis=0) + 1e-9
     if width > _WIDE * height:
         return (9.0, max(1.2, 9.0 * float(height / width)) + 0.6), True
@@ -224,25 +218,27 @@ def _panel(axes: Any, data: Dataset, row: int) -> None:
     if data.attributes["dimension"] == 1:
         axes.plot(data["time"], position[..., 0], color=colour, linewidth=1.0)
         return
-    view = _view(data)
-    flat = view.flat(Points.of(data.scene).lifted(position))
+    flat = _flat(data, position)
     for point in range(flat.shape[1]):
         axes.plot(*flat[:, point].T, color=colour, linewidth=0.9, alpha=0.85)
     for frame, shade, width in ((0, PALE, 1.0), (-1, DRAWN, 1.2)):
-        _bones(axes, data, view, flat[frame], shade, width)
+        _bones(axes, data, flat[frame], shade, width)
     axes.set_aspect("equal", adjustable="box")
 
 
-def _bones(
-    axes: Any, data: Dataset, view: Projection, flat: Array, colour: str, width: float
-) -> None:
+def _bones(axes: Any, data: Dataset, flat: Array, colour: str, width: float) -> None:
     """Draw the points, edges and fixed nodes of one frame."""
-    fixed = view.flat(Points.of(data.scene).lifted(np.asarray(data["graph/static_node"])))
+    fixed = _flat(data, np.asarray(data["graph/static_node"]))
     nodes = np.concatenate([flat, fixed])
     for a, b in np.asarray(data["graph/edge"]):
         axes.plot(*nodes[[a, b]].T, color=colour, linewidth=width)
     axes.plot(*flat.T, ".", color=colour, ms=3)
     axes.plot(*fixed.T, "^", color=DRAWN, ms=6)
+
+
+def _flat(data: Dataset, values: NDArray[Any]) -> Array:
+    """Project positions, given by the components in which the scene moves."""
+    return _view(data).flat(Points.of(data.scene).lifted(values))
 
 
 def _view(data: Dataset) -> Projection:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -158,11 +158,10 @@ def pending(variant: Variant, trajectories: int, out: Path) -> list[Item]:
     present = {path.name for path in folder.glob(f"*{SUFFIX}")}
     beyond = sorted(present - {item.file_name for item in items})
     if beyond:
-        msg = (
+        raise InputError(
             f"{folder} holds {beyond[0]}, which does not belong to {trajectories} trajectories; "
             "ask for as many as before, or name another --out"
         )
-        raise InputError(msg)
     return [
         item
         for item in items
@@ -174,33 +173,20 @@ def check_same_draws(variant: Variant, out: Path) -> None:
     """Raise InputError if another variant in the folder has other starts."""
     folder = variant.folder(out).parent
     others = {path.parent: path for path in folder.glob(f"*/*{SUFFIX}")}
+    fault = f"{folder} holds trajectories that cannot be paired with those asked for"
     for path in others.values():
-        attrs = _attributes(path)
-        for key in SHARED:
-            if attrs.get(key) != variant.recipe[key]:
-                msg = (
-                    f"{folder} holds trajectories that cannot be paired with those asked for: "
-                    f"{_difference(key, attrs.get(key), variant.recipe[key])}; name another --out"
-                )
-                raise InputError(msg)
+        _check_same(_attributes(path), {key: variant.recipe[key] for key in SHARED}, fault)
 
 
 def _is_complete(item: Item, path: Path) -> bool:
     """Return whether a file is this shard; a shorter one, of a smaller set, is made anew."""
     attrs = _attributes(path)
-    for key, wanted in item.variant.recipe.items():
-        if attrs.get(key) != wanted:
-            msg = (
-                f"{path} was made differently: {_difference(key, attrs.get(key), wanted)}; "
-                "name another --out"
-            )
-            raise InputError(msg)
+    _check_same(attrs, item.variant.recipe, f"{path} was made differently")
     if attrs.get("count", 0) > item.count:
-        msg = (
+        raise InputError(
             f"{path} holds {attrs['count']} trajectories, needed are {item.count}: it is from a "
             "larger set or another version; ask for as many as before, or name another --out"
         )
-        raise InputError(msg)
     return bool(attrs["count"] == item.count)
 
 
@@ -208,11 +194,15 @@ def _attributes(path: Path) -> dict[str, Any]:
     try:
         return attributes_of(path)
     except InputError as error:
-        msg = f"{error}; delete it to make it anew, or name another --out"
-        raise InputError(msg) from error
+        raise InputError(f"{error}; delete it to make it anew, or name another --out") from error
 
 
-def _difference(key: str, got: Any, wanted: Any) -> str:
-    if isinstance(wanted, str) and "\n" in wanted:
-        return f"its {key} differs from the one given"
-    return f"its {key} is {got!r}, now asked for is {wanted!r}"
+def _check_same(attrs: Mapping[str, Any], wanted: Mapping[str, Any], fault: str) -> None:
+    """Raise InputError with the fault and the first attribute that differs, if one does."""
+    for key, value in wanted.items():
+        if attrs.get(key) == value:
+            continue
+        cause = f"is {attrs.get(key)!r}, now asked for is {value!r}"
+        if isinstance(value, str) and "\n" in value:
+            cause = "differs from the one given"
+        raise InputError(f"{fault}: its {key} {cause}; name another --out")

@@ -110,8 +110,7 @@ def verify(
     loose = _loose(shards, joined) if path.is_dir() else set()
     for report in reports:
         if report.file in loose:
-            note = "not joined yet: run mbds-xsim generate again to finish the set"
-            report.notes.append(note)
+            report.notes.append("not joined yet: run mbds-xsim generate again to finish the set")
     variants = tuple(
         {"file": str(file), **{key: facts[file].get(key) for key in _ABOUT}}
         for file in joined or shards[:1]
@@ -227,7 +226,8 @@ def _differences(file: Any, content: bytes) -> Iterator[str]:
     with h5py.File(io.BytesIO(content)) as wanted:
         for name, dataset in datasets_in(wanted).items():
             got = file.get(name)
-            if not isinstance(got, h5py.Dataset) or _form(got) != _form(dataset):
+            form = dataset.is_virtual, dataset.shape
+            if not isinstance(got, h5py.Dataset) or (got.is_virtual, got.shape) != form:
                 yield f"{name}: does not join the shards"
             elif got.dtype != dataset.dtype:
                 yield f"{name}: has the type {got.dtype}, not {dataset.dtype}"
@@ -235,10 +235,6 @@ def _differences(file: Any, content: bytes) -> Iterator[str]:
                 yield f"{name}: takes its rows from elsewhere than the shards"
             elif not dataset.is_virtual and not np.array_equal(got[()], dataset[()]):
                 yield f"{name}: not that of the shards"
-
-
-def _form(dataset: Any) -> tuple[bool, tuple[int, ...]]:
-    return dataset.is_virtual, dataset.shape
 
 
 def _sources(dataset: Any) -> list[tuple[Any, ...]]:
@@ -299,8 +295,7 @@ def _recheck_metadata(path: Path, report: FileReport) -> None:
     if not isinstance(metadata, dict):
         report.problems.append("is no Croissant metadata")
         return
-    differing = [*_differing_entries(metadata, json.loads(wanted[CROISSANT]))]
-    _tell_differing(report, differing, wanted)
+    _tell_differing(report, [*_differing_entries(metadata, json.loads(wanted[CROISSANT]))], wanted)
 
 
 def _tell_differing(report: FileReport, differing: list[str], wanted: dict[str, bytes]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from typing import TYPE_CHECKING, Literal
 
@@ -25,6 +26,8 @@ from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
+_Goal = list[tuple[PlacedJoint, float]]  # joints, each with the coordinate that it must have
+
 _STRIDE = 0.1  # largest change of a joint coordinate between two solves [rad or scene lengths]
 _MOST_STRIDES = 1000
 _NEWTON_STEPS = 50
@@ -47,20 +50,18 @@ def assemble(mechanism: Mechanism) -> BodyStates:
     Raises:
         SceneError: A loop cannot be closed, or given velocities break a joint.
     """
-    still = np.zeros((mechanism.body_count, 3))
-    pose = mechanism.com.copy(), np.tile(rotation.IDENTITY, (mechanism.body_count, 1))
+    start = BodyStates.at_reference(mechanism)
     if not (mechanism.joints or mechanism.distances):  # so all bodies are free
         bodies = mechanism.scene.bodies
-        velocity = [body.velocity or (0.0, 0.0, 0.0) for body in bodies]
-        angular_velocity = [body.angular_velocity or (0.0, 0.0, 0.0) for body in bodies]
-        return BodyStates(*pose, np.array(velocity), np.array(angular_velocity))
+        velocity = np.array([body.velocity or (0.0, 0.0, 0.0) for body in bodies])
+        spin = np.array([body.angular_velocity or (0.0, 0.0, 0.0) for body in bodies])
+        return dataclasses.replace(start, velocity=velocity, angular_velocity=spin)
     if not _follows_from(mechanism, "start"):
-        pose = _assemble_pose(mechanism, *pose)
-    start = _on_its_tree(mechanism, BodyStates(*pose, still, still.copy()))
+        start = _assemble_pose(mechanism, start)
+    start = _on_its_tree(mechanism, start)
     if _follows_from(mechanism, "rate"):
         return start
-    pose = start.position, start.native
-    return _on_its_tree(mechanism, BodyStates(*pose, *_complete_velocities(mechanism, *pose)))
+    return _on_its_tree(mechanism, _complete_velocities(mechanism, start))
 
 
 def _follows_from(mechanism: Mechanism, key: Literal["start", "rate"]) -> bool:
@@ -102,9 +103,7 @@ def check_joints(mechanism: Mechanism, starts: BodyStates) -> None:
 
     `starts` may have leading axes.
     """
-    rows = constraint_rows(
-        mechanism, starts.position, starts.native, starts.velocity, starts.angular_velocity
-    )
+    rows = constraint_rows(mechanism, **vars(starts))
     lead = starts.position.shape[:-2]
     twist = np.concatenate([starts.velocity, starts.angular_velocity], axis=-1)
     twist = np.concatenate([twist, np.zeros((*lead, 1, 6))], axis=-2)
@@ -127,11 +126,10 @@ def check_joints(mechanism: Mechanism, starts: BodyStates) -> None:
             worst = int(np.argmax(per_row))
             name = _owner_name(mechanism, int(owners[worst]))
             fault = template.format(name, per_row[worst])
-            msg = (
+            raise SceneError(
                 f"sampling: the drawn {fault}, allowed is {allowed:.0e}; draw the others that this "
                 "joint holds along with it, or leave the draw out"
             )
-            raise SceneError(msg)
 
 
 def check_limits(mechanism: Mechanism, starts: BodyStates) -> None:
@@ -139,14 +137,13 @@ def check_limits(mechanism: Mechanism, starts: BodyStates) -> None:
     for joint in mechanism.limited:
         past = joint.beyond(joint_coordinate(joint, starts.position, starts.native)).max(initial=0)
         if past > _GAP_TOLERANCE:
-            msg = (
+            raise SceneError(
                 f"the start of joint {joint.name!r} is {past:.3g} rad or m past its limits, "
                 f"allowed is {list(joint.limits or ())}; start it within"
             )
-            raise SceneError(msg)
 
 
-def _assemble_pose(mechanism: Mechanism, position: Array, native: Array) -> tuple[Array, Array]:
+def _assemble_pose(mechanism: Mechanism, start: BodyStates) -> BodyStates:
     scene = mechanism.scene
     pairs = [(placed, scene.joints[placed.index]) for placed in mechanism.joints]
     targets = [(placed, float(joint.start)) for placed, joint in pairs if joint.start is not None]
@@ -155,82 +152,74 @@ def _assemble_pose(mechanism: Mechanism, position: Array, native: Array) -> tupl
     strides = min(int(np.ceil(needed)), _MOST_STRIDES)
     for k in range(1, strides + 1):
         goal = [(joint, target * k / strides) for joint, target in targets]
-        position, native = _close(mechanism, position, native, goal, again=k == strides)
-    return position, native
+        start = _close(mechanism, start, goal, again=k == strides)
+    return start
 
 
-def _close(
-    mechanism: Mechanism,
-    position: Array,
-    native: Array,
-    goal: list[tuple[PlacedJoint, float]],
-    *,
-    again: bool,
-) -> tuple[Array, Array]:
+def _close(mechanism: Mechanism, start: BodyStates, goal: _Goal, *, again: bool) -> BodyStates:
     """Take Newton steps until loops close and joints meet their goal; `again` adds one step."""
     tolerance = _CLOSED * max(1.0, mechanism.scene.length)
-    residual, jacobian, owner = _pose_rows(mechanism, position, native, goal)
+    residual, jacobian, owner = _pose_rows(mechanism, start, goal)
     for _ in range(_NEWTON_STEPS):
         off = np.abs(residual).max(initial=0.0)
         if off < tolerance and not (again and off > 0.0):
-            return position, native
+            return start
         again = again and not off < tolerance
-        step = -_least_energy(mechanism, position, native, jacobian, residual).reshape(-1, 2, 3)
+        step = -_least_energy(mechanism, start, jacobian, residual).reshape(-1, 2, 3)
         reach = max(np.abs(step[:, 0]).max() / mechanism.scene.length, np.abs(step[:, 1]).max())
         step *= min(1.0, _LONGEST_STEP / reach)
-        position = position + step[:, 0]
-        native = rotation.multiply(rotation.from_vector(step[:, 1]), native)
-        residual, jacobian, owner = _pose_rows(mechanism, position, native, goal)
+        native = rotation.multiply(rotation.from_vector(step[:, 1]), start.native)
+        start = dataclasses.replace(start, position=start.position + step[:, 0], native=native)
+        residual, jacobian, owner = _pose_rows(mechanism, start, goal)
     # A tree always closes, so one of the other constraints is to blame.
     tree = [link.joint.index for link in mechanism.links if link.joint is not None]
     blamed = np.where(np.isin(owner, tree) & (np.arange(len(owner)) < len(owner) - len(goal)), 0, 1)
     worst = int(np.argmax(np.abs(residual) * blamed))
-    msg = (
+    raise SceneError(
         f"{_owner_name(mechanism, int(owner[worst]))} cannot be closed: the start leaves it off by "
         f"{abs(residual[worst]):.3g} m or rad, allowed is {tolerance:.0e}; change a length, an "
         "anchor or a joint's start"
     )
-    raise SceneError(msg)
 
 
 def _pose_rows(
-    mechanism: Mechanism, position: Array, native: Array, goal: list[tuple[PlacedJoint, float]]
+    mechanism: Mechanism, start: BodyStates, goal: _Goal
 ) -> tuple[Array, csr_array, Array]:
     """Return residual, Jacobian and owner of all constraints, then of joints with a goal."""
     from scipy.sparse import vstack  # takes long to import
 
-    still = np.zeros_like(position)
-    rows = constraint_rows(mechanism, position, native, still, still)
+    rows, held = _joint_rows(mechanism, start)
     deviations = [
-        _wrapped(joint, float(joint_coordinate(joint, position, native)) - target)
+        _wrapped(joint, float(joint_coordinate(joint, start.position, start.native)) - target)
         for joint, target in goal
     ]
-    rates = [rate_row(mechanism, joint, position, native) for joint, _ in goal]
-    couplings = coupling_rows(mechanism, position, native)
-    off, _ = coupling_gaps(mechanism, BodyStates(position, native, still, still))
+    rates = [rate_row(mechanism, joint, start) for joint, _ in goal]
+    off, _ = coupling_gaps(mechanism, start)
     return (
         np.concatenate([rows.residual, off, deviations]),
-        vstack([sparse_jacobian(rows, mechanism.body_count), *couplings, *rates], format="csr"),
+        vstack([*held, *rates], format="csr"),
         np.concatenate([_owners(mechanism, rows), [joint.index for joint, _ in goal]]),
     )
 
 
-def _complete_velocities(
-    mechanism: Mechanism, position: Array, native: Array
-) -> tuple[Array, Array]:
+def _joint_rows(mechanism: Mechanism, start: BodyStates) -> tuple[ConstraintRows, list[csr_array]]:
+    """Return all constraint rows, and Jacobians of them and of couplings."""
+    rows = constraint_rows(mechanism, **vars(start))
+    couplings = coupling_rows(mechanism, start)
+    return rows, [sparse_jacobian(rows, mechanism.body_count), *couplings]
+
+
+def _complete_velocities(mechanism: Mechanism, start: BodyStates) -> BodyStates:
     from scipy.sparse import eye_array, vstack
 
     scene = mechanism.scene
-    still = np.zeros_like(position)
-    rows = constraint_rows(mechanism, position, native, still, still)
-    couplings = coupling_rows(mechanism, position, native)
-    jacobian = [sparse_jacobian(rows, mechanism.body_count), *couplings]
+    rows, jacobian = _joint_rows(mechanism, start)
     names = [_owner_name(mechanism, int(owner)) for owner in _owners(mechanism, rows)]
     wanted: list[float] = [0.0] * len(names)
     for placed in mechanism.joints:
         rate = scene.joints[placed.index].rate
         if rate is not None:
-            jacobian.append(rate_row(mechanism, placed, position, native))
+            jacobian.append(rate_row(mechanism, placed, start))
             wanted.append(rate)
             names.append(f"joints[{placed.name!r}].rate")
     unit = eye_array(6 * mechanism.body_count, format="csr")
@@ -242,63 +231,58 @@ def _complete_velocities(
                 wanted += value
                 names += [f"bodies[{body.name!r}].{key}"] * 3
     if not any(wanted):
-        return still, still.copy()
+        still = np.zeros_like(start.position)
+        return dataclasses.replace(start, velocity=still, angular_velocity=still.copy())
     matrix, goal = vstack(jacobian, format="csr"), np.array(wanted)
-    twist = _least_energy(mechanism, position, native, matrix, goal)
+    twist = _least_energy(mechanism, start, matrix, goal)
     off = np.abs(matrix @ twist - goal)
     worst = int(np.argmax(off))
     allowed = _VELOCITY_TOLERANCE * max(1.0, float(np.abs(goal).max()))
     if off[worst] > allowed:
-        msg = (
+        raise SceneError(
             f"the initial velocities contradict each other at {names[worst]}: off by "
             f"{off[worst]:.3g} m/s or rad/s, allowed is {allowed:.0e}; leave out those that follow "
             "from the joints"
         )
-        raise SceneError(msg)
     parts = twist.reshape(-1, 2, 3)
-    velocity, angular_velocity = parts[:, 0].copy(), parts[:, 1].copy()
-    _check_branch(mechanism, position, native, velocity, angular_velocity)
-    return velocity, angular_velocity
+    start = dataclasses.replace(
+        start, velocity=parts[:, 0].copy(), angular_velocity=parts[:, 1].copy()
+    )
+    _check_branch(mechanism, start)
+    return start
 
 
-def _check_branch(
-    mechanism: Mechanism, position: Array, native: Array, velocity: Array, angular_velocity: Array
-) -> None:
+def _check_branch(mechanism: Mechanism, start: BodyStates) -> None:
     """Raise SceneError if velocities satisfy the joints but no acceleration keeps doing so.
 
     This happens only in singular poses, where dependent rows curve in different ways.
     """
     if not (mechanism.loops or mechanism.distances):
         return
-    rows = constraint_rows(mechanism, position, native, velocity, angular_velocity)
+    rows = constraint_rows(mechanism, **vars(start))
     jacobian = sparse_jacobian(rows, mechanism.body_count)
-    off = np.abs(
-        jacobian @ _least_energy(mechanism, position, native, jacobian, -rows.bias) + rows.bias
-    )
+    off = np.abs(jacobian @ _least_energy(mechanism, start, jacobian, -rows.bias) + rows.bias)
     worst = int(np.argmax(off))
     if off[worst] > _BRANCH_TOLERANCE * np.abs(rows.bias).max():
-        msg = (
+        raise SceneError(
             f"the start is a bifurcation at {_owner_name(mechanism, int(rows.owner[worst]))}: the "
             "pose is singular and its motion could go on in several ways, but the initial "
             "velocities belong to none of them; give the rate of one more joint in one of these "
             "motions, or another start"
         )
-        raise SceneError(msg)
 
 
-def _least_energy(
-    mechanism: Mechanism, position: Array, native: Array, matrix: csr_array, goal: Array
-) -> Array:
+def _least_energy(mechanism: Mechanism, start: BodyStates, matrix: csr_array, goal: Array) -> Array:
     """Solve matrix · twist = goal with the twists of least kinetic energy."""
     from scipy.sparse import block_array, diags_array, eye_array, vstack
 
     from mbds_xsim.scene.row_space import least_change
 
-    root, rotors = inverse_mass_root(mechanism, native), mechanism.rotors
+    root, rotors = inverse_mass_root(mechanism, start.native), mechanism.rotors
     if not rotors:
         return least_change(matrix, root, goal)
     # A rotor is a mass with its own speed, which is tied to its joint's rate.
-    rates = vstack([rate_row(mechanism, joint, position, native) for joint in rotors])
+    rates = vstack([rate_row(mechanism, joint, start) for joint in rotors])
     extended = block_array([[matrix, None], [rates, -eye_array(len(rotors))]], format="csr")
     rotor_root = diags_array(1.0 / np.sqrt([joint.armature for joint in rotors]))
     extended_root = block_array([[root, None], [None, rotor_root]], format="csr")

@@ -29,7 +29,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Indices
-from mbds_xsim.scene.joint_space import coupling_rows
+from mbds_xsim.scene.joint_space import BodyStates, coupling_rows
 from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint
 
 if TYPE_CHECKING:
@@ -180,16 +180,15 @@ def degrees_of_freedom(mechanism: Mechanism) -> int:
 
     At a singular reference pose, the count is higher than elsewhere.
     """
-    still = np.zeros((mechanism.body_count, 3))
-    native = np.broadcast_to(rotation.IDENTITY, (mechanism.body_count, 4))
-    rows = constraint_rows(mechanism, mechanism.com, native, still, still)
+    reference = BodyStates.at_reference(mechanism)
+    rows = constraint_rows(mechanism, **vars(reference))
     if not (mechanism.loops or mechanism.distances):
         return 6 * mechanism.body_count - len(rows.parent) - len(mechanism.couplings)
     from scipy.sparse import vstack
 
     from mbds_xsim.scene.row_space import independent_rows
 
-    couplings = coupling_rows(mechanism, mechanism.com, native)
+    couplings = coupling_rows(mechanism, reference)
     jacobian = vstack([sparse_jacobian(rows, mechanism.body_count), *couplings], format="csr")
     return 6 * mechanism.body_count - len(independent_rows(jacobian))
 

@@ -20,21 +20,32 @@ UPRIGHT = 1.0 - 1e-9
 """Least |z component| of a slider's unit axis with which it can lift bodies."""
 
 
-@dataclass
-class Draft:
-    """A trajectory whose start and inputs are being drawn."""
+@dataclass(frozen=True, eq=False)
+class Drafts:
+    """Several trajectories of a mechanism that are being drawn together."""
 
     mechanism: Mechanism
-    index: int
-    interval: terms.Interval
-    rng: np.random.Generator
-    position: Array
-    native: Array
-    velocity: Array
-    angular_velocity: Array
+    states: BodyStates
+    """Body states, with shapes (trajectory, body, …)."""
     force: Array
+    """Forces [N], shape (trajectory, step, body, 3)."""
     torque: Array
+    """Torques [N·m], shape (trajectory, step, hinge)."""
     inputs: bool
+    """Whether drawn forces and torques act."""
+
+
+class Draft:
+    """A trajectory of several that are being drawn; its arrays are views of theirs."""
+
+    def __init__(self, drafts: Drafts, row: int, index: int, seed: int) -> None:
+        self.mechanism, self.inputs = drafts.mechanism, drafts.inputs
+        self.interval = terms.INTERVALS[index % len(terms.INTERVALS)]
+        self.rng = np.random.default_rng(np.random.SeedSequence([seed, index]))
+        states = drafts.states[row]
+        self.position, self.native = states.position, states.native
+        self.velocity, self.angular_velocity = states.velocity, states.angular_velocity
+        self.force, self.torque = drafts.force[row], drafts.torque[row]
 
     def body(self, name: str) -> int:
         """Return the index of a body."""
@@ -64,21 +75,6 @@ class Draft:
         """Add a rigid angular velocity about a point in W."""
         self.velocity[bodies] += rotation.cross(rate, self.position[bodies] - point)
         self.angular_velocity[bodies] += rate
-
-
-@dataclass(frozen=True, eq=False)
-class Drafts:
-    """Several trajectories of a mechanism that are being drawn together."""
-
-    mechanism: Mechanism
-    each: list[Draft]
-    """One draft per trajectory; its arrays are views of those below."""
-    states: BodyStates
-    """Body states, with shapes (trajectory, body, …)."""
-    force: Array
-    """Forces [N], shape (trajectory, step, body, 3)."""
-    torque: Array
-    """Torques [N·m], shape (trajectory, step, hinge)."""
 
 
 def pose(term: terms.Pose, drawing: Draft) -> None:
@@ -123,8 +119,7 @@ def lift(term: terms.Lift, drawing: Draft) -> None:
     bodies = _lifted(drawing, drawing.body(term.body))
     own = np.isin(mechanism.sphere_body, bodies)
     if not own.any():
-        msg = f"sampling: {term.body!r} carries no contact sphere; a lift needs one"
-        raise SceneError(msg)
+        raise SceneError(f"sampling: {term.body!r} carries no contact sphere; a lift needs one")
     low = mechanism.sphere_heights(drawing.position, drawing.native) - mechanism.sphere_radius
     drawing.position[bodies, 2] += drawing.uniform(term.height) - low[own].min()
 
@@ -159,8 +154,7 @@ def _placed(drawing: Draft, name: str) -> tuple[PlacedJoint, Array, Array]:
     """Find a joint of the tree with its present anchor and axis in W."""
     joint = _tree_joints(drawing.mechanism).get(name)
     if joint is None:
-        msg = f"sampling: the joint {name!r} closes a loop; it follows from the others"
-        raise SceneError(msg)
+        raise SceneError(f"sampling: the joint {name!r} closes a loop; it follows from the others")
     if joint.parent == WORLD_INDEX:
         return joint, joint.in_parent, joint.axis
     native = drawing.native[joint.parent]

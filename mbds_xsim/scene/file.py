@@ -108,16 +108,14 @@ def _text(path: Path) -> str:
             raise SceneError(f"{path}: got more than {size}: 20 000 bodies with joints take 7 MB")
         text = content.decode("utf-8-sig")  # Windows may add a byte order mark
     except OSError as error:
-        msg = (
+        raise SceneError(
             f"{path}: cannot be read ({error.strerror}); give the path of a .toml file or the "
             "name of a scene (mbds-xsim scenes lists them)"
-        )
-        raise SceneError(msg) from error
+        ) from error
     except UnicodeDecodeError as error:
-        msg = (
+        raise SceneError(
             f"{path}: got byte {error.object[error.start]:#04x} at {error.start}, allowed is UTF-8"
-        )
-        raise SceneError(msg) from error
+        ) from error
     for table, count in Counter(_PARTS.findall(text)).items():
         bounds.count(f"{path}: {table}", count, MOST_PARTS, "larger scenes are not tested")
     if _is_deep(text):
@@ -177,9 +175,8 @@ def explain(error: msgspec.ValidationError, data: Mapping[str, Any]) -> str:
     if field := _FIELD.match(text):
         return _explain_key(field["fault"] == "contains unknown", field["key"], path, data)
     value, kind = _descend(path, data)
-    if isinstance(value, str) and (tags := _tags(kind)):
-        return f"{_where(path, data)}got {_text_of(value)}, allowed is {tags}"
-    return f"{_where(path, data)}got {_text_of(value)}, allowed is {_allowed(kind)}"
+    allowed = (isinstance(value, str) and _tags(kind)) or _allowed(kind)
+    return f"{_where(path, data)}got {_text_of(value)}, allowed is {allowed}"
 
 
 def _steps(path: str) -> _Path:

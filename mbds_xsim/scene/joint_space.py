@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbds_xsim.base import rotation
-from mbds_xsim.base.arrays import Array, Index, Mask
+from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 from mbds_xsim.scene.state import Batch, Trajectory
 
@@ -43,6 +43,13 @@ class BodyStates:
         """Return the starts of a batch, or the frames of a trajectory, as body states."""
         native = mechanism.native_rotation(motion.orientation)
         return BodyStates(motion.position, native, motion.velocity, motion.angular_velocity)
+
+    @staticmethod
+    def at_reference(mechanism: Mechanism) -> BodyStates:
+        """Return bodies at rest at the reference pose."""
+        still = np.zeros((mechanism.body_count, 3))
+        native = np.tile(rotation.IDENTITY, (mechanism.body_count, 1))
+        return BodyStates(mechanism.com.copy(), native, still, still.copy())
 
     def __getitem__(self, rows: Any) -> BodyStates:
         """Select states along their leading axes."""
@@ -200,21 +207,21 @@ def joint_loads(mechanism: Mechanism, bodies: BodyStates, push: Array) -> tuple[
     return force[..., :-1, :], moment[..., :-1, :]
 
 
-def rate_row(mechanism: Mechanism, joint: PlacedJoint, position: Array, native: Array) -> csr_array:
+def rate_row(mechanism: Mechanism, joint: PlacedJoint, bodies: BodyStates) -> csr_array:
     """Return the row that maps twists to a hinge's or slider's rate, shape (1, 6 · body)."""
     from scipy.sparse import csr_array
 
     on_world = joint.parent == WORLD_INDEX
-    axis = joint.axis if on_world else rotation.rotate(native[joint.parent], joint.axis)
+    axis = joint.axis if on_world else bodies.arms(joint.parent, joint.axis)
     # Blocks of the world are left out below.
     if joint.kind == "hinge":
         child, parent = [0.0, 0.0, 0.0, *axis], [0.0, 0.0, 0.0, *-axis]
     else:
         anchor = joint.in_child
         if joint.child != WORLD_INDEX:
-            anchor = position[joint.child] + rotation.rotate(native[joint.child], joint.in_child)
-        child = [*axis, *np.cross(anchor - position[joint.child], axis)]
-        parent = [*-axis, *-np.cross(anchor - position[joint.parent], axis)]
+            anchor = bodies.points(joint.child, joint.in_child)
+        child = [*axis, *np.cross(anchor - bodies.position[joint.child], axis)]
+        parent = [*-axis, *-np.cross(anchor - bodies.position[joint.parent], axis)]
     ends = [(joint.child, child), (joint.parent, parent)]
     values = np.array([block for body, block in ends if body != WORLD_INDEX]).reshape(-1)
     columns = [6 * body + k for body, _ in ends if body != WORLD_INDEX for k in range(6)]
@@ -222,19 +229,20 @@ def rate_row(mechanism: Mechanism, joint: PlacedJoint, position: Array, native: 
     return csr_array((values, ([0] * len(columns), columns)), shape=shape)
 
 
-def coupling_rows(mechanism: Mechanism, position: Array, native: Array) -> list[csr_array]:
+def coupling_rows(mechanism: Mechanism, bodies: BodyStates) -> list[csr_array]:
     """Return each coupling's row, whose product with the twists is 0, shape (1, 6 · body)."""
 
     def row(joint: PlacedJoint) -> csr_array:
-        return rate_row(mechanism, joint, position, native)
+        return rate_row(mechanism, joint, bodies)
 
     return [row(each.follower) - each.ratio * row(each.leader) for each in mechanism.couplings]
 
 
 def to_links(mechanism: Mechanism, bodies: BodyStates) -> LinkStates:
     """Express body states in the coordinates of the spanning tree."""
-    tree = _Tree.of(mechanism)
-    parent, child = _of_parents(tree, bodies), _of_children(tree, bodies)
+    tree = _tree(mechanism)
+    parent = bodies.with_world()[..., tree.parent_body, :]
+    child = bodies[..., tree.body, :]
     back = rotation.conjugate(child.native)
     relative = child.angular_velocity - parent.angular_velocity
     coordinate, rate = np.zeros(child.position.shape[:-1]), np.zeros(child.position.shape[:-1])
@@ -269,7 +277,7 @@ def to_bodies(mechanism: Mechanism, links: LinkStates) -> BodyStates:
     Ball joints and free bodies read `rotation` and `angular_velocity`, free bodies `position` and
     `velocity` too, hinges and sliders only `coordinate` and `rate`.
     """
-    tree = _Tree.of(mechanism)
+    tree = _tree(mechanism)
     # Only the recursion from parent to child runs link by link. Axis 0 is the link.
     native = _natives(tree, links)
     parent = _above(tree, native, rotation.IDENTITY)
@@ -329,64 +337,28 @@ def _down(tree: _Tree, steps: Array) -> Array:
     return total
 
 
-@dataclass(frozen=True, eq=False)
 class _Tree:
     """Links of the spanning tree as arrays, in link order."""
 
-    body: Index
-    link_of_body: Index
-    parent_body: Index
-    parent_link: Index
-    """Link of the parent; −1 if the parent is the world."""
-    free: Mask
-    turns_freely: Mask
-    """Whether the link is a free body or has a ball joint."""
-    hinge: Mask
-    slider: Mask
-    axis: Array
-    in_parent: Array
-    in_child: Array
-
-    @property
-    def scalar(self) -> Index:
-        """Links with one coordinate."""
-        return np.flatnonzero(self.hinge | self.slider)
-
-    @staticmethod
-    @functools.lru_cache(maxsize=64)
-    def of(mechanism: Mechanism) -> _Tree:
-        """Collect the links of a mechanism (cached)."""
+    def __init__(self, mechanism: Mechanism) -> None:
         links = mechanism.links
-        body = np.array([link.body for link in links])
-        link_of_body = np.argsort(body)
-        parent_body = np.array([link.parent for link in links])
         kinds = np.array([link.joint.kind if link.joint else "free" for link in links])
-
-        def places(key: str) -> Array:
-            return np.array(
-                [getattr(link.joint, key) if link.joint else np.zeros(3) for link in links]
-            )
-
-        return _Tree(
-            body=body,
-            link_of_body=link_of_body,
-            parent_body=parent_body,
-            parent_link=np.where(parent_body == WORLD_INDEX, -1, link_of_body[parent_body]),
-            free=kinds == "free",
-            turns_freely=(kinds == "free") | (kinds == "ball"),
-            hinge=kinds == "hinge",
-            slider=kinds == "slider",
-            axis=places("axis"),
-            in_parent=places("in_parent"),
-            in_child=places("in_child"),
+        self.body = np.array([link.body for link in links])
+        self.link_of_body = np.argsort(self.body)
+        self.parent_body = np.array([link.parent for link in links])
+        parent_link = self.link_of_body[self.parent_body]
+        self.parent_link = np.where(self.parent_body == WORLD_INDEX, -1, parent_link)
+        """Link of the parent; −1 if the parent is the world."""
+        self.free = kinds == "free"
+        self.turns_freely = self.free | (kinds == "ball")
+        """Whether the link is a free body or has a ball joint."""
+        self.hinge = kinds == "hinge"
+        self.scalar = np.flatnonzero(self.hinge | (kinds == "slider"))
+        """Links with one coordinate."""
+        self.axis, self.in_parent, self.in_child = (
+            np.array([getattr(link.joint, key) if link.joint else np.zeros(3) for link in links])
+            for key in ("axis", "in_parent", "in_child")
         )
 
 
-def _of_children(tree: _Tree, bodies: BodyStates) -> BodyStates:
-    """Return the states of the links' bodies, in link order."""
-    return bodies.each(lambda values: values[..., tree.body, :])
-
-
-def _of_parents(tree: _Tree, bodies: BodyStates) -> BodyStates:
-    """Return the states of the links' parents, including the world, in link order."""
-    return bodies.with_world().each(lambda values: values[..., tree.parent_body, :])
+_tree = functools.lru_cache(maxsize=64)(_Tree)

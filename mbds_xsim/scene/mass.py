@@ -33,11 +33,10 @@ def mass_properties(body: Body) -> tuple[float, Array, Array]:
     )
     low, high = np.linalg.eigvalsh(tensor)[[0, 2]]
     if not high > 0 or low < 1e-9 * high:
-        msg = (
+        raise SceneError(
             f"bodies[{body.name!r}].particles: got smallest principal inertia {low:.3g} kg·m², "
             "allowed is above 0: give a particle an inertia, or the body particles off one line"
         )
-        raise SceneError(msg)
     return float(masses.sum()), np.array(body.position) + turn @ com, turn @ tensor @ turn.T
 
 

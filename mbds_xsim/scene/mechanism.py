@@ -236,11 +236,10 @@ class Mechanism:
     def drives(self) -> tuple[PlacedDrive, ...]:
         """Servos that no spring, damper and held input can replace, in scene order."""
         joints = {joint.name: joint for joint in (*self.loops, *self.joints)}
-        pairs = ((joints[servo.joint], servo) for servo in self.scene.servos)
         return tuple(
-            PlacedDrive(joint, servo)
-            for joint, servo in pairs
-            if servo.is_drive(self.scene.joints[joint.index])
+            PlacedDrive(joints[servo.joint], servo)
+            for servo in self.scene.servos
+            if servo.is_drive(self.scene.joints[joints[servo.joint].index])
         )
 
     @property

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from mbds_xsim.base import rotation
-from mbds_xsim.base.arrays import Array, Index
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import SceneError
 from mbds_xsim.scene import sampling_terms as terms
 from mbds_xsim.scene.assembly import assemble, check_joints, check_limits
@@ -56,17 +56,23 @@ def draw_batch(
         SceneError: A draw does not fit the scene's joints.
     """
     mechanism = Mechanism.of(scene)
-    drafts = _begun(mechanism, list(indices), seed, inputs)
+    index = np.array(list(indices), dtype=np.int64)
+    drafts = _begun(mechanism, len(index), inputs)
+    each = [Draft(drafts, row, number, seed) for row, number in enumerate(index.tolist())]
     for term in scene.sampling:
-        _DRAWS[type(term)](term, drafts)
+        if isinstance(term, terms.Swing):
+            _swing(term, drafts, each)
+            continue
+        for drawing in each:
+            _DRAWS[type(term)](term, drawing)
     if noise and scene.noise > 0:
-        for drawing in drafts.each:
+        for drawing in each:
             _add_noise(drawing)
     starts = drafts.states
     check_joints(mechanism, starts)
     check_limits(mechanism, starts)
     return Batch(
-        index=np.array([drawing.index for drawing in drafts.each], dtype=np.int64),
+        index=index,
         position=starts.position,
         orientation=mechanism.body_orientation(starts.native),
         velocity=starts.velocity,
@@ -115,28 +121,14 @@ def noise_components(scene: Scene) -> list[int]:
     return [0, 1, 2][_MOVING[scene.dimension]]
 
 
-def _begun(mechanism: Mechanism, indices: list[int], seed: int, inputs: bool) -> Drafts:
+def _begun(mechanism: Mechanism, count: int, inputs: bool) -> Drafts:
     """Begin every trajectory with the scene's own start and inputs."""
 
     def for_all(values: Array) -> Array:
-        return np.repeat(values[None], len(indices), axis=0)
+        return np.repeat(values[None], count, axis=0)
 
-    states = assemble(mechanism).each(for_all)
     force, torque = map(for_all, _scene_inputs(mechanism))
-    each = [
-        Draft(
-            mechanism=mechanism,
-            index=index,
-            interval=terms.INTERVALS[index % len(terms.INTERVALS)],
-            rng=np.random.default_rng(np.random.SeedSequence([seed, index])),
-            force=force[row],
-            torque=torque[row],
-            inputs=inputs,
-            **{key: values[row] for key, values in vars(states).items()},
-        )
-        for row, index in enumerate(indices)
-    ]
-    return Drafts(mechanism, each, states, force, torque)
+    return Drafts(mechanism, assemble(mechanism).each(for_all), force, torque, inputs)
 
 
 @functools.lru_cache(maxsize=16)
@@ -147,17 +139,19 @@ def _scene_inputs(mechanism: Mechanism) -> tuple[Array, Array]:
     torque = np.zeros((scene.clock.steps, len(mechanism.hinges)))
     bodies = {body.name: k for k, body in enumerate(scene.bodies)}
     hinges = {joint.name: k for k, joint in enumerate(mechanism.hinges)}
+
+    def held(series: Any, hold: int) -> Array:
+        return zero_order_hold(np.array(series), hold, scene.clock.steps)
+
     for item in scene.forces:
-        force[:, bodies[item.body]] += zero_order_hold(
-            np.array(item.series), item.hold, scene.clock.steps
-        )
+        force[:, bodies[item.body]] += held(item.series, item.hold)
     for joint in mechanism.joints:
         own = scene.joints[joint.index]
         servos = [s for s in scene.servos if s.joint == joint.name and not s.is_drive(own)]
         push = np.zeros(scene.clock.steps)
         for servo in servos:
             for part in servo.push(joint.rest):
-                push += zero_order_hold(part, servo.hold, scene.clock.steps)
+                push += held(part, servo.hold)
         if joint.name in hinges:
             torque[:, hinges[joint.name]] += push
         elif any(servo.needs_input for servo in servos):
@@ -165,9 +159,7 @@ def _scene_inputs(mechanism: Mechanism) -> tuple[Array, Array]:
             body, sign = (joint.child, 1.0) if joint.parent == WORLD_INDEX else (joint.parent, -1.0)
             force[:, body] += sign * push[:, None] * joint.axis
     for load in scene.torques:
-        torque[:, hinges[load.joint]] += zero_order_hold(
-            np.array(load.series), load.hold, scene.clock.steps
-        )
+        torque[:, hinges[load.joint]] += held(load.series, load.hold)
     return force, torque
 
 
@@ -178,10 +170,10 @@ def _add_noise(drawing: Draft) -> None:
     force += sigma[:, None] * drawing.rng.standard_normal(force.shape)
 
 
-def _swing(term: terms.Swing, drafts: Drafts) -> None:
+def _swing(term: terms.Swing, drafts: Drafts, each: list[Draft]) -> None:
     states, hung = drafts.states, _hung(drafts.mechanism, term.bodies)
     spans = (term.polar, _ALL_ROUND, term.speed, _ALL_ROUND)
-    draws = np.array([drawing.uniforms(spans, len(hung.body)) for drawing in drafts.each])
+    draws = np.array([drawing.uniforms(spans, len(hung.body)) for drawing in each])
     polar, azimuth, speed, heading = np.moveaxis(draws, -1, 0).copy()[..., None]
     # Turning by `polar` about a horizontal axis leaves the body without spin about its arm.
     axis = np.concatenate([np.sin(azimuth), -np.cos(azimuth), np.zeros_like(polar)], axis=-1)
@@ -201,50 +193,38 @@ def _swing(term: terms.Swing, drafts: Drafts) -> None:
         states.velocity[:, body] = pivot_velocity + relative[:, k]
 
 
-@dataclass(frozen=True, eq=False)
 class _Hung:
-    """Bodies that hang straight down from ball joints, as arrays."""
+    """Bodies that hang straight down from ball joints, as arrays; others are refused."""
 
-    body: list[int]
-    parent: list[int]
-    above: Index
-    """Place of the parent in this list; −1 unless it is one of those before."""
-    arm: Array
-    """Arm from the joint to the centre of mass [m], shape (hung, 3)."""
-    in_parent: Array
-    """Joint relative to the parent's centre of mass [m], shape (hung, 3)."""
+    def __init__(self, mechanism: Mechanism, bodies: tuple[str, ...]) -> None:
+        names = [body.name for body in mechanism.scene.bodies]
+        links = {link.body: link for link in mechanism.links}
+        joints = []
+        for name in bodies:
+            joint = links[names.index(name)].joint
+            if joint is None or joint.kind != "ball":
+                raise SceneError(f"sampling: {name!r} hangs on no ball joint and cannot swing")
+            arm = -joint.in_child
+            if not np.hypot(arm[0], arm[1]) < -1e-9 * arm[2]:
+                raise SceneError(
+                    f"sampling: {name!r} must hang straight down (−z) from its joint at the "
+                    f"reference pose to swing, got the arm {arm.tolist()}"
+                )
+            joints.append(joint)
+        self.body = [names.index(name) for name in bodies]
+        self.parent = [joint.parent for joint in joints]
+        place = {own: k for k, own in enumerate(self.body)}
+        self.above = np.array(
+            [place[up] if place.get(up, k) < k else -1 for k, up in enumerate(self.parent)]
+        )
+        """Place of the parent in this list; −1 unless it is one of those before."""
+        self.arm = np.array([-joint.in_child for joint in joints])
+        """Arm from the joint to the centre of mass [m], shape (hung, 3)."""
+        self.in_parent = np.array([joint.in_parent for joint in joints])
+        """Joint relative to the parent's centre of mass [m], shape (hung, 3)."""
 
 
-@functools.lru_cache(maxsize=64)
-def _hung(mechanism: Mechanism, bodies: tuple[str, ...]) -> _Hung:
-    """Find the ball joints of bodies that swing; raise SceneError if a body cannot."""
-    names = [body.name for body in mechanism.scene.bodies]
-    links = {link.body: link for link in mechanism.links}
-    joints = []
-    for name in bodies:
-        joint = links[names.index(name)].joint
-        if joint is None or joint.kind != "ball":
-            msg = f"sampling: {name!r} hangs on no ball joint and cannot swing"
-            raise SceneError(msg)
-        arm = -joint.in_child
-        if not np.hypot(arm[0], arm[1]) < -1e-9 * arm[2]:
-            msg = (
-                f"sampling: {name!r} must hang straight down (−z) from its joint at the reference "
-                f"pose to swing, got the arm {arm.tolist()}"
-            )
-            raise SceneError(msg)
-        joints.append(joint)
-    body = [names.index(name) for name in bodies]
-    parent = [joint.parent for joint in joints]
-    place = {own: k for k, own in enumerate(body)}
-    above = [place[up] if place.get(up, k) < k else -1 for k, up in enumerate(parent)]
-    return _Hung(
-        body=body,
-        parent=parent,
-        above=np.array(above),
-        arm=np.array([-joint.in_child for joint in joints]),
-        in_parent=np.array([joint.in_parent for joint in joints]),
-    )
+_hung = functools.lru_cache(maxsize=64)(_Hung)
 
 
 def _pivots(hung: _Hung, states: BodyStates, turn: Array, rate: Array) -> tuple[Array, Array]:
@@ -290,11 +270,10 @@ def _roll(term: terms.Roll, drawing: Draft) -> None:
     bodies = carried_by(mechanism, body)
     own = mechanism.sphere_body == body
     if own.sum() != 1 or np.abs(mechanism.sphere_offset[own]).max() > _CENTRED:
-        msg = (
+        raise SceneError(
             f"sampling: {term.body!r} has {own.sum()} contact spheres; to roll it needs one, "
             "centred at its centre of mass"
         )
-        raise SceneError(msg)
     rolling = np.cross([0.0, 0.0, 1.0], drawing.velocity[body]) / mechanism.sphere_radius[own]
     drawing.add_twist(bodies, drawing.position[body], drawing.uniform(term.share) * rolling)
 
@@ -330,24 +309,14 @@ def _wind(term: terms.Wind, drawing: Draft) -> None:
         drawing.force += strength[:, None, None] * per_body
 
 
-def _one_by_one(draw: Callable[[Any, Draft], None]) -> Callable[[Any, Drafts], None]:
-    """Apply a draw to every trajectory separately."""
-
-    def draw_all(term: Any, drafts: Drafts) -> None:
-        for drawing in drafts.each:
-            draw(term, drawing)
-
-    return draw_all
-
-
-_DRAWS: dict[type, Callable[[Any, Drafts], None]] = {
-    terms.Swing: _swing,
-    terms.Turn: _one_by_one(_turn),
-    terms.Throw: _one_by_one(_throw),
-    terms.Roll: _one_by_one(_roll),
-    terms.Lift: _one_by_one(lift),
-    terms.Pose: _one_by_one(pose),
-    terms.HingeRate: _one_by_one(hinge_rate),
-    terms.HingeTorque: _one_by_one(_hinge_torque),
-    terms.Wind: _one_by_one(_wind),
+_DRAWS: dict[type, Callable[[Any, Draft], None]] = {
+    terms.Turn: _turn,
+    terms.Throw: _throw,
+    terms.Roll: _roll,
+    terms.Lift: lift,
+    terms.Pose: pose,
+    terms.HingeRate: hinge_rate,
+    terms.HingeTorque: _hinge_torque,
+    terms.Wind: _wind,
 }
+"""Draws of single trajectories; `Swing` is drawn for all together."""

@@ -94,8 +94,7 @@ class Body(Neutral):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.name or self.name == WORLD:
-            msg = f"name: got {self.name!r}, allowed is any text but '' and {WORLD!r}"
-            raise SceneError(msg)
+            raise SceneError(f"name: got {self.name!r}, allowed is any text but '' and {WORLD!r}")
         if bool(self.particles) == (self.inertia is not None):
             msg = f"body {self.name!r} needs either particles or inertia, got " + (
                 "both" if self.particles else "neither"
@@ -143,8 +142,7 @@ class Joint(Neutral):
         super().__post_init__()
         has_axis = self.kind in ("hinge", "slider")
         if has_axis and self.axis is None:
-            msg = f"a {self.kind} joint needs an axis, got none"
-            raise SceneError(msg)
+            raise SceneError(f"a {self.kind} joint needs an axis, got none")
         keys = [key for key in ("axis", "start", "rate") if getattr(self, key) is not None]
         keys += [key for key in self.added if getattr(self, key)]
         if not has_axis and keys:
@@ -157,8 +155,7 @@ class Joint(Neutral):
             msg = f"restitution: got {self.restitution} without limits, allowed only with them"
             raise SceneError(msg)
         if self.parent == self.child:
-            msg = f"joint {self.name!r} joins {self.parent!r} to itself"
-            raise SceneError(msg)
+            raise SceneError(f"joint {self.name!r} joins {self.parent!r} to itself")
 
 
 class _Between(Neutral):
@@ -171,8 +168,7 @@ class _Between(Neutral):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.bodies[0] == self.bodies[1]:
-            msg = f"{self.name!r} joins {self.bodies[0]!r} to itself"
-            raise SceneError(msg)
+            raise SceneError(f"{self.name!r} joins {self.bodies[0]!r} to itself")
         if not math.dist(*self.points) > 0:
             msg = f"points: got {list(self.points[0])} twice, the two ends must be apart"
             raise SceneError(msg)
@@ -291,8 +287,7 @@ class Scene(Neutral):
         if not self.name:
             raise SceneError("name: got '', allowed is any text")
         if not self.bodies:
-            msg = "bodies: got none, a scene needs at least one"
-            raise SceneError(msg)
+            raise SceneError("bodies: got none, a scene needs at least one")
         for key in ("bodies", "joints", "distance_links", "springs", "contacts"):
             bounds.count(key, len(getattr(self, key)), MOST_PARTS, "larger scenes are not tested")
         frames = self.clock.steps * len(self.bodies)
@@ -306,34 +301,24 @@ class Scene(Neutral):
             names = Counter(item.name for item in getattr(self, table))
             duplicates = [name for name, count in names.items() if count > 1]
             if duplicates:
-                msg = f"{table}: got {duplicates[0]!r} twice, each name is allowed once"
-                raise SceneError(msg)
+                raise SceneError(f"{table}: got {duplicates[0]!r} twice, each name is allowed once")
 
     def _check_references(self) -> None:
         bodies = {body.name for body in self.bodies}
         ends = bodies | {WORLD}
         hinges = {joint.name for joint in self.joints if joint.kind == "hinge"}
         coordinates = hinges | {joint.name for joint in self.joints if joint.kind == "slider"}
-        for k, joint in enumerate(self.joints):
-            for key in ("parent", "child"):
-                _known(f"joints[{k}].{key}", getattr(joint, key), ends)
+        self._check_keys("joints", ("parent", "child"), ends, "body")
         for table in ("distance_links", "springs"):
             for k, item in enumerate(getattr(self, table)):
                 for end in (0, 1):
                     _known(f"{table}[{k}].bodies[{end}]", item.bodies[end], ends)
-        for k, force in enumerate(self.forces):
-            _known(f"forces[{k}].body", force.body, bodies)
-        for k, torque in enumerate(self.torques):
-            _known(f"torques[{k}].joint", torque.joint, hinges, kind="hinge")
-        for k, servo in enumerate(self.servos):
-            _known(f"servos[{k}].joint", servo.joint, coordinates, kind="hinge or slider")
-        for k, coupling in enumerate(self.couplings):
-            for key in ("joint", "follows"):
-                got = getattr(coupling, key)
-                _known(f"couplings[{k}].{key}", got, coordinates, kind="hinge or slider")
+        self._check_keys("forces", ("body",), bodies, "body")
+        self._check_keys("torques", ("joint",), hinges, "hinge")
+        self._check_keys("servos", ("joint",), coordinates, "hinge or slider")
+        self._check_keys("couplings", ("joint", "follows"), coordinates, "hinge or slider")
         check_couplings(self.couplings)
-        for k, sphere in enumerate(self.contacts):
-            _known(f"contacts[{k}].body", sphere.body, bodies)
+        self._check_keys("contacts", ("body",), bodies, "body")
         self._check_contacts()
         for k, draw in enumerate(self.sampling):
             for body in getattr(draw, "bodies", ()):
@@ -344,6 +329,11 @@ class Scene(Neutral):
                 _known(f"sampling[{k}].joints", joint_name, allowed, kind=kind)
             if isinstance(draw, Throw | Roll | Lift):
                 _known(f"sampling[{k}].body", draw.body, bodies)
+
+    def _check_keys(self, table: str, keys: tuple[str, ...], allowed: set[str], kind: str) -> None:
+        for k, item in enumerate(getattr(self, table)):
+            for key in keys:
+                _known(f"{table}[{k}].{key}", getattr(item, key), allowed, kind=kind)
 
     def _check_contacts(self) -> None:
         if bool(self.contacts) != bool(self.ground or self.collisions):
@@ -360,11 +350,10 @@ class Scene(Neutral):
         count = self.particle_count + len(self.anchors)
         for k, edge in enumerate(self.edges):
             if not all(0 <= node < count for node in edge) or edge[0] == edge[1]:
-                msg = (
+                raise SceneError(
                     f"edges[{k}]: got {list(edge)}, allowed are two different numbers from 0 to "
                     f"{count - 1} ({self.particle_count} particles, {len(self.anchors)} anchors)"
                 )
-                raise SceneError(msg)
 
     @property
     def particle_count(self) -> int:
@@ -375,5 +364,4 @@ class Scene(Neutral):
 def _known(where: str, got: str, allowed: set[str], *, kind: str = "body") -> None:
     if got not in allowed:
         listed = sorted(allowed)[:12] + ["…"] * (len(allowed) > 12)
-        msg = f"{where}: {UnknownName.of(kind, got, listed)}"
-        raise SceneError(msg)
+        raise SceneError(f"{where}: {UnknownName.of(kind, got, listed)}")

@@ -47,8 +47,7 @@ def spring_rates(scene: Scene) -> tuple[float, float]:
         return 0.0, 0.0
     start = assemble(mechanism)
     pairs = [_apart(mechanism, start, spring) for spring in mechanism.springs]
-    place = start.position, start.native
-    turns = [rate_row(mechanism, joint, *place).toarray() for joint in joints]
+    turns = [rate_row(mechanism, joint, start).toarray() for joint in joints]
     laws = [*mechanism.compliant, *(drive.servo for drive in mechanism.drives)]
     free = _free(mechanism, start, np.concatenate([*pairs, *turns]))
     stiffness, damping = (
@@ -66,8 +65,7 @@ def spring_rates(scene: Scene) -> tuple[float, float]:
 def _free(mechanism: Mechanism, start: BodyStates, relative_rows: Array) -> Array:
     """Weight rows by inverse masses, and remove the directions held by joints of the tree."""
     root = inverse_mass_root(mechanism, start.native).toarray()
-    still = np.zeros_like(start.position)
-    rows = constraint_rows(mechanism, start.position, start.native, still, still)
+    rows = constraint_rows(mechanism, **vars(start))
     loops = [joint.index for joint in mechanism.loops]
     tree = (rows.owner < len(mechanism.joints)) & ~np.isin(rows.owner, loops)
     return _without(dense_jacobian(rows, mechanism.body_count)[tree] @ root, relative_rows @ root)
