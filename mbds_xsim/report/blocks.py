@@ -18,6 +18,8 @@ Mark: TypeAlias = Literal["", "pass", "warn", "fail", "over", "strong", "muted"]
 """Status of a text: a verdict, a figure beyond its budget, or a tone."""
 Place: TypeAlias = Literal["terminal", "markdown", "page"]
 EVERYWHERE: frozenset[Place] = frozenset({"terminal", "markdown", "page"})
+WRITTEN: frozenset[Place] = frozenset({"markdown", "page"})
+PAGE: frozenset[Place] = frozenset({"page"})
 
 
 @dataclass(frozen=True)
@@ -228,6 +230,13 @@ def table_of(
 def row_of(cells: Iterable[Cell | str], mark: Mark = "", reasons: tuple[str, ...] = ()) -> Row:
     """Make a row of plain texts and cells."""
     return Row(tuple(c if isinstance(c, Cell) else Cell(c) for c in cells), mark, reasons)
+
+
+def chart(
+    title: str, draw: Callable[[Any], None], size: tuple[float, float], **more: Any
+) -> Figure:
+    """Make a figure of one chart, which `draw` draws on axes; `more` are fields of the figure."""
+    return Figure(title, lambda figure: draw(figure.subplots()), size, **more)
 
 
 def columns_of(*headings: Column | str) -> tuple[Column, ...]:

@@ -7,11 +7,12 @@ from typing import Any
 
 from mbds_xsim.base.text import counted
 from mbds_xsim.report.blocks import (
+    PAGE,
+    WRITTEN,
     Block,
     Cell,
     FigureGroup,
     Mark,
-    Place,
     Report,
     Section,
     Table,
@@ -25,7 +26,6 @@ from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 
 _MARKS: dict[Outcome, Mark] = {"kept": "pass", "approximated": "warn", "dropped": "fail"}
-_WRITTEN: frozenset[Place] = frozenset({"markdown", "page"})
 _MOST = 3  # places that a table names
 
 
@@ -67,7 +67,7 @@ def present(imported: Imported, command: str) -> Report:
 def _drawn(scene: Scene) -> Section:
     """Draw the model in its reference pose; bodies are ellipsoids of their inertia."""
     figures = FigureGroup((scene_figure(scene),))
-    return Section("The model at its reference pose", (figures,), on=frozenset({"page"}))
+    return Section("The model at its reference pose", (figures,), on=PAGE)
 
 
 def conclusion(imported: Imported) -> str:
@@ -87,14 +87,14 @@ def loss_blocks(imported: Imported | Written) -> Iterator[Block]:
         yield _table(lost, "lost of the motion")
     rest = (_table(kept, "kept"), _table(others, "without effect on the motion"))
     blocks = tuple(table for table in rest if table.rows)
-    yield Section("What is kept, and what moves nothing", blocks, True, on=_WRITTEN)
+    yield Section("What is kept, and what moves nothing", blocks, True, on=WRITTEN)
 
 
 def loss_section(imported: Imported) -> Section:
     """Return a section on the losses of import, for a page about the model's motion."""
     summary = Text(f"{imported.file}, read by {imported.reader}: {conclusion(imported)}.")
     title = "What of the model is simulated"
-    return Section(title, (summary, *loss_blocks(imported)), on=_WRITTEN)
+    return Section(title, (summary, *loss_blocks(imported)), on=WRITTEN)
 
 
 def _table(fates: list[Fate], title: str) -> Table:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.measure.result import EngineResult, Evidence, Validation
 from mbds_xsim.report import quantity
-from mbds_xsim.report.blocks import Figure
+from mbds_xsim.report.blocks import Figure, chart
 from mbds_xsim.report.themed import DOTTED, GREY, INK, LIGHT, PAPER, Style, engine_style, level
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.studies.validate import words
@@ -74,7 +75,7 @@ def check_series(validation: Validation, evidence: Evidence, check: str) -> Figu
             level(axes, budget, f"budget {quantity.with_unit(budget, unit)}")
         _log_axis(axes, "" if unit in ("", "1") else unit)
 
-    return _figure(f"{check} over time", draw, check)
+    return chart(f"{check} over time", draw, _SIZE, caption=check)
 
 
 def matrix(validation: Validation) -> Figure | None:
@@ -95,13 +96,8 @@ def matrix(validation: Validation) -> Figure | None:
         f"RMS particle distance at {validation.matrix_s:.4g} s between all pairs, worst of the low "
         "and medium trajectories"
     )
-    return _figure(
-        "distances between all pairs",
-        lambda axes: _heat(axes, names, shown, colours),
-        caption,
-        size,
-        wide=True,
-    )
+    draw = partial(_heat, names=names, shown=shown, colours=colours)
+    return chart("distances between all pairs", draw, size, caption=caption, wide=True)
 
 
 def consistency(validation: Validation) -> Figure | None:
@@ -125,7 +121,7 @@ def consistency(validation: Validation) -> Figure | None:
         _consistency_axes(axes, validation.engines, marker)
 
     size = (7.2, 1.3 + 0.34 * len(rows))
-    return _figure("consistency over its budget", draw, "", size, wide=True)
+    return chart("consistency over its budget", draw, size, wide=True)
 
 
 def restitution(
@@ -167,7 +163,7 @@ def restitution(
         axes.margins(x=0.06, y=0.15)
 
     caption = "Restitution delivered: each mark is one impact of one sphere, of all trajectories"
-    return _figure("restitution delivered", draw, caption)
+    return chart("restitution delivered", draw, _SIZE, caption=caption)
 
 
 def _impacts(contact: Contact) -> tuple[Array, Array]:
@@ -194,8 +190,8 @@ def _error_figure(
         _no_solution(axes, time, evidence.reference.known[rows])
         _log_axis(axes, "RMS particle error [m]")
 
-    several = len(evidence.batch) > 1
-    return _figure("error growth", draw, f"Error, {interval} interval" if several else "Error")
+    caption = f"Error, {interval} interval" if len(evidence.batch) > 1 else "Error"
+    return chart("error growth", draw, _SIZE, caption=caption)
 
 
 def _with_styles(validation: Validation, each: Iterable[T]) -> Iterator[tuple[T, Style]]:
@@ -262,11 +258,7 @@ def _log_axis(axes: Any, ylabel: str) -> None:
     axes.set_xlabel("time [s]")
     axes.set_ylabel(ylabel)
     axes.margins(x=0.0)
-    _cut_off_starts(axes)
-
-
-def _cut_off_starts(axes: Any) -> None:
-    """Start the log axis where most of the curves lie, not at their first frames close to zero."""
+    # It starts where most of the curves lie, not at their first frames close to zero.
     curves = [line.get_ydata() for line in axes.lines if line.get_gid()]
     values = np.concatenate([*curves, np.empty(0)])
     visible = values[values > _FLOOR]
@@ -305,16 +297,3 @@ def _consistency_axes(axes: Any, results: tuple[EngineResult, ...], marker: dict
     for check, symbol in marker.items():
         axes.plot([], [], symbol, color=GREY, label=check)
     axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=len(marker), frameon=False)
-
-
-def _figure(
-    title: str,
-    draw: Callable[[Any], None],
-    caption: str,
-    size: tuple[float, float] = _SIZE,
-    *,
-    wide: bool = False,
-) -> Figure:
-    return Figure(
-        title, lambda figure: draw(figure.add_subplot()), size, caption=caption, wide=wide
-    )
