@@ -50,7 +50,7 @@ class Truth:
     judged: bool = True
     """Whether the error counts against a budget; False if a method is compared with itself."""
     compared: bool = True
-    """Whether the error is reported at all."""
+    """Whether there is an error at all."""
 
     @property
     def known(self) -> Mask:
@@ -83,15 +83,14 @@ def confirmations(
 
     Bouncing balls have no second solution: the reference then has a cost but no error.
     """
+    unknown = [dataclasses.replace(truth, compared=False) for truth in truths]
     if has_known_impacts(Mechanism.of(scene)):
-        return [dataclasses.replace(truth, judged=False, compared=False) for truth in truths]
+        return unknown
     tasks = [Task(confirmed, (scene, batch[[k]], conduct.cache)) for k in range(len(batch))]
     answers = run_tasks(tasks, workers=conduct.workers)
     return [
-        dataclasses.replace(truth, judged=False, compared=False)
-        if isinstance(answer, Crash)
-        else dataclasses.replace(truth, trajectory=answer)
-        for truth, answer in zip(truths, answers, strict=True)
+        without if isinstance(answer, Crash) else dataclasses.replace(truth, trajectory=answer)
+        for truth, without, answer in zip(truths, unknown, answers, strict=True)
     ]
 
 

@@ -32,15 +32,14 @@ def curve_results(
     With `own_limit`, errors are distances to a method's own limit. A small distance does not show
     that a motion is true, but a large one shows that it is wrong: the error's budget applies.
     """
-    results = [
-        _curve_result(
-            scene,
-            curve,
-            [_against_limit(scene, p) if own_limit else p for p in map(point_of, points)],
-        )
-        for curve, points in zip(curves, by_curve, strict=True)
+    summary = [
+        [_against_limit(scene, p) if own_limit else p for p in map(point_of, points)]
+        for points in by_curve
     ]
-    return _with_front(results, FLOOR * scene.length)
+    return tuple(
+        _curve_result(scene, curve, points)
+        for curve, points in zip(curves, _with_front(summary, FLOOR * scene.length), strict=True)
+    )
 
 
 def _against_limit(scene: Scene, point: Point) -> Point:
@@ -91,10 +90,8 @@ def ratios_of(scene: Scene, curves: Sequence[CurveResult]) -> tuple[Ratio, ...]:
         return ()
     low, high = (math.log10(e) for e in (min(errors), min(max(errors), 10 * budget)))
     decades = [10.0**k for k in range(math.floor(high), math.ceil(low) - 1, -1)]
-    return (
-        _ratio(curves, budget, is_budget=True),
-        *(_ratio(curves, error, is_budget=False) for error in decades),
-    )
+    each = [(budget, True), *((error, False) for error in decades)]
+    return tuple(_ratio(curves, error, is_budget=is_budget) for error, is_budget in each)
 
 
 def _ratio(curves: Sequence[CurveResult], error: float, *, is_budget: bool) -> Ratio:
@@ -127,25 +124,19 @@ def _curve_result(scene: Scene, curve: EngineMethod, points: list[Point]) -> Cur
     )
 
 
-def _with_front(curves: list[CurveResult], floor: float) -> tuple[CurveResult, ...]:
+def _with_front(curves: list[list[Point]], floor: float) -> list[list[Point]]:
     """Mark the points of the Pareto front; errors below the floor count as equal."""
     places = [
         (k, n, pair)
-        for k, curve in enumerate(curves)
-        for n, point in enumerate(curve.points)
+        for k, points in enumerate(curves)
+        for n, point in enumerate(points)
         if (pair := _pair(point.wall_s, point.error_m)) is not None
     ]
     best = {places[k][:2] for k in front([(cost, max(e, floor)) for *_, (cost, e) in places])}
-    return tuple(
-        msgspec.structs.replace(
-            curve,
-            points=tuple(
-                msgspec.structs.replace(point, on_front=(k, n) in best)
-                for n, point in enumerate(curve.points)
-            ),
-        )
-        for k, curve in enumerate(curves)
-    )
+    return [
+        [msgspec.structs.replace(p, on_front=(k, n) in best) for n, p in enumerate(points)]
+        for k, points in enumerate(curves)
+    ]
 
 
 def _pair(cost: float | None, error: float | None) -> tuple[float, float] | None:

@@ -237,19 +237,16 @@ def _round(bench: StartBench, curves: Sequence[Simulator], by_curve: CurveRows, 
 
 
 def _remaining_work(bench: StartBench, curves: Sequence[Simulator], by_curve: CurveRows) -> float:
-    """Predict the remaining work of the whole study [s of one worker]."""
-    pairs = zip(curves, by_curve, strict=True)
-    return math.fsum(_remaining_on_curve(bench, curve, points) for curve, points in pairs)
-
-
-def _remaining_on_curve(
-    bench: StartBench, curve: Simulator, points: Sequence[Sequence[Measurement]]
-) -> float:
-    """Predict the remaining work on a curve: rest of the first start, and other starts [s]."""
-    rows = [point[0] for point in points]
-    ahead = remaining_time(curve, rows, bench.scene.clock.duration, bench.limit)
-    done = math.fsum(cost_of(_cost(bench, row)) for row in rows if row.kind == "done")
-    return ahead + (ahead + done) * (len(bench.batch) - 1)
+    """Predict the remaining work: rest of the first start, and other starts [s of one worker]."""
+    parts = []
+    for curve, points in zip(curves, by_curve, strict=True):
+        rows = [point[0] for point in points]
+        counts = [count for count in curve.counts[len(rows) :] if count <= SPAN]
+        costs = [rollout_cost(rows, k, bench.scene.clock.duration) or 0.0 for k in counts]
+        ahead = sum(cost_of(cost) for cost in costs if cost <= bench.limit)
+        done = math.fsum(cost_of(_cost(bench, row)) for row in rows if row.kind == "done")
+        parts.append(ahead + (ahead + done) * (len(bench.batch) - 1))
+    return math.fsum(parts)
 
 
 def _cost(bench: StartBench, row: Measurement) -> float:
@@ -284,12 +281,3 @@ def rollout_cost(rows: Sequence[Measurement], count: int, duration: float) -> fl
 def cost_of(rollout: float) -> float:
     """Predict the time of a task from that of its rollout [s]."""
     return _START + max(_REPEATS, rollout)
-
-
-def remaining_time(
-    curve: Simulator, rows: Sequence[Measurement], duration: float, limit: float
-) -> float:
-    """Predict the time of the points of a curve that are not measured yet [s]."""
-    counts = curve.counts[len(rows) :]
-    costs = (rollout_cost(rows, count, duration) or 0.0 for count in counts if count <= SPAN)
-    return sum(cost_of(cost) for cost in costs if cost <= limit)
