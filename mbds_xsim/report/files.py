@@ -27,8 +27,6 @@ from mbds_xsim.report.blocks import (
 )
 from mbds_xsim.report.terminal import SIGNS
 
-_LEFT_OUT = {"key"}
-
 
 def write_reports(
     reports: Sequence[Report],
@@ -38,8 +36,7 @@ def write_reports(
     markdown: Path | None = None,
 ) -> None:
     """Write the files that are named, each whole or not at all."""
-    if html is not None:
-        write_whole(html, to_html(reports, title).encode())
+    write_if(html, lambda: to_html(reports, title).encode())
     write_if(markdown, lambda: to_markdown(reports).encode())
 
 
@@ -69,9 +66,7 @@ def rows_csv(rows: Iterable[msgspec.Struct], *more: str) -> bytes:
     `more` names properties that are columns too. Blanks separate the numbers of a tuple.
     """
     listed = list(rows)
-    fields = (
-        [name for name in listed[0].__struct_fields__ if name not in _LEFT_OUT] if listed else []
-    )
+    fields = [f for f in listed[0].__struct_fields__ if f != "key"] if listed else []
     names = [*fields, *more]
     cells = ([_csv_cell(getattr(row, name)) for name in names] for row in listed)
     return csv_text([names, *cells]).encode()
@@ -201,9 +196,9 @@ def _table(table: Table, explained: set[Column], level: int) -> Iterator[str]:
     rows = ((_cell(cell, bold=row.mark in bold) for cell in row.cells) for row in table.rows)
     yield from table_lines(headings, rows)
     yield ""
-    reasons = [(row.cells, reason) for row in table.rows for reason in row.reasons]
-    for cells, reason in reasons:
-        yield f"- {in_markdown(' '.join(cell.text for cell in cells[:2]))}: {in_markdown(reason)}"
+    for row in table.rows:
+        name = in_markdown(" ".join(row.texts[:2]))
+        yield from (f"- {name}: {in_markdown(reason)}" for reason in row.reasons)
     for column in table.columns:
         if column.meaning and column not in explained:
             explained.add(column)

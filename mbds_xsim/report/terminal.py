@@ -29,10 +29,10 @@ from mbds_xsim.base.text import on_a_line, printable
 from mbds_xsim.report.blocks import (
     Block,
     Cell,
-    Column,
     Remark,
     Remarks,
     Report,
+    Row,
     Section,
     Table,
     Text,
@@ -125,8 +125,14 @@ def _print_table(table: Table, console: Console) -> None:
         box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, header_style="bold",
     )  # fmt: skip
     for k in columns:
+        column = table.columns[k]
         longest = max((len(row.cells[k].text) for row in table.rows), default=0)
-        _add_column(grid, table.columns[k], whole=longest <= _SHORT)
+        grid.add_column(
+            column.heading,
+            justify="left" if column.words else "right",
+            no_wrap=longest <= _SHORT or not column.words,
+            overflow="fold",
+        )
     above = ""
     for row in table.rows[: table.most]:
         cells = [_words(row.cells[k]) for k in columns]
@@ -140,18 +146,9 @@ def _print_table(table: Table, console: Console) -> None:
     _left_out(len(table.rows), table.most, "rows", console)
     for row in table.rows:
         if row.reasons:
-            console.print(_reason(row.cells, row.mark, row.reasons))
+            console.print(_reason(row))
     if table.note:
         console.print(Words(table.note, style="dim"))
-
-
-def _add_column(grid: Grid, column: Column, *, whole: bool) -> None:
-    grid.add_column(
-        column.heading,
-        justify="left" if column.words else "right",
-        no_wrap=whole or not column.words,
-        overflow="fold",
-    )
 
 
 def _words(cell: Cell) -> Words:
@@ -160,14 +157,13 @@ def _words(cell: Cell) -> Words:
     return Words(text, style=_STYLES[cell.mark])
 
 
-def _reason(cells: tuple[Cell, ...], mark: str, reasons: tuple[str, ...]) -> Grid:
+def _reason(row: Row) -> Grid:
     """Lay out the first reason with a hanging indent, and the number of further reasons."""
-    first, *rest = reasons
-    name = " ".join(cell.text for cell in cells[:2])
+    first, *rest = row.reasons
     more = f" (and {len(rest)} more)" if rest else ""
     return _hanging(
-        Words(SIGNS.get(mark, "✗"), style=_STYLES[mark]),
-        Words.assemble((name, "bold"), f": {first}", (more, "dim")),
+        Words(SIGNS.get(row.mark, "✗"), style=_STYLES[row.mark]),
+        Words.assemble((" ".join(row.texts[:2]), "bold"), f": {first}", (more, "dim")),
     )
 
 
