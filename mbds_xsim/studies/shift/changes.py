@@ -15,15 +15,15 @@ from mbds_xsim.report.quantity import NONE, number
 
 def change_tables(shift: Shift, place: int) -> Iterator[Table]:
     """Yield the tables from the last known frame on, then those from the first contact on."""
-    when, interactions = f"at t = {shift.frames[place]}", shift.interactions
-    yield survivors(interactions, place, when, _noticeable_pairs(shift, interactions, place))
-    yield _pairs(interactions, place, when)
+    parts = [(shift.interactions, place, f"at t = {shift.frames[place]}")]
     if shift.after_contact:
-        place, interactions = shift.contact_place(shift.frames[place]), shift.after_contact
+        later = shift.contact_place(shift.frames[place])
         trajectories = counted(shift.contact_trajectories, "trajectory")
-        when = f"{shift.contact_frames[place]} frames after the first contact ({trajectories})"
-        yield survivors(interactions, place, when, _noticeable_pairs(shift, interactions, place))
-        yield _pairs(interactions, place, when)
+        when = f"{shift.contact_frames[later]} frames after the first contact ({trajectories})"
+        parts.append((shift.after_contact, later, when))
+    for part in parts:
+        yield survivors(*part, _noticeable_pairs(shift, *part[:2]))
+        yield _pairs(*part)
 
 
 def _noticeable_pairs(

@@ -105,21 +105,22 @@ _MIDDLE = 0.55  # share of the colours' range: darker cells have white text
 
 def map_size(matrix: Matrix) -> tuple[float, float]:
     """Return width and height of a heat map [in]."""
-    width = _MARGIN[0] + _CELL[0] * len(matrix.columns)
-    return width, _MARGIN[1] + _CELL[1] * len(matrix.rows)
+    return _size(len(matrix.rows), len(matrix.columns))
 
 
-def draw_matrix(axes: Any, matrix: Matrix, spread: tuple[float, float]) -> None:
+def _size(rows: int, columns: int) -> tuple[float, float]:
+    return _MARGIN[0] + _CELL[0] * columns, _MARGIN[1] + _CELL[1] * rows
+
+
+def draw_matrix(axes: Any, matrix: Matrix, spread: tuple[float, float], title: str) -> None:
     """Draw the errors [m²] of a model, one row per training, one column per test domain.
 
     `spread` has the ends of the colour scale, as logarithms to base 10.
     """
     logs = [[_log(value) for value in row] for row in matrix.values]
     axes.imshow(logs, cmap="cividis", vmin=spread[0], vmax=spread[1], aspect="auto")
-    axes.grid(visible=False)
-    axes.set_xticks(range(len(matrix.columns)), matrix.columns, rotation=35, ha="right")
-    axes.set_yticks(range(len(matrix.rows)), matrix.rows)
-    axes.tick_params(length=0, labelsize=8)
+    axes.set_title(title, fontsize=10, loc="left")
+    _name_cells(axes, matrix.rows, matrix.columns, rotation=35, ha="right")
     for row, values in enumerate(matrix.values):
         for column, value in enumerate(values):
             bright = _log(value) > spread[0] + _MIDDLE * (spread[1] - spread[0])
@@ -138,14 +139,12 @@ def pairs_of(shift: Shift) -> list[tuple[str, str]]:
 
 def interactions_size(shift: Shift) -> tuple[float, float]:
     """Return width and height of the picture of interactions [in]."""
-    models = {each.model for each in shift.interactions}
-    width = _MARGIN[0] + _CELL[0] * len(models)
-    return width, _MARGIN[1] + _CELL[1] * len(pairs_of(shift))
+    return _size(len(pairs_of(shift)), len({each.model for each in shift.interactions}))
 
 
-def draw_interactions(axes: Any, shift: Shift, frame: int) -> None:
+def draw_interactions(axes: Any, shift: Shift) -> None:
     """Draw the costs of changes, one row per pair of domains, one column per model."""
-    place, pairs = shift.frames.index(frame), pairs_of(shift)
+    place, pairs = shift.frames.index(shift.at), pairs_of(shift)
     models = list(dict.fromkeys(each.model for each in shift.interactions))
     costs: Costs = {
         (pairs.index((each.first, each.second)), models.index(each.model)): (
@@ -179,8 +178,13 @@ def draw_costs(
     known = [abs(x) for line in logs for x in line if math.isfinite(x)]
     ends = max([_LEAST_SPREAD, math.log10(most), *known]) / _PALEST
     axes.imshow(logs, cmap="RdBu_r", vmin=-ends, vmax=ends, aspect="auto")
+    _name_cells(axes, rows, columns)
+
+
+def _name_cells(axes: Any, rows: Sequence[str], columns: Sequence[str], **look: Any) -> None:
+    """Name rows and columns of cells, whose columns' names may have a look."""
     axes.grid(visible=False)
-    axes.set_xticks(range(len(columns)), columns)
+    axes.set_xticks(range(len(columns)), columns, **look)
     axes.set_yticks(range(len(rows)), rows)
     axes.tick_params(length=0, labelsize=8)
 
