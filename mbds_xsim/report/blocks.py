@@ -7,7 +7,7 @@ them safe for its place.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
@@ -111,9 +111,9 @@ class Remarks:
     """Largest number of lines that a terminal shows; None for all."""
 
     @classmethod
-    def of(cls, pairs: Iterable[tuple[str, str]], most: int | None = None) -> Remarks:
+    def of(cls, pairs: Iterable[tuple[str, str]]) -> Remarks:
         """Make remarks from pairs of a subject and a sentence."""
-        return cls(tuple(Remark(subject, text) for subject, text in pairs), most)
+        return cls(tuple(Remark(subject, text) for subject, text in pairs))
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,6 +211,19 @@ class Report:
     verdict: Mark = ""
     picture: str = ""
     """Link to a picture of the result, for Markdown."""
+
+    @property
+    def motion(self) -> Motion | None:
+        """The first motion in it, if any."""
+        return next(_motions(self.blocks), None)
+
+
+def _motions(blocks: Iterable[Block]) -> Iterator[Motion]:
+    for block in blocks:
+        if isinstance(block, Motion):
+            yield block
+        elif isinstance(block, Section):
+            yield from _motions(block.blocks)
 
 
 def table_of(

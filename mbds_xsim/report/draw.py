@@ -240,11 +240,9 @@ class _Picture:
         if not 1 < len(bodies) <= _NAMED_BODIES:
             return
         placed: list[Array] = []
+        near = self.unit * np.array([9.0, 3.0])
         for body, place in zip(bodies, self.view.flat(self.pose.position), strict=True):
-            close = sum(
-                bool((np.abs(place - other) < [9.0, 3.0] * np.full(2, self.unit)).all())
-                for other in placed
-            )
+            close = sum(bool((np.abs(place - other) < near).all()) for other in placed)
             placed.append(place)
             axes.annotate(
                 in_figure(body.name), place, xytext=(7, -3 - 13 * close), **_LABEL,

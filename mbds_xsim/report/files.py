@@ -14,17 +14,7 @@ import msgspec
 from mbds_xsim.base.files import write_whole
 from mbds_xsim.base.text import as_code, csv_text, in_markdown, printable, sentence
 from mbds_xsim.report import themed
-from mbds_xsim.report.blocks import (
-    Block,
-    Cell,
-    Column,
-    Motion,
-    Remarks,
-    Report,
-    Section,
-    Table,
-    Text,
-)
+from mbds_xsim.report.blocks import Block, Cell, Column, Remarks, Report, Section, Table, Text
 from mbds_xsim.report.terminal import SIGNS
 
 
@@ -101,16 +91,8 @@ def to_html(reports: Sequence[Report], title: str) -> str:
         title=title,
         signs=SIGNS,
         svg=lambda figure: themed.svg(figure.title, figure.draw, figure.size, figure.tips),
-        motion=next((m.data for report in reports for m in _motions(report.blocks)), None),
+        motion=next((report.motion.data for report in reports if report.motion), None),
     )
-
-
-def _motions(blocks: Iterable[Block]) -> Iterator[Motion]:
-    for block in blocks:
-        if isinstance(block, Motion):
-            yield block
-        elif isinstance(block, Section):
-            yield from _motions(block.blocks)
 
 
 def _finalized(value: Any) -> Any:
@@ -158,14 +140,12 @@ def _spaced(lines: Iterable[str]) -> Iterator[str]:
 
 
 def _chapter(report: Report, explained: set[Column]) -> Iterator[str]:
-    yield from (f"# {in_markdown(report.title)}: {in_markdown(report.what)}", "")
+    title, what = in_markdown(report.title), in_markdown(report.what)
+    yield from (f"# {title}: {what}", "")
     answer = f"{sentence(report.conclusion)}{sentence(report.description)}".rstrip()
     yield from (in_markdown(answer), "")
     if report.picture:
-        yield from (
-            f"![{in_markdown(report.title)}, {in_markdown(report.what)}]({report.picture})",
-            "",
-        )
+        yield from (f"![{title}, {what}]({report.picture})", "")
     yield from _blocks(report.blocks, explained, 2)
     origin = f" on {in_markdown(report.made)}" if report.made else ""
     yield from (f"- Made by {as_code(report.command)}{origin}", "")

@@ -10,33 +10,14 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Self
 
-from rich import box
+from rich import box, progress
 from rich.console import Console, ConsoleOptions, RenderableType
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    ProgressColumn,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 from rich.segment import Segment
 from rich.table import Table as Grid
 from rich.text import Text as Words
 
 from mbds_xsim.base.text import on_a_line, printable
-from mbds_xsim.report.blocks import (
-    Block,
-    Cell,
-    Remark,
-    Remarks,
-    Report,
-    Row,
-    Section,
-    Table,
-    Text,
-)
+from mbds_xsim.report.blocks import Block, Cell, Remark, Remarks, Report, Row, Section, Table, Text
 
 _PIPED = 160
 """Number of columns if the width is unknown."""
@@ -189,11 +170,11 @@ _EVERY = 60.0  # between lines of a log [s]
 _SPEED_OVER = 600.0  # work comes in bursts; rate and time left are averages over this time [s]
 
 
-_PARTS: dict[str, Callable[[], ProgressColumn]] = {
-    "bar": lambda: BarColumn(bar_width=32),
-    "count": MofNCompleteColumn,
-    "elapsed": TimeElapsedColumn,
-    "remaining": TimeRemainingColumn,
+_PARTS: dict[str, Callable[[], progress.ProgressColumn]] = {
+    "bar": lambda: progress.BarColumn(bar_width=32),
+    "count": progress.MofNCompleteColumn,
+    "elapsed": progress.TimeElapsedColumn,
+    "remaining": progress.TimeRemainingColumn,
 }
 
 
@@ -211,7 +192,7 @@ class Bar:
         self._parts = [_PARTS[part]() if part in _PARTS else _text(part) for part in parts]
         self._on_terminal, self._ended = console.is_terminal, threading.Event()
         self._begin = time.monotonic()
-        self._progress = Progress(
+        self._progress = progress.Progress(
             *self._parts,
             console=console,
             transient=True,
@@ -248,7 +229,7 @@ class Bar:
         """Log from time to time that work goes on, and how far it is."""
         while not self._ended.wait(_EVERY):
             (task,) = self._progress.tasks
-            parts = (part for part in self._parts if not isinstance(part, BarColumn))
+            parts = (part for part in self._parts if not isinstance(part, progress.BarColumn))
             words = (str(part.render(task)) for part in parts)
             _log(" ".join(words))
 
@@ -369,10 +350,10 @@ class TrainingBar(Bar):
         return f"{self._done}/{self._runs} runs"
 
 
-def _text(form: str) -> ProgressColumn:
+def _text(form: str) -> progress.ProgressColumn:
     """Make a column that fills a text's fields with those of the task."""
     described = form.replace("{what", "{task.description")
-    return TextColumn(re.sub(r"\{(\w+)\}", r"{task.fields[\1]}", described), markup=False)
+    return progress.TextColumn(re.sub(r"\{(\w+)\}", r"{task.fields[\1]}", described), markup=False)
 
 
 def _log(line: str) -> None:

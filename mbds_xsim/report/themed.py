@@ -144,8 +144,8 @@ Layout = Literal["constrained"] | None
 
 def picture(draw: Draw, size: tuple[float, float], layout: Layout, **options: Any) -> bytes:
     """Draw into a full-colour PNG on white, without the style of pages; sizes are in inches."""
-    png = {"format": "png", "dpi": 150, "metadata": {"Software": None}}
-    return _saved(draw, size, layout, ON_WHITE, **png, **options)
+    options |= {"format": "png", "dpi": 150, "metadata": {"Software": None}}
+    return _saved(draw, size, layout, ON_WHITE, **options)
 
 
 def svg(title: str, draw: Draw, size: tuple[float, float], tips: dict[str, str]) -> Markup:

@@ -140,9 +140,8 @@ def restitution(
     judged = any(f.check == "restitution" for r in validation.engines for f in r.findings)
 
     def draw(axes: Any) -> None:
-        for place, (points, style) in enumerate(
-            zip(impacts, (None, *styles(validation.engines)), strict=True)
-        ):
+        looks = (None, *styles(validation.engines))
+        for place, (points, style) in enumerate(zip(impacts, looks, strict=True)):
             if points is not None:
                 colour = INK if style is None else LIGHT[style.colour]
                 hollow = style is None or style.dashed
@@ -153,11 +152,12 @@ def restitution(
                 if style is not None:
                     marks.set_gid(f"curve-{place - 1}")
         axes.axhline(e, **DOTTED)
-        band = f", the budget is {validation.budget['restitution']:g} (grey)" if judged else ""
-        axes.set_title(f"dotted: the scene's {e:.4f}{band}", loc="right", fontsize=8)
+        band = ""
         if judged:
             allowed = validation.budget["restitution"]
+            band = f", the budget is {allowed:g} (grey)"
             axes.axhspan(e - allowed, e + allowed, color=GREY, alpha=0.14, linewidth=0)
+        axes.set_title(f"dotted: the scene's {e:.4f}{band}", loc="right", fontsize=8)
         axes.set_xlabel("speed of impact [m/s]")
         axes.set_ylabel("speed after over before")
         axes.margins(x=0.06, y=0.15)

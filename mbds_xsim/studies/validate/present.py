@@ -129,13 +129,8 @@ def _distributions(validation: Validation) -> Iterator[blocks.Block]:
     )
     columns = ("pair", ">trajectories", ">distance", ">p-value")
     rows = [
-        [
-            f"{pair.one} and {pair.other}",
-            str(pair.count),
-            quantity.number(pair.distance),
-            quantity.number(pair.p_value),
-        ]
-        for pair in validation.ensembles
+        (f"{p.one} and {p.other}", str(p.count), *map(quantity.number, (p.distance, p.p_value)))
+        for p in validation.ensembles
     ]
     title = f"{counted(len(rows), 'pair')}, {apart} told apart with p below 0.01"
     yield Section(title, (table_of(columns, rows),), folded=True, opened=len(rows) <= _FEW)
@@ -158,17 +153,12 @@ def _finding_row(finding: FindingResult) -> blocks.Row:
     figure, budget = quantity.beside(finding.figure, finding.budget, finding.unit)
     note = f" ({finding.note})" if finding.note else ""
     each = " ".join(quantity.with_unit(value, finding.unit) for value in finding.figures)
-    texts = (
-        f"{finding.check}{note}",
-        figure,
-        budget,
-        f"trajectory {finding.trajectory}, frame {finding.frame}",
-        finding.where or quantity.NONE,
-        each,
-    )
+    worst = f"trajectory {finding.trajectory}, frame {finding.frame}"
+    where = finding.where or quantity.NONE
     judged = Cell("", "pass" if finding.passed else "fail")
     sign = Cell("·", "muted") if finding.budget is None else judged
-    return row_of((sign, *texts), "" if finding.passed else "over")
+    cells = (sign, f"{finding.check}{note}", figure, budget, worst, where, each)
+    return row_of(cells, "" if finding.passed else "over")
 
 
 def _settings(validation: Validation, evidence: Evidence) -> Iterator[Table]:
