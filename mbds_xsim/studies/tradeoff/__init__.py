@@ -323,12 +323,8 @@ def _variations(
         used = usual.get(option, adapter.options[option].default)
         for value in sweep.values:
             if value != used:
-                yield dataclasses.replace(
-                    base,
-                    variation=f"{option} = {value}",
-                    own_options={**usual, option: value},
-                    counts=_THIN,
-                )
+                name, options = f"{option} = {value}", {**usual, option: value}
+                yield dataclasses.replace(base, variation=name, own_options=options, counts=_THIN)
 
 
 def _native(scene: Scene, adapter: Adapter) -> Iterator[EngineMethod]:

@@ -95,10 +95,7 @@ def ratios_of(scene: Scene, curves: Sequence[CurveResult]) -> tuple[Ratio, ...]:
 
 
 def _ratio(curves: Sequence[CurveResult], error: float, *, is_budget: bool) -> Ratio:
-    costs = [
-        cost_at([_pair(point.wall_s, point.error_m) for point in curve.points], error)
-        for curve in curves
-    ]
+    costs = [cost_at([_pair(p.wall_s, p.error_m) for p in c.points], error) for c in curves]
     known = [k for k, cost in enumerate(costs) if cost is not None]
     best = min(known, key=lambda k: costs[k] or math.inf, default=None)
     return Ratio(error_m=error, budget=is_budget, wall_s=tuple(costs), best=best)
@@ -107,9 +104,7 @@ def _ratio(curves: Sequence[CurveResult], error: float, *, is_budget: bool) -> R
 def _curve_result(scene: Scene, curve: EngineMethod, points: list[Point]) -> CurveResult:
     adapter = registry.load_adapter(curve.engine)
     method = adapter.methods[curve.method]
-    pairs = [
-        (point.step_s, math.nan if point.error_m is None else point.error_m) for point in points
-    ]
+    pairs = [(p.step_s, math.nan if p.error_m is None else p.error_m) for p in points]
     return CurveResult(
         engine=curve.engine,
         version=curve.version,

@@ -61,43 +61,30 @@ def _accuracy(budget: str) -> Callable[[Tradeoff], float | None]:
 
 _OVER_COST = Chart(
     title=lambda s: f"{_error_name(s)}, over cost",
-    y="error_m",
-    y_label="RMS particle error [m]",
-    budget=_accuracy("error_1s"),
-    floor=FLOOR,
-    top=_TOP,
-    front=True,
-)
+    y="error_m", y_label="RMS particle error [m]", budget=_accuracy("error_1s"),
+    floor=FLOOR, top=_TOP, front=True,
+)  # fmt: skip
 _CHARTS: tuple[Chart, ...] = (
     _OVER_COST,
     replace(
-        _OVER_COST,
-        title=lambda s: f"{_error_name(s)}, over step",
-        x="step_s",
-        front=False,
+        _OVER_COST, title=lambda s: f"{_error_name(s)}, over step", x="step_s", front=False
     ),
     replace(
         _OVER_COST,
         title=lambda s: f"worst error over {_span(s)}, over the growth of a disturbance",
-        y="error_weighted_m",
-        y_label="max of error / max(1, G) [m]",
-        budget=_accuracy("error"),
+        y="error_weighted_m", y_label="max of error / max(1, G) [m]", budget=_accuracy("error"),
         front=False,
     ),
     Chart(
         title=lambda s: "energy that contact creates" if s.contact else "energy balance",
-        y="energy",
-        y_label="over the energy scale",
-        budget=lambda s: s.budget["passivity" if s.contact else "energy_first_order"],
-        top=10.0,
+        y="energy", y_label="over the energy scale",
+        budget=lambda s: s.budget["passivity" if s.contact else "energy_first_order"], top=10.0,
     ),
     Chart(
         title=lambda _: "worst gap of a joint",
-        y="gap_m",
-        y_label="gap [m]",
-        budget=lambda s: s.budget["gap"],
+        y="gap_m", y_label="gap [m]", budget=lambda s: s.budget["gap"],
     ),
-)
+)  # fmt: skip
 
 
 def charts_of(study: Tradeoff) -> list[Chart]:

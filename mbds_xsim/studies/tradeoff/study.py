@@ -20,14 +20,7 @@ from mbds_xsim.simulate.choice import Choice, words_of
 from mbds_xsim.simulate.claims import TRUTH
 from mbds_xsim.simulate.simulator import EngineMethod, Simulator
 from mbds_xsim.studies.tradeoff import SCHEMA, SPAN, CurveRows, Measurement, Tradeoff, curves_of
-from mbds_xsim.studies.tradeoff.bench import (
-    LIMIT_COUNT,
-    Job,
-    StartBench,
-    confirmations,
-    first_impact,
-    references,
-)
+from mbds_xsim.studies.tradeoff.bench import LIMIT_COUNT, Job, StartBench, confirmations, references
 from mbds_xsim.studies.tradeoff.curves import curve_results, ratios_of
 
 STARTS = 3
@@ -97,16 +90,8 @@ def tradeoff_with_rows(
     truths = references(scene, batch, conduct)
     usual = {(curve.engine, curve.method): curve for curve in curves if not curve.variation}
     own = [key for key, curve in usual.items() if curve.family == TRUTH]
-    bench = StartBench(
-        scene=scene,
-        batch=batch,
-        references=truths,
-        seed=seed,
-        limit=limit,
-        conduct=conduct,
-        usual=usual,
-        own=dict.fromkeys(own, confirmations(scene, batch, truths, conduct) if own else []),
-    )
+    others = dict.fromkeys(own, confirmations(scene, batch, truths, conduct) if own else [])
+    bench = StartBench(scene, batch, truths, seed, limit, conduct, usual, others)
     by_curve = explore(bench, curves)
     return _study(bench, curves, by_curve, left_out, command, time.perf_counter() - begin)
 
@@ -129,7 +114,7 @@ def _study(
         seed=bench.seed,
         trajectories=tuple(int(index) for index in bench.batch.index),
         horizon_s=bench.horizon,
-        reference_ends_s=first_impact(bench.references),
+        reference_ends_s=bench.reference_ends,
         own_limit=LIMIT_COUNT if bench.are_limits else None,
         duration_s=scene.clock.duration,
         length_m=scene.length,
@@ -206,15 +191,12 @@ def _next_count(bench: StartBench, curve: Simulator, rows: Sequence[Measurement]
     if len(rows) == len(curve.counts):
         return None
     count = curve.counts[len(rows)]
-    if count > SPAN and (bench.are_limits or (rows and not _wants_more(bench, rows[-1]))):
-        return None
-    return count
-
-
-def _wants_more(bench: StartBench, last: Measurement) -> bool:
-    """Return whether the last error of a curve is not yet far below the error budget."""
-    allowed = bench.scene.budget.error_1s * bench.scene.length
-    return last.error_m is not None and last.error_m > _FINE_ENOUGH * allowed
+    if count <= SPAN:
+        return count
+    # Further only while the error is not yet far below its budget.
+    enough = _FINE_ENOUGH * (bench.scene.budget.error_1s * bench.scene.length)
+    goes_on = not rows or (rows[-1].error_m or 0.0) > enough
+    return count if goes_on and not bench.are_limits else None
 
 
 def _round(bench: StartBench, curves: Sequence[Simulator], by_curve: CurveRows, start: int) -> None:
