@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -30,7 +31,7 @@ def listing(studies: Iterable[Study]) -> blocks.Table:
     rows: list[list[blocks.Cell | str]] = [
         [
             blocks.Cell(study.name, "strong"),
-            f"{study.quantity} [{study.unit}]" if study.unit else study.quantity,
+            words.axis_label(study),
             ", ".join(map(text_of, study.values)),
             study.sentence,
         ]
@@ -125,12 +126,8 @@ def cells_of(sweep: Survey) -> Iterator[blocks.Block]:
     """Describe what happened in each cell, and why."""
     for cell in sweep.cells:
         yield blocks.Text(words.name_of(cell, sweep), "strong")
-        yield blocks.Remarks(
-            tuple(
-                blocks.Remark(subject, text, "fail" if cell.failed and subject == "outcome" else "")
-                for subject, text in words.facts_of(cell, sweep)
-            )
-        )
+        outcome, *others = (blocks.Remark(*fact) for fact in words.facts_of(cell, sweep))
+        yield blocks.Remarks((replace(outcome, mark="fail" if cell.failed else ""), *others))
     yield blocks.Remarks.of(
         [
             ("stable", sweep.criteria.removeprefix("stable: ")),

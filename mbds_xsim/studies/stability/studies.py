@@ -318,17 +318,11 @@ def _cranks(count: int, angle: float, rate: float) -> Scene:
         velocity=speed,
         angular_velocity=(0.0, 0.0, 0.0),
     )
-    joints = [
-        joint
-        for k in range(count)
-        for joint in (
-            Joint(f"foot{k}", "hinge", "world", f"crank{k}", (_APART * k, 0.0, 0.0), _AXIS),
-            Joint(
-                f"pin{k}", "hinge", f"crank{k}", "coupler",
-                (_APART * k + reach[0], 0.0, reach[2]), _AXIS,
-            ),
-        )
-    ]  # fmt: skip
+    joints = []
+    for k, crank in enumerate(bodies):
+        foot, pin = (_APART * k, 0.0, 0.0), (_APART * k + reach[0], 0.0, reach[2])
+        joints.append(Joint(f"foot{k}", "hinge", "world", crank.name, foot, _AXIS))
+        joints.append(Joint(f"pin{k}", "hinge", crank.name, "coupler", pin, _AXIS))
     return Scene(
         name="cranks", bodies=(*bodies, coupler), joints=tuple(joints), length=_CRANK, dimension=2
     )

@@ -145,13 +145,11 @@ def simulators_of(plan: SurveyPlan) -> tuple[list[Simulator], dict[str, str]]:
             left_out[name] = str(error)
             continue
         variation = NATIVE if profile == "native" else ""
-        for method in [usual] if profile == "native" else adapter.methods:
-            if not plan.methods or method in plan.methods:
-                candidates.append(
-                    EngineMethod(
-                        name, method, variation=variation, counts=plan.counts, profile=profile
-                    )
-                )
+        candidates += [
+            EngineMethod(name, method, variation=variation, counts=plan.counts, profile=profile)
+            for method in ([usual] if profile == "native" else adapter.methods)
+            if not plan.methods or method in plan.methods
+        ]
     simulators: list[Simulator] = []
     for simulator in [*candidates, *plan.others]:
         reasons = [_refusal(plan.study, simulator, scene) for scene in scenes]
@@ -237,11 +235,8 @@ def _panels(
     cases.sort(key=lambda case: -len(case.arguments()[1].bodies))
     cells = dict(zip(map(id, cases), runner.rows(cases), strict=True))
     return tuple(
-        Panel(
-            **_names(simulator),
-            cells=tuple(tuple(cells[id(case)] for case in row) for row in panel),
-        )
-        for simulator, panel in zip(simulators, grid, strict=True)
+        Panel(**_names(s), cells=tuple(tuple(cells[id(case)] for case in row) for row in panel))
+        for s, panel in zip(simulators, grid, strict=True)
     )
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from mbds_xsim.report import quantity
 from mbds_xsim.report.themed import GREY, INK
-from mbds_xsim.studies.stability import MapCell, Outcome, Panel, Survey, Value, text_of
+from mbds_xsim.studies.stability import MapCell, Outcome, Panel, Study, Survey, Value, text_of
 
 _REPORTERS = {
     "engine": "the engine",
@@ -31,9 +31,9 @@ _LEARNED = (
 )
 
 
-def axis_label(sweep: Survey) -> str:
+def axis_label(study: Study | Survey) -> str:
     """Name the swept quantity, with its unit."""
-    return f"{sweep.quantity} [{sweep.unit}]" if sweep.unit else sweep.quantity
+    return f"{study.quantity} [{study.unit}]" if study.unit else study.quantity
 
 
 def limit(panel: Panel, row: int) -> str:
@@ -315,20 +315,18 @@ def draw_legend(figure: Any, sweep: Survey, *, columns: int) -> None:
         Patch(fc=look.colour, ec=GREY, lw=0.4, label=f"{look.letter}  {look.meaning}".strip())
         for look in looks_of(sweep)
     ]
-    silent = Patch(
-        facecolor="white", edgecolor=INK, linewidth=0.0, hatch=_HATCH,
-        label="hatched: without a word from the engine",
-    )  # fmt: skip
-    figure.legend(
-        handles=[*patches, silent], loc="outside lower left", ncols=columns, frameon=False,
-        fontsize=8,
-    )  # fmt: skip
+    label = "hatched: without a word from the engine"
+    patches.append(Patch(fc="white", ec=INK, lw=0.0, hatch=_HATCH, label=label))
+    look = {"ncols": columns, "frameon": False, "fontsize": 8}
+    figure.legend(handles=patches, loc="outside lower left", **look)
 
 
 def tips(sweep: Survey) -> dict[str, str]:
     """Return the text shown when a cell is pointed at, keyed by the gid of its artist."""
     return {
-        f"tip-{place}-{row * len(cells) + column}": _tooltip(cell, sweep)
+        f"tip-{place}-{row * len(cells) + column}": "\n".join(
+            [name_of(cell, sweep), *map(": ".join, facts_of(cell, sweep))]
+        )
         for place, panel in enumerate(sweep.panels)
         for row, cells in enumerate(panel.cells)
         for column, cell in enumerate(cells)
@@ -340,27 +338,15 @@ def _draw_cell(axes: Any, cell: MapCell, column: int, row: int, gid: str) -> Non
 
     look = LOOKS[cell.outcome]
     ink = "#ffffff" if look.dark else "#1a1a1a"
-    box = Rectangle((column - 0.47, row - 0.45), 0.94, 0.9, facecolor=look.colour, linewidth=0)
-    box.set_gid(gid)
-    axes.add_patch(box)
+    area = ((column - 0.47, row - 0.45), 0.94, 0.9)
+    axes.add_patch(Rectangle(*area, fc=look.colour, lw=0, gid=gid))
     if cell.silent:
-        axes.add_patch(
-            Rectangle(
-                (column - 0.47, row - 0.45), 0.94, 0.9, facecolor="none", edgecolor=ink,
-                linewidth=0, hatch=_HATCH, alpha=0.55,
-            )
-        )  # fmt: skip
+        axes.add_patch(Rectangle(*area, fc="none", ec=ink, lw=0, hatch=_HATCH, alpha=0.55))
     if look.letter:
         back = {"facecolor": look.colour, "edgecolor": "none", "pad": 0.8}
         axes.text(
             column, row, look.letter, ha="center", va="center", fontsize=7, color=ink, bbox=back
         )
-
-
-def _tooltip(cell: MapCell, sweep: Survey) -> str:
-    lines = [name_of(cell, sweep)]
-    lines += [f"{subject}: {text}" for subject, text in facts_of(cell, sweep)]
-    return "\n".join(lines)
 
 
 def _short(text: str) -> str:
