@@ -6,8 +6,9 @@ import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
 
 from mbds_xsim.base.text import counted
+from mbds_xsim.learn.shift.evaluation import RESTART
 from mbds_xsim.learn.shift.interaction import BEARABLE, FALSE, OTHER, by_change
-from mbds_xsim.learn.shift.result import Interaction, Shift
+from mbds_xsim.learn.shift.result import INTERVALS, ErrorFloor, Interaction, Shift
 from mbds_xsim.learn.shift.worth import NOTABLE
 from mbds_xsim.report.blocks import Column, Table, table_of
 from mbds_xsim.report.quantity import NONE, number
@@ -101,6 +102,17 @@ def between(first: str, second: str, *, where: bool = False) -> str:
     if variant == another:
         return f"{variant}: {engine} ↔ {other}" if where else f"{engine} ↔ {other}"
     return f"{engine}: {variant} ↔ {another}" if where else f"{variant} ↔ {another}"
+
+
+def other_engines(shift: Shift, test: str) -> list[ErrorFloor]:
+    """Return the distances of other engines that go on from a domain's last known frame."""
+    engine = test.rpartition("-")[0]  # at other settings it is no other engine
+    return [
+        floor
+        for floor in shift.floors
+        if (floor.kind, floor.test, floor.interval) == (RESTART, test, INTERVALS[0])
+        and floor.first.rpartition("-")[0] != engine
+    ]
 
 
 def _pairs(interactions: Sequence[Interaction], place: int, when: str) -> Table:
