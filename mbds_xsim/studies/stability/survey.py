@@ -36,7 +36,6 @@ from mbds_xsim.simulate.adapter import Profile
 from mbds_xsim.simulate.simulator import NATIVE, EngineMethod, Simulator
 from mbds_xsim.studies.stability import (
     COUNTS,
-    FRAME,
     SCHEMA,
     MapCell,
     Panel,
@@ -110,8 +109,8 @@ def survey(plan: SurveyPlan) -> Survey:
         quantity=plan.study.quantity,
         unit=plan.study.unit,
         values=plan.values,
-        steps_s=tuple(FRAME / count for count in plan.counts),
-        duration_s=FRAME * plan.study.frames,
+        steps_s=tuple(plan.study.clock.frame / count for count in plan.counts),
+        duration_s=plan.study.clock.duration,
         criteria=CRITERIA,
         panels=panels,
         left_out=left_out | dict(plan.faulty),
