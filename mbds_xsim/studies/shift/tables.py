@@ -176,7 +176,10 @@ def nearness(shift: Shift) -> Table:
     The table has a row for each training on one domain; rows without figures are left out.
     """
     frames = [frame for frame in _NEAR_AT if frame in shift.frames]
-    rows = (row for model in trained_models(shift) for row in _nearness_rows(shift, model, frames))
+    rows = (
+        (label, *map(_beside, errors, [_nearest(shift, home, frame) for frame in frames]))
+        for label, home, errors in _at_home(shift, [(at(shift, f), INTERVALS[0]) for f in frames])
+    )
     return titled_table(
         "Is a model nearer to its engine than any other engine is?",
         "Mean squared distance [m²] of the model from the domain that taught it, below or above "
@@ -185,16 +188,6 @@ def nearness(shift: Shift) -> Table:
         ("trained on", *(f"t = {frame}" for frame in frames)),
         (row for row in rows if any(text != NONE for text in row[1:])),
     )
-
-
-def _nearness_rows(shift: Shift, model: str, frames: list[int]) -> Iterator[tuple[str, ...]]:
-    matrices = [matrix_of(shift, model, at(shift, frame)) for frame in frames]
-    for home in matrices[0].homes if matrices else ():
-        texts = (
-            _beside(matrix.at_home(home), _nearest(shift, home, frame))
-            for matrix, frame in zip(matrices, frames, strict=True)
-        )
-        yield f"{model}, {home}", *texts
 
 
 def _beside(own: float | None, other: float | None) -> str:
@@ -330,7 +323,7 @@ def _at_home(
     """Yield label, training and figures, each over its interval, of all trainings at home."""
     for model in trained_models(shift):
         matrices = [matrix_of(shift, model, pick, interval) for pick, interval in picks]
-        for training in matrix_of(shift, model, picks[0][0]).homes:
+        for training in matrix_of(shift, model, at(shift, shift.at)).homes:
             yield f"{model}, {training}", training, [each.at_home(training) for each in matrices]
 
 
