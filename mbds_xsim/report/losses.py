@@ -8,8 +8,8 @@ from typing import Any
 from mbds_xsim.base.text import counted
 from mbds_xsim.report import blocks
 from mbds_xsim.report.blocks import PAGE, WRITTEN, Cell, Section, Table, Text, table_of
+from mbds_xsim.report.catalogue import scene_row
 from mbds_xsim.report.draw import scene_figure
-from mbds_xsim.scene.constraints import degrees_of_freedom
 from mbds_xsim.scene.imported import Fate, Imported, Outcome, Written
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
@@ -20,16 +20,16 @@ _MOST = 3  # places that a table names
 
 def import_row(imported: Imported) -> dict[str, Any]:
     """Summarise an import; only approximations and drops that affect the motion are counted."""
-    mechanism = Mechanism.of(imported.scene)
+    row = scene_row(imported.scene)
     return {
         "file": imported.file,
         "format": imported.format,
         "reader": imported.reader,
-        "scene": imported.scene.name,
-        "bodies": mechanism.body_count,
-        "joints": len(mechanism.joints),
-        "degrees_of_freedom": degrees_of_freedom(mechanism),
-        "mass_kg": float(mechanism.mass.sum()),
+        "scene": row.scene,
+        "bodies": row.bodies,
+        "joints": row.joints,
+        "degrees_of_freedom": row.degrees_of_freedom,
+        "mass_kg": float(Mechanism.of(imported.scene).mass.sum()),
         "approximated": imported.count("approximated"),
         "dropped": imported.count("dropped"),
         "fates": imported.fates,

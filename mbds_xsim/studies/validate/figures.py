@@ -118,7 +118,13 @@ def consistency(validation: Validation) -> Figure | None:
                 ratio = _clip(np.array(f.figures, dtype=np.float64) / (f.budget or 1.0))
                 height = np.full(len(ratio), -place - 0.12 * checks.index(f.check))
                 axes.plot(ratio, height, marker[f.check], **look)
-        _consistency_axes(axes, validation.engines, marker)
+        axes.axvline(1.0, **DOTTED)
+        axes.set_xscale("log")
+        axes.set_xlabel("figure over budget, one mark a trajectory (right of 1: inconsistent)")
+        axes.set_yticks(-np.arange(len(rows)), [words.label(r) for r in validation.engines])
+        for check, symbol in marker.items():
+            axes.plot([], [], symbol, color=GREY, label=check)
+        axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=len(marker), frameon=False)
 
     size = (7.2, 1.3 + 0.34 * len(rows))
     return chart("consistency over its budget", draw, size, wide=True)
@@ -287,13 +293,3 @@ def _heat(axes: Any, names: list[str], shown: Array, colours: list[str]) -> None
     axes.tick_params(length=0)
     axes.grid(False)
     axes.spines[:].set_visible(False)
-
-
-def _consistency_axes(axes: Any, results: tuple[EngineResult, ...], marker: dict[str, str]) -> None:
-    axes.axvline(1.0, **DOTTED)
-    axes.set_xscale("log")
-    axes.set_xlabel("figure over budget, one mark a trajectory (right of 1: inconsistent)")
-    axes.set_yticks(-np.arange(len(results)), [words.label(result) for result in results])
-    for check, symbol in marker.items():
-        axes.plot([], [], symbol, color=GREY, label=check)
-    axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=len(marker), frameon=False)
