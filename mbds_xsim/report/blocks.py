@@ -7,7 +7,7 @@ them safe for its place.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
@@ -18,6 +18,8 @@ Mark: TypeAlias = Literal["", "pass", "warn", "fail", "over", "strong", "muted"]
 """Status of a text: a verdict, a figure beyond its budget, or a tone."""
 Place: TypeAlias = Literal["terminal", "markdown", "page"]
 EVERYWHERE: frozenset[Place] = frozenset({"terminal", "markdown", "page"})
+WRITTEN: frozenset[Place] = frozenset({"markdown", "page"})
+PAGE: frozenset[Place] = frozenset({"page"})
 
 
 @dataclass(frozen=True)
@@ -109,9 +111,9 @@ class Remarks:
     """Largest number of lines that a terminal shows; None for all."""
 
     @classmethod
-    def of(cls, pairs: Iterable[tuple[str, str]], most: int | None = None) -> Remarks:
+    def of(cls, pairs: Iterable[tuple[str, str]]) -> Remarks:
         """Make remarks from pairs of a subject and a sentence."""
-        return cls(tuple(Remark(subject, text) for subject, text in pairs), most)
+        return cls(tuple(Remark(subject, text) for subject, text in pairs))
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,6 +212,19 @@ class Report:
     picture: str = ""
     """Link to a picture of the result, for Markdown."""
 
+    @property
+    def motion(self) -> Motion | None:
+        """The first motion in it, if any."""
+        return next(_motions(self.blocks), None)
+
+
+def _motions(blocks: Iterable[Block]) -> Iterator[Motion]:
+    for block in blocks:
+        if isinstance(block, Motion):
+            yield block
+        elif isinstance(block, Section):
+            yield from _motions(block.blocks)
+
 
 def table_of(
     columns: Iterable[Column | str],
@@ -228,6 +243,13 @@ def table_of(
 def row_of(cells: Iterable[Cell | str], mark: Mark = "", reasons: tuple[str, ...] = ()) -> Row:
     """Make a row of plain texts and cells."""
     return Row(tuple(c if isinstance(c, Cell) else Cell(c) for c in cells), mark, reasons)
+
+
+def chart(
+    title: str, draw: Callable[[Any], None], size: tuple[float, float], **more: Any
+) -> Figure:
+    """Make a figure of one chart, which `draw` draws on axes; `more` are fields of the figure."""
+    return Figure(title, lambda figure: draw(figure.subplots()), size, **more)
 
 
 def columns_of(*headings: Column | str) -> tuple[Column, ...]:

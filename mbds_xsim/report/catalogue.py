@@ -181,11 +181,8 @@ def told_term(term: object) -> str:
 
 def _nothing(value: object) -> bool:
     """Return whether a value switches nothing on, or a vector or range is zero throughout."""
-    return value is False or (isinstance(value, tuple) and not any(v != 0.0 for v in _flat(value)))
-
-
-def _flat(value: object) -> list[object]:
-    return [w for v in value for w in _flat(v)] if isinstance(value, tuple) else [value]
+    zero = isinstance(value, tuple) and all(v == 0.0 or _nothing(v) for v in value)
+    return value is False or zero
 
 
 def _shown(value: object) -> str:
@@ -299,7 +296,8 @@ def _cell(row: EngineRow, feature: str, notes: list[str]) -> str:
     if not refusing:
         return "yes"
     reasons = "; ".join(
-        f"not with {_code(names)}: {reason}" for reason, names in by_reason(refusing).items()
+        f"not with {', '.join(f'`{name}`' for name in names)}: {reason}"
+        for reason, names in by_reason(refusing).items()
     )
     return f"some{_mark(f'{row.engine}, {reasons}.', notes)}"
 
@@ -350,7 +348,3 @@ def _method(method: MethodRow, row: EngineRow) -> list[str]:
 def _table(head: list[str], lines: Iterable[list[str]]) -> str:
     rows = ([cell.replace("|", "\\|") for cell in line] for line in lines)
     return table_text(head, rows)
-
-
-def _code(names: list[str]) -> str:
-    return ", ".join(f"`{name}`" for name in names)

@@ -28,7 +28,6 @@ from mbds_xsim.scene.scene import Scene
 
 _FAINT = "#cfd5da"
 _BODY = "#6f8296"
-_RGB = tuple(int(_BODY[k : k + 2], 16) / 255 for k in (1, 3, 5))
 _NAMED_BODIES = 12
 _LABEL = {"fontsize": 8, "color": DRAWN, "zorder": 9}
 
@@ -132,13 +131,8 @@ class _Picture:
             self._spring(axes, spring)
         for link in self.mechanism.distances:
             ends = self.view.flat(self._ends(link))
-            axes.plot(
-                *ends.T,
-                color=PARTS["distance link"],
-                linewidth=1.8,
-                zorder=5,
-                label="distance link",
-            )
+            look = {"color": PARTS["distance link"], "label": "distance link"}
+            axes.plot(*ends.T, linewidth=1.8, zorder=5, **look)
         for joint in self.mechanism.joints:
             self._joint(axes, joint)
         self._center(axes)
@@ -154,13 +148,8 @@ class _Picture:
             if axes.get_ylim()[0] < 0.0:
                 axes.axhspan(-1.5 * self.unit, 0.0, color=_FAINT, lw=0, zorder=0, label="ground")
             return
-        (left, front), (right, back) = (
-            edge + sign * 4.0 * self.unit
-            for edge, sign in (
-                (self.points[:, :2].min(axis=0), -1.0),
-                (self.points[:, :2].max(axis=0), 1.0),
-            )
-        )
+        across, margin = self.points[:, :2], 4.0 * self.unit
+        (left, front), (right, back) = across.min(axis=0) - margin, across.max(axis=0) + margin
         corners = np.array([[left, front], [right, front], [right, back], [left, back]])
         flat = self.view.flat(np.column_stack([corners, np.zeros(4)]))
         axes.fill(*flat.T, color=_FAINT, alpha=0.5, lw=0, zorder=0, label="ground")
@@ -180,11 +169,8 @@ class _Picture:
             tilt = math.degrees(math.atan2(vectors[1, 1], vectors[0, 1]))
             width, height = 2.0 * np.sqrt(np.maximum(values[::-1], 0.0))
             center = tuple(self.view.flat(self.pose.position[body]))
-            axes.add_patch(
-                Ellipse(
-                    center, width, height, angle=tilt, fc=(*_RGB, 0.16), ec=_BODY, lw=0.9, zorder=2
-                )
-            )
+            look = {"fc": (_BODY, 0.16), "ec": _BODY, "lw": 0.9, "zorder": 2}
+            axes.add_patch(Ellipse(center, width, height, angle=tilt, **look))
 
     def _skeleton(self, axes: Any) -> None:
         from matplotlib.collections import LineCollection
@@ -194,23 +180,19 @@ class _Picture:
         flat = self.view.flat(nodes)
         lines = [(flat[a], flat[b]) for a, b in self.bones.edges]
         axes.add_collection(LineCollection(lines, colors=PALE, linewidths=1.4, zorder=3))
-        mass = np.array(
-            [p.mass for body in self.mechanism.scene.bodies for p in body.particles], dtype=float
-        )
+        bodies = self.mechanism.scene.bodies
+        mass = np.array([p.mass for body in bodies for p in body.particles], dtype=float)
         size = self.unit * np.cbrt(mass / mass.max(initial=0.0)) if len(mass) else mass
         near = np.argsort(self.view.depth(self.points[: len(mass)]), kind="stable")
         for place, k in enumerate(near):
             radius = max(float(size[k]), 0.25 * self.unit)
             order = 4.0 + place / (len(near) + 1)
             axes.add_patch(Circle(flat[k], radius, fc=_BODY, ec="white", lw=0.6, zorder=order))
+        colour = PARTS["contact sphere"]
         for k in np.flatnonzero(self.bones.radius > 0):
             radius = self.bones.radius[k]
-            axes.add_patch(
-                Circle(flat[k], radius, fc="none", ec=PARTS["contact sphere"], lw=1.2, zorder=5)
-            )
-            axes.plot(
-                [], [], "o", mfc="none", color=PARTS["contact sphere"], label="contact sphere"
-            )
+            axes.add_patch(Circle(flat[k], radius, fc="none", ec=colour, lw=1.2, zorder=5))
+            axes.plot([], [], "o", mfc="none", color=colour, label="contact sphere")
         fixed = flat[len(self.points) :]
         if len(fixed):
             axes.plot(*fixed.T, "^", color=DRAWN, ms=8, zorder=6, label="fixed point", ls="none")
@@ -258,20 +240,15 @@ class _Picture:
         if not 1 < len(bodies) <= _NAMED_BODIES:
             return
         placed: list[Array] = []
+        near = self.unit * np.array([9.0, 3.0])
         for body, place in zip(bodies, self.view.flat(self.pose.position), strict=True):
-            close = sum(
-                bool((np.abs(place - other) < [9.0, 3.0] * np.full(2, self.unit)).all())
-                for other in placed
-            )
+            close = sum(bool((np.abs(place - other) < near).all()) for other in placed)
             placed.append(place)
             axes.annotate(
-                in_figure(body.name),
-                place,
-                xytext=(7, -3 - 13 * close),
+                in_figure(body.name), place, xytext=(7, -3 - 13 * close), **_LABEL,
                 textcoords="offset points",
                 bbox={"fc": "white", "ec": "none", "alpha": 0.7, "pad": 0.6},
-                **_LABEL,
-            )
+            )  # fmt: skip
 
     def _scale_bar(self, axes: Any) -> None:
         left, right = axes.get_xlim()
@@ -297,41 +274,24 @@ class _Picture:
     ) -> None:
         for direction, text, colour in arrows:
             flat = self.view.flat(direction)
+            look = {"xycoords": "axes fraction", "color": colour}
             if float(np.hypot(*flat)) < 0.1:
-                towards = self.view.depth(direction) > 0
-                axes.annotate(
-                    ("⊙ " if towards else "⊗ ") + text,
-                    place,
-                    xycoords="axes fraction",
-                    color=colour,
-                    ha="right",
-                    va="top",
-                )
+                sign = "⊙" if self.view.depth(direction) > 0 else "⊗"
+                axes.annotate(f"{sign} {text}", place, ha="right", va="top", **look)
                 continue
             axes.annotate(
-                text,
-                xy=place,
-                xycoords="axes fraction",
-                xytext=tuple(36 * flat),
-                textcoords="offset points",
-                color=colour,
-                ha="center",
-                va="center",
+                text, place, xytext=tuple(36 * flat), textcoords="offset points", ha="center",
+                va="center", **look,
                 arrowprops={"arrowstyle": "<-", "color": colour, "shrinkA": 4, "shrinkB": 0},
-            )
+            )  # fmt: skip
 
     def _legend(self, axes: Any) -> None:
         handles, labels = axes.get_legend_handles_labels()
         entries = dict(zip(labels, handles, strict=True))
         axes.legend(
-            entries.values(),
-            entries.keys(),
-            loc="lower center",
-            bbox_to_anchor=(0.5, 0.0),
-            ncols=min(len(entries), 4),
-            frameon=False,
-            fontsize=8,
-        )
+            entries.values(), entries.keys(), loc="lower center", bbox_to_anchor=(0.5, 0.0),
+            ncols=min(len(entries), 4), frameon=False, fontsize=8,
+        )  # fmt: skip
 
     def _anchor(self, joint: PlacedJoint) -> Array:
         return self.pose.with_world().points(joint.child, joint.in_child)
@@ -361,15 +321,13 @@ def _title(figure: Any, scene: Scene, start: int | None) -> None:
     figure.text(0.04, 1 - 0.3 / height, in_figure(scene.name), fontsize=13, fontweight="bold")
     if scene.description:
         figure.text(0.04, 1 - 0.5 / height, in_figure(scene.description), fontsize=9)
-    counts = " · ".join(
-        [
-            counted(row.bodies, "body"),
-            counted(row.particles, "particle"),
-            f"{mass:.4g} kg",
-            counted(row.joints, "joint"),
-            counted(row.loops, "loop"),
-            counted(row.degrees_of_freedom, "degree of freedom", "degrees of freedom"),
-            pose,
-        ]
+    counts = (
+        counted(row.bodies, "body"),
+        counted(row.particles, "particle"),
+        f"{mass:.4g} kg",
+        counted(row.joints, "joint"),
+        counted(row.loops, "loop"),
+        counted(row.degrees_of_freedom, "degree of freedom", "degrees of freedom"),
+        pose,
     )
-    figure.text(0.04, 1 - 0.7 / height, counts, fontsize=8, color=PALE)
+    figure.text(0.04, 1 - 0.7 / height, " · ".join(counts), fontsize=8, color=PALE)

@@ -14,20 +14,8 @@ import msgspec
 from mbds_xsim.base.files import write_whole
 from mbds_xsim.base.text import as_code, csv_text, in_markdown, printable, sentence
 from mbds_xsim.report import themed
-from mbds_xsim.report.blocks import (
-    Block,
-    Cell,
-    Column,
-    Motion,
-    Remarks,
-    Report,
-    Section,
-    Table,
-    Text,
-)
+from mbds_xsim.report.blocks import Block, Cell, Column, Remarks, Report, Section, Table, Text
 from mbds_xsim.report.terminal import SIGNS
-
-_LEFT_OUT = {"key"}
 
 
 def write_reports(
@@ -38,8 +26,7 @@ def write_reports(
     markdown: Path | None = None,
 ) -> None:
     """Write the files that are named, each whole or not at all."""
-    if html is not None:
-        write_whole(html, to_html(reports, title).encode())
+    write_if(html, lambda: to_html(reports, title).encode())
     write_if(markdown, lambda: to_markdown(reports).encode())
 
 
@@ -69,9 +56,7 @@ def rows_csv(rows: Iterable[msgspec.Struct], *more: str) -> bytes:
     `more` names properties that are columns too. Blanks separate the numbers of a tuple.
     """
     listed = list(rows)
-    fields = (
-        [name for name in listed[0].__struct_fields__ if name not in _LEFT_OUT] if listed else []
-    )
+    fields = [f for f in listed[0].__struct_fields__ if f != "key"] if listed else []
     names = [*fields, *more]
     cells = ([_csv_cell(getattr(row, name)) for name in names] for row in listed)
     return csv_text([names, *cells]).encode()
@@ -106,16 +91,8 @@ def to_html(reports: Sequence[Report], title: str) -> str:
         title=title,
         signs=SIGNS,
         svg=lambda figure: themed.svg(figure.title, figure.draw, figure.size, figure.tips),
-        motion=next((m.data for report in reports for m in _motions(report.blocks)), None),
+        motion=next((report.motion.data for report in reports if report.motion), None),
     )
-
-
-def _motions(blocks: Iterable[Block]) -> Iterator[Motion]:
-    for block in blocks:
-        if isinstance(block, Motion):
-            yield block
-        elif isinstance(block, Section):
-            yield from _motions(block.blocks)
 
 
 def _finalized(value: Any) -> Any:
@@ -163,14 +140,12 @@ def _spaced(lines: Iterable[str]) -> Iterator[str]:
 
 
 def _chapter(report: Report, explained: set[Column]) -> Iterator[str]:
-    yield from (f"# {in_markdown(report.title)}: {in_markdown(report.what)}", "")
+    title, what = in_markdown(report.title), in_markdown(report.what)
+    yield from (f"# {title}: {what}", "")
     answer = f"{sentence(report.conclusion)}{sentence(report.description)}".rstrip()
     yield from (in_markdown(answer), "")
     if report.picture:
-        yield from (
-            f"![{in_markdown(report.title)}, {in_markdown(report.what)}]({report.picture})",
-            "",
-        )
+        yield from (f"![{title}, {what}]({report.picture})", "")
     yield from _blocks(report.blocks, explained, 2)
     origin = f" on {in_markdown(report.made)}" if report.made else ""
     yield from (f"- Made by {as_code(report.command)}{origin}", "")
@@ -201,9 +176,9 @@ def _table(table: Table, explained: set[Column], level: int) -> Iterator[str]:
     rows = ((_cell(cell, bold=row.mark in bold) for cell in row.cells) for row in table.rows)
     yield from table_lines(headings, rows)
     yield ""
-    reasons = [(row.cells, reason) for row in table.rows for reason in row.reasons]
-    for cells, reason in reasons:
-        yield f"- {in_markdown(' '.join(cell.text for cell in cells[:2]))}: {in_markdown(reason)}"
+    for row in table.rows:
+        name = in_markdown(" ".join(row.texts[:2]))
+        yield from (f"- {name}: {in_markdown(reason)}" for reason in row.reasons)
     for column in table.columns:
         if column.meaning and column not in explained:
             explained.add(column)

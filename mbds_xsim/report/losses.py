@@ -6,55 +6,44 @@ from collections.abc import Iterator
 from typing import Any
 
 from mbds_xsim.base.text import counted
-from mbds_xsim.report.blocks import (
-    Block,
-    Cell,
-    FigureGroup,
-    Mark,
-    Place,
-    Report,
-    Section,
-    Table,
-    Text,
-    table_of,
-)
+from mbds_xsim.report import blocks
+from mbds_xsim.report.blocks import PAGE, WRITTEN, Cell, Section, Table, Text, table_of
+from mbds_xsim.report.catalogue import scene_row
 from mbds_xsim.report.draw import scene_figure
-from mbds_xsim.scene.constraints import degrees_of_freedom
 from mbds_xsim.scene.imported import Fate, Imported, Outcome, Written
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 
-_MARKS: dict[Outcome, Mark] = {"kept": "pass", "approximated": "warn", "dropped": "fail"}
-_WRITTEN: frozenset[Place] = frozenset({"markdown", "page"})
+_MARKS: dict[Outcome, blocks.Mark] = {"kept": "pass", "approximated": "warn", "dropped": "fail"}
 _MOST = 3  # places that a table names
 
 
 def import_row(imported: Imported) -> dict[str, Any]:
     """Summarise an import; only approximations and drops that affect the motion are counted."""
-    mechanism = Mechanism.of(imported.scene)
+    row = scene_row(imported.scene)
     return {
         "file": imported.file,
         "format": imported.format,
         "reader": imported.reader,
-        "scene": imported.scene.name,
-        "bodies": mechanism.body_count,
-        "joints": len(mechanism.joints),
-        "degrees_of_freedom": degrees_of_freedom(mechanism),
-        "mass_kg": float(mechanism.mass.sum()),
+        "scene": row.scene,
+        "bodies": row.bodies,
+        "joints": row.joints,
+        "degrees_of_freedom": row.degrees_of_freedom,
+        "mass_kg": float(Mechanism.of(imported.scene).mass.sum()),
         "approximated": imported.count("approximated"),
         "dropped": imported.count("dropped"),
         "fates": imported.fates,
     }
 
 
-def present(imported: Imported, command: str) -> Report:
+def present(imported: Imported, command: str) -> blocks.Report:
     """Return the report on an imported model."""
     row = import_row(imported)
     size = (
         f"{counted(row['bodies'], 'body')}, {row['mass_kg']:g} kg, "
         f"{counted(row['degrees_of_freedom'], 'degree of freedom', 'degrees of freedom')}"
     )
-    return Report(
+    return blocks.Report(
         title=imported.file,
         what="imported",
         description=f"{imported.format}, read by {imported.reader}: {size}",
@@ -66,8 +55,8 @@ def present(imported: Imported, command: str) -> Report:
 
 def _drawn(scene: Scene) -> Section:
     """Draw the model in its reference pose; bodies are ellipsoids of their inertia."""
-    figures = FigureGroup((scene_figure(scene),))
-    return Section("The model at its reference pose", (figures,), on=frozenset({"page"}))
+    figures = blocks.FigureGroup((scene_figure(scene),))
+    return Section("The model at its reference pose", (figures,), on=PAGE)
 
 
 def conclusion(imported: Imported) -> str:
@@ -78,7 +67,7 @@ def conclusion(imported: Imported) -> str:
     return f"{dropped} of what bears on the motion dropped, {approximated} approximated"
 
 
-def loss_blocks(imported: Imported | Written) -> Iterator[Block]:
+def loss_blocks(imported: Imported | Written) -> Iterator[blocks.Block]:
     """Yield a table of losses that affect the motion; in Markdown and pages also the rest."""
     lost = [fate for fate in imported.fates if fate.moves and fate.outcome != "kept"]
     kept = [fate for fate in imported.fates if fate.moves and fate.outcome == "kept"]
@@ -86,28 +75,22 @@ def loss_blocks(imported: Imported | Written) -> Iterator[Block]:
     if lost:
         yield _table(lost, "lost of the motion")
     rest = (_table(kept, "kept"), _table(others, "without effect on the motion"))
-    blocks = tuple(table for table in rest if table.rows)
-    yield Section("What is kept, and what moves nothing", blocks, True, on=_WRITTEN)
+    tables = tuple(table for table in rest if table.rows)
+    yield Section("What is kept, and what moves nothing", tables, True, on=WRITTEN)
 
 
 def loss_section(imported: Imported) -> Section:
     """Return a section on the losses of import, for a page about the model's motion."""
     summary = Text(f"{imported.file}, read by {imported.reader}: {conclusion(imported)}.")
     title = "What of the model is simulated"
-    return Section(title, (summary, *loss_blocks(imported)), on=_WRITTEN)
+    return Section(title, (summary, *loss_blocks(imported)), on=WRITTEN)
 
 
 def _table(fates: list[Fate], title: str) -> Table:
+    outcomes = (Cell(fate.outcome, _MARKS[fate.outcome] if fate.moves else "") for fate in fates)
     rows = [
-        (
-            Cell(fate.outcome, _MARKS[fate.outcome] if fate.moves else ""),
-            fate.element,
-            ", ".join(fate.properties),
-            str(fate.count),
-            fate.reason,
-            _places(fate),
-        )
-        for fate in fates
+        (outcome, f.element, ", ".join(f.properties), str(f.count), f.reason, _places(f))
+        for outcome, f in zip(outcomes, fates, strict=True)
     ]
     return table_of(("", "element", "of it", ">count", "how or why", "where"), rows, title=title)
 

@@ -140,14 +140,9 @@ class Projection:
         if flat[2]:
             return Projection(np.array([x, y, z]))
         azimuth, elevation = math.radians(-62.0), math.radians(22.0)
-        towards = np.array(
-            [
-                math.cos(elevation) * math.cos(azimuth),
-                math.cos(elevation) * math.sin(azimuth),
-                math.sin(elevation),
-            ]
-        )
-        right = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
+        ahead = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
+        towards = math.cos(elevation) * ahead + math.sin(elevation) * z
+        right = np.array([-ahead[1], ahead[0], 0.0])
         return Projection(np.array([right, np.cross(towards, right), towards]))
 
     def flat(self, points: Array) -> Array:

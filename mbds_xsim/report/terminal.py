@@ -10,33 +10,14 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Self
 
-from rich import box
+from rich import box, progress
 from rich.console import Console, ConsoleOptions, RenderableType
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    ProgressColumn,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 from rich.segment import Segment
 from rich.table import Table as Grid
 from rich.text import Text as Words
 
 from mbds_xsim.base.text import on_a_line, printable
-from mbds_xsim.report.blocks import (
-    Block,
-    Cell,
-    Column,
-    Remark,
-    Remarks,
-    Report,
-    Section,
-    Table,
-    Text,
-)
+from mbds_xsim.report.blocks import Block, Cell, Remark, Remarks, Report, Row, Section, Table, Text
 
 _PIPED = 160
 """Number of columns if the width is unknown."""
@@ -125,8 +106,14 @@ def _print_table(table: Table, console: Console) -> None:
         box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, header_style="bold",
     )  # fmt: skip
     for k in columns:
+        column = table.columns[k]
         longest = max((len(row.cells[k].text) for row in table.rows), default=0)
-        _add_column(grid, table.columns[k], whole=longest <= _SHORT)
+        grid.add_column(
+            column.heading,
+            justify="left" if column.words else "right",
+            no_wrap=longest <= _SHORT or not column.words,
+            overflow="fold",
+        )
     above = ""
     for row in table.rows[: table.most]:
         cells = [_words(row.cells[k]) for k in columns]
@@ -140,18 +127,9 @@ def _print_table(table: Table, console: Console) -> None:
     _left_out(len(table.rows), table.most, "rows", console)
     for row in table.rows:
         if row.reasons:
-            console.print(_reason(row.cells, row.mark, row.reasons))
+            console.print(_reason(row))
     if table.note:
         console.print(Words(table.note, style="dim"))
-
-
-def _add_column(grid: Grid, column: Column, *, whole: bool) -> None:
-    grid.add_column(
-        column.heading,
-        justify="left" if column.words else "right",
-        no_wrap=whole or not column.words,
-        overflow="fold",
-    )
 
 
 def _words(cell: Cell) -> Words:
@@ -160,14 +138,13 @@ def _words(cell: Cell) -> Words:
     return Words(text, style=_STYLES[cell.mark])
 
 
-def _reason(cells: tuple[Cell, ...], mark: str, reasons: tuple[str, ...]) -> Grid:
+def _reason(row: Row) -> Grid:
     """Lay out the first reason with a hanging indent, and the number of further reasons."""
-    first, *rest = reasons
-    name = " ".join(cell.text for cell in cells[:2])
+    first, *rest = row.reasons
     more = f" (and {len(rest)} more)" if rest else ""
     return _hanging(
-        Words(SIGNS.get(mark, "✗"), style=_STYLES[mark]),
-        Words.assemble((name, "bold"), f": {first}", (more, "dim")),
+        Words(SIGNS.get(row.mark, "✗"), style=_STYLES[row.mark]),
+        Words.assemble((" ".join(row.texts[:2]), "bold"), f": {first}", (more, "dim")),
     )
 
 
@@ -193,11 +170,11 @@ _EVERY = 60.0  # between lines of a log [s]
 _SPEED_OVER = 600.0  # work comes in bursts; rate and time left are averages over this time [s]
 
 
-_PARTS: dict[str, Callable[[], ProgressColumn]] = {
-    "bar": lambda: BarColumn(bar_width=32),
-    "count": MofNCompleteColumn,
-    "elapsed": TimeElapsedColumn,
-    "remaining": TimeRemainingColumn,
+_PARTS: dict[str, Callable[[], progress.ProgressColumn]] = {
+    "bar": lambda: progress.BarColumn(bar_width=32),
+    "count": progress.MofNCompleteColumn,
+    "elapsed": progress.TimeElapsedColumn,
+    "remaining": progress.TimeRemainingColumn,
 }
 
 
@@ -215,7 +192,7 @@ class Bar:
         self._parts = [_PARTS[part]() if part in _PARTS else _text(part) for part in parts]
         self._on_terminal, self._ended = console.is_terminal, threading.Event()
         self._begin = time.monotonic()
-        self._progress = Progress(
+        self._progress = progress.Progress(
             *self._parts,
             console=console,
             transient=True,
@@ -252,7 +229,7 @@ class Bar:
         """Log from time to time that work goes on, and how far it is."""
         while not self._ended.wait(_EVERY):
             (task,) = self._progress.tasks
-            parts = (part for part in self._parts if not isinstance(part, BarColumn))
+            parts = (part for part in self._parts if not isinstance(part, progress.BarColumn))
             words = (str(part.render(task)) for part in parts)
             _log(" ".join(words))
 
@@ -373,10 +350,10 @@ class TrainingBar(Bar):
         return f"{self._done}/{self._runs} runs"
 
 
-def _text(form: str) -> ProgressColumn:
+def _text(form: str) -> progress.ProgressColumn:
     """Make a column that fills a text's fields with those of the task."""
     described = form.replace("{what", "{task.description")
-    return TextColumn(re.sub(r"\{(\w+)\}", r"{task.fields[\1]}", described), markup=False)
+    return progress.TextColumn(re.sub(r"\{(\w+)\}", r"{task.fields[\1]}", described), markup=False)
 
 
 def _log(line: str) -> None:

@@ -10,8 +10,7 @@ import hashlib
 import io
 import re
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -122,6 +121,7 @@ _COLOURS = 256
 _EXACT = 128  # colours kept exactly: lines, areas and text; the others are of edges that fade out
 _STYLE = {
     "svg.fonttype": "none",
+    "svg.hashsalt": "mbds-xsim",
     "font.size": 9,
     "text.color": INK,
     "axes.labelcolor": INK,
@@ -144,14 +144,8 @@ Layout = Literal["constrained"] | None
 
 def picture(draw: Draw, size: tuple[float, float], layout: Layout, **options: Any) -> bytes:
     """Draw into a full-colour PNG on white, without the style of pages; sizes are in inches."""
-    from matplotlib.figure import Figure
-
-    stream = io.BytesIO()
-    with _styled(ON_WHITE):
-        figure = Figure(figsize=size, layout=layout)
-        draw(figure)
-        figure.savefig(stream, format="png", dpi=150, metadata={"Software": None}, **options)
-    return stream.getvalue()
+    options |= {"format": "png", "dpi": 150, "metadata": {"Software": None}}
+    return _saved(draw, size, layout, ON_WHITE, **options)
 
 
 def svg(title: str, draw: Draw, size: tuple[float, float], tips: dict[str, str]) -> Markup:
@@ -164,9 +158,9 @@ def svg(title: str, draw: Draw, size: tuple[float, float], tips: dict[str, str])
         tips: Tool tips by the gid of an artist. A gid's part before the last dash is the
             artist's class.
     """
-    stream = io.StringIO()
-    _saved(draw, size, stream, format="svg", transparent=True, metadata={"Date": None})
-    return _themed(stream.getvalue(), title, tips)
+    options = {"format": "svg", "transparent": True, "metadata": {"Date": None}}
+    drawn = _saved(draw, size, "constrained", _STYLE, **options)
+    return _themed(drawn.decode(), title, tips)
 
 
 def png(draw: Draw, size: tuple[float, float], stored: bytes = b"") -> bytes:
@@ -177,10 +171,9 @@ def png(draw: Draw, size: tuple[float, float], stored: bytes = b"") -> bytes:
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo
 
-    raw, stream = io.BytesIO(), io.BytesIO()
-    _saved(draw, size, raw, format="png", dpi=150, facecolor="white")
-    picture = few_colours(Image.open(raw).convert("RGB"))
-    metadata = PngInfo()
+    raw = _saved(draw, size, "constrained", _STYLE, format="png", dpi=150, facecolor="white")
+    picture = few_colours(Image.open(io.BytesIO(raw)).convert("RGB"))
+    metadata, stream = PngInfo(), io.BytesIO()
     if stored:
         metadata.add_text(SOURCE, checksum(stored))
     picture.save(stream, format="png", optimize=True, pnginfo=metadata)
@@ -250,23 +243,20 @@ def note(
     )  # fmt: skip
 
 
-@contextmanager
-def _styled(style: Any) -> Iterator[None]:
+def _saved(
+    draw: Draw, size: tuple[float, float], layout: Layout, style: Any, **options: Any
+) -> bytes:
     """Draw in a style; letters that the font lacks become boxes, without a warning."""
     import matplotlib
-
-    with matplotlib.rc_context(style), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph")
-        yield
-
-
-def _saved(draw: Draw, size: tuple[float, float], stream: Any, **options: Any) -> None:
     from matplotlib.figure import Figure
 
-    with _styled(_STYLE | {"svg.hashsalt": "mbds-xsim"}):
-        figure = Figure(figsize=size, layout="constrained")
+    stream = io.BytesIO()
+    with matplotlib.rc_context(style), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph")
+        figure = Figure(figsize=size, layout=layout)
         draw(figure)
         figure.savefig(stream, **options)
+    return stream.getvalue()
 
 
 def _themed(text: str, title: str, tips: dict[str, str]) -> Markup:

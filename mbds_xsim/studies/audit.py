@@ -18,6 +18,7 @@ from mbds_xsim.report.blocks import (
     Remark,
     Remarks,
     Report,
+    chart,
     table_of,
 )
 from mbds_xsim.report.themed import GREY, INK
@@ -88,8 +89,7 @@ def _shares(judged: list[FindingResult]) -> Figure:
     """Draw the share of its budget that each check uses."""
     shares = [max(f.figure / (f.budget or 1.0), _LEAST) for f in judged]
 
-    def draw(figure: Any) -> None:
-        axes = figure.subplots()
+    def draw(axes: Any) -> None:
         places = range(len(judged))
         for place, share in zip(places, shares, strict=True):
             axes.plot([_LEAST, share], [place, place], color=GREY, lw=3, solid_capstyle="butt")
@@ -103,4 +103,4 @@ def _shares(judged: list[FindingResult]) -> Figure:
     summary = ", ".join(
         f"{f.check} {quantity.number(share)}" for f, share in zip(judged, shares, strict=True)
     )
-    return Figure(f"shares of the budgets: {summary}", draw, (7.0, 0.9 + 0.26 * len(judged)))
+    return chart(f"shares of the budgets: {summary}", draw, (7.0, 0.9 + 0.26 * len(judged)))

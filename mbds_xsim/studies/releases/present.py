@@ -73,14 +73,13 @@ def _conclusion(history: History) -> str:
 def _blocks(history: History) -> Iterator[blocks.Block]:
     yield _steps(history)
     yield blocks.Remarks.of(_remarks(history))
-    page: frozenset[blocks.Place] = frozenset({"page"})
     if _stepping(history):
         figure = blocks.Figure(
             _title(history), lambda f: draw(f, history), size_of(history), wide=True
         )
-        yield blocks.Section("At a glance", (blocks.FigureGroup((figure,)),), on=page)
+        yield blocks.Section("At a glance", (blocks.FigureGroup((figure,)),), on=blocks.PAGE)
     tables = tuple(filter(None, (_figures(history, kind) for kind in _KINDS)))
-    yield blocks.Section("All figures", tables, folded=True, on=page)
+    yield blocks.Section("All figures", tables, folded=True, on=blocks.PAGE)
 
 
 def _steps(history: History) -> blocks.Table:

@@ -6,8 +6,9 @@ import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
 
 from mbds_xsim.base.text import counted
+from mbds_xsim.learn.shift.evaluation import RESTART
 from mbds_xsim.learn.shift.interaction import BEARABLE, FALSE, OTHER, by_change
-from mbds_xsim.learn.shift.result import Interaction, Shift
+from mbds_xsim.learn.shift.result import INTERVALS, ErrorFloor, Interaction, Shift
 from mbds_xsim.learn.shift.worth import NOTABLE
 from mbds_xsim.report.blocks import Column, Table, table_of
 from mbds_xsim.report.quantity import NONE, number
@@ -15,15 +16,15 @@ from mbds_xsim.report.quantity import NONE, number
 
 def change_tables(shift: Shift, place: int) -> Iterator[Table]:
     """Yield the tables from the last known frame on, then those from the first contact on."""
-    when, interactions = f"at t = {shift.frames[place]}", shift.interactions
-    yield survivors(interactions, place, when, _noticeable_pairs(shift, interactions, place))
-    yield _pairs(interactions, place, when)
+    parts = [(shift.interactions, place, f"at t = {shift.frames[place]}")]
     if shift.after_contact:
-        place, interactions = shift.contact_place(shift.frames[place]), shift.after_contact
+        later = shift.contact_place(shift.frames[place])
         trajectories = counted(shift.contact_trajectories, "trajectory")
-        when = f"{shift.contact_frames[place]} frames after the first contact ({trajectories})"
-        yield survivors(interactions, place, when, _noticeable_pairs(shift, interactions, place))
-        yield _pairs(interactions, place, when)
+        when = f"{shift.contact_frames[later]} frames after the first contact ({trajectories})"
+        parts.append((shift.after_contact, later, when))
+    for part in parts:
+        yield survivors(*part, _noticeable_pairs(shift, *part[:2]))
+        yield _pairs(*part)
 
 
 def _noticeable_pairs(
@@ -101,6 +102,17 @@ def between(first: str, second: str, *, where: bool = False) -> str:
     if variant == another:
         return f"{variant}: {engine} ↔ {other}" if where else f"{engine} ↔ {other}"
     return f"{engine}: {variant} ↔ {another}" if where else f"{variant} ↔ {another}"
+
+
+def other_engines(shift: Shift, test: str) -> list[ErrorFloor]:
+    """Return the distances of other engines that go on from a domain's last known frame."""
+    engine = test.rpartition("-")[0]  # at other settings it is no other engine
+    return [
+        floor
+        for floor in shift.floors
+        if (floor.kind, floor.test, floor.interval) == (RESTART, test, INTERVALS[0])
+        and floor.first.rpartition("-")[0] != engine
+    ]
 
 
 def _pairs(interactions: Sequence[Interaction], place: int, when: str) -> Table:

@@ -10,12 +10,11 @@ from typing import Any
 
 from mbds_xsim.learn.curves import looks
 from mbds_xsim.learn.model import TRIVIAL
-from mbds_xsim.learn.shift.evaluation import RESTART
 from mbds_xsim.learn.shift.interaction import by_change
 from mbds_xsim.learn.shift.result import INTERVALS, ErrorCell, Shift
 from mbds_xsim.report import themed
 from mbds_xsim.report.quantity import number
-from mbds_xsim.studies.shift.changes import between
+from mbds_xsim.studies.shift.changes import between, other_engines
 
 Pick = Callable[[ErrorCell], float | None]
 
@@ -105,21 +104,22 @@ _MIDDLE = 0.55  # share of the colours' range: darker cells have white text
 
 def map_size(matrix: Matrix) -> tuple[float, float]:
     """Return width and height of a heat map [in]."""
-    width = _MARGIN[0] + _CELL[0] * len(matrix.columns)
-    return width, _MARGIN[1] + _CELL[1] * len(matrix.rows)
+    return _size(len(matrix.rows), len(matrix.columns))
 
 
-def draw_matrix(axes: Any, matrix: Matrix, spread: tuple[float, float]) -> None:
+def _size(rows: int, columns: int) -> tuple[float, float]:
+    return _MARGIN[0] + _CELL[0] * columns, _MARGIN[1] + _CELL[1] * rows
+
+
+def draw_matrix(axes: Any, matrix: Matrix, spread: tuple[float, float], title: str) -> None:
     """Draw the errors [m²] of a model, one row per training, one column per test domain.
 
     `spread` has the ends of the colour scale, as logarithms to base 10.
     """
     logs = [[_log(value) for value in row] for row in matrix.values]
     axes.imshow(logs, cmap="cividis", vmin=spread[0], vmax=spread[1], aspect="auto")
-    axes.grid(visible=False)
-    axes.set_xticks(range(len(matrix.columns)), matrix.columns, rotation=35, ha="right")
-    axes.set_yticks(range(len(matrix.rows)), matrix.rows)
-    axes.tick_params(length=0, labelsize=8)
+    axes.set_title(title, fontsize=10, loc="left")
+    _name_cells(axes, matrix.rows, matrix.columns, rotation=35, ha="right")
     for row, values in enumerate(matrix.values):
         for column, value in enumerate(values):
             bright = _log(value) > spread[0] + _MIDDLE * (spread[1] - spread[0])
@@ -138,22 +138,17 @@ def pairs_of(shift: Shift) -> list[tuple[str, str]]:
 
 def interactions_size(shift: Shift) -> tuple[float, float]:
     """Return width and height of the picture of interactions [in]."""
-    models = {each.model for each in shift.interactions}
-    width = _MARGIN[0] + _CELL[0] * len(models)
-    return width, _MARGIN[1] + _CELL[1] * len(pairs_of(shift))
+    return _size(len(pairs_of(shift)), len({each.model for each in shift.interactions}))
 
 
-def draw_interactions(axes: Any, shift: Shift, frame: int) -> None:
+def draw_interactions(axes: Any, shift: Shift) -> None:
     """Draw the costs of changes, one row per pair of domains, one column per model."""
-    place, pairs = shift.frames.index(frame), pairs_of(shift)
+    place, pairs = shift.frames.index(shift.at), pairs_of(shift)
     models = list(dict.fromkeys(each.model for each in shift.interactions))
-    costs: Costs = {
-        (pairs.index((each.first, each.second)), models.index(each.model)): (
-            each.value[place],
-            each.resolved[place],
-        )
-        for each in shift.interactions
-    }
+    costs: dict[tuple[int, int], tuple[float | None, bool]] = {}
+    for each in shift.interactions:
+        cell = pairs.index((each.first, each.second)), models.index(each.model)
+        costs[cell] = each.value[place], each.resolved[place]
     draw_costs(axes, costs, [between(*pair, where=True) for pair in pairs], models)
 
 
@@ -179,8 +174,13 @@ def draw_costs(
     known = [abs(x) for line in logs for x in line if math.isfinite(x)]
     ends = max([_LEAST_SPREAD, math.log10(most), *known]) / _PALEST
     axes.imshow(logs, cmap="RdBu_r", vmin=-ends, vmax=ends, aspect="auto")
+    _name_cells(axes, rows, columns)
+
+
+def _name_cells(axes: Any, rows: Sequence[str], columns: Sequence[str], **look: Any) -> None:
+    """Name rows and columns of cells, whose columns' names may have a look."""
     axes.grid(visible=False)
-    axes.set_xticks(range(len(columns)), columns)
+    axes.set_xticks(range(len(columns)), columns, **look)
     axes.set_yticks(range(len(rows)), rows)
     axes.tick_params(length=0, labelsize=8)
 
@@ -227,29 +227,24 @@ def draw_curves(axes: Any, shift: Shift, model: str, test: str) -> None:
         label, style = cell.model.replace("_", " "), _FORMULAS[cell.model]
         axes.plot(time, _line(cell.curve), style, color=themed.GREY, lw=1, label=label)
     _draw_floors(axes, shift, test, time)
-    axes.set_yscale("log")
     axes.set_title(f"{model} on {test}", fontsize=9, loc="left")
+    axes.set(yscale="log", ylabel="median squared error [m²]")
     axes.set_xlabel("time since the last known frame [s]")
-    axes.set_ylabel("median squared error [m²]")
 
 
 def _draw_floors(axes: Any, shift: Shift, test: str, time: Sequence[float]) -> None:
     """Draw the range of other engines, and the noise and chaos floors."""
-    floors = [floor for floor in shift.floors if floor.interval == INTERVALS[0]]
-    restarts = [f for f in floors if (f.kind, f.test) == (RESTART, test)]
-    engine = test.rpartition("-")[0]  # at other settings it is no other engine
-    engines = [f.curve for f in restarts if f.first.rpartition("-")[0] != engine]
+    engines = [_line(floor.curve) for floor in other_engines(shift, test)]
     if engines:
-        each = list(zip(*map(_line, engines), strict=True))
+        each = list(zip(*engines, strict=True))
         low, high = [min(values) for values in each], [max(values) for values in each]
-        axes.fill_between(
-            time, low, high, color=themed.GREY, alpha=0.25, lw=0, label="other engines"
-        )
+        look = {"color": themed.GREY, "alpha": 0.25, "lw": 0, "label": "other engines"}
+        axes.fill_between(time, low, high, **look)
     for kind, style in (("noise", ":"), ("chaos", "-.")):
-        for floor in (floor for floor in floors if floor.kind == kind):
-            axes.plot(
-                time, _line(floor.curve), style, color=themed.INK, lw=1, label=f"{kind} floor"
-            )
+        for floor in shift.floors:
+            if (floor.kind, floor.interval) == (kind, INTERVALS[0]):
+                look = {"color": themed.INK, "lw": 1, "label": f"{kind} floor"}
+                axes.plot(time, _line(floor.curve), style, **look)
 
 
 def _line(curve: Sequence[float | None]) -> list[float]:

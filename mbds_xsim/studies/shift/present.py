@@ -18,48 +18,23 @@ from mbds_xsim.base.text import counted, in_figure
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.learn.shift.study import SampleRollout, Samples
-from mbds_xsim.report import themed
-from mbds_xsim.report.blocks import (
-    EVERYWHERE,
-    Block,
-    Figure,
-    FigureGroup,
-    Motion,
-    Place,
-    Remarks,
-    Report,
-    Section,
-    Text,
-)
+from mbds_xsim.report import blocks, themed
+from mbds_xsim.report.blocks import PAGE, Figure, FigureGroup, Section, Text, chart
 from mbds_xsim.report.motion import packed
 from mbds_xsim.report.themed import LIGHT, Style, model_style
 from mbds_xsim.scene.sampling_terms import INTERVALS
-from mbds_xsim.studies.shift.figures import (
-    at,
-    curves_of,
-    draw_curves,
-    draw_interactions,
-    draw_matrix,
-    interactions_size,
-    map_size,
-    maps_at,
-    matrix_of,
-    spread_of,
-    trained_models,
-)
+from mbds_xsim.studies.shift import figures
 from mbds_xsim.studies.shift.tables import tables
 from mbds_xsim.studies.shift.worth import SIZE, costs_of, draw_worth, worth_section
 
 _ENOUGH = 3  # seeds
 _ABREAST = 2  # heat maps: more would be too small to read on a page
 _CURVES = (6.6, 3.4)
-_PAGE: frozenset[Place] = frozenset({"page"})
-_BESIDE = EVERYWHERE - {"terminal"}
 
 
 def present(
     shift: Shift, samples: Samples | None = None, *, played: bool = False, picture: str = ""
-) -> Report:
+) -> blocks.Report:
     """Report which models survive a change of engine.
 
     Args:
@@ -70,7 +45,7 @@ def present(
     """
     before = f", {shift.kept} of {len(shift.models)} models tested before" if shift.kept else ""
     answer = shift.answers[0].answer if shift.answers else "nothing can be told"
-    return Report(
+    return blocks.Report(
         title=shift.scene,
         what="learned models under a change of engine",
         description=shift.description,
@@ -82,19 +57,20 @@ def present(
     )
 
 
-def _blocks(shift: Shift, samples: Samples | None, *, played: bool) -> Iterator[Block]:
+def _blocks(shift: Shift, samples: Samples | None, *, played: bool) -> Iterator[blocks.Block]:
     yield Text(protocol(shift))
     change = [_change(shift)] if shift.interactions else []
-    several = any(len(costs_of(shift, model)) > 1 for model in trained_models(shift))
+    models = figures.trained_models(shift)
+    several = any(len(costs_of(shift, model)) > 1 for model in models)
     worth = [worth_section(shift)] if several else []
     yield from worth + change if shift.harms else change + worth
-    yield Remarks.of(answers(shift))
+    yield blocks.Remarks.of(answers(shift))
     if samples is not None:
         yield from _figures(shift, samples, played=played)
-    few = len(trained_models(shift)) + 2 * (bool(shift.interactions) + bool(shift.after_contact))
+    few = len(models) + 2 * (bool(shift.interactions) + bool(shift.after_contact))
     for place, table in enumerate(tables(shift)):
         shown = replace(table, folded=place > 0)
-        yield shown if place < few else Section("", (shown,), on=_BESIDE)
+        yield shown if place < few else Section("", (shown,), on=blocks.WRITTEN)
 
 
 def answers(shift: Shift) -> Iterator[tuple[str, str]]:
@@ -142,19 +118,15 @@ def _training_sizes(shift: Shift) -> str:
 
 def _change(shift: Shift) -> Section:
     """Return the section with the picture to look at first: the costs of changes."""
-
-    def draw(figure: Any) -> None:
-        draw_interactions(figure.subplots(), shift, shift.at)
-
     text = (
         "How many times the squared error grows where a model was trained on one's data and is "
         "tested on the other's, both ways together; the luck of single trainings and how hard data "
         "are cancel. Framed: significant."
     )
     title = f"What a change of engine, or of its settings, costs, t = {shift.at}"
-    return Section(
-        title, (Text(text), FigureGroup((Figure(title, draw, interactions_size(shift)),))), on=_PAGE
-    )
+    draw = partial(figures.draw_interactions, shift=shift)
+    figure = chart(title, draw, figures.interactions_size(shift))
+    return Section(title, (Text(text), FigureGroup((figure,))), on=PAGE)
 
 
 def _figures(shift: Shift, samples: Samples, *, played: bool) -> Iterator[Section]:
@@ -166,22 +138,21 @@ def _figures(shift: Shift, samples: Samples, *, played: bool) -> Iterator[Sectio
         "Mean squared position error [m²], mean over seeds; rows: trained on, columns: tested on; "
         "bold: at home. Colours are logarithmic, the same for all models."
     )
-    yield Section("Error by training and test domain", (Text(text), *maps), on=_PAGE)
-    yield Section(
-        "Rollouts over the truth", tuple(_rollouts(shift, samples, played=played)), on=_PAGE
-    )
+    yield Section("Error by training and test domain", (Text(text), *maps), on=PAGE)
+    rollouts = tuple(_rollouts(shift, samples, played=played))
+    yield Section("Rollouts over the truth", rollouts, on=PAGE)
     curves = [
         Section(model, (_curves(shift, model),), folded=True, opened=not k)
-        for k, model in enumerate(trained_models(shift))
+        for k, model in enumerate(figures.trained_models(shift))
     ]
     text = (
         "Medians over trajectories; a line a seed, thick at home. The band is the other engines, "
         "going on from the same frame."
     )
-    yield Section("Error over time", (Text(text), *curves), on=_PAGE)
+    yield Section("Error over time", (Text(text), *curves), on=PAGE)
 
 
-def _rollouts(shift: Shift, samples: Samples, *, played: bool) -> Iterator[Block]:
+def _rollouts(shift: Shift, samples: Samples, *, played: bool) -> Iterator[blocks.Block]:
     yield Text(
         f"On {samples.domain.name}, a trajectory of each interval, from the last known frame on; "
         "first seeds. A colour a model, dashed where it was trained on the engine furthest from "
@@ -190,39 +161,35 @@ def _rollouts(shift: Shift, samples: Samples, *, played: bool) -> Iterator[Block
     draw = partial(draw_samples, samples=samples)
     yield FigureGroup((Figure("rollouts over the truth", draw, picture_size(samples), wide=True),))
     if played:
-        names = map(name_of, samples.models)
-        yield Motion(pack(samples), "truth", tuple(zip(names, styles_of(samples), strict=True)))
+        entries = zip(map(name_of, samples.models), styles_of(samples), strict=True)
+        yield blocks.Motion(pack(samples), "truth", tuple(entries))
     else:
         yield Text(f"A page of this scene alone (--scene {shift.scene}) has the motions to play.")
 
 
 def _maps(shift: Shift, frame: int) -> FigureGroup:
     """Draw a heat map for each model, on one scale of colours."""
-    matrices = maps_at(shift, frame)
-    spread = spread_of(matrices)
-    drawn = []
+    matrices = figures.maps_at(shift, frame)
+    spread, drawn = figures.spread_of(matrices), []
     for matrix in matrices:
         title = f"{matrix.model}, t = {frame}"
-
-        def draw(figure: Any, matrix: Any = matrix, title: str = title) -> None:
-            axes = figure.subplots()
-            draw_matrix(axes, matrix, spread)
-            axes.set_title(title, fontsize=10, loc="left")
-
-        drawn.append(Figure(title, draw, map_size(matrix)))
+        draw = partial(figures.draw_matrix, matrix=matrix, spread=spread, title=title)
+        drawn.append(chart(title, draw, figures.map_size(matrix)))
     return FigureGroup(tuple(drawn), least=560)
 
 
 def _curves(shift: Shift, model: str) -> FigureGroup:
     """Draw a model's errors over time, a figure for each domain."""
-    drawn = []
-    for test in [domain.name for domain in shift.domains if curves_of(shift, model, domain.name)]:
 
-        def draw(figure: Any, test: str = test) -> None:
-            draw_curves(figure.subplots(), shift, model, test)
-            figure.legend(loc="outside right upper", fontsize=7, frameon=False)
+    def draw(axes: Any, test: str) -> None:
+        figures.draw_curves(axes, shift, model, test)
+        axes.figure.legend(loc="outside right upper", fontsize=7, frameon=False)
 
-        drawn.append(Figure(f"{model} on {test}: error over time", draw, _CURVES))
+    tests = [d.name for d in shift.domains if figures.curves_of(shift, model, d.name)]
+    drawn = (
+        chart(f"{model} on {test}: error over time", partial(draw, test=test), _CURVES)
+        for test in tests
+    )
     return FigureGroup(tuple(drawn), least=560)
 
 
@@ -235,12 +202,18 @@ def to_png(studies: Sequence[Shift], stored: bytes = b"") -> bytes:
         worths = [(partial(_draw_worth, shift=shift), SIZE) for shift in studies]
         return themed.stacked(worths, stored)
     if all(shift.interactions for shift in studies):
-        costs = [(partial(_draw_costs, shift=shift), _size_of_costs(shift)) for shift in studies]
+        sizes = map(figures.interactions_size, studies)
+        costs = [
+            (partial(_draw_costs, shift=shift), (max(width, 6.0), height))
+            for shift, (width, height) in zip(studies, sizes, strict=True)
+        ]
         return themed.stacked(costs, stored)
-    columns, parts = min(_ABREAST, max(len(trained_models(shift)) for shift in studies)), []
+    columns, parts = min(_ABREAST, max(len(figures.trained_models(shift)) for shift in studies)), []
     for shift in studies:
-        rows = math.ceil(len(trained_models(shift)) / columns)
-        width, height = map_size(matrix_of(shift, trained_models(shift)[0], at(shift, shift.at)))
+        models = figures.trained_models(shift)
+        rows = math.ceil(len(models) / columns)
+        matrix = figures.matrix_of(shift, models[0], figures.at(shift, shift.at))
+        width, height = figures.map_size(matrix)
         draw = partial(_draw_block, shift=shift, shape=(rows, columns))
         parts.append((draw, (columns * width, rows * height)))
     return themed.stacked(parts, stored)
@@ -249,32 +222,27 @@ def to_png(studies: Sequence[Shift], stored: bytes = b"") -> bytes:
 def _draw_worth(figure: Any, shift: Shift) -> None:
     draw_worth(figure, shift)
     subject = "what data cost, how good they are, and what is learned from them (full: they harm)"
-    figure.suptitle(f"{in_figure(shift.scene)}: {subject}", fontsize=11, x=0.01, ha="left")
+    _put_title(figure, shift, subject)
 
 
 def _draw_costs(figure: Any, shift: Shift) -> None:
-    draw_interactions(figure.subplots(), shift, shift.at)
-    subject = f"what a change of engine or settings costs at t = {shift.at}"
-    figure.suptitle(f"{in_figure(shift.scene)}: {subject}", fontsize=11, x=0.01, ha="left")
-
-
-def _size_of_costs(shift: Shift) -> tuple[float, float]:
-    width, height = interactions_size(shift)
-    return max(width, 6.0), height
+    figures.draw_interactions(figure.subplots(), shift)
+    _put_title(figure, shift, f"what a change of engine or settings costs at t = {shift.at}")
 
 
 def _draw_block(figure: Any, shift: Shift, shape: tuple[int, int]) -> None:
-    maps = maps_at(shift, shift.at)
+    maps = figures.maps_at(shift, shift.at)
     charts = figure.subplots(*shape, squeeze=False).ravel()
     for axes, matrix in zip(charts, maps, strict=False):
-        draw_matrix(axes, matrix, spread_of(maps))
-        axes.set_title(matrix.model, fontsize=10, loc="left")
+        figures.draw_matrix(axes, matrix, figures.spread_of(maps), matrix.model)
     for axes in charts[len(maps) :]:
         axes.set_axis_off()
-    title = f"{in_figure(shift.scene)}: mean squared position error at t = {shift.at} [m²]"
-    figure.suptitle(
-        f"{title}; rows: trained on, columns: tested on", fontsize=11, x=0.01, ha="left"
-    )
+    subject = f"mean squared position error at t = {shift.at} [m²]"
+    _put_title(figure, shift, f"{subject}; rows: trained on, columns: tested on")
+
+
+def _put_title(figure: Any, shift: Shift, subject: str) -> None:
+    figure.suptitle(f"{in_figure(shift.scene)}: {subject}", fontsize=11, x=0.01, ha="left")
 
 
 _ROOM = 0.6  # half the side of a chart over the truth's extent

@@ -15,7 +15,7 @@ from mbds_xsim.learn.shift.interaction import changed
 from mbds_xsim.learn.shift.result import INTERVALS, Gap, Shift
 from mbds_xsim.report.blocks import Table
 from mbds_xsim.report.quantity import NONE, number
-from mbds_xsim.studies.shift.changes import change_tables, titled_table
+from mbds_xsim.studies.shift.changes import change_tables, other_engines, titled_table
 from mbds_xsim.studies.shift.figures import Pick, at, best_formula, matrix_of, mean, trained_models
 from mbds_xsim.studies.shift.worth import worth_table
 
@@ -116,16 +116,10 @@ def _transfer(shift: Shift, frame: int) -> Table:
             into = [matrix.entry(n, name) for n in others if n in matrix.rows]
             known = {n: error for n, error in out.items() if error is not None}
             worst = max(known, key=lambda n: known[n], default="")
-            rows.append(
-                (
-                    f"{model}, {name}",
-                    number(matrix.entry(name, name)),
-                    number(_over_seeds(shift, model, name, pick)),
-                    number(mean([*out.values()])),
-                    f"{number(known[worst])} ({worst})" if worst else NONE,
-                    number(mean(into)),
-                )
-            )
+            spread = _over_seeds(shift, model, name, pick)
+            figures = (matrix.at_home(name), spread, mean([*out.values()]))
+            most = f"{number(known[worst])} ({worst})" if worst else NONE
+            rows.append((f"{model}, {name}", *map(number, figures), most, number(mean(into))))
     return titled_table(
         f"From engine to engine at t = {frame}",
         "Mean squared distance [m²]. Out: a training on the variant's other engines, mean and "
@@ -182,7 +176,10 @@ def nearness(shift: Shift) -> Table:
     The table has a row for each training on one domain; rows without figures are left out.
     """
     frames = [frame for frame in _NEAR_AT if frame in shift.frames]
-    rows = (row for model in trained_models(shift) for row in _nearness_rows(shift, model, frames))
+    rows = (
+        (label, *map(_beside, errors, [_nearest(shift, home, frame) for frame in frames]))
+        for label, home, errors in _at_home(shift, [(at(shift, f), INTERVALS[0]) for f in frames])
+    )
     return titled_table(
         "Is a model nearer to its engine than any other engine is?",
         "Mean squared distance [m²] of the model from the domain that taught it, below or above "
@@ -193,16 +190,6 @@ def nearness(shift: Shift) -> Table:
     )
 
 
-def _nearness_rows(shift: Shift, model: str, frames: list[int]) -> Iterator[tuple[str, ...]]:
-    matrices = [matrix_of(shift, model, at(shift, frame)) for frame in frames]
-    for home in matrices[0].homes if matrices else ():
-        texts = (
-            _beside(matrix.at_home(home), _nearest(shift, home, frame))
-            for matrix, frame in zip(matrices, frames, strict=True)
-        )
-        yield f"{model}, {home}", *texts
-
-
 def _beside(own: float | None, other: float | None) -> str:
     if own is None or other is None:
         return NONE
@@ -211,17 +198,10 @@ def _beside(own: float | None, other: float | None) -> str:
 
 def _nearest(shift: Shift, home: str, frame: int) -> float | None:
     """Return the distance of the nearest other engine [m²]; None if not above the noise floor."""
-    place, engine = shift.frames.index(frame), home.rpartition("-")[0]
-    whole = [floor for floor in shift.floors if floor.interval == INTERVALS[0]]
-    noise = [f.mse[place] or 0.0 for f in whole if f.kind == "noise"]
-    apart = [
-        value
-        for floor in whole
-        if (floor.kind, floor.test) == (RESTART, home)
-        and floor.first.rpartition("-")[0] != engine
-        and (value := floor.mse[place]) is not None
-    ]
-    nearest = min(apart, default=None)
+    place, whole = shift.frames.index(frame), INTERVALS[0]
+    noise = [f.mse[place] or 0.0 for f in shift.floors if (f.kind, f.interval) == ("noise", whole)]
+    apart = [floor.mse[place] for floor in other_engines(shift, home)]
+    nearest = min((x for x in apart if x is not None), default=None)
     return None if nearest is None or nearest <= max(noise, default=0.0) else nearest
 
 
@@ -343,7 +323,7 @@ def _at_home(
     """Yield label, training and figures, each over its interval, of all trainings at home."""
     for model in trained_models(shift):
         matrices = [matrix_of(shift, model, pick, interval) for pick, interval in picks]
-        for training in matrix_of(shift, model, picks[0][0]).homes:
+        for training in matrix_of(shift, model, at(shift, shift.at)).homes:
             yield f"{model}, {training}", training, [each.at_home(training) for each in matrices]
 
 

@@ -13,7 +13,7 @@ from mbds_xsim.learn.shift.interaction import BEARABLE
 from mbds_xsim.learn.shift.result import Harm, Shift
 from mbds_xsim.learn.shift.worth import HARMFUL, NOTABLE, distances, noise_of, verdict
 from mbds_xsim.report import themed
-from mbds_xsim.report.blocks import Figure, FigureGroup, Section, Table, Text
+from mbds_xsim.report.blocks import PAGE, Figure, FigureGroup, Section, Table, Text
 from mbds_xsim.report.quantity import number, with_unit
 from mbds_xsim.studies.shift.changes import titled_table
 from mbds_xsim.studies.shift.figures import at, matrix_of, trained_models
@@ -101,7 +101,7 @@ def worth_section(shift: Shift) -> Section:
         "dear data, or cheaper ones, have brought: where it is level, cheaper data do as well."
     )
     group = FigureGroup((Figure(title, partial(draw_worth, shift=shift), SIZE, wide=True),))
-    return Section(title, (Text(text), group), folded=not shift.harms, on=frozenset({"page"}))
+    return Section(title, (Text(text), group), folded=not shift.harms, on=PAGE)
 
 
 def draw_worth(figure: Any, shift: Shift) -> None:

@@ -21,6 +21,8 @@ FRAME = 0.1
 """Time between recorded frames [s]."""
 COUNTS = (2, 5, 10, 20, 50, 100)
 """Numbers of steps per frame that are tried: steps of 50 ms to 1 ms."""
+_MEDIUM = 1
+"""Index of the only trajectory, which is of the medium interval."""
 MOST = 1000
 """Largest number of bodies, links or rungs in a scene: more would exhaust the memory."""
 
@@ -42,8 +44,6 @@ class Study:
     """Function that makes the scene at a value; `scene` sets its clock."""
     frames: int = 10
     """Number of recorded frames, `FRAME` seconds apart."""
-    start: int = 1
-    """Index of the trajectory, which decides its interval."""
     known: bool = True
     """Whether the reference solution is cheap, so that wrong motion can be detected."""
     least: int = 0
@@ -60,7 +60,7 @@ class Study:
 
     def batch(self, scene: Scene) -> Batch:
         """Draw the only start that is simulated."""
-        return draw_batch(scene, [self.start], seed=0)
+        return draw_batch(scene, [_MEDIUM], seed=0)
 
     def parse(self, text: str) -> Value:
         """Parse a value that a user typed.

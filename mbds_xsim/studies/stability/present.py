@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -11,15 +12,6 @@ from mbds_xsim.base.text import counted
 from mbds_xsim.report import blocks, quantity, themed
 from mbds_xsim.report.themed import INK
 from mbds_xsim.studies.stability import Study, Survey, text_of, words
-from mbds_xsim.studies.stability.words import (
-    LIGHT_LOOKS,
-    LOOKS,
-    charts_of,
-    draw_legend,
-    draw_map,
-    size_of,
-    tips,
-)
 
 _ACROSS = 4
 """Largest number of maps side by side in a picture."""
@@ -29,24 +21,23 @@ _NARROW = 11.0
 """Width of a picture up to which the legend has three columns [in]."""
 _HEAD = 0.9
 """Height of title and legend of a picture [in]."""
+_CELL_COLUMNS = (
+    "engine and method", ">value", ">step", "what happened", "who told", "in its words", "figures",
+)  # fmt: skip
 
 
 def listing(studies: Iterable[Study]) -> blocks.Table:
     """List the studies, one per row."""
-    columns = [
-        blocks.Column(h, words=True)
-        for h in ("study", "what is swept", "values", "what it is about")
-    ]
     rows: list[list[blocks.Cell | str]] = [
         [
             blocks.Cell(study.name, "strong"),
-            f"{study.quantity} [{study.unit}]" if study.unit else study.quantity,
+            words.axis_label(study),
             ", ".join(map(text_of, study.values)),
             study.sentence,
         ]
         for study in studies
     ]
-    return blocks.table_of(columns, rows)
+    return blocks.table_of(("study", "what is swept", "values", "what it is about"), rows)
 
 
 def present(sweep: Survey) -> blocks.Report:
@@ -77,22 +68,18 @@ def _blocks(sweep: Survey) -> Iterator[blocks.Block]:
             *((f"no reference at {name}", reason) for name, reason in sweep.unknown.items()),
         ]
     )
-    only: frozenset[blocks.Place] = frozenset({"page"})
-    yield blocks.Section("What breaks first", tuple(_maps(sweep)), on=only)
-    yield blocks.Section(
-        "All cells that are not stable and on course", (_cells(sweep),), folded=True, on=only
-    )
+    yield blocks.Section("What breaks first", tuple(_maps(sweep)), on=blocks.PAGE)
+    title = "All cells that are not stable and on course"
+    yield blocks.Section(title, (_cells(sweep),), folded=True, on=blocks.PAGE)
 
 
 def _limits(sweep: Survey) -> blocks.Table:
-    first = blocks.Column(f"engine and method / {words.axis_label(sweep)}", words=True)
+    first = f"engine and method / {words.axis_label(sweep)}"
     rows = [
         [panel.name, *(words.limit(panel, row) for row in range(len(sweep.values)))]
         for panel in sweep.panels
     ]
-    return blocks.table_of(
-        [first, *(blocks.Column(text_of(value)) for value in sweep.values)], rows
-    )
+    return blocks.table_of([first, *(f">{text_of(value)}" for value in sweep.values)], rows)
 
 
 def _maps(sweep: Survey) -> Iterator[blocks.Block]:
@@ -101,39 +88,24 @@ def _maps(sweep: Survey) -> Iterator[blocks.Block]:
         f"within {sweep.duration_s:g} s; hatched cells go wrong without a word from the engine. "
         "Point at a cell for its figures and the command that runs it again"
     )
-    present_ones = {cell.outcome for cell in sweep.cells}
     keys = [
-        blocks.Key(look.meaning, look.colour, look.letter, dark=outcome not in LIGHT_LOOKS)
-        for outcome, look in LOOKS.items()
-        if outcome in present_ones
+        blocks.Key(look.meaning, look.colour, look.letter, dark=look.dark)
+        for look in words.looks_of(sweep)
     ]
     yield blocks.Legend((*keys, blocks.Key("without a word from the engine", hatched=True)))
-    tooltips = tips(sweep)
-    yield blocks.FigureGroup(
-        tuple(_map(sweep, places, tooltips) for places in charts_of(sweep)), least=275
-    )
+    (engines, models), tooltips = words.charts_of(sweep), words.tips(sweep)
+    charts = [*engines, models] if models else engines
+    maps = tuple(_map(sweep, places, tooltips) for places in charts)
+    yield blocks.FigureGroup(maps, least=275)
 
 
 def _map(sweep: Survey, places: tuple[int, ...], tooltips: dict[str, str]) -> blocks.Figure:
     title = f"{sweep.study}: {', '.join(sweep.panels[place].name for place in places)}"
-
-    def draw(figure: Any) -> None:
-        draw_map(figure.subplots(), sweep, places)
-
-    return blocks.Figure(title, draw, size_of(sweep, places), tooltips)
+    draw = partial(words.draw_map, sweep=sweep, places=places)
+    return blocks.chart(title, draw, words.size_of(sweep, places), tips=tooltips)
 
 
 def _cells(sweep: Survey) -> blocks.Table:
-    headings = (
-        "engine and method",
-        "value",
-        "step",
-        "what happened",
-        "who told",
-        "in its words",
-        "figures",
-    )
-    columns = [blocks.Column(h, words=h not in ("value", "step")) for h in headings]
     rows: list[list[blocks.Cell | str]] = [
         [
             f"{cell.engine} {cell.method}{'' if cell.profile == 'matched' else f' {cell.profile}'}",
@@ -147,19 +119,15 @@ def _cells(sweep: Survey) -> blocks.Table:
         for cell in sweep.cells
         if cell.outcome != "stable"
     ]
-    return blocks.table_of(columns, rows)
+    return blocks.table_of(_CELL_COLUMNS, rows)
 
 
 def cells_of(sweep: Survey) -> Iterator[blocks.Block]:
     """Describe what happened in each cell, and why."""
     for cell in sweep.cells:
         yield blocks.Text(words.name_of(cell, sweep), "strong")
-        yield blocks.Remarks(
-            tuple(
-                blocks.Remark(subject, text, "fail" if cell.failed and subject == "outcome" else "")
-                for subject, text in words.facts_of(cell, sweep)
-            )
-        )
+        outcome, *others = (blocks.Remark(*fact) for fact in words.facts_of(cell, sweep))
+        yield blocks.Remarks((replace(outcome, mark="fail" if cell.failed else ""), *others))
     yield blocks.Remarks.of(
         [
             ("stable", sweep.criteria.removeprefix("stable: ")),
@@ -175,32 +143,24 @@ def to_png(sweeps: list[Survey], stored: bytes = b"") -> bytes:
 
 
 def _picture(sweep: Survey) -> tuple[float, float]:
-    _, engines, models = _layout(sweep)
-    width, height = size_of(sweep)
+    engines, models = words.charts_of(sweep)
+    width, height = words.size_of(sweep)
     rows = math.ceil(len(engines) / _ACROSS)
-    below = size_of(sweep, models) if models else (0.0, 0.0)
+    below = words.size_of(sweep, models) if models else (0.0, 0.0)
     wide = max(width * min(_ACROSS, len(engines)), below[0], 9.0)
     return wide, height * rows + below[1] + _HEAD
 
 
-def _layout(sweep: Survey) -> tuple[int, list[tuple[int, ...]], tuple[int, ...]]:
-    """Return the number of maps side by side, the engines' maps, and the places of models."""
-    charts = charts_of(sweep)
-    models = next((places for places in charts if sweep.panels[places[0]].learned), ())
-    engines = [places for places in charts if places != models]
-    return min(_ACROSS, len(engines)), engines, models
-
-
 def _draw_study(figure: Any, sweep: Survey) -> None:
-    across, engines, models = _layout(sweep)
-    rows = math.ceil(len(engines) / _ACROSS)
+    engines, models = words.charts_of(sweep)
+    across, rows = min(_ACROSS, len(engines)), math.ceil(len(engines) / _ACROSS)
     grid = figure.add_gridspec(rows + bool(models), max(across, 1))
     for k, places in enumerate(engines):
         axes = figure.add_subplot(grid[k // across, k % across])
-        draw_map(axes, sweep, places, labelled=not k % across)
+        words.draw_map(axes, sweep, places, labelled=not k % across)
     if models:
         room = round(_picture(sweep)[0] / _CELL)
-        draw_map(figure.add_subplot(grid[-1, :]), sweep, models, columns=room)
-    draw_legend(figure, sweep, columns=4 if _picture(sweep)[0] > _NARROW else 3)
+        words.draw_map(figure.add_subplot(grid[-1, :]), sweep, models, columns=room)
+    words.draw_legend(figure, sweep, columns=4 if _picture(sweep)[0] > _NARROW else 3)
     title = f"{sweep.study}: {sweep.sentence}; what breaks first within {sweep.duration_s:g} s"
     figure.suptitle(title, fontsize=11, x=0.01, ha="left", color=INK)

@@ -6,6 +6,7 @@ To add a study, define a `Study` here and list it in `STUDIES`.
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Literal
 
 import msgspec
@@ -102,13 +103,13 @@ CHAIN_LENGTH = Study(
 )  # fmt: skip
 
 
-def _ladder(rungs: float) -> Scene:
-    return load_scene(f"{round(rungs)}ladder")
+def _sized(family: str, size: float) -> Scene:
+    return load_scene(f"{round(size)}{family}")
 
 
 LOOPS = Study(
     "loops", "rope ladders in the wind, one closed loop more with every rung", "rungs", "",
-    (1.0, 2.0, 3.0, 5.0, 8.0), _ladder, least=1,
+    (1.0, 2.0, 3.0, 5.0, 8.0), partial(_sized, "ladder"), least=1,
 )  # fmt: skip
 
 
@@ -117,14 +118,9 @@ LOOPS = Study(
 # Unlike the rope of `chain-length` it grows: links keep their length and mass. So it shows whether
 # a model that was trained on one length has learned links, or only that chain.
 
-
-def _chain(links: float) -> Scene:
-    return load_scene(f"{round(links)}pendulum")
-
-
 LINKS = Study(
     "links", "the paper's pendulum, one rod of 0.5 m and 1 kg more with every link", "links", "",
-    (1.0, 2.0, 4.0, 6.0, 8.0, 12.0, 16.0), _chain, least=1,
+    (1.0, 2.0, 4.0, 6.0, 8.0, 12.0, 16.0), partial(_sized, "pendulum"), least=1,
 )  # fmt: skip
 
 
@@ -322,17 +318,11 @@ def _cranks(count: int, angle: float, rate: float) -> Scene:
         velocity=speed,
         angular_velocity=(0.0, 0.0, 0.0),
     )
-    joints = [
-        joint
-        for k in range(count)
-        for joint in (
-            Joint(f"foot{k}", "hinge", "world", f"crank{k}", (_APART * k, 0.0, 0.0), _AXIS),
-            Joint(
-                f"pin{k}", "hinge", f"crank{k}", "coupler",
-                (_APART * k + reach[0], 0.0, reach[2]), _AXIS,
-            ),
-        )
-    ]  # fmt: skip
+    joints = []
+    for k, crank in enumerate(bodies):
+        foot, pin = (_APART * k, 0.0, 0.0), (_APART * k + reach[0], 0.0, reach[2])
+        joints.append(Joint(f"foot{k}", "hinge", "world", crank.name, foot, _AXIS))
+        joints.append(Joint(f"pin{k}", "hinge", crank.name, "coupler", pin, _AXIS))
     return Scene(
         name="cranks", bodies=(*bodies, coupler), joints=tuple(joints), length=_CRANK, dimension=2
     )
@@ -353,15 +343,11 @@ def _rod(length: float) -> Inertia:
 _START = math.radians(-50.0)
 _RATE = 7.0  # [rad/s]
 
-
-def _parallel(count: float) -> Scene:
-    return _cranks(round(count), _START, _RATE)
-
-
 REDUNDANCY = Study(
     "redundancy",
     "cranks that turn over with one rod, four redundant constraints more with every crank",
-    "cranks", "", (2.0, 3.0, 4.0, 6.0, 8.0), _parallel, least=2,
+    "cranks", "", (2.0, 3.0, 4.0, 6.0, 8.0), lambda count: _cranks(round(count), _START, _RATE),
+    least=2,
 )  # fmt: skip
 
 
@@ -373,14 +359,10 @@ REDUNDANCY = Study(
 
 _SINGULAR_RATE = -2.0  # [rad/s]
 
-
-def _parallelogram(angle: float) -> Scene:
-    return _cranks(2, angle, _SINGULAR_RATE)
-
-
 SINGULAR = Study(
     "singular", "a parallelogram that starts at, or shortly before, its singular pose",
-    "angle before the singular pose", "rad", (1.0, 0.3, 0.02, 1e-3, 1e-6, 0.0), _parallelogram,
+    "angle before the singular pose", "rad", (1.0, 0.3, 0.02, 1e-3, 1e-6, 0.0),
+    partial(_cranks, 2, rate=_SINGULAR_RATE),
 )  # fmt: skip
 
 

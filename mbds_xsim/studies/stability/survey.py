@@ -11,6 +11,7 @@ import itertools
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import msgspec
 
@@ -35,7 +36,6 @@ from mbds_xsim.simulate.adapter import Profile
 from mbds_xsim.simulate.simulator import NATIVE, EngineMethod, Simulator
 from mbds_xsim.studies.stability import (
     COUNTS,
-    FRAME,
     SCHEMA,
     MapCell,
     Panel,
@@ -109,8 +109,8 @@ def survey(plan: SurveyPlan) -> Survey:
         quantity=plan.study.quantity,
         unit=plan.study.unit,
         values=plan.values,
-        steps_s=tuple(FRAME / count for count in plan.counts),
-        duration_s=FRAME * plan.study.frames,
+        steps_s=tuple(plan.study.clock.frame / count for count in plan.counts),
+        duration_s=plan.study.clock.duration,
         criteria=CRITERIA,
         panels=panels,
         left_out=left_out | dict(plan.faulty),
@@ -144,13 +144,11 @@ def simulators_of(plan: SurveyPlan) -> tuple[list[Simulator], dict[str, str]]:
             left_out[name] = str(error)
             continue
         variation = NATIVE if profile == "native" else ""
-        for method in [usual] if profile == "native" else adapter.methods:
-            if not plan.methods or method in plan.methods:
-                candidates.append(
-                    EngineMethod(
-                        name, method, variation=variation, counts=plan.counts, profile=profile
-                    )
-                )
+        candidates += [
+            EngineMethod(name, method, variation=variation, counts=plan.counts, profile=profile)
+            for method in ([usual] if profile == "native" else adapter.methods)
+            if not plan.methods or method in plan.methods
+        ]
     simulators: list[Simulator] = []
     for simulator in [*candidates, *plan.others]:
         reasons = [_refusal(plan.study, simulator, scene) for scene in scenes]
@@ -195,24 +193,22 @@ def _truths(
     plan: SurveyPlan, scenes: dict[Value, Scene]
 ) -> tuple[dict[Value, Trajectory], dict[str, str]]:
     """Solve the references; values that have none are returned with the reason."""
+    truths: dict[Value, Trajectory] = {}
+    unknown: dict[str, str] = {}
     if not plan.study.known:
         reason = "rigid contact of several spheres has no unique solution"
-        return {}, dict.fromkeys(map(text_of, scenes), reason)
+        return truths, dict.fromkeys(map(text_of, scenes), reason)
     tasks = [
         Task(_truth, (scene, plan.study.batch(scene), plan.conduct.cache), _REFERENCE_LIMIT)
         for scene in scenes.values()
     ]
     answers = run_tasks(tasks, workers=plan.conduct.workers)
-    truths: dict[Value, Trajectory] = {}
-    unknown: dict[str, str] = {}
     for value, answer in zip(scenes, answers, strict=True):
-        failure = None if isinstance(answer, Crash) else answer.failures[0]
-        if isinstance(answer, Crash):
-            unknown[text_of(value)] = answer.reason
-        elif failure is not None and not isinstance(failure, FirstImpact):
-            unknown[text_of(value)] = failure.reason
-        else:
+        failure = answer if isinstance(answer, Crash) else answer.failures[0]
+        if failure is None or isinstance(failure, FirstImpact):
             truths[value] = answer
+        else:
+            unknown[text_of(value)] = failure.reason
     return truths, unknown
 
 
@@ -238,16 +234,15 @@ def _panels(
     cases.sort(key=lambda case: -len(case.arguments()[1].bodies))
     cells = dict(zip(map(id, cases), runner.rows(cases), strict=True))
     return tuple(
-        Panel(
-            engine=simulator.engine,
-            version=simulator.version,
-            method=simulator.method,
-            family=simulator.family,
-            profile=simulator.profile,
-            cells=tuple(tuple(cells[id(case)] for case in row) for row in panel),
-        )
-        for simulator, panel in zip(simulators, grid, strict=True)
+        Panel(**_names(s), cells=tuple(tuple(cells[id(case)] for case in row) for row in panel))
+        for s, panel in zip(simulators, grid, strict=True)
     )
+
+
+def _names(simulator: Simulator) -> dict[str, Any]:
+    """Return the fields of cells and panels that say which simulator it is."""
+    fields = ("engine", "version", "method", "family", "profile")
+    return {field: getattr(simulator, field) for field in fields}
 
 
 def _case(
@@ -260,11 +255,7 @@ def _case(
             key=hashlib.sha256(repr(identity).encode()).hexdigest(),
             study=plan.study.name,
             value=instance.value,
-            engine=simulator.engine,
-            version=simulator.version,
-            method=simulator.method,
-            family=simulator.family,
-            profile=simulator.profile,
+            **_names(simulator),
             options={} if simulator.source else simulator.options(scene),
             step_s=scene.clock.frame / count,
             duration_s=scene.clock.duration,

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from mbds_xsim.base.arrays import Array, Mask
-from mbds_xsim.checks import agreement
+from mbds_xsim.checks import Finding, agreement
 from mbds_xsim.checks.conservation import energy_of, input_work
 from mbds_xsim.checks.integrity import angle_gap, gap
 from mbds_xsim.checks.joint_work import losses
@@ -96,7 +96,7 @@ def signs_of(record: Record, truth: Trajectory | None) -> Signs:
             finite=record.finite[0],
             energy=_energy(record, reference),
             gap=_joint_gap(record),
-            sunk=_penetration(record),
+            sunk=_series(record, penetration(record)),
             way=_way(record, reference),
             error=_error(record, reference),
         )
@@ -105,8 +105,7 @@ def signs_of(record: Record, truth: Trajectory | None) -> Signs:
 def _energy(record: Record, truth: Record | None) -> Array:
     """Signed energy deviation over the scale; with contact, the unexplained rise; (frame,)."""
     if record.scene.contacts:
-        finding = passivity(record)
-        return _nothing(record) if finding is None else finding.series[0]
+        return _series(record, passivity(record))
     energy = energy_of(record)
     balance = energy.total - energy.total[:, :1] - input_work(record) + losses(record)[0]
     # Over its own energy scale, a blow-up would look small.
@@ -116,15 +115,12 @@ def _energy(record: Record, truth: Record | None) -> Array:
 
 def _joint_gap(record: Record) -> Array:
     """Largest gap of a joint over the length, or angle between its axes [rad]; (frame,)."""
-    distance, angle = gap(record), angle_gap(record)
-    parts = [_nothing(record)]
-    parts += [distance.series[0] / record.scene.length] if distance is not None else []
-    parts += [angle.series[0]] if angle is not None else []
-    return np.asarray(np.fmax.reduce(parts))
+    distance = _series(record, gap(record)) / record.scene.length
+    return np.asarray(np.fmax(distance, _series(record, angle_gap(record))))
 
 
-def _penetration(record: Record) -> Array:
-    finding = penetration(record)
+def _series(record: Record, finding: Finding | None) -> Array:
+    """Series of a check, NaN if it does not apply; (frame,)."""
     return _nothing(record) if finding is None else finding.series[0]
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from mbds_xsim.report import quantity
 from mbds_xsim.report.themed import GREY, INK
-from mbds_xsim.studies.stability import MapCell, Outcome, Panel, Survey, Value, text_of
+from mbds_xsim.studies.stability import MapCell, Outcome, Panel, Study, Survey, Value, text_of
 
 _REPORTERS = {
     "engine": "the engine",
@@ -31,9 +31,9 @@ _LEARNED = (
 )
 
 
-def axis_label(sweep: Survey) -> str:
+def axis_label(study: Study | Survey) -> str:
     """Name the swept quantity, with its unit."""
-    return f"{sweep.quantity} [{sweep.unit}]" if sweep.unit else sweep.quantity
+    return f"{study.quantity} [{study.unit}]" if study.unit else study.quantity
 
 
 def limit(panel: Panel, row: int) -> str:
@@ -207,6 +207,7 @@ class Look:
     colour: str
     letter: str
     meaning: str
+    dark: bool = False
 
 
 # Letters go with the colours, none of which is an engine's or a model's.
@@ -216,20 +217,16 @@ LOOKS: dict[Outcome, Look] = {
     "gains energy": Look("#ff7f6e", "E", "gains energy"),
     "loses energy": Look("#a9c9ff", "L", "loses energy"),
     "comes apart": Look("#e2b3e6", "A", "joints come apart"),
-    "sinks in": Look("#a37a5c", "S", "spheres sink into the ground"),
+    "sinks in": Look("#a37a5c", "S", "spheres sink into the ground", dark=True),
     "stuck": Look("#ffd59e", "F", "hardly moves"),
     "clamped": Look("#f0e442", "K", "cut to what the engine allows"),
-    "blows up": Look("#8c2d2d", "X", "blows up between two frames"),
-    "gives up": Look("#5b5ea6", "N", "the engine gives up to solve a step"),
-    "ends early": Look("#9c8f8f", "?", "ends early for another reason"),
-    "crashed": Look("#2f3a3d", "C", "the process crashes"),
-    "timed out": Look("#7f8fa6", "T", "not measured: no answer in time"),
+    "blows up": Look("#8c2d2d", "X", "blows up between two frames", dark=True),
+    "gives up": Look("#5b5ea6", "N", "the engine gives up to solve a step", dark=True),
+    "ends early": Look("#9c8f8f", "?", "ends early for another reason", dark=True),
+    "crashed": Look("#2f3a3d", "C", "the process crashes", dark=True),
+    "timed out": Look("#7f8fa6", "T", "not measured: no answer in time", dark=True),
     "refused": Look("#e4e4e4", "–", "cannot be represented"),
 }
-LIGHT_LOOKS = {
-    "stable", "off course", "gains energy", "loses energy", "comes apart", "stuck", "clamped",
-    "refused",
-}  # fmt: skip
 _HATCH = "////"
 _LETTER = 0.068  # height of a letter in an upright name [in]
 _UPRIGHT: dict[bool, dict[str, Any]] = {False: {}, True: {"rotation": 90, "fontsize": 7.5}}
@@ -237,11 +234,17 @@ _CELL = (0.36, 0.30)  # [in]
 _MARGIN = (1.15, 0.85)  # [in]
 
 
-def charts_of(sweep: Survey) -> list[tuple[int, ...]]:
-    """Return the places of each map's panels: one map per engine method, then one of all models."""
-    models = tuple(k for k, panel in enumerate(sweep.panels) if panel.learned)
-    engines = [(k,) for k, panel in enumerate(sweep.panels) if not panel.learned]
-    return [*engines, models] if models else [*engines]
+def looks_of(sweep: Survey) -> list[Look]:
+    """Return the looks of the outcomes that occur."""
+    outcomes = {cell.outcome for cell in sweep.cells}
+    return [look for outcome, look in LOOKS.items() if outcome in outcomes]
+
+
+def charts_of(sweep: Survey) -> tuple[list[tuple[int, ...]], tuple[int, ...]]:
+    """Return the places of the panels of each engine method's map, and of the map of all models."""
+    places = range(len(sweep.panels))
+    models = tuple(k for k in places if sweep.panels[k].learned)
+    return [(k,) for k in places if k not in models], models
 
 
 def size_of(sweep: Survey, places: Sequence[int] = ()) -> tuple[float, float]:
@@ -308,31 +311,22 @@ def draw_legend(figure: Any, sweep: Survey, *, columns: int) -> None:
     """Explain the colours that occur, and the hatching, below the maps."""
     from matplotlib.patches import Patch
 
-    outcomes = {cell.outcome for cell in sweep.cells}
     patches = [
-        Patch(
-            facecolor=look.colour,
-            edgecolor=GREY,
-            linewidth=0.4,
-            label=f"{look.letter}  {look.meaning}".strip(),
-        )
-        for outcome, look in LOOKS.items()
-        if outcome in outcomes
+        Patch(fc=look.colour, ec=GREY, lw=0.4, label=f"{look.letter}  {look.meaning}".strip())
+        for look in looks_of(sweep)
     ]
-    silent = Patch(
-        facecolor="white", edgecolor=INK, linewidth=0.0, hatch=_HATCH,
-        label="hatched: without a word from the engine",
-    )  # fmt: skip
-    figure.legend(
-        handles=[*patches, silent], loc="outside lower left", ncols=columns, frameon=False,
-        fontsize=8,
-    )  # fmt: skip
+    label = "hatched: without a word from the engine"
+    patches.append(Patch(fc="white", ec=INK, lw=0.0, hatch=_HATCH, label=label))
+    look = {"ncols": columns, "frameon": False, "fontsize": 8}
+    figure.legend(handles=patches, loc="outside lower left", **look)
 
 
 def tips(sweep: Survey) -> dict[str, str]:
     """Return the text shown when a cell is pointed at, keyed by the gid of its artist."""
     return {
-        f"tip-{place}-{row * len(cells) + column}": _tooltip(cell, sweep)
+        f"tip-{place}-{row * len(cells) + column}": "\n".join(
+            [name_of(cell, sweep), *map(": ".join, facts_of(cell, sweep))]
+        )
         for place, panel in enumerate(sweep.panels)
         for row, cells in enumerate(panel.cells)
         for column, cell in enumerate(cells)
@@ -343,28 +337,16 @@ def _draw_cell(axes: Any, cell: MapCell, column: int, row: int, gid: str) -> Non
     from matplotlib.patches import Rectangle
 
     look = LOOKS[cell.outcome]
-    ink = "#1a1a1a" if cell.outcome in LIGHT_LOOKS else "#ffffff"
-    box = Rectangle((column - 0.47, row - 0.45), 0.94, 0.9, facecolor=look.colour, linewidth=0)
-    box.set_gid(gid)
-    axes.add_patch(box)
+    ink = "#ffffff" if look.dark else "#1a1a1a"
+    area = ((column - 0.47, row - 0.45), 0.94, 0.9)
+    axes.add_patch(Rectangle(*area, fc=look.colour, lw=0, gid=gid))
     if cell.silent:
-        axes.add_patch(
-            Rectangle(
-                (column - 0.47, row - 0.45), 0.94, 0.9, facecolor="none", edgecolor=ink,
-                linewidth=0, hatch=_HATCH, alpha=0.55,
-            )
-        )  # fmt: skip
+        axes.add_patch(Rectangle(*area, fc="none", ec=ink, lw=0, hatch=_HATCH, alpha=0.55))
     if look.letter:
         back = {"facecolor": look.colour, "edgecolor": "none", "pad": 0.8}
         axes.text(
             column, row, look.letter, ha="center", va="center", fontsize=7, color=ink, bbox=back
         )
-
-
-def _tooltip(cell: MapCell, sweep: Survey) -> str:
-    lines = [name_of(cell, sweep)]
-    lines += [f"{subject}: {text}" for subject, text in facts_of(cell, sweep)]
-    return "\n".join(lines)
 
 
 def _short(text: str) -> str:

@@ -304,14 +304,10 @@ def _curve(scene: Scene, adapter: Adapter, matched: Settings, method: str) -> En
     """Return the curve of a method: matched options over steps, or tolerances if adaptive."""
     if adapter.methods[method].adaptive:
         return EngineMethod(adapter.name, method, own_options={}, counts=DIGITS, digits=True)
-    counts = _counts(scene, matched, method)
-    return EngineMethod(adapter.name, method, own_options=dict(matched.options), counts=counts)
-
-
-def _counts(scene: Scene, matched: Settings, method: str) -> tuple[int, ...]:
-    """Include the matched steps per frame, so that the chart shows the published settings."""
+    # With the matched steps per frame, so that the chart shows the published settings.
     own = {matched.substeps(scene.clock.frame)} if method == matched.method else set()
-    return tuple(sorted(own | set(COUNTS)))
+    counts = tuple(sorted(own | set(COUNTS)))
+    return EngineMethod(adapter.name, method, own_options=dict(matched.options), counts=counts)
 
 
 def _variations(
@@ -327,12 +323,8 @@ def _variations(
         used = usual.get(option, adapter.options[option].default)
         for value in sweep.values:
             if value != used:
-                yield dataclasses.replace(
-                    base,
-                    variation=f"{option} = {value}",
-                    own_options={**usual, option: value},
-                    counts=_THIN,
-                )
+                name, options = f"{option} = {value}", {**usual, option: value}
+                yield dataclasses.replace(base, variation=name, own_options=options, counts=_THIN)
 
 
 def _native(scene: Scene, adapter: Adapter) -> Iterator[EngineMethod]:

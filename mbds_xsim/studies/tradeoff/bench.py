@@ -50,7 +50,7 @@ class Truth:
     judged: bool = True
     """Whether the error counts against a budget; False if a method is compared with itself."""
     compared: bool = True
-    """Whether the error is reported at all."""
+    """Whether there is an error at all."""
 
     @property
     def known(self) -> Mask:
@@ -83,22 +83,15 @@ def confirmations(
 
     Bouncing balls have no second solution: the reference then has a cost but no error.
     """
+    unknown = [dataclasses.replace(truth, compared=False) for truth in truths]
     if has_known_impacts(Mechanism.of(scene)):
-        return [dataclasses.replace(truth, judged=False, compared=False) for truth in truths]
+        return unknown
     tasks = [Task(confirmed, (scene, batch[[k]], conduct.cache)) for k in range(len(batch))]
     answers = run_tasks(tasks, workers=conduct.workers)
     return [
-        dataclasses.replace(truth, judged=False, compared=False)
-        if isinstance(answer, Crash)
-        else dataclasses.replace(truth, trajectory=answer)
-        for truth, answer in zip(truths, answers, strict=True)
+        without if isinstance(answer, Crash) else dataclasses.replace(truth, trajectory=answer)
+        for truth, without, answer in zip(truths, unknown, answers, strict=True)
     ]
-
-
-def first_impact(truths: Sequence[Truth]) -> float | None:
-    """Return the time of the first impact after which a motion has no unique solution [s]."""
-    ends = [truth.trajectory.failures[0] for truth in truths]
-    return min((end.time for end in ends if isinstance(end, FirstImpact)), default=None)
 
 
 def _limit(simulator: Simulator, scene: Scene, start: Batch) -> Truth:
@@ -175,6 +168,12 @@ class StartBench:
             return min(INSTANT, self.scene.clock.duration)
         return min(truth.horizon for truth in self.references)
 
+    @property
+    def reference_ends(self) -> float | None:
+        """Time of the first impact after which a motion has no unique solution [s]."""
+        ends = [truth.trajectory.failures[0] for truth in self.references]
+        return min((end.time for end in ends if isinstance(end, FirstImpact)), default=None)
+
     def rows(self, jobs: Sequence[Job]) -> list[Measurement]:
         """Return the row of each job, measuring those that are not stored."""
         cases = [self._case(job) for job in jobs]
@@ -188,28 +187,23 @@ class StartBench:
         if not self.are_limits:
             return
         missing = [place for place in dict.fromkeys(places) if place not in self._limits]
+        timeout = _GRACE + _LIMIT_PATIENCE * self.limit
         tasks = [
-            Task(
-                _limit,
-                (self.usual[engine, method], self.scene, self.batch[[start]]),
-                _GRACE + _LIMIT_PATIENCE * self.limit,
-            )
+            Task(_limit, (self.usual[engine, method], self.scene, self.batch[[start]]), timeout)
             for engine, method, start in missing
         ]
         answers = run_tasks(tasks, workers=self.conduct.workers)
+        # A limit that crashed has no known frame.
+        time = self.references[0].trajectory.time
+        unknown = _own_limit(Trajectory.empty(time, 1, len(self.scene.bodies)))
         for place, answer in zip(missing, answers, strict=True):
-            self._limits[place] = self._unknown_truth() if isinstance(answer, Crash) else answer
+            self._limits[place] = unknown if isinstance(answer, Crash) else answer
 
     def truth_of(self, place: Place) -> Truth:
         """Return the truth for one start in one method."""
         if self.are_limits:
             return self._limits[place]
         return self.own.get(place[:2], self.references)[place[2]]
-
-    def _unknown_truth(self) -> Truth:
-        """Return a truth without any known frame."""
-        time = self.references[0].trajectory.time
-        return _own_limit(Trajectory.empty(time, 1, len(self.scene.bodies)))
 
     def too_slow(self, simulator: Simulator, count: int, predicted: float) -> Measurement:
         """Return the row of a point whose predicted time exceeds the limit."""
@@ -223,12 +217,10 @@ class StartBench:
             row=self._bare(job),
             name=simulator.name,
             function=measure,
-            arguments=lambda: (
-                simulator, self.scene, start, job.count, self.truth_of(job.place),
-            ),
+            arguments=lambda: (simulator, self.scene, start, job.count, self.truth_of(job.place)),
             limit=_PATIENCE * self.limit + _GRACE,
             group=simulator.source or None,
-        )  # fmt: skip
+        )
 
     def _bare(self, job: Job) -> Measurement:
         """Return a row without figures."""

@@ -32,15 +32,14 @@ def curve_results(
     With `own_limit`, errors are distances to a method's own limit. A small distance does not show
     that a motion is true, but a large one shows that it is wrong: the error's budget applies.
     """
-    results = [
-        _curve_result(
-            scene,
-            curve,
-            [_against_limit(scene, p) if own_limit else p for p in map(point_of, points)],
-        )
-        for curve, points in zip(curves, by_curve, strict=True)
+    summary = [
+        [_against_limit(scene, p) if own_limit else p for p in map(point_of, points)]
+        for points in by_curve
     ]
-    return _with_front(results, FLOOR * scene.length)
+    return tuple(
+        _curve_result(scene, curve, points)
+        for curve, points in zip(curves, _with_front(summary, FLOOR * scene.length), strict=True)
+    )
 
 
 def _against_limit(scene: Scene, point: Point) -> Point:
@@ -91,17 +90,12 @@ def ratios_of(scene: Scene, curves: Sequence[CurveResult]) -> tuple[Ratio, ...]:
         return ()
     low, high = (math.log10(e) for e in (min(errors), min(max(errors), 10 * budget)))
     decades = [10.0**k for k in range(math.floor(high), math.ceil(low) - 1, -1)]
-    return (
-        _ratio(curves, budget, is_budget=True),
-        *(_ratio(curves, error, is_budget=False) for error in decades),
-    )
+    each = [(budget, True), *((error, False) for error in decades)]
+    return tuple(_ratio(curves, error, is_budget=is_budget) for error, is_budget in each)
 
 
 def _ratio(curves: Sequence[CurveResult], error: float, *, is_budget: bool) -> Ratio:
-    costs = [
-        cost_at([_pair(point.wall_s, point.error_m) for point in curve.points], error)
-        for curve in curves
-    ]
+    costs = [cost_at([_pair(p.wall_s, p.error_m) for p in c.points], error) for c in curves]
     known = [k for k, cost in enumerate(costs) if cost is not None]
     best = min(known, key=lambda k: costs[k] or math.inf, default=None)
     return Ratio(error_m=error, budget=is_budget, wall_s=tuple(costs), best=best)
@@ -110,9 +104,7 @@ def _ratio(curves: Sequence[CurveResult], error: float, *, is_budget: bool) -> R
 def _curve_result(scene: Scene, curve: EngineMethod, points: list[Point]) -> CurveResult:
     adapter = registry.load_adapter(curve.engine)
     method = adapter.methods[curve.method]
-    pairs = [
-        (point.step_s, math.nan if point.error_m is None else point.error_m) for point in points
-    ]
+    pairs = [(p.step_s, math.nan if p.error_m is None else p.error_m) for p in points]
     return CurveResult(
         engine=curve.engine,
         version=curve.version,
@@ -127,25 +119,19 @@ def _curve_result(scene: Scene, curve: EngineMethod, points: list[Point]) -> Cur
     )
 
 
-def _with_front(curves: list[CurveResult], floor: float) -> tuple[CurveResult, ...]:
+def _with_front(curves: list[list[Point]], floor: float) -> list[list[Point]]:
     """Mark the points of the Pareto front; errors below the floor count as equal."""
     places = [
         (k, n, pair)
-        for k, curve in enumerate(curves)
-        for n, point in enumerate(curve.points)
+        for k, points in enumerate(curves)
+        for n, point in enumerate(points)
         if (pair := _pair(point.wall_s, point.error_m)) is not None
     ]
     best = {places[k][:2] for k in front([(cost, max(e, floor)) for *_, (cost, e) in places])}
-    return tuple(
-        msgspec.structs.replace(
-            curve,
-            points=tuple(
-                msgspec.structs.replace(point, on_front=(k, n) in best)
-                for n, point in enumerate(curve.points)
-            ),
-        )
-        for k, curve in enumerate(curves)
-    )
+    return [
+        [msgspec.structs.replace(p, on_front=(k, n) in best) for n, p in enumerate(points)]
+        for k, points in enumerate(curves)
+    ]
 
 
 def _pair(cost: float | None, error: float | None) -> tuple[float, float] | None:

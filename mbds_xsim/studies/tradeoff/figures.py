@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -17,9 +18,7 @@ _MODEL_MARKER = "H"
 _TOP = 10.0
 """Largest error that is drawn, over the scene's length."""
 _REAL_TIME = 1.0
-
-
-_COST = "wall time per simulated second [s]"
+_X_LABELS = {"wall_s": "wall time per simulated second [s]", "step_s": "step [s]"}
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,6 @@ class Chart:
     y_label: str
     budget: Callable[[Tradeoff], float | None]
     x: str = "wall_s"
-    x_label: str = _COST
     floor: float = 1e-12
     """Lower bound at which smaller values are drawn; for errors, over the scene's length."""
     top: float = 1.0
@@ -63,44 +61,30 @@ def _accuracy(budget: str) -> Callable[[Tradeoff], float | None]:
 
 _OVER_COST = Chart(
     title=lambda s: f"{_error_name(s)}, over cost",
-    y="error_m",
-    y_label="RMS particle error [m]",
-    budget=_accuracy("error_1s"),
-    floor=FLOOR,
-    top=_TOP,
-    front=True,
-)
+    y="error_m", y_label="RMS particle error [m]", budget=_accuracy("error_1s"),
+    floor=FLOOR, top=_TOP, front=True,
+)  # fmt: skip
 _CHARTS: tuple[Chart, ...] = (
     _OVER_COST,
     replace(
-        _OVER_COST,
-        title=lambda s: f"{_error_name(s)}, over step",
-        x="step_s",
-        x_label="step [s]",
-        front=False,
+        _OVER_COST, title=lambda s: f"{_error_name(s)}, over step", x="step_s", front=False
     ),
     replace(
         _OVER_COST,
         title=lambda s: f"worst error over {_span(s)}, over the growth of a disturbance",
-        y="error_weighted_m",
-        y_label="max of error / max(1, G) [m]",
-        budget=_accuracy("error"),
+        y="error_weighted_m", y_label="max of error / max(1, G) [m]", budget=_accuracy("error"),
         front=False,
     ),
     Chart(
         title=lambda s: "energy that contact creates" if s.contact else "energy balance",
-        y="energy",
-        y_label="over the energy scale",
-        budget=lambda s: s.budget["passivity" if s.contact else "energy_first_order"],
-        top=10.0,
+        y="energy", y_label="over the energy scale",
+        budget=lambda s: s.budget["passivity" if s.contact else "energy_first_order"], top=10.0,
     ),
     Chart(
         title=lambda _: "worst gap of a joint",
-        y="gap_m",
-        y_label="gap [m]",
-        budget=lambda s: s.budget["gap"],
+        y="gap_m", y_label="gap [m]", budget=lambda s: s.budget["gap"],
     ),
-)
+)  # fmt: skip
 
 
 def charts_of(study: Tradeoff) -> list[Chart]:
@@ -116,11 +100,8 @@ def _shows(study: Tradeoff, chart: Chart, point: Point) -> bool:
 
 def draw_chart(axes: Any, study: Tradeoff, chart: Chart) -> None:
     """Draw one chart."""
-    axes.set_xscale("log")
-    axes.set_yscale("log")
     axes.set_title(chart.title(study), fontsize=10, loc="left", color=INK)
-    axes.set_xlabel(chart.x_label)
-    axes.set_ylabel(chart.y_label)
+    axes.set(xscale="log", yscale="log", xlabel=_X_LABELS[chart.x], ylabel=chart.y_label)
     if chart.front:
         _draw_front(axes, study, chart)
     for place, curve in enumerate(study.curves):
@@ -171,12 +152,8 @@ def _draw_curve(axes: Any, study: Tradeoff, chart: Chart, curve: CurveResult, pl
     if chart.front and not varied and not any(spots):
         _draw_cost(axes, curve, colour)
     for run in _unbroken_runs(spots):
-        (line,) = axes.plot(
-            *zip(*run, strict=True),
-            color=colour,
-            linewidth=0.6 if varied else 1.4,
-            alpha=0.35 if varied else 0.9,
-        )
+        look = {"lw": 0.6, "alpha": 0.35} if varied else {"lw": 1.4, "alpha": 0.9}
+        (line,) = axes.plot(*zip(*run, strict=True), color=colour, **look)
         line.set_gid(f"curve-{place}")
     for number, (point, spot) in enumerate(zip(curve.points, spots, strict=True)):
         if spot is None:
@@ -186,16 +163,11 @@ def _draw_curve(axes: Any, study: Tradeoff, chart: Chart, curve: CurveResult, pl
             (bar,) = axes.plot(spread, [spot[1]] * 2, color=colour, lw=0.8)
             bar.set_gid(f"curve-{place}")
         (dot,) = axes.plot(
-            *([value] for value in spot),
-            marker,
-            color=colour,
-            markersize=size,
-            markerfacecolor=PAPER if varied or batch else colour,
-            markeredgecolor=INK if curve.variation == NATIVE else colour,
-            markeredgewidth=0.8,
-            alpha=0.6 if varied else 1.0,
-            zorder=3,
-        )
+            *([value] for value in spot), marker, color=colour, ms=size,
+            mfc=PAPER if varied or batch else colour,
+            mec=INK if curve.variation == NATIVE else colour, mew=0.8,
+            alpha=0.6 if varied else 1.0, zorder=3,
+        )  # fmt: skip
         dot.set_gid(f"tip-{place}-{number}")
 
 
@@ -224,14 +196,10 @@ def _draw_model(axes: Any, study: Tradeoff, chart: Chart, model: ModelResult, pl
 
 def _unbroken_runs(spots: list[tuple[float, float] | None]) -> Iterator[list[tuple[float, float]]]:
     """Yield runs of neighbouring points; a failed point breaks the line."""
-    run: list[tuple[float, float]] = []
-    for spot in [*spots, None]:
-        if spot is not None:
-            run.append(spot)
-            continue
+    for _, group in itertools.groupby(spots, lambda spot: spot is None):
+        run = [spot for spot in group if spot is not None]
         if len(run) > 1:
             yield run
-        run = []
 
 
 def _draw_front(axes: Any, study: Tradeoff, chart: Chart) -> None:

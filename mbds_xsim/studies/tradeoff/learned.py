@@ -50,20 +50,12 @@ def with_models(
     matching, left_out = models_of(scene, models)
     bench = _bench(study, scene, conduct)
     quiet = draw_batch(scene, study.trajectories, seed=study.seed, noise=False)
-    by_curve = explore(
-        bench,
-        [
-            LearnedSimulator.of(
-                model,
-                f"{model.run} {model.variant}",
-                variation=variation,
-                together=together,
-                quiet=quiet,
-            )
-            for model in matching
-            for variation, together in (("", 1), (BATCH, AT_ONCE))
-        ],
-    )
+    simulators = [
+        LearnedSimulator.of(m, f"{m.run} {m.variant}", variation=batch, together=n, quiet=quiet)
+        for m in matching
+        for batch, n in (("", 1), (BATCH, AT_ONCE))
+    ]
+    by_curve = explore(bench, simulators)
     rows = [list(itertools.chain.from_iterable(points)) for points in by_curve]
     extended = msgspec.structs.replace(
         study,

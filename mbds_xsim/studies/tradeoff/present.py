@@ -10,15 +10,7 @@ from typing import Any
 from mbds_xsim.base.text import counted, in_figure, sentence
 from mbds_xsim.report import blocks, quantity, themed
 from mbds_xsim.report.themed import INK, PAPER
-from mbds_xsim.studies.tradeoff import BATCH, Point, Tradeoff, words
-from mbds_xsim.studies.tradeoff.figures import (
-    Chart,
-    charts_of,
-    colour_of,
-    draw_chart,
-    legend_entries,
-    tips,
-)
+from mbds_xsim.studies.tradeoff import BATCH, Point, Tradeoff, figures, words
 
 _USUAL = ("", BATCH)
 _MAIN, _SMALL = (7.6, 4.6), (5.4, 3.7)
@@ -31,12 +23,9 @@ _READING = (
     "that no other beats in both speed and accuracy. Bars show the fastest and the slowest repeat. "
     "Point at a mark for its figures"
 )
-_POINTS = tuple(
-    blocks.Column(heading, words=heading in ("settings", "over budget"))
-    for heading in (
-        "settings", "step", "cost", "spread", "processor", "set-up", "error", "all times", "gap",
-        "energy", "over budget",
-    )
+_POINTS = (
+    "settings", ">step", ">cost", ">spread", ">processor", ">set-up", ">error", ">all times",
+    ">gap", ">energy", "over budget",
 )  # fmt: skip
 
 
@@ -67,14 +56,14 @@ def _blocks(study: Tradeoff) -> Iterator[blocks.Block]:
             *(("option that pays", line) for line in words.options_that_pay(study)),
         ]
     )
-    yield blocks.Section("Charts", tuple(_charts(study)), on=frozenset({"page"}))
+    yield blocks.Section("Charts", tuple(_charts(study)), on=blocks.PAGE)
     failed = words.failures(study)
     if failed or study.left_out:
         lines = [blocks.Remark(name, f"{steps}: {cause}", "fail") for name, steps, cause in failed]
         lines += [blocks.Remark("left out", reason) for reason in study.left_out.values()]
         yield blocks.Section("Failures", (blocks.Remarks(tuple(lines), _MOST_LINES + 1),))
     points = blocks.table_of(_POINTS, _point_rows(study))
-    yield blocks.Section("All points", (points,), folded=True, on=frozenset({"page"}))
+    yield blocks.Section("All points", (points,), folded=True, on=blocks.PAGE)
 
 
 def _main(study: Tradeoff) -> blocks.Table:
@@ -89,7 +78,7 @@ def _main(study: Tradeoff) -> blocks.Table:
 def _charts(study: Tradeoff) -> Iterator[blocks.Block]:
     yield blocks.Text(_READING)
     keys = [
-        (curve.variation, blocks.Key(curve.name, colour_of(curve.engine), curve=str(place)))
+        (curve.variation, blocks.Key(curve.name, figures.colour_of(curve.engine), curve=str(place)))
         for place, curve in enumerate(study.curves)
     ]
     models = [blocks.Key("trained models", "", curve="model")] if study.models else []
@@ -99,23 +88,29 @@ def _charts(study: Tradeoff) -> Iterator[blocks.Block]:
         yield blocks.Section(
             "changed options and native settings", (blocks.Legend(changed),), folded=True
         )
-    notes = tips(study)
-    yield blocks.FigureGroup(
-        tuple(_figure(study, chart, notes, main=not k) for k, chart in enumerate(charts_of(study))),
-        least=480,
-    )
+    notes, charts = figures.tips(study), enumerate(figures.charts_of(study))
+    shown = tuple(_figure(study, chart, notes, main=not k) for k, chart in charts)
+    yield blocks.FigureGroup(shown, least=480)
 
 
-def _figure(study: Tradeoff, chart: Chart, notes: dict[str, str], *, main: bool) -> blocks.Figure:
-    def draw(figure: Any) -> None:
-        axes = figure.subplots()
-        draw_chart(axes, study, chart)
+def _figure(
+    study: Tradeoff, chart: figures.Chart, notes: dict[str, str], *, main: bool
+) -> blocks.Figure:
+    def draw(axes: Any) -> None:
+        figures.draw_chart(axes, study, chart)
         if main:
-            for label, colour, marker in legend_entries(study):
-                axes.plot([], [], marker, color=colour, label=label, ls="-")
-            figure.legend(loc="outside right upper", frameon=False, fontsize=8)
+            _legend(axes, study)
 
-    return blocks.Figure(chart.title(study), draw, _MAIN if main else _SMALL, notes, wide=main)
+    return blocks.chart(chart.title(study), draw, _MAIN if main else _SMALL, tips=notes, wide=main)
+
+
+def _legend(axes: Any, study: Tradeoff, **star: Any) -> None:
+    """Explain the curves beside the axes, and `star`, the look of a further mark, if any."""
+    for label, colour, marker in figures.legend_entries(study):
+        axes.plot([], [], marker, color=colour, label=label, ls="-")
+    if star:
+        axes.plot([], [], "*", **star)
+    axes.figure.legend(loc="outside right upper", frameon=False, fontsize=8)
 
 
 def _point_rows(study: Tradeoff) -> Iterator[blocks.Row]:
@@ -152,18 +147,12 @@ def to_png(studies: list[Tradeoff], stored: bytes = b"") -> bytes:
 
 def _draw_row(figure: Any, study: Tradeoff) -> None:
     charts = figure.subplots(1, 2)
-    for axes, chart in zip(charts, (*charts_of(study), None, None), strict=False):
+    for axes, chart in zip(charts, (*figures.charts_of(study), None, None), strict=False):
         if chart is None:
             axes.set_axis_off()
         else:
-            draw_chart(axes, study, chart)
-    handles = [
-        charts[0].plot([], [], marker, color=colour, label=label, ls="-")[0]
-        for label, colour, marker in legend_entries(study)
-    ]
-    star = {"color": PAPER, "markeredgecolor": INK, "ms": 9, "label": "native settings"}
-    handles += charts[0].plot([], [], "*", **star)
-    figure.legend(handles=handles, loc="outside right upper", frameon=False, fontsize=8)
+            figures.draw_chart(axes, study, chart)
+    _legend(charts[0], study, color=PAPER, mec=INK, ms=9, label="native settings")
     figure.suptitle(
         f"{in_figure(study.scene)}: speed against accuracy", fontsize=12, x=0.01, ha="left"
     )

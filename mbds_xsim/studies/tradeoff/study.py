@@ -20,14 +20,7 @@ from mbds_xsim.simulate.choice import Choice, words_of
 from mbds_xsim.simulate.claims import TRUTH
 from mbds_xsim.simulate.simulator import EngineMethod, Simulator
 from mbds_xsim.studies.tradeoff import SCHEMA, SPAN, CurveRows, Measurement, Tradeoff, curves_of
-from mbds_xsim.studies.tradeoff.bench import (
-    LIMIT_COUNT,
-    Job,
-    StartBench,
-    confirmations,
-    first_impact,
-    references,
-)
+from mbds_xsim.studies.tradeoff.bench import LIMIT_COUNT, Job, StartBench, confirmations, references
 from mbds_xsim.studies.tradeoff.curves import curve_results, ratios_of
 
 STARTS = 3
@@ -97,16 +90,8 @@ def tradeoff_with_rows(
     truths = references(scene, batch, conduct)
     usual = {(curve.engine, curve.method): curve for curve in curves if not curve.variation}
     own = [key for key, curve in usual.items() if curve.family == TRUTH]
-    bench = StartBench(
-        scene=scene,
-        batch=batch,
-        references=truths,
-        seed=seed,
-        limit=limit,
-        conduct=conduct,
-        usual=usual,
-        own=dict.fromkeys(own, confirmations(scene, batch, truths, conduct) if own else []),
-    )
+    others = dict.fromkeys(own, confirmations(scene, batch, truths, conduct) if own else [])
+    bench = StartBench(scene, batch, truths, seed, limit, conduct, usual, others)
     by_curve = explore(bench, curves)
     return _study(bench, curves, by_curve, left_out, command, time.perf_counter() - begin)
 
@@ -129,7 +114,7 @@ def _study(
         seed=bench.seed,
         trajectories=tuple(int(index) for index in bench.batch.index),
         horizon_s=bench.horizon,
-        reference_ends_s=first_impact(bench.references),
+        reference_ends_s=bench.reference_ends,
         own_limit=LIMIT_COUNT if bench.are_limits else None,
         duration_s=scene.clock.duration,
         length_m=scene.length,
@@ -206,15 +191,12 @@ def _next_count(bench: StartBench, curve: Simulator, rows: Sequence[Measurement]
     if len(rows) == len(curve.counts):
         return None
     count = curve.counts[len(rows)]
-    if count > SPAN and (bench.are_limits or (rows and not _wants_more(bench, rows[-1]))):
-        return None
-    return count
-
-
-def _wants_more(bench: StartBench, last: Measurement) -> bool:
-    """Return whether the last error of a curve is not yet far below the error budget."""
-    allowed = bench.scene.budget.error_1s * bench.scene.length
-    return last.error_m is not None and last.error_m > _FINE_ENOUGH * allowed
+    if count <= SPAN:
+        return count
+    # Further only while the error is not yet far below its budget.
+    enough = _FINE_ENOUGH * (bench.scene.budget.error_1s * bench.scene.length)
+    goes_on = not rows or (rows[-1].error_m or 0.0) > enough
+    return count if goes_on and not bench.are_limits else None
 
 
 def _round(bench: StartBench, curves: Sequence[Simulator], by_curve: CurveRows, start: int) -> None:
@@ -237,19 +219,16 @@ def _round(bench: StartBench, curves: Sequence[Simulator], by_curve: CurveRows, 
 
 
 def _remaining_work(bench: StartBench, curves: Sequence[Simulator], by_curve: CurveRows) -> float:
-    """Predict the remaining work of the whole study [s of one worker]."""
-    pairs = zip(curves, by_curve, strict=True)
-    return math.fsum(_remaining_on_curve(bench, curve, points) for curve, points in pairs)
-
-
-def _remaining_on_curve(
-    bench: StartBench, curve: Simulator, points: Sequence[Sequence[Measurement]]
-) -> float:
-    """Predict the remaining work on a curve: rest of the first start, and other starts [s]."""
-    rows = [point[0] for point in points]
-    ahead = remaining_time(curve, rows, bench.scene.clock.duration, bench.limit)
-    done = math.fsum(cost_of(_cost(bench, row)) for row in rows if row.kind == "done")
-    return ahead + (ahead + done) * (len(bench.batch) - 1)
+    """Predict the remaining work: rest of the first start, and other starts [s of one worker]."""
+    parts = []
+    for curve, points in zip(curves, by_curve, strict=True):
+        rows = [point[0] for point in points]
+        counts = [count for count in curve.counts[len(rows) :] if count <= SPAN]
+        costs = [rollout_cost(rows, k, bench.scene.clock.duration) or 0.0 for k in counts]
+        ahead = sum(cost_of(cost) for cost in costs if cost <= bench.limit)
+        done = math.fsum(cost_of(_cost(bench, row)) for row in rows if row.kind == "done")
+        parts.append(ahead + (ahead + done) * (len(bench.batch) - 1))
+    return math.fsum(parts)
 
 
 def _cost(bench: StartBench, row: Measurement) -> float:
@@ -284,12 +263,3 @@ def rollout_cost(rows: Sequence[Measurement], count: int, duration: float) -> fl
 def cost_of(rollout: float) -> float:
     """Predict the time of a task from that of its rollout [s]."""
     return _START + max(_REPEATS, rollout)
-
-
-def remaining_time(
-    curve: Simulator, rows: Sequence[Measurement], duration: float, limit: float
-) -> float:
-    """Predict the time of the points of a curve that are not measured yet [s]."""
-    counts = curve.counts[len(rows) :]
-    costs = (rollout_cost(rows, count, duration) or 0.0 for count in counts if count <= SPAN)
-    return sum(cost_of(cost) for cost in costs if cost <= limit)

@@ -133,25 +133,18 @@ def machine_line(study: Tradeoff) -> str:
 
 
 def failures(study: Tradeoff) -> list[tuple[str, str, str]]:
-    """List the points that did not finish: curve, steps, reason.
+    """List the points that did not finish: curves that ended alike, steps, reason.
 
     Of reasons that differ only in numbers, the first is listed.
     """
-    lines = []
+    alike: dict[tuple[str, str], list[str]] = {}
     for curve in study.curves:
         bad = [point for point in curve.points if point.kind != "done"]
         for _, group in itertools.groupby(bad, lambda p: (p.kind, _NUMBER.sub("", p.reason))):
             points = list(group)
             steps = ", ".join(quantity.pace(point.step_s, point.rtol) for point in points)
-            lines.append((curve.name, steps, f"{points[0].kind}: {points[0].reason}"))
-    return _merge_alike(lines)
-
-
-def _merge_alike(lines: list[tuple[str, str, str]]) -> list[tuple[str, str, str]]:
-    """Merge curves that ended alike into one line."""
-    alike: dict[tuple[str, str], list[str]] = {}
-    for name, steps, cause in lines:
-        alike.setdefault((steps, cause), []).append(name)
+            cause = f"{points[0].kind}: {points[0].reason}"
+            alike.setdefault((steps, cause), []).append(curve.name)
     return [("; ".join(names), steps, cause) for (steps, cause), names in alike.items()]
 
 
@@ -253,37 +246,33 @@ def _errors(point: Point) -> str:
 def models_table(study: Tradeoff) -> Table:
     """Build the table of trained models, one row each."""
     together = f"of {study.models[0].at_once}"
-    columns: dict[Column, Callable[[ModelResult], str]] = {
-        Column("model", words=True): lambda m: m.model,
-        Column("trained on", "Training and seed", words=True): lambda m: (
-            f"{m.training} {m.variant}"
-        ),
-        Column("alone", "Wall time per simulated second of one trajectory at a time"): lambda m: (
-            quantity.span(m.alone.wall_s)
-        ),
-        Column(together, f"The same of one trajectory in a batch {together}"): lambda m: (
-            quantity.span(m.batched.wall_s)
-        ),
-        Column(
-            f"error {study.horizon_s:g} s", "RMS distance of the particles to the reference then"
-        ): _error,
-        Column(
-            "all times", "The largest over the growth of a disturbance", narrow=False
-        ): lambda m: quantity.length(m.alone.error_weighted_m),
-        Column(
-            "gap", "Largest deviation of a distance that no motion changes", narrow=False
-        ): lambda m: quantity.length(m.alone.gap_m),
-        Column(
-            "energy",
-            "Largest unexplained change of the particles' energy over its scale",
-            narrow=False,
-        ): lambda m: quantity.number(m.alone.energy),
-        Column("steps", "Steps of training", narrow=False): lambda m: (
-            quantity.NONE if m.train_steps is None else f"{m.train_steps:.0f}"
-        ),
-        Column("training", "Wall time of training"): lambda m: quantity.span(m.train_wall_s),
-    }
-    rows = [[cell_of(model) for cell_of in columns.values()] for model in study.models]
+    error = "RMS distance of the particles to the reference then"
+    energy = "Largest unexplained change of the particles' energy over its scale"
+    columns = (
+        Column("model", words=True),
+        Column("trained on", "Training and seed", words=True),
+        Column("alone", "Wall time per simulated second of one trajectory at a time"),
+        Column(together, f"The same of one trajectory in a batch {together}"),
+        Column(f"error {study.horizon_s:g} s", error),
+        Column("all times", "The largest over the growth of a disturbance", narrow=False),
+        Column("gap", "Largest deviation of a distance that no motion changes", narrow=False),
+        Column("energy", energy, narrow=False),
+        Column("steps", "Steps of training", narrow=False),
+        Column("training", "Wall time of training"),
+    )
+    rows = (
+        (
+            model.model,
+            f"{model.training} {model.variant}",
+            *map(quantity.span, (model.alone.wall_s, model.batched.wall_s)),
+            _error(model),
+            *map(quantity.length, (model.alone.error_weighted_m, model.alone.gap_m)),
+            quantity.number(model.alone.energy),
+            quantity.NONE if model.train_steps is None else f"{model.train_steps:.0f}",
+            quantity.span(model.train_wall_s),
+        )
+        for model in study.models
+    )
     return table_of(columns, rows, title="Trained models")
 
 

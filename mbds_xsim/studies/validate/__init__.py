@@ -5,11 +5,10 @@ from __future__ import annotations
 import functools
 import operator
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
-from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.isolate import USUAL, Conduct
 from mbds_xsim.checks import agreement
 from mbds_xsim.measure.campaign import run_campaign
@@ -17,15 +16,7 @@ from mbds_xsim.measure.judge import Judged, judge, reference_result
 from mbds_xsim.measure.outcome import Outcome, ReferenceOutcome
 from mbds_xsim.measure.quick import searched
 from mbds_xsim.measure.refinement import further_step, refine
-from mbds_xsim.measure.result import (
-    SCHEMA,
-    EngineResult,
-    EnsembleResult,
-    Evidence,
-    ReferenceResult,
-    Validation,
-    Verdict,
-)
+from mbds_xsim.measure.result import SCHEMA, EnsembleResult, Evidence, ReferenceResult, Validation
 from mbds_xsim.measure.runner import Account, machine, versions_of
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import Starts
@@ -39,7 +30,7 @@ _ONE_SECOND = 1.0
 _LEAST_TIME = 0.01  # shorter work is left out of the account [s]
 _HIGH = INTERVALS.index("high")
 _STARTS = Starts()
-_VERDICTS = ("pass", "warn", "fail")
+_VERDICTS = ("pass", "warn", "fail")  # the worst last
 
 
 def validate_with_evidence(
@@ -63,7 +54,7 @@ def validate_with_evidence(
     batch = starts.draw(scene)
     rows, reference, checked = _judge(scene, batch, contenders, conduct, spent, native=readback)
     voting = time.perf_counter()
-    results = [row.result for row in rows]
+    results, times = [row.result for row in rows], reference.trajectory.time
     runs, families = _runs(rows, reference)
     matrix, odd = _vote(scene, runs, families)
     ensembles = _ensembles(scene, batch, runs)
@@ -72,7 +63,7 @@ def validate_with_evidence(
         schema=SCHEMA,
         scene=scene.name,
         description=scene.description,
-        verdict=_worst(results),
+        verdict=max((one.verdict for one in results), key=_VERDICTS.index, default="pass"),
         wall_s=time.perf_counter() - begin,
         command=command,
         seed=starts.seed,
@@ -84,7 +75,7 @@ def validate_with_evidence(
         reference=checked,
         names=tuple(runs),
         matrix_m=matrix,
-        matrix_s=_instant(reference.trajectory.time),
+        matrix_s=float(agreement.error_at(times[None], times, _ONE_SECOND)[0]),
         odd_one_out=odd,
         versions=versions_of({result.engine: result.version for result in results}),
         machine=machine(),
@@ -133,10 +124,6 @@ def _judge(
     return rows, reference, checked_reference(reference)
 
 
-def _worst(results: Sequence[EngineResult]) -> Verdict:
-    return max((result.verdict for result in results), key=_VERDICTS.index, default="pass")
-
-
 def _account(spent: Account) -> dict[str, float]:
     """List the time spent on each kind of work, the longest first [s]."""
     longest = sorted(spent.items(), key=operator.itemgetter(1), reverse=True)
@@ -174,24 +161,12 @@ def _vote(
     return tuple(tuple(float(x) for x in line) for line in matrix), odd_names
 
 
-def _instant(times: Array) -> float:
-    """Return the time of the frame at which the vote compares the runs [s]."""
-    return float(agreement.error_at(times[None], times, _ONE_SECOND)[0])
-
-
 def _ensembles(
     scene: Scene, batch: Batch, runs: Mapping[str, Trajectory]
 ) -> tuple[EnsembleResult, ...]:
     """Compare distributions at the end, for runs whose motions no longer agree one by one."""
     names, comparisons = tuple(runs), agreement.compare_runs(scene, batch, tuple(runs.values()))
     return tuple(
-        EnsembleResult(
-            one=names[one],
-            other=names[other],
-            time_s=scene.clock.duration,
-            distance=comparison.distance,
-            p_value=comparison.p_value,
-            count=comparison.count,
-        )
-        for (one, other), comparison in comparisons.items()
+        EnsembleResult(names[a], names[b], scene.clock.duration, c.distance, c.p_value, c.count)
+        for (a, b), c in comparisons.items()
     )

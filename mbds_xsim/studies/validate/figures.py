@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.measure.result import EngineResult, Evidence, Validation
 from mbds_xsim.report import quantity
-from mbds_xsim.report.blocks import Figure
+from mbds_xsim.report.blocks import Figure, chart
 from mbds_xsim.report.themed import DOTTED, GREY, INK, LIGHT, PAPER, Style, engine_style, level
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.studies.validate import words
@@ -74,7 +75,7 @@ def check_series(validation: Validation, evidence: Evidence, check: str) -> Figu
             level(axes, budget, f"budget {quantity.with_unit(budget, unit)}")
         _log_axis(axes, "" if unit in ("", "1") else unit)
 
-    return _figure(f"{check} over time", draw, check)
+    return chart(f"{check} over time", draw, _SIZE, caption=check)
 
 
 def matrix(validation: Validation) -> Figure | None:
@@ -95,13 +96,8 @@ def matrix(validation: Validation) -> Figure | None:
         f"RMS particle distance at {validation.matrix_s:.4g} s between all pairs, worst of the low "
         "and medium trajectories"
     )
-    return _figure(
-        "distances between all pairs",
-        lambda axes: _heat(axes, names, shown, colours),
-        caption,
-        size,
-        wide=True,
-    )
+    draw = partial(_heat, names=names, shown=shown, colours=colours)
+    return chart("distances between all pairs", draw, size, caption=caption, wide=True)
 
 
 def consistency(validation: Validation) -> Figure | None:
@@ -122,10 +118,16 @@ def consistency(validation: Validation) -> Figure | None:
                 ratio = _clip(np.array(f.figures, dtype=np.float64) / (f.budget or 1.0))
                 height = np.full(len(ratio), -place - 0.12 * checks.index(f.check))
                 axes.plot(ratio, height, marker[f.check], **look)
-        _consistency_axes(axes, validation.engines, marker)
+        axes.axvline(1.0, **DOTTED)
+        axes.set_xscale("log")
+        axes.set_xlabel("figure over budget, one mark a trajectory (right of 1: inconsistent)")
+        axes.set_yticks(-np.arange(len(rows)), [words.label(r) for r in validation.engines])
+        for check, symbol in marker.items():
+            axes.plot([], [], symbol, color=GREY, label=check)
+        axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=len(marker), frameon=False)
 
     size = (7.2, 1.3 + 0.34 * len(rows))
-    return _figure("consistency over its budget", draw, "", size, wide=True)
+    return chart("consistency over its budget", draw, size, wide=True)
 
 
 def restitution(
@@ -144,9 +146,8 @@ def restitution(
     judged = any(f.check == "restitution" for r in validation.engines for f in r.findings)
 
     def draw(axes: Any) -> None:
-        for place, (points, style) in enumerate(
-            zip(impacts, (None, *styles(validation.engines)), strict=True)
-        ):
+        looks = (None, *styles(validation.engines))
+        for place, (points, style) in enumerate(zip(impacts, looks, strict=True)):
             if points is not None:
                 colour = INK if style is None else LIGHT[style.colour]
                 hollow = style is None or style.dashed
@@ -157,17 +158,18 @@ def restitution(
                 if style is not None:
                     marks.set_gid(f"curve-{place - 1}")
         axes.axhline(e, **DOTTED)
-        band = f", the budget is {validation.budget['restitution']:g} (grey)" if judged else ""
-        axes.set_title(f"dotted: the scene's {e:.4f}{band}", loc="right", fontsize=8)
+        band = ""
         if judged:
             allowed = validation.budget["restitution"]
+            band = f", the budget is {allowed:g} (grey)"
             axes.axhspan(e - allowed, e + allowed, color=GREY, alpha=0.14, linewidth=0)
+        axes.set_title(f"dotted: the scene's {e:.4f}{band}", loc="right", fontsize=8)
         axes.set_xlabel("speed of impact [m/s]")
         axes.set_ylabel("speed after over before")
         axes.margins(x=0.06, y=0.15)
 
     caption = "Restitution delivered: each mark is one impact of one sphere, of all trajectories"
-    return _figure("restitution delivered", draw, caption)
+    return chart("restitution delivered", draw, _SIZE, caption=caption)
 
 
 def _impacts(contact: Contact) -> tuple[Array, Array]:
@@ -194,8 +196,8 @@ def _error_figure(
         _no_solution(axes, time, evidence.reference.known[rows])
         _log_axis(axes, "RMS particle error [m]")
 
-    several = len(evidence.batch) > 1
-    return _figure("error growth", draw, f"Error, {interval} interval" if several else "Error")
+    caption = f"Error, {interval} interval" if len(evidence.batch) > 1 else "Error"
+    return chart("error growth", draw, _SIZE, caption=caption)
 
 
 def _with_styles(validation: Validation, each: Iterable[T]) -> Iterator[tuple[T, Style]]:
@@ -262,11 +264,7 @@ def _log_axis(axes: Any, ylabel: str) -> None:
     axes.set_xlabel("time [s]")
     axes.set_ylabel(ylabel)
     axes.margins(x=0.0)
-    _cut_off_starts(axes)
-
-
-def _cut_off_starts(axes: Any) -> None:
-    """Start the log axis where most of the curves lie, not at their first frames close to zero."""
+    # It starts where most of the curves lie, not at their first frames close to zero.
     curves = [line.get_ydata() for line in axes.lines if line.get_gid()]
     values = np.concatenate([*curves, np.empty(0)])
     visible = values[values > _FLOOR]
@@ -295,26 +293,3 @@ def _heat(axes: Any, names: list[str], shown: Array, colours: list[str]) -> None
     axes.tick_params(length=0)
     axes.grid(False)
     axes.spines[:].set_visible(False)
-
-
-def _consistency_axes(axes: Any, results: tuple[EngineResult, ...], marker: dict[str, str]) -> None:
-    axes.axvline(1.0, **DOTTED)
-    axes.set_xscale("log")
-    axes.set_xlabel("figure over budget, one mark a trajectory (right of 1: inconsistent)")
-    axes.set_yticks(-np.arange(len(results)), [words.label(result) for result in results])
-    for check, symbol in marker.items():
-        axes.plot([], [], symbol, color=GREY, label=check)
-    axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=len(marker), frameon=False)
-
-
-def _figure(
-    title: str,
-    draw: Callable[[Any], None],
-    caption: str,
-    size: tuple[float, float] = _SIZE,
-    *,
-    wide: bool = False,
-) -> Figure:
-    return Figure(
-        title, lambda figure: draw(figure.add_subplot()), size, caption=caption, wide=wide
-    )

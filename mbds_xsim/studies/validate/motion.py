@@ -170,11 +170,8 @@ def tables(
 ) -> tuple[Table, ...]:
     """Make a table of each of the first trajectories, without columns that are empty in all.
 
-    `contacts` and `entries` list the reference first, then the engine results; without contacts
-    there are no tables.
+    `contacts` and `entries` list the reference first, then the engine results.
     """
-    if not contacts:
-        return ()
     ideal = contacts[0]
     assert ideal is not None
     contents = [
@@ -298,7 +295,7 @@ def contact_of(scene: Scene, batch: Batch, motion: Trajectory) -> Contact:
         touch = np.zeros((len(motion), record.steps, spheres.gap.shape[2]), dtype=bool)
         impact, clear = np.zeros(touch.shape[:2], dtype=bool), np.zeros_like(touch)
         for push in pushes:
-            pushed = push.reach & _pushing_steps(push)[:, :, None]
+            pushed = push.reach & (push.impulse[..., 2] > _LEAST * push.weight)[:, :, None]
             touch[:, :, push.spheres] = pushed
             impact |= pushed.any(axis=2) & ~push.supported
             clear[:, :, push.spheres] = pushed & (push.supported | push.ball)[:, :, None]
@@ -312,11 +309,6 @@ def contact_of(scene: Scene, batch: Batch, motion: Trajectory) -> Contact:
             for row in range(len(gap))
         ]
     return Contact(gap, slip, touch, impact, tuple(episodes))
-
-
-def _pushing_steps(push: Push) -> Mask:
-    """Steps in which the ground pushes a group, shape (trajectory, step)."""
-    return np.asarray(push.impulse[..., 2] > _LEAST * push.weight)
 
 
 def _mean_slip(slip: Array, touch: Mask) -> Array:

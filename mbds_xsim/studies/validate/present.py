@@ -6,42 +6,26 @@ from collections.abc import Iterator
 
 from mbds_xsim.base.text import counted
 from mbds_xsim.measure.result import EngineResult, Evidence, FindingResult, Validation
-from mbds_xsim.report import quantity
-from mbds_xsim.report.blocks import (
-    Block,
-    Cell,
-    FigureGroup,
-    Mark,
-    Motion,
-    Place,
-    Remarks,
-    Report,
-    Row,
-    Section,
-    Table,
-    Text,
-    row_of,
-    table_of,
-)
+from mbds_xsim.report import blocks, quantity
+from mbds_xsim.report.blocks import PAGE, Cell, FigureGroup, Section, Table, Text, row_of, table_of
 from mbds_xsim.report.themed import Style
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.studies.validate import figures, motion, words
 from mbds_xsim.studies.validate.figures import styles
 from mbds_xsim.studies.validate.motion import Contact, contacts_of
 
-_PAGE: frozenset[Place] = frozenset({"page"})
-_VERDICTS: dict[str, Mark] = {"pass": "pass", "warn": "warn", "fail": "fail"}
+_VERDICTS: dict[str, blocks.Mark] = {"pass": "pass", "warn": "warn", "fail": "fail"}
 _FEW = 6
 """Largest number of pairs of distributions that are shown unfolded."""
 _FINDING = ("", "check", ">figure", ">budget", "worst in", "where", "figure of each trajectory")
 _REFERENCE = Style(-1, dashed=False)
 
 
-def present(validation: Validation, evidence: Evidence | None = None) -> Report:
+def present(validation: Validation, evidence: Evidence | None = None) -> blocks.Report:
     """Report which engines can be trusted; without evidence there are no motions or plots."""
     versions = ", ".join(f"{name} {version}" for name, version in validation.versions.items())
     shown = () if evidence is None else tuple(_behind(validation, evidence))
-    return Report(
+    return blocks.Report(
         title=validation.scene,
         what=validation.verdict,
         description=validation.description,
@@ -53,9 +37,9 @@ def present(validation: Validation, evidence: Evidence | None = None) -> Report:
     )
 
 
-def _summary(validation: Validation) -> Iterator[Block]:
+def _summary(validation: Validation) -> Iterator[blocks.Block]:
     yield _engines(validation)
-    yield Remarks.of(
+    yield blocks.Remarks.of(
         [
             *words.remarks(validation),
             *((f"{name} left out", reason) for name, reason in validation.left_out.items()),
@@ -72,17 +56,17 @@ def _engines(validation: Validation) -> Table:
         _, *cells = words.cells_of(result, validation)
         verdict = Cell(result.verdict, _VERDICTS.get(result.verdict, ""))
         first = Cell(result.engine, line=style)
-        rows.append(Row((first, *cells, verdict), reasons=result.reasons))
+        rows.append(blocks.Row((first, *cells, verdict), reasons=result.reasons))
     return table_of((*words.COLUMNS, "verdict"), rows, grouped=True)
 
 
 def _behind(validation: Validation, evidence: Evidence) -> Iterator[Section]:
     """Yield the sections that only a page shows."""
     contacts = contacts_of(evidence)
-    yield Section("Motion", (_motion(validation, evidence, contacts),), on=_PAGE)
+    yield Section("Motion", (_motion(validation, evidence, contacts),), on=PAGE)
     delivered = figures.restitution(validation, evidence, contacts)
     if delivered is not None:
-        yield Section("Impacts", (FigureGroup((delivered,)),), on=_PAGE)
+        yield Section("Impacts", (FigureGroup((delivered,)),), on=PAGE)
     yield _agreement(validation, evidence)
     checks = [
         figures.check_series(validation, evidence, check)
@@ -91,8 +75,8 @@ def _behind(validation: Validation, evidence: Evidence) -> Iterator[Section]:
     if checks:
         text = "The worst of all trajectories at each time; 0 is ideal. Dotted: budgets."
         first = " Vertical: the earliest first impact." if any(words.ends(validation)[:1]) else ""
-        blocks = (Text(text + first), FigureGroup(tuple(checks)))
-        yield Section("Checks over time", blocks, on=_PAGE)
+        shown = (Text(text + first), FigureGroup(tuple(checks)))
+        yield Section("Checks over time", shown, on=PAGE)
     consistency = figures.consistency(validation)
     if consistency is not None:
         text = (
@@ -100,22 +84,22 @@ def _behind(validation: Validation, evidence: Evidence) -> Iterator[Section]:
             "shrinks must meet the reference within the uncertainty of that estimate; this shows "
             "errors of the model far below the accuracy budgets."
         )
-        yield Section("Consistency", (Text(text), FigureGroup((consistency,))), on=_PAGE)
+        yield Section("Consistency", (Text(text), FigureGroup((consistency,))), on=PAGE)
     each = zip(validation.engines, styles(validation.engines), strict=True)
     findings = tuple(_findings(r, style, first=not k) for k, (r, style) in enumerate(each))
-    yield Section("Findings", findings, on=_PAGE)
-    yield Section("Settings", tuple(_settings(validation, evidence)), on=_PAGE)
+    yield Section("Findings", findings, on=PAGE)
+    yield Section("Settings", tuple(_settings(validation, evidence)), on=PAGE)
 
 
 def _motion(
     validation: Validation, evidence: Evidence, contacts: tuple[Contact | None, ...]
-) -> Motion:
+) -> blocks.Motion:
     looks = styles(validation.engines)
     names = tuple(words.label(result) for result in validation.engines)
     entries = tuple(zip(names, looks, strict=True))
     data = motion.pack(evidence, names, looks)
     if not contacts:
-        return Motion(data, "reference", entries)
+        return blocks.Motion(data, "reference", entries)
     count = len(data["trajectories"])
     data["contact"] = motion.pack_strips(validation, evidence, contacts, count)
     every = (("reference", _REFERENCE), *entries)
@@ -123,24 +107,20 @@ def _motion(
     tables = motion.tables(contacts, every, numbers)
     reading = motion.reading(evidence, slips=data["contact"]["slips"])
     about = words.contact_words(validation, evidence)
-    return Motion(data, "reference", entries, tables, (about, reading))
+    return blocks.Motion(data, "reference", entries, tables, (about, reading))
 
 
 def _agreement(validation: Validation, evidence: Evidence) -> Section:
     growth = figures.error_growth(validation, evidence)
     matrix = figures.matrix(validation)
     shown = (*growth, *([matrix] if matrix is not None else []))
-    blocks: list[Block] = [
-        Text(words.growth_words(validation, evidence, known=bool(growth))),
-        FigureGroup(shown),
-    ]
-    if validation.ensembles:
-        blocks += _distributions(validation)
+    text = Text(words.growth_words(validation, evidence, known=bool(growth)))
+    distributions = _distributions(validation) if validation.ensembles else ()
     title = "Agreement with the reference" if growth else "Agreement"
-    return Section(title, tuple(blocks), on=_PAGE)
+    return Section(title, (text, FigureGroup(shown), *distributions), on=PAGE)
 
 
-def _distributions(validation: Validation) -> Iterator[Block]:
+def _distributions(validation: Validation) -> Iterator[blocks.Block]:
     apart = sum(pair.p_value < 0.01 for pair in validation.ensembles)
     yield Text(
         "Distributions: pairs whose motions no longer agree one by one, as samples of "
@@ -149,27 +129,19 @@ def _distributions(validation: Validation) -> Iterator[Block]:
     )
     columns = ("pair", ">trajectories", ">distance", ">p-value")
     rows = [
-        [
-            f"{pair.one} and {pair.other}",
-            str(pair.count),
-            quantity.number(pair.distance),
-            quantity.number(pair.p_value),
-        ]
-        for pair in validation.ensembles
+        (f"{p.one} and {p.other}", str(p.count), *map(quantity.number, (p.distance, p.p_value)))
+        for p in validation.ensembles
     ]
     title = f"{counted(len(rows), 'pair')}, {apart} told apart with p below 0.01"
     yield Section(title, (table_of(columns, rows),), folded=True, opened=len(rows) <= _FEW)
 
 
 def _findings(result: EngineResult, style: Style, *, first: bool) -> Section:
-    table = table_of(_FINDING, map(_finding_row, result.findings))
-    blocks: tuple[Block, ...] = (
-        *(Text(failure, "fail") for failure in result.failures),
-        *([table] if table.rows else []),
-    )
+    failures = (Text(failure, "fail") for failure in result.failures)
+    tables = [table_of(_FINDING, map(_finding_row, result.findings))] if result.findings else []
     return Section(
         words.label(result),
-        blocks,
+        (*failures, *tables),
         folded=True,
         opened=first or result.verdict == "fail",
         verdict=_VERDICTS.get(result.verdict, ""),
@@ -177,21 +149,16 @@ def _findings(result: EngineResult, style: Style, *, first: bool) -> Section:
     )
 
 
-def _finding_row(finding: FindingResult) -> Row:
+def _finding_row(finding: FindingResult) -> blocks.Row:
     figure, budget = quantity.beside(finding.figure, finding.budget, finding.unit)
-    judged: Mark = "pass" if finding.passed else "fail"
     note = f" ({finding.note})" if finding.note else ""
     each = " ".join(quantity.with_unit(value, finding.unit) for value in finding.figures)
-    texts = (
-        f"{finding.check}{note}",
-        figure,
-        budget,
-        f"trajectory {finding.trajectory}, frame {finding.frame}",
-        finding.where or quantity.NONE,
-        each,
-    )
-    sign = Cell("·", "muted") if finding.budget is None else Cell("", judged)
-    return row_of((sign, *texts), "" if finding.passed else "over")
+    worst = f"trajectory {finding.trajectory}, frame {finding.frame}"
+    where = finding.where or quantity.NONE
+    judged = Cell("", "pass" if finding.passed else "fail")
+    sign = Cell("·", "muted") if finding.budget is None else judged
+    cells = (sign, f"{finding.check}{note}", figure, budget, worst, where, each)
+    return row_of(cells, "" if finding.passed else "over")
 
 
 def _settings(validation: Validation, evidence: Evidence) -> Iterator[Table]:

@@ -22,11 +22,6 @@ def label(result: EngineResult) -> str:
     return f"{result.engine} {result.profile}"
 
 
-def describe_sample(validation: Validation) -> str:
-    """Describe the sample: `12 trajectories of seed 0`."""
-    return f"{counted(len(validation.trajectories), 'trajectory')} of seed {validation.seed}"
-
-
 def reference_line(validation: Validation) -> str:
     """Describe how accurate the reference is."""
     reference = validation.reference
@@ -95,7 +90,8 @@ def conclusion(validation: Validation) -> str:
         names = ", ".join(result.engine for result in results)
         of = f" ({names})" if of_one and len(results) < total else ""
         parts += [f"{len(results)} of {total} {word}{of}"] if results else []
-    return f"{', '.join(parts) or 'no engine ran'}; {describe_sample(validation)}"
+    sample = f"{counted(len(validation.trajectories), 'trajectory')} of seed {validation.seed}"
+    return f"{', '.join(parts) or 'no engine ran'}; {sample}"
 
 
 def remarks(validation: Validation) -> list[tuple[str, str]]:
