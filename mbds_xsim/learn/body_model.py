@@ -44,10 +44,6 @@ class BodyModel(LearnedModel):
     exact: ClassVar[frozenset[str]] = frozenset({"rigid", "viewer"})
     """Names of the parts that compute in double precision."""
 
-    to_native: Tensor
-    owner: Tensor
-    offset: Tensor
-
     def __init__(self, graph: Graph, statistics: Statistics, settings: Any) -> None:
         super().__init__(graph, statistics, settings)
         self.rigid = BodyMechanics(graph)

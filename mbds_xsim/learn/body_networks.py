@@ -120,7 +120,6 @@ class BodySGNN(JointedModel):
     """
 
     symmetries: ClassVar[frozenset[Symmetry]] = frozenset({"shift", "turn"})
-    up: Tensor
 
     def __init__(self, graph: Graph, statistics: Statistics, settings: BodySettings) -> None:
         super().__init__(graph, statistics, settings)

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from mbds_xsim.learn import turning
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.layers import keep
+from mbds_xsim.learn.layers import TensorModule, keep
 from mbds_xsim.learn.links import Links
 from mbds_xsim.learn.rigid import Q, V, W, X
 from mbds_xsim.learn.statistics import Statistics
@@ -56,7 +56,7 @@ class BodyView:
     """Vector from the centre of mass to the sphere's lowest point [m], (batch, contact, 3)."""
 
 
-class BodyViewer(nn.Module):
+class BodyViewer(TensorModule):
     """Module that computes the views of one scene."""
 
     BODY, JOINT, CONTACT = 12, 5, 4
@@ -70,15 +70,8 @@ class BodyViewer(nn.Module):
     """Unit of velocities [m/s]."""
     change: Tensor
     """Unit of velocity changes [m/s]."""
-    radius: Tensor
-    shape: Tensor
-    receivers: Tensor
     senders: Tensor
     """Body at the other end of the joint of each end; the world follows the bodies, (end,)."""
-    arms: Tensor
-    kind: Tensor
-    sphere_body: Tensor
-    sphere: Tensor
     depth: Tensor
     """Radius of each sphere as a vertical vector [m], shape (contact, 3)."""
 

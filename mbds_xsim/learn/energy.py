@@ -23,7 +23,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from mbds_xsim.learn.layers import keep, mixed, mlp, silence
+from mbds_xsim.learn.layers import TensorModule, keep, mixed, mlp, silence
 from mbds_xsim.learn.mechanics import Mechanics
 from mbds_xsim.learn.mechanics_points import distinct, kinds_of
 from mbds_xsim.scene.sampling import noise_components
@@ -150,10 +150,9 @@ class ConvexScalar(nn.Module):
         return value + slope * s, first + slope, second
 
 
-class Potential(nn.Module):
+class Potential(TensorModule):
     """Potential V over its unit, as a function of positions over the scene's length."""
 
-    kind: Tensor
     axes: Tensor
     """1 along axes in which the scene moves, else 0: no learned force may leave a plane motion."""
 
@@ -186,12 +185,8 @@ class Potential(nn.Module):
         return energy if self.of_distances is None else energy + self.of_distances(x, kind)
 
 
-class OfDistances(nn.Module):
+class OfDistances(TensorModule):
     """Part of V from message passing on distances."""
-
-    edge_map: Tensor
-    ends: Tensor
-    kind: Tensor
 
     def __init__(self, mechanics: Mechanics, shape: EnergyShape) -> None:
         super().__init__()
@@ -219,7 +214,7 @@ class OfDistances(nn.Module):
         return self.of_edge(edge).sum((1, 2)) + self.of_node(node).sum((1, 2))
 
 
-class EnergyNetwork(nn.Module):
+class EnergyNetwork(TensorModule):
     """Learned kinetic and potential energy (a `NodeEnergy`)."""
 
     kind: Tensor

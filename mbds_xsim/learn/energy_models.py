@@ -154,11 +154,6 @@ class EnergyModel(FlowModel):
         ),
     }
 
-    carrier: Tensor
-    carried: Tensor
-    particle_map: Tensor
-    spread: Tensor
-
     def __init__(self, graph: Graph, statistics: Statistics, settings: EnergySettings) -> None:
         super().__init__(graph, statistics, settings)
         if graph.scene.contacts:

@@ -60,17 +60,6 @@ class GNS(PointModel):
         ),
     }
 
-    displacement_mean: Tensor
-    displacement_std: Tensor
-    acceleration_mean: Tensor
-    acceleration_std: Tensor
-    channel_size: Tensor
-    kind: Tensor
-    mass: Tensor
-    senders: Tensor
-    receivers: Tensor
-    moving: Tensor
-
     def __init__(self, graph: Graph, statistics: Statistics, settings: GNSSettings) -> None:
         super().__init__(graph, statistics, settings)
         self.settings = settings

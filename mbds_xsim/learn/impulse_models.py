@@ -26,7 +26,7 @@ from mbds_xsim.learn.body_view import BodyView, BodyViewer
 from mbds_xsim.learn.energy import Drag, EnergyNetwork, EnergyShape
 from mbds_xsim.learn.energy_models import Hamiltonian, Lagrangian, NodeDynamics
 from mbds_xsim.learn.graph import DIMENSION, Graph
-from mbds_xsim.learn.layers import keep, mlp, silence
+from mbds_xsim.learn.layers import TensorModule, keep, mlp, silence
 from mbds_xsim.learn.mechanics import Mechanics
 from mbds_xsim.learn.model import runge_kutta
 from mbds_xsim.learn.recipe import Cosine, Recipe
@@ -151,12 +151,9 @@ class Corotating:
         return centre + (turn @ (vectors - centre)[..., None])[..., 0]
 
 
-class BodyNodes(nn.Module):
+class BodyNodes(TensorModule):
     """Conversion of bodies to the nodes of `mechanics_points`, and back."""
 
-    carrier: Tensor
-    carried: Tensor
-    com: Tensor
     pivot: Tensor
     """Centre of mass that each free node belongs to, itself if it is one, shape (node,).
 

@@ -4,12 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor, nn
 
 _FAINT = 0.01
+
+
+class TensorModule(nn.Module):
+    """Module whose attributes are tensors unless they are declared or assigned as something else.
+
+    Buffers that `keep` registers need no declaration then; one that needs an explanation has it in
+    a declaration.
+    """
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Tensor: ...
 
 
 def mlp(

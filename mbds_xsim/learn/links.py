@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from mbds_xsim.learn import turning
-from mbds_xsim.learn.layers import keep
+from mbds_xsim.learn.layers import TensorModule, keep
 from mbds_xsim.learn.rigid import Q, X
 from mbds_xsim.scene.mechanism import Link, Mechanism
 
@@ -19,7 +19,7 @@ _TURNS = {"free": 1.0, "ball": 1.0}
 """Kinds of joints that shift, or turn, in any way; others do so at most along their axis."""
 
 
-class Links(nn.Module):
+class Links(TensorModule):
     """Tree of bodies that carry each other, and the motion of each on its joint."""
 
     carried: Tensor
@@ -28,10 +28,6 @@ class Links(nn.Module):
     """Body that carries each body; the world follows the bodies, shape (body,)."""
     arm: Tensor
     """Vector from the centre of mass to the joint in the native frame [m]; 0 for free bodies."""
-    shift_axis: Tensor
-    turn_axis: Tensor
-    shifts: Tensor
-    turns: Tensor
 
     def __init__(self, mechanism: Mechanism) -> None:
         super().__init__()

@@ -18,12 +18,12 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
-from torch import Tensor, nn
+from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import Unsupported
-from mbds_xsim.learn.layers import keep, mixed
+from mbds_xsim.learn.layers import TensorModule, keep, mixed
 from mbds_xsim.learn.mechanics_points import PointRows, points_of, rows_of
 from mbds_xsim.learn.rigid import Q, V, W, X
 from mbds_xsim.learn.turning import rotate
@@ -145,24 +145,12 @@ class _Solved(torch.autograd.Function):
         return -by_goal @ value.mT, by_goal[..., 0], None
 
 
-class Mechanics(nn.Module):
+class Mechanics(TensorModule):
     """Nodes, constraints, mass matrix and known forces of one scene, without contact.
 
     Springs, dampers and rotors in joints raise Unsupported.
     """
 
-    fixed: Tensor
-    mass: Tensor
-    mass_inverse: Tensor
-    first: Tensor
-    second: Tensor
-    goal: Tensor
-    spring: Tensor
-    spring_law: Tensor
-    com: Tensor
-    hinge_axis: Tensor
-    turning: Tensor
-    gravity: Tensor
     moved_mass: Tensor
     """Masses of free nodes, then of rods [kg], (node + rod,): both have kinetic energy."""
     speed_map: Tensor
@@ -316,7 +304,7 @@ def _table(rows: Sequence[ArrayLike], width: int) -> Array:
     return np.array(rows, dtype=np.float64).reshape(-1, width)
 
 
-class Terms(nn.Module):
+class Terms(TensorModule):
     """Constant part of the terms: the first of each row, then the second of some rows."""
 
     weight: Tensor

@@ -11,10 +11,11 @@ from dataclasses import replace
 from typing import Any, ClassVar, Literal, Self, final
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from mbds_xsim.base.errors import InputError, Unsupported, check_name
 from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.layers import TensorModule
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Motions, Sample, Start
 from mbds_xsim.simulate.registry import registered
@@ -37,7 +38,7 @@ _PUSHED = 0.5
 """Fraction of the windows that go on for one more frame, so half of a batch is recorded data."""
 
 
-class LearnedModel(nn.Module, ABC):
+class LearnedModel(TensorModule, ABC):
     """Learned model of one scene. Its state is a tensor with one row per trajectory.
 
     A subclass is constructed from graph, statistics and settings; its initial parameters are drawn

@@ -62,8 +62,6 @@ class NeRD(BodyModel):
     }
     symmetries: ClassVar[frozenset[Symmetry]] = frozenset({"shift", "turn"})
 
-    down: Tensor
-
     def __init__(self, graph: Graph, statistics: Statistics, settings: NerdSettings) -> None:
         super().__init__(graph, statistics, settings)
         bodies, spheres = graph.body_count, len(self.viewer.sphere_body)

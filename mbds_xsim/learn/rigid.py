@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.learn import turning
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.layers import keep
+from mbds_xsim.learn.layers import TensorModule, keep
 from mbds_xsim.learn.window import KnownInputs
 from mbds_xsim.scene.constraints import layout_of
 from mbds_xsim.scene.mechanism import Mechanism
@@ -30,7 +30,7 @@ _PASSES = 2  # Newton iterations with the matrix of the step's start
 _REST = 1e-10  # relative to a row's own size: redundant rows have a factor, too
 
 
-class JointRows(nn.Module):
+class JointRows(TensorModule):
     """Residuals of all joints and distance links, and their Jacobian by the twists of the bodies.
 
     `mbds_xsim.scene.constraints` defines them. A row along a direction e between two points p of
@@ -38,11 +38,6 @@ class JointRows(nn.Module):
     a right angle depends on angular velocities alone.
     """
 
-    vector_body: Tensor
-    vector: Tensor
-    first: Tensor
-    second: Tensor
-    length: Tensor
     ends: Tensor
     """Body at the parent's end of each row, then at the child's, shape (2 · row,)."""
     pairs: Tensor
@@ -50,7 +45,6 @@ class JointRows(nn.Module):
     shape (2, pair)."""
     place: Tensor
     """Place of the product of each pair in a flat matrix (row, row), shape (pair,)."""
-    axes: Tensor
 
     def __init__(self, mechanism: Mechanism) -> None:
         super().__init__()
@@ -170,21 +164,14 @@ class JointHold:
         return change - self.least(along[:, : len(self.rows)] + along[:, len(self.rows) :])
 
 
-class BodyMechanics(nn.Module):
+class BodyMechanics(TensorModule):
     """Masses, joints, gravity and driven hinges of one scene.
 
     Springs, and dampers, rotors, friction and couplings in joints, raise Unsupported.
     """
 
-    mass: Tensor
-    inertia: Tensor
-    lightness: Tensor
-    gravity: Tensor
     moves: Tensor
     """Mask of the six components of a twist: 1 where the scene moves, else 0."""
-    still: Tensor
-    hinge_parent: Tensor
-    hinge_child: Tensor
 
     def __init__(self, graph: Graph) -> None:
         super().__init__()

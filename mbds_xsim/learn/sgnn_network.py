@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
-from mbds_xsim.learn.layers import keep, mlp
+from mbds_xsim.learn.layers import TensorModule, keep, mlp
 
 LEAST_NORM = 1e-6
 """Norm below which a Gram matrix of normalised vectors counts as zero; keeps gradients finite."""
@@ -241,15 +241,13 @@ class _Invariants(torch.autograd.Function):
         return (slope + slope.mT) @ vectors
 
 
-class Network(nn.Module):
+class Network(TensorModule):
     """Network for the next frame's normalised motion: between, over and within objects.
 
     It commutes with every rotation and reflection that leaves `down` as it is (a unit vector along
     gravity, zero without), with translation (positions enter as differences), and with renumbering
     particles and objects. Particles have external vectors, such as a force on them, and scalars.
     """
-
-    down: Tensor
 
     def __init__(
         self,
