@@ -23,7 +23,7 @@ from mbds_xsim.dataset.points import Points
 from mbds_xsim.learn import turning
 from mbds_xsim.learn.body_view import BodyView, BodyViewer
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.layers import keep
+from mbds_xsim.learn.layers import keep, summed
 from mbds_xsim.learn.model import LearnedModel
 from mbds_xsim.learn.rigid import TWIST, BodyMechanics, JointHold, Q, X
 from mbds_xsim.learn.statistics import Statistics
@@ -151,5 +151,4 @@ class CorrectedModel(BodyModel):
         carrier = self.viewer.sphere_body
         pushes = pushes * self.rigid.mass[carrier]
         wrench = torch.cat([pushes, torch.linalg.cross(view.arm, pushes)], dim=-1)
-        total = wrench.new_zeros(len(wrench), self.graph.body_count, 6)
-        return total.index_add(1, carrier, wrench)
+        return summed(wrench, carrier, self.graph.body_count)

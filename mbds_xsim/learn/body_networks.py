@@ -20,7 +20,7 @@ from mbds_xsim.learn.body_model import ADDED, CorrectedModel
 from mbds_xsim.learn.body_view import BodyView, BodyViewer, Seen
 from mbds_xsim.learn.gns import InteractionLayer
 from mbds_xsim.learn.graph import DIMENSION, Graph
-from mbds_xsim.learn.layers import keep, mlp, silence
+from mbds_xsim.learn.layers import keep, mlp, silence, summed
 from mbds_xsim.learn.model import Symmetry
 from mbds_xsim.learn.recipe import Cosine, Recipe
 from mbds_xsim.learn.rigid import JointHold
@@ -92,10 +92,9 @@ class BodyGNS(JointedModel):
 
     def read(self, view: BodyView) -> tuple[Tensor, Tensor]:
         carrier = self.viewer.sphere_body
-        contacts = self.of_contact(_flat(view.contacts))
-        bodies = _flat(view.bodies)
-        received = contacts.new_zeros(*bodies.shape[:2], contacts.shape[-1])
-        received = received.index_add(1, carrier, contacts)
+        contacts = self.of_contact(view.contacts.flat)
+        bodies = view.bodies.flat
+        received = summed(contacts, carrier, self.graph.body_count)
         nodes = self.of_body(torch.cat([bodies, received], dim=-1))
         nodes = self._passed(nodes, view.joints)
         pushes = self.to_contact(torch.cat([contacts, nodes[:, carrier]], dim=-1))
@@ -107,7 +106,7 @@ class BodyGNS(JointedModel):
         if not len(self.viewer.senders):
             return nodes
         nodes = nn.functional.pad(nodes, (0, 0, 0, 1)).transpose(0, 1)
-        edges = self.of_joint(_flat(joints)).transpose(0, 1)
+        edges = self.of_joint(joints.flat).transpose(0, 1)
         for interaction in self.interactions:
             nodes, edges = interaction(nodes, edges, self.viewer.senders, self.viewer.receivers)
         return nodes[:-1].transpose(0, 1)
@@ -155,10 +154,9 @@ class BodySGNN(JointedModel):
         carrier, body_view, contact_view = self.viewer.sphere_body, view.bodies, view.contacts
         bodies, contacts = self._with_up(body_view.vectors), self._with_up(contact_view.vectors)
         messages, hidden = self.of_contact(contacts, Scalars(contact_view.scalars))
-        received = body_view.vectors.new_zeros(*body_view.vectors.shape[:2], ADDED, DIMENSION)
-        received = received.index_add(1, carrier, messages)
-        hidden_sum = hidden.new_zeros(*body_view.vectors.shape[:2], hidden.shape[-1])
-        hidden_sum = hidden_sum.index_add(1, carrier, hidden)
+        received, hidden_sum = (
+            summed(each, carrier, self.graph.body_count) for each in (messages, hidden)
+        )
         vectors, scalars = self.of_body(
             torch.cat([bodies, received], dim=-2), Scalars(body_view.scalars), Scalars(hidden_sum)
         )
@@ -185,7 +183,3 @@ class BodySGNN(JointedModel):
 
     def _with_up(self, vectors: Tensor) -> Tensor:
         return torch.cat([vectors, self.up.to(vectors).expand(*vectors.shape[:2], 1, 3)], dim=-2)
-
-
-def _flat(view: Seen) -> Tensor:
-    return torch.cat([view.vectors.flatten(2), view.scalars], dim=-1)

@@ -43,6 +43,11 @@ class Seen:
         """Stack vectors (batch, item, 3) and convert all to single precision."""
         return Seen(torch.stack([*vectors], dim=-2).float(), scalars.float())
 
+    @property
+    def flat(self) -> Tensor:
+        """Components of the vectors, then the scalars, shape (batch, item, number)."""
+        return torch.cat([self.vectors.flatten(2), self.scalars], dim=-1)
+
 
 @dataclass(frozen=True, eq=False)
 class BodyView:

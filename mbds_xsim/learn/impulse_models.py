@@ -26,7 +26,7 @@ from mbds_xsim.learn.body_view import BodyView, BodyViewer
 from mbds_xsim.learn.energy import Drag, EnergyNetwork, EnergyShape
 from mbds_xsim.learn.energy_models import Hamiltonian, Lagrangian, NodeDynamics
 from mbds_xsim.learn.graph import DIMENSION, Graph
-from mbds_xsim.learn.layers import TensorModule, keep, mlp, silence
+from mbds_xsim.learn.layers import TensorModule, keep, mlp, silence, summed
 from mbds_xsim.learn.mechanics import Mechanics
 from mbds_xsim.learn.model import runge_kutta
 from mbds_xsim.learn.recipe import Cosine, Recipe
@@ -91,10 +91,8 @@ class ImpulseModel(CorrectedModel):
 
     def corrections(self, view: BodyView) -> tuple[Tensor, Tensor]:
         carrier, bodies = self.viewer.sphere_body, view.bodies.vectors
-        features = torch.cat([view.contacts.vectors.flatten(2), view.contacts.scalars], dim=-1)
-        contacts = self.of_contact(features)
-        own = contacts.new_zeros(*bodies.shape[:2], contacts.shape[-1])
-        own = own.index_add(1, carrier, contacts)[:, carrier]
+        contacts = self.of_contact(view.contacts.flat)
+        own = summed(contacts, carrier, self.graph.body_count)[:, carrier]
         total = contacts.sum(1, keepdim=True).expand_as(contacts)
         pushes = self.to_contact(torch.cat([contacts, own, total], dim=-1))
         nothing = bodies.new_zeros(*bodies.shape[:2], ADDED, 2, DIMENSION)
@@ -225,8 +223,7 @@ class BodyNodes(TensorModule):
 
     def _summed(self, values: Tensor) -> Tensor:
         """Sum over each body's tips."""
-        total = values.new_zeros(len(values), len(self.com), values.shape[-1])
-        return total.index_add(1, self.body, values)
+        return summed(values, self.body, len(self.com))
 
 
 class ImpulseHGNN(ImpulseModel):

@@ -49,6 +49,11 @@ def mixed(weights: Tensor, vectors: Tensor) -> Tensor:
     return torch.tensordot(weights, vectors, ([1], [1])).transpose(0, 1)
 
 
+def summed(values: Tensor, index: Tensor, count: int) -> Tensor:
+    """Sum rows (batch, row, …) that have the same index, to shape (batch, count, …)."""
+    return values.new_zeros(len(values), count, *values.shape[2:]).index_add(1, index, values)
+
+
 def keep(module: nn.Module, **values: Any) -> None:
     """Register arrays that follow a module's device but are not saved with its parameters."""
     for name, value in values.items():

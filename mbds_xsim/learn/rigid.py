@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.learn import turning
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.layers import TensorModule, keep
+from mbds_xsim.learn.layers import TensorModule, keep, summed
 from mbds_xsim.learn.window import KnownInputs
 from mbds_xsim.scene.constraints import layout_of
 from mbds_xsim.scene.mechanism import Mechanism
@@ -154,8 +154,7 @@ class JointHold:
         multiplier = torch.linalg.solve_triangular(self.factor.mT, side, upper=True)
         pull = self.over_mass * multiplier.repeat(1, 2, 1)
         world = self.rows.body_count
-        change = pull.new_zeros(len(pull), world + 1, 6).index_add(1, self.rows.ends, pull)
-        return change[:, :world]
+        return summed(pull, self.rows.ends, world + 1)[:, :world]
 
     def kept(self, change: Tensor) -> Tensor:
         """Return the part of changes (batch, body, 6) that the joints allow."""
