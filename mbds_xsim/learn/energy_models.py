@@ -98,13 +98,9 @@ class Lagrangian(NodeDynamics):
         return x
 
     def derivative(self, q: Tensor, x: Tensor, inputs: KnownInputs) -> tuple[Tensor, Tensor]:
-        return x, self.acceleration(q, x, inputs)
-
-    def acceleration(self, q: Tensor, v: Tensor, inputs: KnownInputs) -> Tensor:
-        """Return the accelerations of the free nodes [m/s²], shape (batch, node, 3)."""
-        mechanics, load = self.mechanics, self.load(q, v, inputs)
-        mass, jacobian = MassMatrix.of(self.energy, v), mechanics.jacobian(q)
-        return constrained(mass, load, jacobian, mechanics.bias(v), mechanics.redundant)
+        mechanics, load = self.mechanics, self.load(q, x, inputs)
+        mass, jacobian = MassMatrix.of(self.energy, x), mechanics.jacobian(q)
+        return x, constrained(mass, load, jacobian, mechanics.bias(x), mechanics.redundant)
 
 
 class Hamiltonian(NodeDynamics):

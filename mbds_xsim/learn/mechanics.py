@@ -205,7 +205,6 @@ class Mechanics(TensorModule):
             com=np.array([body.com for body in points.bodies]),
             hinge_axis=_table(axes, points.count),
             turning=_table(turning, 4),
-            gravity=np.array(scene.gravity),
             moved_mass=moved_mass,
             speed_map=speed_map,
             coupling=coupling,
@@ -223,11 +222,11 @@ class Mechanics(TensorModule):
 
     def jacobian(self, q: Tensor) -> Jacobian:
         """Return A, the derivative of the residuals by the free nodes."""
-        return self.terms.at(q)
+        return Jacobian(self.terms, mixed(self.terms.moving, q) + self.terms.still)
 
     def jacobian_rate(self, v: Tensor) -> Jacobian:
         """Return the time derivative of A at velocities v."""
-        return self.terms.rate(v)
+        return Jacobian(self.terms, mixed(self.terms.moving, v))
 
     def bias(self, v: Tensor) -> Tensor:
         """Return Ȧ q̇, shape (batch, row)."""
@@ -338,14 +337,6 @@ class Terms(TensorModule):
             coupling=weight @ mass_inverse @ weight.T,
             again=again,
         )
-
-    def at(self, q: Tensor) -> Jacobian:
-        """Return A at free nodes (batch, node, 3)."""
-        return Jacobian(self, mixed(self.moving, q) + self.still)
-
-    def rate(self, v: Tensor) -> Jacobian:
-        """Return Ȧ at velocities of the free nodes."""
-        return Jacobian(self, mixed(self.moving, v))
 
     def summed(self, values: Tensor, dim: int) -> Tensor:
         """Sum the terms of each row."""
