@@ -54,7 +54,7 @@ class JointedModel(CorrectedModel):
         self.substeps = settings.substeps
         self.plain = nn.Parameter(torch.zeros(_VECTORS, BodyViewer.BODY))
 
-    def smooth(self, state: Tensor, inputs: KnownInputs) -> tuple[list[Tensor], JointHold | None]:
+    def smooth(self, state: Tensor, inputs: KnownInputs) -> tuple[list[Tensor], JointHold]:
         with torch.no_grad():
             return self.rigid.smooth(state, inputs, self.graph.frame_s, self.substeps)
 

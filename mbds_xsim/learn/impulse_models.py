@@ -72,7 +72,7 @@ class ImpulseModel(CorrectedModel):
         self.to_contact = mlp(3 * width, DIMENSION * ADDED, hidden=width, layers=layers)
         silence(self.to_contact)
 
-    def smooth(self, state: Tensor, inputs: KnownInputs) -> tuple[list[Tensor], JointHold | None]:
+    def smooth(self, state: Tensor, inputs: KnownInputs) -> tuple[list[Tensor], JointHold]:
         step, states = self.graph.frame_s / self.substeps, [state]
         moving = self.nodes.placed(state)
 

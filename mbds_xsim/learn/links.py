@@ -14,10 +14,6 @@ from mbds_xsim.learn.layers import TensorModule, keep
 from mbds_xsim.learn.rigid import Q, X
 from mbds_xsim.scene.mechanism import Link, Mechanism
 
-_SHIFTS = {"free": 1.0}
-_TURNS = {"free": 1.0, "ball": 1.0}
-"""Kinds of joints that shift, or turn, in any way; others do so at most along their axis."""
-
 
 class Links(TensorModule):
     """Tree of bodies that carry each other, and the motion of each on its joint."""
@@ -37,7 +33,9 @@ class Links(TensorModule):
         for link in mechanism.links:  # parents come before children
             if link.parent >= 0:
                 carried[link.body] += carried[link.parent]
-        kinds = [link.joint.kind if link.joint else "free" for link in links]
+        # Others than free bodies and ball joints shift or turn at most along an axis.
+        free = torch.tensor([[link.joint is None] for link in links])
+        balls = torch.tensor([[bool(link.joint and link.joint.kind == "ball")] for link in links])
         keep(
             self,
             carried=carried,
@@ -45,8 +43,8 @@ class Links(TensorModule):
             arm=_table(links, "in_child"),
             shift_axis=_table(links, "axis", "slider"),
             turn_axis=_table(links, "axis", "hinge"),
-            shifts=torch.tensor([[_SHIFTS.get(kind, 0.0)] for kind in kinds]).double(),
-            turns=torch.tensor([[_TURNS.get(kind, 0.0)] for kind in kinds]).double(),
+            shifts=free.double(),
+            turns=(free | balls).double(),
         )
 
     def forward(self, state: Tensor, shift: Tensor, turn: Tensor) -> Tensor:

@@ -158,6 +158,8 @@ class JointHold:
 
     def kept(self, change: Tensor) -> Tensor:
         """Return the part of changes (batch, body, 6) that the joints allow."""
+        if not len(self.rows):
+            return change
         whole = nn.functional.pad(change, (0, 0, 0, 1))  # the world does not change
         along = (self.jacobian * whole.index_select(1, self.rows.ends)).sum(-1)
         return change - self.least(along[:, : len(self.rows)] + along[:, len(self.rows) :])
@@ -187,6 +189,7 @@ class BodyMechanics(TensorModule):
         spatial = graph.scene.dimension == 3
         moves = torch.cat([graph.moving, torch.tensor([spatial, True, spatial])])
         inertia = torch.from_numpy(mechanism.inertia)
+        ends = [*(h.child for h in mechanism.hinges), *(h.parent for h in mechanism.hinges)]
         keep(
             self,
             mass=torch.from_numpy(mechanism.mass)[:, None],
@@ -195,8 +198,7 @@ class BodyMechanics(TensorModule):
             gravity=graph.gravity,
             moves=moves.to(graph.gravity),
             still=torch.tensor([[0.0] * 3 + [1.0] + [0.0] * 3], dtype=torch.float64),
-            hinge_parent=torch.tensor([h.parent for h in mechanism.hinges], dtype=torch.int64),
-            hinge_child=torch.tensor([h.child for h in mechanism.hinges], dtype=torch.int64),
+            hinge_ends=torch.tensor(ends, dtype=torch.int64) % (mechanism.body_count + 1),
         )
 
     def moved(self, state: Tensor, change: Tensor) -> Tensor:
@@ -224,11 +226,11 @@ class BodyMechanics(TensorModule):
         terms = self.mass * change[..., :3].square() + change[..., 3:] * spin
         return terms.sum((-2, -1)) / self.mass.sum()
 
-    def hold(self, state: Tensor) -> JointHold | None:
-        """Return the joints at a pose, or None if there are none."""
-        if not len(self.rows):
-            return None
+    def hold(self, state: Tensor) -> JointHold:
+        """Return the joints at a pose; there may be none."""
         rows, count = self.rows, len(self.rows)
+        if not count:
+            return JointHold(rows, *[state.new_zeros(0)] * 4)
         jacobian = rows.halves(*self._placed(state))
         # Any mass of the world will do: its ends are in no pair, and `least` drops them.
         ends = rows.ends.clamp(max=rows.body_count - 1)
@@ -250,24 +252,22 @@ class BodyMechanics(TensorModule):
 
     def smooth(
         self, state: Tensor, inputs: KnownInputs, frame_s: float, substeps: int
-    ) -> tuple[list[Tensor], JointHold | None]:
+    ) -> tuple[list[Tensor], JointHold]:
         """Move bodies on their joints over a frame, without contact.
 
         Returns:
             The states at the start and after each step, and the joints at the last state.
         """
         hold = self.hold(state)
-        if hold is not None:
-            state = torch.cat([state[..., :7], hold.kept(state[..., TWIST])], dim=-1)
-        states = [state]
+        states = [torch.cat([state[..., :7], hold.kept(state[..., TWIST])], dim=-1)]
         for _ in range(substeps):
-            state, hold = self._step(state, hold, inputs, frame_s / substeps)
+            state, hold = self._step(states[-1], hold, inputs, frame_s / substeps)
             states.append(state)
         return states, hold
 
     def _step(
-        self, state: Tensor, hold: JointHold | None, inputs: KnownInputs, step: float
-    ) -> tuple[Tensor, JointHold | None]:
+        self, state: Tensor, hold: JointHold, inputs: KnownInputs, step: float
+    ) -> tuple[Tensor, JointHold]:
         """Take a RATTLE step: half a kick, a drift that ends on the joints, half a kick."""
         half = 0.5 * step
         inertia = self._turned(self.inertia, state[..., Q])
@@ -276,10 +276,11 @@ class BodyMechanics(TensorModule):
         spin = _times(inertia, state[..., W]) + half * self._couples(state, inputs.torque)
         midway = turning.multiply(turning.from_vector(half * state[..., W]), state[..., Q])
         lightness = self._turned(self.lightness, midway)
-        for k in range(_PASSES + 1 if hold else 1):
+        passes = _PASSES if len(self.rows) else 0
+        for k in range(passes + 1):
             twist = torch.cat([v, _times(lightness, spin)], dim=-1) * self.moves
             after = self.moved(state, step * twist)
-            if hold is None or k == _PASSES:
+            if k == passes:
                 break
             kick = hold.least(self.residual(after)) / step
             v, spin = v - kick[..., :3], spin - _times(inertia, kick[..., 3:])
@@ -287,7 +288,7 @@ class BodyMechanics(TensorModule):
         spin = spin + half * self._couples(after, inputs.torque)
         spin = _times(self._turned(self.lightness, after[..., Q]), spin)
         twist, hold = torch.cat([v, spin], dim=-1) * self.moves, self.hold(after)
-        return torch.cat([after[..., :7], hold.kept(twist) if hold else twist], dim=-1), hold
+        return torch.cat([after[..., :7], hold.kept(twist)], dim=-1), hold
 
     def _couples(self, state: Tensor, torque: Tensor) -> Tensor:
         """Return the torques of the driven hinges on the bodies [N·m], shape (batch, body, 3)."""
@@ -295,9 +296,7 @@ class BodyMechanics(TensorModule):
         if torque.shape[-1]:
             _, turn = self._placed(state)
             along = self.rows.vectors(turn)[:, self.rows.layout.hinge] * torque[..., None]
-            world = state.shape[1]
-            couple = couple.index_add(1, self.hinge_child % (world + 1), along)
-            couple = couple.index_add(1, self.hinge_parent % (world + 1), -along)
+            couple = couple.index_add(1, self.hinge_ends, torch.cat([along, -along], dim=1))
         return couple[:, :-1]
 
     def _placed(self, state: Tensor) -> tuple[Tensor, Tensor]:
