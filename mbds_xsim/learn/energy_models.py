@@ -153,12 +153,11 @@ class EnergyModel(FlowModel):
     def __init__(self, graph: Graph, statistics: Statistics, settings: EnergySettings) -> None:
         super().__init__(graph, statistics, settings)
         if graph.scene.contacts:
-            msg = (
+            raise Unsupported(
                 f"scene {graph.scene.name!r}: got {len(graph.scene.contacts)} contact spheres, "
                 "allowed are none: HGNN and LGNN hold smooth forces and two-sided constraints; "
                 "take hgnn+, lgnn+, gns or sgnn"
             )
-            raise Unsupported(msg)
         self.mechanics = Mechanics(graph.scene)
         self.substeps, self.floor = settings.substeps, settings.floor
         self.energy = EnergyNetwork(self.mechanics, settings.shape)

@@ -93,11 +93,10 @@ class Graph(Bundle):
             InputError: Its bodies collide with each other, which fixed edges cannot represent.
         """
         if scene.collisions:
-            msg = (
+            raise InputError(
                 f"scene {scene.name!r}: got [collisions], allowed are scenes without; the graph of "
                 "learned models has fixed edges, so they cannot see other bodies come near"
             )
-            raise InputError(msg)
         points = Points.of(scene)
         edges = np.array(scene.edges, dtype=np.int64).reshape(-1, 2)
         edges[edges >= scene.particle_count] += len(points.body) - scene.particle_count

@@ -165,11 +165,10 @@ class Mechanics(TensorModule):
         self.mechanism = Mechanism.of(scene)
         loaded = [joint.name for joint in self.mechanism.joints if joint.is_loaded]
         if loaded:
-            msg = (
+            raise Unsupported(
                 f"joint {loaded[0]!r}: got a spring, damper or rotor, allowed is "
                 "none: HGNN and LGNN know points and no joint coordinates; take gns or sgnn"
             )
-            raise Unsupported(msg)
         self.points = points = points_of(self.mechanism)
         self.free, springs = points.free, self.mechanism.springs
         rows = rows_of(self.mechanism, points)

@@ -187,12 +187,11 @@ def _frame(mechanism: Mechanism, body: int, idle: Array) -> _Frame:
     directions = np.concatenate([directions, others])
     moments = np.einsum("ki,ij,kj->k", directions, second, directions)
     if moments.min() < 1e-9 * moments.max():
-        msg = (
+        raise Unsupported(
             f"body {mechanism.scene.bodies[body].name!r}: got smallest second moment "
             f"{moments.min():.3g} kg·m², allowed is above 0: HGNN and LGNN replace bodies "
             "by points, which have no mass matrix for a flat body; take gns or sgnn"
         )
-        raise Unsupported(msg)
     radius = np.sqrt(moments[len(chosen) :] / mass)
     return _Frame(directions, np.array([*map(np.linalg.norm, chosen), *radius]), moments)
 

@@ -219,8 +219,7 @@ def track_of(name: str, track: str | None = None, usual: str = "") -> str:
     """
     tracks = load_model(name).tracks
     if track is not None and tracks and track not in tracks:
-        msg = f"--track: got {track!r}, allowed for {name} is {', '.join(tracks)}"
-        raise InputError(msg)
+        raise InputError(f"--track: got {track!r}, allowed for {name} is {', '.join(tracks)}")
     return track or (usual if usual in tracks else ["", *tracks][-1])
 
 
@@ -272,8 +271,7 @@ def rollout(
     most = motions.frame_count - HISTORY
     steps = most if steps is None else steps
     if not 1 <= steps <= most:
-        msg = f"steps: got {steps}, allowed is 1 to {most}"
-        raise InputError(msg)
+        raise InputError(f"steps: got {steps}, allowed is 1 to {most}")
     if model.needs_bodies and motions.body is None:
         msg = "this model starts from the bodies' states; read the motions with bodies=True"
         raise InputError(msg)

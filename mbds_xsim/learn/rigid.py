@@ -180,11 +180,10 @@ class BodyMechanics(TensorModule):
         loaded = [f"joint {joint.name!r}" for joint in mechanism.joints if joint.is_loaded]
         loaded += [f"spring {spring.name!r}" for spring in mechanism.springs]
         if loaded:
-            msg = (
+            raise Unsupported(
                 f"{loaded[0]}: got a spring, damper, rotor, friction or coupling, allowed is none: "
                 "models of bodies know rigid joints alone; take gns or sgnn"
             )
-            raise Unsupported(msg)
         self.rows = JointRows(mechanism)
         spatial = graph.scene.dimension == 3
         moves = torch.cat([graph.moving, torch.tensor([spatial, True, spatial])])

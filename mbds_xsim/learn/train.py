@@ -118,8 +118,7 @@ def train(
     """
     for motions, split in ((training, "train"), (validation, "validation")):
         if motions.split != split:
-            msg = f"train: got the part {motions.split!r}, allowed here is {split!r}"
-            raise InputError(msg)
+            raise InputError(f"train: got the part {motions.split!r}, allowed here is {split!r}")
     own = {"seed": str(seed), "recipe": repr(recipe), "profile": repr(profile)}
     loop = _Loop(model, recipe, profile, seed, {**own, **(identity or {})})
     if checkpoint is not None and checkpoint.exists():
@@ -270,8 +269,7 @@ class _Loop:
         try:
             model.load_state_dict(arrays(state.model))
         except (RuntimeError, ValueError) as error:
-            msg = f"{path}: a checkpoint of another model; name another file"
-            raise InputError(msg) from error
+            raise InputError(f"{path}: a checkpoint of another model; name another file") from error
         try:
             self.best_state = arrays(state.best)
             moments = {key: arrays(values) for key, values in state.adam["state"].items()}
@@ -311,11 +309,10 @@ def check_identity(
         if stated.get(key) != own[key]
     ]
     if facts:
-        msg = (
+        raise InputError(
             f"{path}: {label} of another {', '.join(facts)}; name another place, or remove it "
             "to start over"
         )
-        raise InputError(msg)
 
 
 def _entries_apart(stated: str, own: str) -> str:

@@ -121,11 +121,10 @@ class Motions(RowBundle):
         chosen = data.rows_of(split) if rows is None else np.intersect1d(data.rows_of(split), rows)
         frames = int(data.attributes["steps"]) + 1
         if not len(chosen) or frames <= HISTORY:
-            msg = (
+            raise InputError(
                 f"{data.path}: {len(chosen)} trajectories of {frames} frames for {split}, needed "
                 f"are at least 1 of {HISTORY + 1}; generate more"
             )
-            raise InputError(msg)
         graph = Graph.of(data.scene)
 
         def read(name: str) -> Tensor:
