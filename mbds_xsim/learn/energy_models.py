@@ -75,13 +75,13 @@ class NodeDynamics(nn.Module, ABC):
         load = potential_force(self.energy, q) + self.mechanics.applied(q, v, inputs)
         return load if self.drag is None else load + self.drag(v)
 
-    @abstractmethod
     def conjugate(self, v: Tensor) -> Tensor:
         """Convert velocities v of the nodes [m/s] to a state's quantity, shape (batch, node, 3)."""
+        return v
 
-    @abstractmethod
     def velocity(self, x: Tensor) -> Tensor:
         """Undo `conjugate`."""
+        return x
 
     @abstractmethod
     def derivative(self, q: Tensor, x: Tensor, inputs: KnownInputs) -> tuple[Tensor, Tensor]:
@@ -90,12 +90,6 @@ class NodeDynamics(nn.Module, ABC):
 
 class Lagrangian(NodeDynamics):
     """Lagrangian equations of motion, in nodes and velocities."""
-
-    def conjugate(self, v: Tensor) -> Tensor:
-        return v
-
-    def velocity(self, x: Tensor) -> Tensor:
-        return x
 
     def derivative(self, q: Tensor, x: Tensor, inputs: KnownInputs) -> tuple[Tensor, Tensor]:
         mechanics, load = self.mechanics, self.load(q, x, inputs)
