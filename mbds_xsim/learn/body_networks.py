@@ -24,7 +24,7 @@ from mbds_xsim.learn.layers import keep, mlp, silence, summed
 from mbds_xsim.learn.model import Symmetry
 from mbds_xsim.learn.recipe import Cosine, Recipe
 from mbds_xsim.learn.rigid import JointHold
-from mbds_xsim.learn.sgnn_network import Edges, Passing, Scalars, SubequivariantMap
+from mbds_xsim.learn.sgnn_network import Edges, Passing, SubequivariantMap
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import KnownInputs
 
@@ -125,12 +125,12 @@ class BodySGNN(JointedModel):
         viewer, width = BodyViewer, settings.width
         size = {"hidden": width, "layers": settings.layers}
         keep(self, up=torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
-        self.of_contact = SubequivariantMap(
-            viewer.CONTACT + 1, [viewer.CONTACT_SCALARS], outputs=ADDED, **size
-        )
-        self.of_body = SubequivariantMap(
-            viewer.BODY + 1 + ADDED, [viewer.BODY_SCALARS, width], outputs=_VECTORS, **size
-        )
+
+        def combine(vectors: int, scalars: list[int], outputs: int) -> SubequivariantMap:
+            return SubequivariantMap(vectors + 1, scalars, outputs=outputs, **size)
+
+        self.of_contact = combine(viewer.CONTACT, [viewer.CONTACT_SCALARS], ADDED)
+        self.of_body = combine(viewer.BODY + ADDED, [viewer.BODY_SCALARS, width], _VECTORS)
         self.passing = Passing(
             _VECTORS,
             edge_channels=viewer.JOINT + 1,
@@ -138,38 +138,26 @@ class BodySGNN(JointedModel):
             **size,
             steps=settings.steps,
         )
-        self.to_body = SubequivariantMap(
-            viewer.BODY + 1 + _VECTORS, [viewer.BODY_SCALARS, width], outputs=_VECTORS, **size
-        )
-        self.to_contact = SubequivariantMap(
-            viewer.CONTACT + 1 + _VECTORS,
-            [viewer.CONTACT_SCALARS, width, width],
-            outputs=ADDED,
-            **size,
-        )
+        self.to_body = combine(viewer.BODY + _VECTORS, [viewer.BODY_SCALARS, width], _VECTORS)
+        contact_scalars = [viewer.CONTACT_SCALARS, width, width]
+        self.to_contact = combine(viewer.CONTACT + _VECTORS, contact_scalars, ADDED)
         self.edges = Edges(self.viewer.senders, self.viewer.receivers, graph.body_count + 1)
         silence(self.to_body.rest, self.to_contact.rest)
 
     def read(self, view: BodyView) -> tuple[Tensor, Tensor]:
         carrier, body_view, contact_view = self.viewer.sphere_body, view.bodies, view.contacts
         bodies, contacts = self._with_up(body_view.vectors), self._with_up(contact_view.vectors)
-        messages, hidden = self.of_contact(contacts, Scalars(contact_view.scalars))
+        messages, hidden = self.of_contact(contacts, contact_view.scalars)
         received, hidden_sum = (
             summed(each, carrier, self.graph.body_count) for each in (messages, hidden)
         )
-        vectors, scalars = self.of_body(
-            torch.cat([bodies, received], dim=-2), Scalars(body_view.scalars), Scalars(hidden_sum)
-        )
+        seen = torch.cat([bodies, received], dim=-2)
+        vectors, scalars = self.of_body(seen, body_view.scalars, hidden_sum)
         vectors, scalars = self._passed(vectors, scalars, view.joints)
-        added, _ = self.to_body(
-            torch.cat([bodies, vectors], dim=-2), Scalars(body_view.scalars), Scalars(scalars)
-        )
-        pushes, _ = self.to_contact(
-            torch.cat([contacts, vectors[:, carrier]], dim=-2),
-            Scalars(contact_view.scalars),
-            Scalars(hidden),
-            Scalars(scalars[:, carrier]),
-        )
+        seen = torch.cat([bodies, vectors], dim=-2)
+        added, _ = self.to_body(seen, body_view.scalars, scalars)
+        seen = torch.cat([contacts, vectors[:, carrier]], dim=-2)
+        pushes, _ = self.to_contact(seen, contact_view.scalars, hidden, scalars[:, carrier])
         return added.unflatten(-2, (ADDED, 2)), pushes
 
     def _passed(self, vectors: Tensor, scalars: Tensor, joints: Seen) -> tuple[Tensor, Tensor]:
