@@ -19,8 +19,7 @@ from torch import Tensor
 from mbds_xsim.learn import turning
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.layers import TensorModule, keep
-from mbds_xsim.learn.links import Links
-from mbds_xsim.learn.rigid import Q, V, W, X
+from mbds_xsim.learn.rigid import Links, Q, V, W, X
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.scene.mechanism import JointKind
 

@@ -1,4 +1,4 @@
-"""Rigid bodies on joints in torch: smooth motion over a frame, and projection onto the joints.
+"""Rigid bodies on joints in torch: smooth motion, projection onto joints, motions these allow.
 
 The step is RATTLE (Andersen, J. Comput. Phys. 52 (1983) 24): impulses at the step's start put
 positions onto the joints, impulses at its end put velocities there. It is of second order, exact
@@ -22,7 +22,7 @@ from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.layers import TensorModule, keep, summed
 from mbds_xsim.learn.window import KnownInputs
 from mbds_xsim.scene.constraints import layout_of
-from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.mechanism import Link, Mechanism
 
 X, Q, TWIST, V, W = slice(0, 3), slice(3, 7), slice(7, 13), slice(7, 10), slice(10, 13)
 """Parts of a state: position, rotation, twist, velocity, angular velocity."""
@@ -311,3 +311,74 @@ class BodyMechanics(TensorModule):
 
 def _times(matrix: Tensor, vector: Tensor) -> Tensor:
     return (matrix @ vector[..., None])[..., 0]
+
+
+class Links(TensorModule):
+    """Tree of bodies that carry each other, and the motion of each on its joint.
+
+    A body moves with the body that carries it, and in addition as its own joint allows: in any way
+    if it is free, about any axis on a ball joint, about one axis on a hinge, along one on a slider.
+    """
+
+    carried: Tensor
+    """Matrix whose row i is 1 at body i and at all bodies that carry it, shape (body, body)."""
+    parent: Tensor
+    """Body that carries each body; the world follows the bodies, shape (body,)."""
+    arm: Tensor
+    """Vector from the centre of mass to the joint in the native frame [m]; 0 for free bodies."""
+
+    def __init__(self, mechanism: Mechanism) -> None:
+        super().__init__()
+        count = mechanism.body_count
+        links = sorted(mechanism.links, key=lambda link: link.body)
+        carried = torch.eye(count).double()
+        for link in mechanism.links:  # parents come before children
+            if link.parent >= 0:
+                carried[link.body] += carried[link.parent]
+        # Others than free bodies and ball joints shift or turn at most along an axis.
+        free = torch.tensor([[link.joint is None] for link in links])
+        balls = torch.tensor([[bool(link.joint and link.joint.kind == "ball")] for link in links])
+        keep(
+            self,
+            carried=carried,
+            parent=torch.tensor([link.parent % (count + 1) for link in links]),
+            arm=_joint_vectors(links, "in_child"),
+            shift_axis=_joint_vectors(links, "axis", "slider"),
+            turn_axis=_joint_vectors(links, "axis", "hinge"),
+            shifts=free.double(),
+            turns=(free | balls).double(),
+        )
+
+    def forward(self, state: Tensor, shift: Tensor, turn: Tensor) -> Tensor:
+        """Return the twists (batch, body, 6) of bodies with these motions on their joints.
+
+        States are (batch, body, 13); shifts and turns, relative to the parent's, (batch, body, 3).
+        """
+        shift = self.shifts * shift + _along(self._turned(self.shift_axis, state), shift)
+        turn = self.turns * turn + _along(self._turned(self.turn_axis, state), turn)
+        pivot = state[..., X] + self._turned(self.arm, state)
+        spin = self.carried @ turn
+        lever = self.carried @ (shift - torch.linalg.cross(turn, pivot))
+        return torch.cat([lever + torch.linalg.cross(spin, state[..., X]), spin], dim=-1)
+
+    def beside(self, values: Tensor) -> Tensor:
+        """Subtract the parent's vector from each body's, (batch, body, 3); the world's is 0."""
+        return values - nn.functional.pad(values, (0, 0, 0, 1))[:, self.parent]
+
+    def _turned(self, vectors: Tensor, state: Tensor) -> Tensor:
+        return turning.rotate(state[..., Q], vectors)
+
+
+def _joint_vectors(links: list[Link], name: str, kind: str = "") -> Tensor:
+    """Return a vector of each link's joint; 0 for joints of another kind and free bodies."""
+    rows = [
+        list(getattr(link.joint, name))
+        if link.joint and kind in ("", link.joint.kind)
+        else [0.0] * 3
+        for link in links
+    ]
+    return torch.tensor(rows, dtype=torch.float64)
+
+
+def _along(axis: Tensor, vectors: Tensor) -> Tensor:
+    return (axis * vectors).sum(-1, keepdim=True) * axis

@@ -9,8 +9,7 @@ from torch import Tensor
 
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.links import Links
-from mbds_xsim.learn.rigid import BodyMechanics, JointHold
+from mbds_xsim.learn.rigid import BodyMechanics, JointHold, Links
 from mbds_xsim.learn.window import KnownInputs
 from mbds_xsim.reference.solution import solve
 from mbds_xsim.scene.constraints import constraint_rows, dense_jacobian
