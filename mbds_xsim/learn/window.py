@@ -177,13 +177,8 @@ class Motions(RowBundle):
 
     def until(self, frames: int) -> Motions:
         """Keep at most the first `frames` frames of all trajectories."""
-        return replace(
-            self,
-            position=self.position[:, :frames],
-            velocity=self.velocity[:, :frames],
-            inputs=self.inputs[:, : frames - 1],
-            body=None if self.body is None else self.body[:, :frames],
-        )
+        first = self.mapped(lambda values: values[:, :frames], RowBundle)
+        return replace(first, inputs=self.inputs[:, : frames - 1])
 
     def window_count(self, horizon: int = 1) -> int:
         """Return the number of windows of `HISTORY` known frames and `horizon` frames to come."""
