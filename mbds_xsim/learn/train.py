@@ -128,8 +128,7 @@ def train(
     horizon = min(profile.horizon, validation.frame_count - HISTORY)
     sample = validation.sample(rows, HISTORY - 1, horizon)
     while not loop.training.ended:
-        loop.learn(training)
-        loop.judge(sample)
+        loop.judge(sample, loop.learn(training))
         if checkpoint is not None:
             loop.save(checkpoint)
         if tell is not None:
@@ -181,20 +180,26 @@ class _Loop:
         self.generator = torch.Generator().manual_seed(seed)
         self.adam = optimiser(model, recipe)
 
-    def learn(self, training: Motions) -> None:
-        """Take steps until the next validation."""
-        self.total = torch.zeros((), device=training.position.device)
-        self.from_step, self.failed = self.step, 0
-        while self.step < min(self.from_step + self.profile.every, self.profile.steps):
+    def learn(self, training: Motions) -> float:
+        """Take steps until the next validation, and return the mean loss of those not skipped.
+
+        It is NaN if at least half of them were skipped.
+        """
+        total, taken, skipped = torch.zeros((), device=training.position.device), 0, 0
+        for _ in range(min(self.profile.every, self.profile.steps - self.step)):
             sample = training.draw(self.recipe.batch, self.generator, self.recipe.horizon)
             try:
                 loss = self._descend(sample)
             except torch.linalg.LinAlgError:  # type: ignore[attr-defined]
                 loss = None
-            self.failed += loss is None
-            self.total += 0.0 if loss is None else loss
+            if loss is None:
+                skipped += 1
+            else:
+                total += loss
+                taken += 1
             self.step += 1
-        self.training.skipped += self.failed
+        self.training.skipped += skipped
+        return float(total) / taken if taken > skipped else math.nan
 
     def _descend(self, sample: Sample) -> Tensor | None:
         """Take a step and return its loss; None if it is skipped."""
@@ -213,11 +218,9 @@ class _Loop:
         self.adam.step()
         return loss.detach()
 
-    def judge(self, sample: Sample) -> None:
+    def judge(self, sample: Sample, loss: float) -> None:
         """Validate, keep the best parameters, lower the rate, and decide whether the run ends."""
         model, curve = self.training.model, self.training.curve
-        steps = self.step - self.from_step - self.failed
-        loss = float(self.total) / steps if steps > self.failed else math.nan
         error = validation_error(model, sample) if math.isfinite(loss) else math.inf
         if error < min((point.error for point in curve), default=math.inf):
             self.best_state = copy.deepcopy(model.state_dict())
