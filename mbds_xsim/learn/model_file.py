@@ -47,7 +47,6 @@ def save_model(
     **facts: str,
 ) -> None:
     """Write a model with its registered name, settings, statistics, and facts of its training."""
-    content = io.BytesIO()
     whole = {
         "format": _FORMAT,
         "name": name,
@@ -57,8 +56,7 @@ def save_model(
         "parameters": model.state_dict(),
         "facts": facts,
     }
-    torch.save(whole, content)
-    write_whole(path, content.getvalue())
+    write_stored(path, whole)
 
 
 def read_model(path: Path, scene: Scene | None = None) -> tuple[LearnedModel, dict[str, str]]:
@@ -177,6 +175,13 @@ _NAMED = {
     *(f"torch {kind}Storage" for kind in ("Float", "Double", "BFloat16", "Long", "Byte", "Bool")),
 }
 """All names that a file of this project contains: functions, and the types of arrays."""
+
+
+def write_stored(path: Path, whole: dict[str, Any]) -> None:
+    """Write a file of `torch.save`, whole or not at all."""
+    content = io.BytesIO()
+    torch.save(whole, content)
+    write_whole(path, content.getvalue())
 
 
 def read_stored(path: Path, label: str, remedy: str, kind: type[Stored]) -> Stored:

@@ -7,7 +7,6 @@ resumes from its checkpoint and ends with the same bits.
 from __future__ import annotations
 
 import copy
-import io
 import math
 import time
 from collections.abc import Callable, Mapping
@@ -20,9 +19,8 @@ import torch
 from torch import Tensor
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.files import write_whole
 from mbds_xsim.learn.model import LearnedModel, roll
-from mbds_xsim.learn.model_file import array, arrays, read_stored
+from mbds_xsim.learn.model_file import array, arrays, read_stored, write_stored
 from mbds_xsim.learn.recipe import (
     SETTLED,
     WITHOUT_END,
@@ -251,7 +249,6 @@ class _Loop:
 
     def save(self, path: Path) -> None:
         """Write a checkpoint, whole or not at all."""
-        content = io.BytesIO()
         state = {
             "identity": self.identity,
             "step": self.step,
@@ -262,8 +259,7 @@ class _Loop:
             "generator": self.generator.get_state(),
             **{name: msgspec.to_builtins(getattr(self.training, name)) for name in _KEPT},
         }
-        torch.save(state, content)
-        write_whole(path, content.getvalue())
+        write_stored(path, state)
 
     def restore(self, path: Path) -> None:
         """Resume from a checkpoint."""
