@@ -126,11 +126,6 @@ class Graph(Bundle):
         )
 
     @property
-    def edge_count(self) -> int:
-        """Number of directed edges, twice the scene's."""
-        return len(self.senders)
-
-    @property
     def anchor_positions(self) -> Tensor:
         """Positions of the static nodes in W [m], shape (anchor, 3)."""
         return self.reference[self.particle_count :]
@@ -138,7 +133,7 @@ class Graph(Bundle):
     @functools.cached_property
     def spacing(self) -> float:
         """Root mean square length of the edges at the reference pose [m]; `length` if no edges."""
-        if not self.edge_count:
+        if not len(self.senders):
             return self.length
         spans = self.reference[self.senders] - self.reference[self.receivers]
         return float(spans.square().sum(-1).mean().sqrt())
