@@ -59,19 +59,12 @@ def momentum(mechanics: Mechanics, kinetic: Kinetic, v: Tensor) -> Tensor:
     return mixed(mechanics.speed_map.T, terms)
 
 
-@dataclass(frozen=True, eq=False)
 class MassMatrix:
     """Mass matrix ∂²T/∂v² at given velocities: blocks 2 f′ 1 + 4 f″ v vᵀ of nodes and rods."""
 
-    mechanics: Mechanics
-    kinetic: Kinetic
-    each: Tensor
-    """Velocities of nodes and rods, shape (batch, node + rod, 3)."""
-
-    @staticmethod
-    def of(energy: NodeEnergy, v: Tensor) -> MassMatrix:
-        """Return the mass matrix of an energy at v (batch, node, 3)."""
-        return MassMatrix(energy.mechanics, energy.kinetic(v), mixed(energy.mechanics.speed_map, v))
+    def __init__(self, energy: NodeEnergy, v: Tensor) -> None:
+        self.mechanics, self.kinetic = energy.mechanics, energy.kinetic(v)
+        self.each = mixed(self.mechanics.speed_map, v)  # velocities of nodes and rods
 
     def times(self, v: Tensor) -> Tensor:
         """Return the product with v, shape (batch, node, 3)."""

@@ -93,7 +93,7 @@ class Lagrangian(NodeDynamics):
 
     def derivative(self, q: Tensor, x: Tensor, inputs: KnownInputs) -> tuple[Tensor, Tensor]:
         mechanics, load = self.mechanics, self.load(q, x, inputs)
-        mass, jacobian = MassMatrix.of(self.energy, x), mechanics.jacobian(q)
+        mass, jacobian = MassMatrix(self.energy, x), mechanics.jacobian(q)
         return x, constrained(mass, load, jacobian, mechanics.bias(x), mechanics.redundant)
 
 
@@ -159,14 +159,13 @@ class EnergyModel(FlowModel):
         self.dynamics = self.kind(self.energy, self.drag)
         points, mechanism = self.mechanics.points, self.mechanics.mechanism
         body, offset = points.carrier
-        upright = np.tile([1.0, 0.0, 0.0, 0.0], (mechanism.body_count, 1))
         particles = Points.of(graph.scene)
         weights = [
             points.of_body(int(k)).weights(place, points.count)
             for k, place in zip(particles.body, particles.offset, strict=True)
         ]
         # Offsets in the published frames, because starts give orientations of those.
-        carried = rotation.rotate(mechanism.native_rotation(upright)[body], offset)
+        carried = rotation.rotate(rotation.conjugate(mechanism.reference_orientation)[body], offset)
         keep(self, carrier=body, carried=carried, particle_map=np.array(weights))
         spread = statistics.acceleration.spread(graph.moving)
         self.register_buffer("spread", torch.as_tensor(spread))

@@ -200,8 +200,7 @@ def mixed(
         data = group.data[engine]
         rows = np.flatnonzero(np.isin(data.index, numbers[turn == k]))
         if len(rows):
-            part = Motions.of(data, split, rows=rows, **options)
-            parts.append(part)
+            parts.append(Motions.of(data, split, rows=rows, **options))
     if len(parts) == 1:
         return parts[0]  # no copy of what may fill the memory; files are in ascending order
     motions = Motions.joined(parts)

@@ -79,19 +79,12 @@ class JointRows(TensorModule):
         """
         return (turn[:, self.vector_body] @ self.vector[..., None])[..., 0]
 
-    def residual(self, x: Tensor, turn: Tensor) -> Tensor:
-        """Return the residuals of the rows [m or rad], shape (batch, row).
-
-        `x` has centres of mass [m], `turn` rotation matrices; the world follows the bodies.
-        """
-        return self._spans(x, turn)[2]
-
     def halves(self, x: Tensor, turn: Tensor) -> Tensor:
         """Return the derivatives of the rows by the twists of the bodies at their ends (`ends`).
 
         Shape (batch, 2 · row, 6): by the parents' twists first, then by the children's.
         """
-        vectors, span, _ = self._spans(x, turn)
+        vectors, span, _ = self.spans(x, turn)
         layout, count = self.layout, len(self.first)
         points, along, links = layout.points, layout.along, layout.distances
         begin, end = vectors[:, :count], vectors[:, count : 2 * count]
@@ -111,8 +104,12 @@ class JointRows(TensorModule):
             halves.append(sign * torch.cat([move, spin], dim=-1))
         return torch.cat(halves, dim=1)
 
-    def _spans(self, x: Tensor, turn: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return rotated body-fixed vectors, spans from parents to children, and residuals."""
+    def spans(self, x: Tensor, turn: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return rotated body-fixed vectors, spans from parents to children, and residuals.
+
+        `x` has centres of mass [m], `turn` rotation matrices; the world follows the bodies.
+        Residuals are in m or rad, shape (batch, row).
+        """
         layout, vectors, count = self.layout, self.vectors(turn), len(self.first)
         begin, end = vectors[:, :count], vectors[:, count : 2 * count]
         span = x[:, self.second] + end - x[:, self.first] - begin
@@ -247,7 +244,7 @@ class BodyMechanics(TensorModule):
 
     def residual(self, state: Tensor) -> Tensor:
         """Return how far the joints are open [m or rad], shape (batch, row)."""
-        return self.rows.residual(*self._placed(state))
+        return self.rows.spans(*self._placed(state))[2]
 
     def smooth(
         self, state: Tensor, inputs: KnownInputs, frame_s: float, substeps: int
