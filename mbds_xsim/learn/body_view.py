@@ -111,17 +111,12 @@ class BodyViewer(TensorModule):
         before, middle, after = states[0], states[len(states) // 2], states[-1]
         first, start, _ = self.touch(before)
         gap, end, arm = self.touch(after)
-        spin = after[:, self.sphere_body, W] * self.radius[self.sphere_body]
-        contact = [start / self.speed, end / self.speed, arm / self.radius[self.sphere_body]]
-        return BodyView(
-            self._bodies(before, middle, after),
-            self._joints(after),
-            Seen.of(
-                [*contact, spin / self.speed],
-                self._gaps(first, gap, start[..., 2:], end[..., 2:]),
-            ),
-            arm,
-        )
+        radius, speed = self.radius[self.sphere_body], self.speed
+        spin = after[:, self.sphere_body, W] * radius
+        contacts = [start / speed, end / speed, arm / radius, spin / speed]
+        gaps = self._gaps(first, gap, start[..., 2:], end[..., 2:])
+        bodies, joints = self._bodies(before, middle, after), self._joints(after)
+        return BodyView(bodies, joints, Seen.of(contacts, gaps), arm)
 
     def _bodies(self, before: Tensor, middle: Tensor, after: Tensor) -> Seen:
         bend = after - 2.0 * middle + before
