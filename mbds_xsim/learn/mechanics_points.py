@@ -271,13 +271,9 @@ class PointRows:
 
 def rows_of(mechanism: Mechanism, points: NodePoints) -> PointRows:
     """Return the rows of rigid bodies, joints and distance links that involve a free node."""
-    products: list[tuple[Array, Array, float]] = []
-    for joint in mechanism.joints:
-        products += _coincidence(joint, points)
-    for body in points.bodies:
-        products += _rigid(body, points.count)
-    for joint in mechanism.joints:
-        products += _aligned(joint, points)
+    products = [row for joint in mechanism.joints for row in _coincidence(joint, points)]
+    products += [row for body in points.bodies for row in _rigid(body, points.count)]
+    products += [row for joint in mechanism.joints for row in _aligned(joint, points)]
     for link in mechanism.distances:
         span = points.span(link.bodies, link.in_body)
         products.append((span, span, link.length**2))
