@@ -175,17 +175,16 @@ class Passing(nn.Module):
         scalars: Tensor,
         edges: Edges,
         edge_vectors: Tensor,
-        edge_scalars: Tensor | None = None,
+        *edge_scalars: Tensor,
     ) -> tuple[Tensor, Tensor]:
         """Pass messages; vectors (batch, node, channel, 3), scalars (batch, node, hidden)."""
         if not len(edges.senders):  # no messages: a node reads only its own state
             for _ in range(self.steps):
                 vectors, scalars = self.update(vectors, scalars)
             return vectors, scalars
-        of_edge = [] if edge_scalars is None else [edge_scalars]
         for _ in range(self.steps):
-            at_ends = end_scalars(scalars, edges)
-            messages, hidden = self.message(ends(vectors, edges, edge_vectors), *at_ends, *of_edge)
+            whole, at_ends = ends(vectors, edges, edge_vectors), end_scalars(scalars, edges)
+            messages, hidden = self.message(whole, *at_ends, *edge_scalars)
             received = torch.cat([vectors, pool(edges.mean, messages)], dim=-2)
             vectors, scalars = self.update(received, scalars, edges.mean @ hidden)
         return vectors, scalars
