@@ -23,6 +23,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.learn.layers import TensorModule, keep, mixed, mlp, silence
 from mbds_xsim.learn.mechanics import Mechanics
 from mbds_xsim.learn.mechanics_points import distinct, kinds_of
@@ -281,7 +282,7 @@ def _perceptron(before: int, after: int, shape: EnergyShape) -> nn.Sequential:
     return mlp(before, after, hidden=shape.width, layers=layers, activation=SquarePlus)
 
 
-def _edges(mechanics: Mechanics) -> tuple[Tensor, Tensor, Tensor]:
+def _edges(mechanics: Mechanics) -> tuple[Array, Index, Index]:
     """Return vectors along rods, distance links and springs (edge, all nodes), nodes at their ends
     (2, edge), and the kinds of their laws (edge,).
     """
@@ -291,10 +292,7 @@ def _edges(mechanics: Mechanics) -> tuple[Tensor, Tensor, Tensor]:
     rods = np.eye(points.count)[points.rods]
     ends = [[points.of_body(body).com for body in pair.bodies] for pair in pairs]
     sizes = [len(rods), len(mechanism.distances), len(mechanism.springs)]
-    law = np.repeat(np.pad(np.eye(3), ((0, 0), (0, 3))), sizes, axis=0)
+    law = np.repeat(np.eye(3, 6), sizes, axis=0)
     law[sizes[0] + sizes[1] :, 3:] = mechanics.spring_law.numpy()
-    return (
-        torch.as_tensor(np.concatenate([rods[:, 0] - rods[:, 1], *[s[None] for s in spans]])),
-        torch.as_tensor(np.concatenate([points.rods, *[np.array([end]) for end in ends]]).T.copy()),
-        torch.as_tensor(distinct(law)),
-    )
+    edge_map = np.vstack([rods[:, 0] - rods[:, 1], *spans])
+    return edge_map, np.vstack([points.rods, *ends]).T.copy(), distinct(law)
