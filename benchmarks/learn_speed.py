@@ -90,7 +90,7 @@ def training(name: str, track: str, device: str) -> Iterator[list[str]]:
     patience = PATIENCE[device]["train"]
     seconds = take_turns([*works.values()], ROUNDS["train"], patience, spent_on(device))
     rates = dict(zip(works, BATCH / np.median(seconds, axis=0), strict=True))
-    size = f"{graph.node_count}, {graph.edge_count}"
+    size = f"{graph.node_count}, {len(graph.senders)}"
     for way, how in ways.items():
         cells = [f"{rates[key]:.0f}" if (key := (kind, *how)) in rates else "-" for kind in TRAINED]
         yield [name, size, track, ", ".join(weights), *([way] if way else []), *cells]

@@ -23,7 +23,7 @@ from mbds_xsim.dataset.points import Points
 from mbds_xsim.learn import turning
 from mbds_xsim.learn.body_view import BodyView, BodyViewer
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.layers import keep
+from mbds_xsim.learn.layers import keep, summed
 from mbds_xsim.learn.model import LearnedModel
 from mbds_xsim.learn.rigid import TWIST, BodyMechanics, JointHold, Q, X
 from mbds_xsim.learn.statistics import Statistics
@@ -43,10 +43,6 @@ class BodyModel(LearnedModel):
     needs_bodies: ClassVar[bool] = True
     exact: ClassVar[frozenset[str]] = frozenset({"rigid", "viewer"})
     """Names of the parts that compute in double precision."""
-
-    to_native: Tensor
-    owner: Tensor
-    offset: Tensor
 
     def __init__(self, graph: Graph, statistics: Statistics, settings: Any) -> None:
         super().__init__(graph, statistics, settings)
@@ -87,11 +83,20 @@ class BodyModel(LearnedModel):
         orientation = turning.multiply(body[..., Q], self.to_native.expand_as(body[..., Q]))
         return torch.cat([body[..., X], orientation, body[..., TWIST] * self.rigid.moves], dim=-1)
 
+    def on_joints(self, state: Tensor, motions: Tensor) -> Tensor:
+        """Return the twists (batch, body, 6) of bodies that move on the joints that carry them.
+
+        Motions are shifts, and turns times the bodies' radii, shape (batch, body, 2, 3).
+        """
+        shift, turn = motions.unbind(-2)
+        return self.viewer.links(state, shift, turn / self.viewer.radius) * self.rigid.moves
+
     def advance(self, state: Tensor, inputs: KnownInputs) -> Tensor:
         smooth, added = self.predict(state, inputs)
         moved = self.rigid.moved(smooth, added[:, 0])
-        if (hold := self.rigid.hold(moved)) is not None:
-            moved = self.rigid.moved(moved, -hold.least(self.rigid.residual(moved)))
+        if len(self.rigid.rows):
+            opening = self.rigid.residual(moved)
+            moved = self.rigid.moved(moved, -self.rigid.hold(moved).least(opening))
         return torch.cat([moved[..., :7], smooth[..., TWIST] + added[:, 1]], dim=-1)
 
     def positions(self, state: Tensor) -> Tensor:
@@ -120,7 +125,7 @@ class CorrectedModel(BodyModel):
     """Model with smooth motion on a scene's joints, and a network for everything else."""
 
     @abstractmethod
-    def smooth(self, state: Tensor, inputs: KnownInputs) -> tuple[list[Tensor], JointHold | None]:
+    def smooth(self, state: Tensor, inputs: KnownInputs) -> tuple[list[Tensor], JointHold]:
         """Move over a frame without contact.
 
         Returns:
@@ -143,11 +148,9 @@ class CorrectedModel(BodyModel):
         unit = torch.stack([self.viewer.change * self.graph.frame_s, self.viewer.change])
         added = []
         for k in range(ADDED):
-            shift, turn = of_bodies[:, :, k].unbind(-2)
-            own = self.viewer.links(smooth, shift, turn / self.viewer.radius) * self.rigid.moves
+            own = self.on_joints(smooth, of_bodies[:, :, k])
             impulse = self._wrenches(view, of_contacts[:, :, k])
-            change = unit[k] * (own + self.rigid.of_impulse(smooth, impulse))
-            added.append(change if hold is None else hold.kept(change))
+            added.append(hold.kept(unit[k] * (own + self.rigid.of_impulse(smooth, impulse))))
         return smooth, torch.stack(added, dim=1)
 
     def _wrenches(self, view: BodyView, pushes: Tensor) -> Tensor:
@@ -155,5 +158,4 @@ class CorrectedModel(BodyModel):
         carrier = self.viewer.sphere_body
         pushes = pushes * self.rigid.mass[carrier]
         wrench = torch.cat([pushes, torch.linalg.cross(view.arm, pushes)], dim=-1)
-        total = wrench.new_zeros(len(wrench), self.graph.body_count, 6)
-        return total.index_add(1, carrier, wrench)
+        return summed(wrench, carrier, self.graph.body_count)

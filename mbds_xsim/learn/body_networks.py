@@ -20,11 +20,11 @@ from mbds_xsim.learn.body_model import ADDED, CorrectedModel
 from mbds_xsim.learn.body_view import BodyView, BodyViewer, Seen
 from mbds_xsim.learn.gns import InteractionLayer
 from mbds_xsim.learn.graph import DIMENSION, Graph
-from mbds_xsim.learn.layers import keep, mlp, silence
+from mbds_xsim.learn.layers import keep, mlp, silence, summed
 from mbds_xsim.learn.model import Symmetry
 from mbds_xsim.learn.recipe import Cosine, Recipe
 from mbds_xsim.learn.rigid import JointHold
-from mbds_xsim.learn.sgnn_network import Edges, Passing, Scalars, SubequivariantMap
+from mbds_xsim.learn.sgnn_network import Edges, Passing, SubequivariantMap
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import KnownInputs
 
@@ -54,7 +54,7 @@ class JointedModel(CorrectedModel):
         self.substeps = settings.substeps
         self.plain = nn.Parameter(torch.zeros(_VECTORS, BodyViewer.BODY))
 
-    def smooth(self, state: Tensor, inputs: KnownInputs) -> tuple[list[Tensor], JointHold | None]:
+    def smooth(self, state: Tensor, inputs: KnownInputs) -> tuple[list[Tensor], JointHold]:
         with torch.no_grad():
             return self.rigid.smooth(state, inputs, self.graph.frame_s, self.substeps)
 
@@ -92,10 +92,9 @@ class BodyGNS(JointedModel):
 
     def read(self, view: BodyView) -> tuple[Tensor, Tensor]:
         carrier = self.viewer.sphere_body
-        contacts = self.of_contact(_flat(view.contacts))
-        bodies = _flat(view.bodies)
-        received = contacts.new_zeros(*bodies.shape[:2], contacts.shape[-1])
-        received = received.index_add(1, carrier, contacts)
+        contacts = self.of_contact(view.contacts.flat)
+        bodies = view.bodies.flat
+        received = summed(contacts, carrier, self.graph.body_count)
         nodes = self.of_body(torch.cat([bodies, received], dim=-1))
         nodes = self._passed(nodes, view.joints)
         pushes = self.to_contact(torch.cat([contacts, nodes[:, carrier]], dim=-1))
@@ -107,7 +106,7 @@ class BodyGNS(JointedModel):
         if not len(self.viewer.senders):
             return nodes
         nodes = nn.functional.pad(nodes, (0, 0, 0, 1)).transpose(0, 1)
-        edges = self.of_joint(_flat(joints)).transpose(0, 1)
+        edges = self.of_joint(joints.flat).transpose(0, 1)
         for interaction in self.interactions:
             nodes, edges = interaction(nodes, edges, self.viewer.senders, self.viewer.receivers)
         return nodes[:-1].transpose(0, 1)
@@ -120,19 +119,18 @@ class BodySGNN(JointedModel):
     """
 
     symmetries: ClassVar[frozenset[Symmetry]] = frozenset({"shift", "turn"})
-    up: Tensor
 
     def __init__(self, graph: Graph, statistics: Statistics, settings: BodySettings) -> None:
         super().__init__(graph, statistics, settings)
         viewer, width = BodyViewer, settings.width
         size = {"hidden": width, "layers": settings.layers}
         keep(self, up=torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
-        self.of_contact = SubequivariantMap(
-            viewer.CONTACT + 1, [viewer.CONTACT_SCALARS], outputs=ADDED, **size
-        )
-        self.of_body = SubequivariantMap(
-            viewer.BODY + 1 + ADDED, [viewer.BODY_SCALARS, width], outputs=_VECTORS, **size
-        )
+
+        def combine(vectors: int, scalars: list[int], outputs: int) -> SubequivariantMap:
+            return SubequivariantMap(vectors + 1, scalars, outputs=outputs, **size)
+
+        self.of_contact = combine(viewer.CONTACT, [viewer.CONTACT_SCALARS], ADDED)
+        self.of_body = combine(viewer.BODY + ADDED, [viewer.BODY_SCALARS, width], _VECTORS)
         self.passing = Passing(
             _VECTORS,
             edge_channels=viewer.JOINT + 1,
@@ -140,39 +138,26 @@ class BodySGNN(JointedModel):
             **size,
             steps=settings.steps,
         )
-        self.to_body = SubequivariantMap(
-            viewer.BODY + 1 + _VECTORS, [viewer.BODY_SCALARS, width], outputs=_VECTORS, **size
-        )
-        self.to_contact = SubequivariantMap(
-            viewer.CONTACT + 1 + _VECTORS,
-            [viewer.CONTACT_SCALARS, width, width],
-            outputs=ADDED,
-            **size,
-        )
+        self.to_body = combine(viewer.BODY + _VECTORS, [viewer.BODY_SCALARS, width], _VECTORS)
+        contact_scalars = [viewer.CONTACT_SCALARS, width, width]
+        self.to_contact = combine(viewer.CONTACT + _VECTORS, contact_scalars, ADDED)
         self.edges = Edges(self.viewer.senders, self.viewer.receivers, graph.body_count + 1)
         silence(self.to_body.rest, self.to_contact.rest)
 
     def read(self, view: BodyView) -> tuple[Tensor, Tensor]:
         carrier, body_view, contact_view = self.viewer.sphere_body, view.bodies, view.contacts
         bodies, contacts = self._with_up(body_view.vectors), self._with_up(contact_view.vectors)
-        messages, hidden = self.of_contact(contacts, Scalars(contact_view.scalars))
-        received = body_view.vectors.new_zeros(*body_view.vectors.shape[:2], ADDED, DIMENSION)
-        received = received.index_add(1, carrier, messages)
-        hidden_sum = hidden.new_zeros(*body_view.vectors.shape[:2], hidden.shape[-1])
-        hidden_sum = hidden_sum.index_add(1, carrier, hidden)
-        vectors, scalars = self.of_body(
-            torch.cat([bodies, received], dim=-2), Scalars(body_view.scalars), Scalars(hidden_sum)
+        messages, hidden = self.of_contact(contacts, contact_view.scalars)
+        received, hidden_sum = (
+            summed(each, carrier, self.graph.body_count) for each in (messages, hidden)
         )
+        seen = torch.cat([bodies, received], dim=-2)
+        vectors, scalars = self.of_body(seen, body_view.scalars, hidden_sum)
         vectors, scalars = self._passed(vectors, scalars, view.joints)
-        added, _ = self.to_body(
-            torch.cat([bodies, vectors], dim=-2), Scalars(body_view.scalars), Scalars(scalars)
-        )
-        pushes, _ = self.to_contact(
-            torch.cat([contacts, vectors[:, carrier]], dim=-2),
-            Scalars(contact_view.scalars),
-            Scalars(hidden),
-            Scalars(scalars[:, carrier]),
-        )
+        seen = torch.cat([bodies, vectors], dim=-2)
+        added, _ = self.to_body(seen, body_view.scalars, scalars)
+        seen = torch.cat([contacts, vectors[:, carrier]], dim=-2)
+        pushes, _ = self.to_contact(seen, contact_view.scalars, hidden, scalars[:, carrier])
         return added.unflatten(-2, (ADDED, 2)), pushes
 
     def _passed(self, vectors: Tensor, scalars: Tensor, joints: Seen) -> tuple[Tensor, Tensor]:
@@ -186,7 +171,3 @@ class BodySGNN(JointedModel):
 
     def _with_up(self, vectors: Tensor) -> Tensor:
         return torch.cat([vectors, self.up.to(vectors).expand(*vectors.shape[:2], 1, 3)], dim=-2)
-
-
-def _flat(view: Seen) -> Tensor:
-    return torch.cat([view.vectors.flatten(2), view.scalars], dim=-1)

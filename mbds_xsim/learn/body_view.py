@@ -14,13 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from mbds_xsim.learn import turning
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.layers import keep
-from mbds_xsim.learn.links import Links
-from mbds_xsim.learn.rigid import Q, V, W, X
+from mbds_xsim.learn.layers import TensorModule, keep
+from mbds_xsim.learn.rigid import Links, Q, V, W, X
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.scene.mechanism import JointKind
 
@@ -43,6 +42,11 @@ class Seen:
         """Stack vectors (batch, item, 3) and convert all to single precision."""
         return Seen(torch.stack([*vectors], dim=-2).float(), scalars.float())
 
+    @property
+    def flat(self) -> Tensor:
+        """Components of the vectors, then the scalars, shape (batch, item, number)."""
+        return torch.cat([self.vectors.flatten(2), self.scalars], dim=-1)
+
 
 @dataclass(frozen=True, eq=False)
 class BodyView:
@@ -56,7 +60,7 @@ class BodyView:
     """Vector from the centre of mass to the sphere's lowest point [m], (batch, contact, 3)."""
 
 
-class BodyViewer(nn.Module):
+class BodyViewer(TensorModule):
     """Module that computes the views of one scene."""
 
     BODY, JOINT, CONTACT = 12, 5, 4
@@ -70,15 +74,8 @@ class BodyViewer(nn.Module):
     """Unit of velocities [m/s]."""
     change: Tensor
     """Unit of velocity changes [m/s]."""
-    radius: Tensor
-    shape: Tensor
-    receivers: Tensor
     senders: Tensor
     """Body at the other end of the joint of each end; the world follows the bodies, (end,)."""
-    arms: Tensor
-    kind: Tensor
-    sphere_body: Tensor
-    sphere: Tensor
     depth: Tensor
     """Radius of each sphere as a vertical vector [m], shape (contact, 3)."""
 
@@ -114,17 +111,12 @@ class BodyViewer(nn.Module):
         before, middle, after = states[0], states[len(states) // 2], states[-1]
         first, start, _ = self.touch(before)
         gap, end, arm = self.touch(after)
-        spin = after[:, self.sphere_body, W] * self.radius[self.sphere_body]
-        contact = [start / self.speed, end / self.speed, arm / self.radius[self.sphere_body]]
-        return BodyView(
-            self._bodies(before, middle, after),
-            self._joints(after),
-            Seen.of(
-                [*contact, spin / self.speed],
-                self._gaps(first, gap, start[..., 2:], end[..., 2:]),
-            ),
-            arm,
-        )
+        radius, speed = self.radius[self.sphere_body], self.speed
+        spin = after[:, self.sphere_body, W] * radius
+        contacts = [start / speed, end / speed, arm / radius, spin / speed]
+        gaps = self._gaps(first, gap, start[..., 2:], end[..., 2:])
+        bodies, joints = self._bodies(before, middle, after), self._joints(after)
+        return BodyView(bodies, joints, Seen.of(contacts, gaps), arm)
 
     def _bodies(self, before: Tensor, middle: Tensor, after: Tensor) -> Seen:
         bend = after - 2.0 * middle + before

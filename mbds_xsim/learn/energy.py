@@ -23,7 +23,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from mbds_xsim.learn.layers import keep, mixed, mlp, silence
+from mbds_xsim.base.arrays import Array, Index
+from mbds_xsim.learn.layers import TensorModule, keep, mixed, mlp, silence
 from mbds_xsim.learn.mechanics import Mechanics
 from mbds_xsim.learn.mechanics_points import distinct, kinds_of
 from mbds_xsim.scene.sampling import noise_components
@@ -59,19 +60,12 @@ def momentum(mechanics: Mechanics, kinetic: Kinetic, v: Tensor) -> Tensor:
     return mixed(mechanics.speed_map.T, terms)
 
 
-@dataclass(frozen=True, eq=False)
 class MassMatrix:
     """Mass matrix ∂²T/∂v² at given velocities: blocks 2 f′ 1 + 4 f″ v vᵀ of nodes and rods."""
 
-    mechanics: Mechanics
-    kinetic: Kinetic
-    each: Tensor
-    """Velocities of nodes and rods, shape (batch, node + rod, 3)."""
-
-    @staticmethod
-    def of(energy: NodeEnergy, v: Tensor) -> MassMatrix:
-        """Return the mass matrix of an energy at v (batch, node, 3)."""
-        return MassMatrix(energy.mechanics, energy.kinetic(v), mixed(energy.mechanics.speed_map, v))
+    def __init__(self, energy: NodeEnergy, v: Tensor) -> None:
+        self.mechanics, self.kinetic = energy.mechanics, energy.kinetic(v)
+        self.each = mixed(self.mechanics.speed_map, v)  # velocities of nodes and rods
 
     def times(self, v: Tensor) -> Tensor:
         """Return the product with v, shape (batch, node, 3)."""
@@ -150,10 +144,9 @@ class ConvexScalar(nn.Module):
         return value + slope * s, first + slope, second
 
 
-class Potential(nn.Module):
+class Potential(TensorModule):
     """Potential V over its unit, as a function of positions over the scene's length."""
 
-    kind: Tensor
     axes: Tensor
     """1 along axes in which the scene moves, else 0: no learned force may leave a plane motion."""
 
@@ -186,12 +179,8 @@ class Potential(nn.Module):
         return energy if self.of_distances is None else energy + self.of_distances(x, kind)
 
 
-class OfDistances(nn.Module):
+class OfDistances(TensorModule):
     """Part of V from message passing on distances."""
-
-    edge_map: Tensor
-    ends: Tensor
-    kind: Tensor
 
     def __init__(self, mechanics: Mechanics, shape: EnergyShape) -> None:
         super().__init__()
@@ -219,7 +208,7 @@ class OfDistances(nn.Module):
         return self.of_edge(edge).sum((1, 2)) + self.of_node(node).sum((1, 2))
 
 
-class EnergyNetwork(nn.Module):
+class EnergyNetwork(TensorModule):
     """Learned kinetic and potential energy (a `NodeEnergy`)."""
 
     kind: Tensor
@@ -293,7 +282,7 @@ def _perceptron(before: int, after: int, shape: EnergyShape) -> nn.Sequential:
     return mlp(before, after, hidden=shape.width, layers=layers, activation=SquarePlus)
 
 
-def _edges(mechanics: Mechanics) -> tuple[Tensor, Tensor, Tensor]:
+def _edges(mechanics: Mechanics) -> tuple[Array, Index, Index]:
     """Return vectors along rods, distance links and springs (edge, all nodes), nodes at their ends
     (2, edge), and the kinds of their laws (edge,).
     """
@@ -303,10 +292,7 @@ def _edges(mechanics: Mechanics) -> tuple[Tensor, Tensor, Tensor]:
     rods = np.eye(points.count)[points.rods]
     ends = [[points.of_body(body).com for body in pair.bodies] for pair in pairs]
     sizes = [len(rods), len(mechanism.distances), len(mechanism.springs)]
-    law = np.repeat(np.pad(np.eye(3), ((0, 0), (0, 3))), sizes, axis=0)
+    law = np.repeat(np.eye(3, 6), sizes, axis=0)
     law[sizes[0] + sizes[1] :, 3:] = mechanics.spring_law.numpy()
-    return (
-        torch.as_tensor(np.concatenate([rods[:, 0] - rods[:, 1], *[s[None] for s in spans]])),
-        torch.as_tensor(np.concatenate([points.rods, *[np.array([end]) for end in ends]]).T.copy()),
-        torch.as_tensor(distinct(law)),
-    )
+    edge_map = np.vstack([rods[:, 0] - rods[:, 1], *spans])
+    return edge_map, np.vstack([points.rods, *ends]).T.copy(), distinct(law)

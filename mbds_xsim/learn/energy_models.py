@@ -75,13 +75,13 @@ class NodeDynamics(nn.Module, ABC):
         load = potential_force(self.energy, q) + self.mechanics.applied(q, v, inputs)
         return load if self.drag is None else load + self.drag(v)
 
-    @abstractmethod
     def conjugate(self, v: Tensor) -> Tensor:
         """Convert velocities v of the nodes [m/s] to a state's quantity, shape (batch, node, 3)."""
+        return v
 
-    @abstractmethod
     def velocity(self, x: Tensor) -> Tensor:
         """Undo `conjugate`."""
+        return x
 
     @abstractmethod
     def derivative(self, q: Tensor, x: Tensor, inputs: KnownInputs) -> tuple[Tensor, Tensor]:
@@ -91,20 +91,10 @@ class NodeDynamics(nn.Module, ABC):
 class Lagrangian(NodeDynamics):
     """Lagrangian equations of motion, in nodes and velocities."""
 
-    def conjugate(self, v: Tensor) -> Tensor:
-        return v
-
-    def velocity(self, x: Tensor) -> Tensor:
-        return x
-
     def derivative(self, q: Tensor, x: Tensor, inputs: KnownInputs) -> tuple[Tensor, Tensor]:
-        return x, self.acceleration(q, x, inputs)
-
-    def acceleration(self, q: Tensor, v: Tensor, inputs: KnownInputs) -> Tensor:
-        """Return the accelerations of the free nodes [m/s²], shape (batch, node, 3)."""
-        mechanics, load = self.mechanics, self.load(q, v, inputs)
-        mass, jacobian = MassMatrix.of(self.energy, v), mechanics.jacobian(q)
-        return constrained(mass, load, jacobian, mechanics.bias(v), mechanics.redundant)
+        mechanics, load = self.mechanics, self.load(q, x, inputs)
+        mass, jacobian = MassMatrix(self.energy, x), mechanics.jacobian(q)
+        return x, constrained(mass, load, jacobian, mechanics.bias(x), mechanics.redundant)
 
 
 class Hamiltonian(NodeDynamics):
@@ -154,20 +144,14 @@ class EnergyModel(FlowModel):
         ),
     }
 
-    carrier: Tensor
-    carried: Tensor
-    particle_map: Tensor
-    spread: Tensor
-
     def __init__(self, graph: Graph, statistics: Statistics, settings: EnergySettings) -> None:
         super().__init__(graph, statistics, settings)
         if graph.scene.contacts:
-            msg = (
+            raise Unsupported(
                 f"scene {graph.scene.name!r}: got {len(graph.scene.contacts)} contact spheres, "
                 "allowed are none: HGNN and LGNN hold smooth forces and two-sided constraints; "
                 "take hgnn+, lgnn+, gns or sgnn"
             )
-            raise Unsupported(msg)
         self.mechanics = Mechanics(graph.scene)
         self.substeps, self.floor = settings.substeps, settings.floor
         self.energy = EnergyNetwork(self.mechanics, settings.shape)
@@ -175,14 +159,13 @@ class EnergyModel(FlowModel):
         self.dynamics = self.kind(self.energy, self.drag)
         points, mechanism = self.mechanics.points, self.mechanics.mechanism
         body, offset = points.carrier
-        upright = np.tile([1.0, 0.0, 0.0, 0.0], (mechanism.body_count, 1))
         particles = Points.of(graph.scene)
         weights = [
             points.of_body(int(k)).weights(place, points.count)
             for k, place in zip(particles.body, particles.offset, strict=True)
         ]
         # Offsets in the published frames, because starts give orientations of those.
-        carried = rotation.rotate(mechanism.native_rotation(upright)[body], offset)
+        carried = rotation.rotate(rotation.conjugate(mechanism.reference_orientation)[body], offset)
         keep(self, carrier=body, carried=carried, particle_map=np.array(weights))
         spread = statistics.acceleration.spread(graph.moving)
         self.register_buffer("spread", torch.as_tensor(spread))

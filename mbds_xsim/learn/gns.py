@@ -60,17 +60,6 @@ class GNS(PointModel):
         ),
     }
 
-    displacement_mean: Tensor
-    displacement_std: Tensor
-    acceleration_mean: Tensor
-    acceleration_std: Tensor
-    channel_size: Tensor
-    kind: Tensor
-    mass: Tensor
-    senders: Tensor
-    receivers: Tensor
-    moving: Tensor
-
     def __init__(self, graph: Graph, statistics: Statistics, settings: GNSSettings) -> None:
         super().__init__(graph, statistics, settings)
         self.settings = settings
@@ -79,7 +68,9 @@ class GNS(PointModel):
         self.channels = Channels(graph)
         self.embedding = nn.Embedding(_KINDS, _EMBEDDING) if graph.static.any() else None
         width, depth = settings.width, settings.hidden_layers
-        self.node_encoder = _perceptron(self.feature_count, width, depth)
+        features = DIMENSION * (HISTORY - 1 + len(CHANNELS)) + self._masses_differ + graph.ground
+        features += 0 if self.embedding is None else _EMBEDDING
+        self.node_encoder = _perceptron(features, width, depth)
         self.edge_encoder = _perceptron(DIMENSION + 1, width, depth)
         self.interactions = nn.ModuleList(
             InteractionLayer(width, depth) for _ in range(settings.steps)
@@ -101,14 +92,6 @@ class GNS(PointModel):
         mass = graph.mass / masses.mean()
         keep(self, kind=graph.static.long(), mass=mass.float(), moving=graph.moving.float())
         keep(self, senders=graph.senders, receivers=graph.receivers)
-
-    @property
-    def feature_count(self) -> int:
-        """Number of input features of a node."""
-        velocities = DIMENSION * (HISTORY - 1)
-        channels = DIMENSION * len(CHANNELS)
-        kinds = 0 if self.embedding is None else _EMBEDDING
-        return velocities + channels + kinds + int(self._masses_differ) + int(self.graph.ground)
 
     def predict(self, history: Tensor, inputs: KnownInputs) -> Tensor:
         return self(history, inputs) * self.acceleration_std + self.acceleration_mean

@@ -93,11 +93,10 @@ class Graph(Bundle):
             InputError: Its bodies collide with each other, which fixed edges cannot represent.
         """
         if scene.collisions:
-            msg = (
+            raise InputError(
                 f"scene {scene.name!r}: got [collisions], allowed are scenes without; the graph of "
                 "learned models has fixed edges, so they cannot see other bodies come near"
             )
-            raise InputError(msg)
         points = Points.of(scene)
         edges = np.array(scene.edges, dtype=np.int64).reshape(-1, 2)
         edges[edges >= scene.particle_count] += len(points.body) - scene.particle_count
@@ -127,11 +126,6 @@ class Graph(Bundle):
         )
 
     @property
-    def edge_count(self) -> int:
-        """Number of directed edges, twice the scene's."""
-        return len(self.senders)
-
-    @property
     def anchor_positions(self) -> Tensor:
         """Positions of the static nodes in W [m], shape (anchor, 3)."""
         return self.reference[self.particle_count :]
@@ -139,7 +133,7 @@ class Graph(Bundle):
     @functools.cached_property
     def spacing(self) -> float:
         """Root mean square length of the edges at the reference pose [m]; `length` if no edges."""
-        if not self.edge_count:
+        if not len(self.senders):
             return self.length
         spans = self.reference[self.senders] - self.reference[self.receivers]
         return float(spans.square().sum(-1).mean().sqrt())

@@ -83,11 +83,10 @@ def groups(paths: Sequence[Path]) -> list[TrainingGroup]:
         about = data.attributes
         engines = by_group.setdefault((about["scene_name"], about["profile"]), {})
         if about["engine"] in engines:
-            msg = (
+            raise InputError(
                 f"{engines[about['engine']].path} and {file} are both {about['scene_name']} of "
                 f"{about['engine']} {about['profile']}; give one of them"
             )
-            raise InputError(msg)
         engines[about["engine"]] = data
     result = [_group(*key, dict(sorted(each.items()))) for key, each in sorted(by_group.items())]
     for group in result:
@@ -110,12 +109,11 @@ def _check(group: TrainingGroup) -> None:
     for split in ("train", "validation"):
         if not len(group.numbers(split)) or frames <= HISTORY:
             paths = ", ".join(str(file.path) for file in group.data.values())
-            msg = (
+            raise InputError(
                 f"{paths}: {len(group.numbers(split))} trajectories of {frames} frames for "
                 f"{split} that all engines have, needed are at least 1 of {HISTORY + 1}; "
                 "generate more"
             )
-            raise InputError(msg)
 
 
 @dataclass(frozen=True)
@@ -155,17 +153,15 @@ def shares_of(group: TrainingGroup, on: str) -> dict[str, Share]:
     shares: dict[str, Share] = {}
     for word in (word.strip() for word in on.split(",")):
         if word not in choices:
-            msg = (
+            raise InputError(
                 f"--on: got {word!r}, allowed for {group.name} is {allowed}, or an engine's starts "
                 f"of an interval, as {next(iter(parts))}"
             )
-            raise InputError(msg)
         if word in _SEVERAL and len(engines) < 2:
-            msg = (
+            raise InputError(
                 f"--on: {word} needs data of at least 2 engines, {group.name} has {engines[0]} "
                 "only; give more data, or --on each"
             )
-            raise InputError(msg)
         shares |= choices[word]
     return shares
 
@@ -182,11 +178,10 @@ def turns(numbers: Index, count: int) -> Index:
 def check_share(group: TrainingGroup, share: Share, split: str) -> None:
     """Raise InputError if a training has no trajectory of a part."""
     if not len(share.numbers(group, split)):
-        msg = (
+        raise InputError(
             f"{group.name}: no trajectory of {split} is of the interval {share.interval!r}; "
             "generate more"
         )
-        raise InputError(msg)
 
 
 def mixed(
@@ -205,8 +200,7 @@ def mixed(
         data = group.data[engine]
         rows = np.flatnonzero(np.isin(data.index, numbers[turn == k]))
         if len(rows):
-            part = Motions.of(data, split, rows=rows, **options)
-            parts.append(part)
+            parts.append(Motions.of(data, split, rows=rows, **options))
     if len(parts) == 1:
         return parts[0]  # no copy of what may fill the memory; files are in ascending order
     motions = Motions.joined(parts)

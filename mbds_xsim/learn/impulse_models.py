@@ -12,13 +12,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import ClassVar
 
 import msgspec
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from mbds_xsim.learn import turning
 from mbds_xsim.learn.body_model import ADDED, BodyModel, CorrectedModel
@@ -26,7 +25,7 @@ from mbds_xsim.learn.body_view import BodyView, BodyViewer
 from mbds_xsim.learn.energy import Drag, EnergyNetwork, EnergyShape
 from mbds_xsim.learn.energy_models import Hamiltonian, Lagrangian, NodeDynamics
 from mbds_xsim.learn.graph import DIMENSION, Graph
-from mbds_xsim.learn.layers import keep, mlp, silence
+from mbds_xsim.learn.layers import TensorModule, keep, mlp, silence, summed
 from mbds_xsim.learn.mechanics import Mechanics
 from mbds_xsim.learn.model import runge_kutta
 from mbds_xsim.learn.recipe import Cosine, Recipe
@@ -73,9 +72,9 @@ class ImpulseModel(CorrectedModel):
         self.to_contact = mlp(3 * width, DIMENSION * ADDED, hidden=width, layers=layers)
         silence(self.to_contact)
 
-    def smooth(self, state: Tensor, inputs: KnownInputs) -> tuple[list[Tensor], JointHold | None]:
+    def smooth(self, state: Tensor, inputs: KnownInputs) -> tuple[list[Tensor], JointHold]:
         step, states = self.graph.frame_s / self.substeps, [state]
-        moving = torch.stack(self.nodes.placed(state), dim=1)
+        moving = self.nodes.placed(state)
 
         def rate(at: Tensor) -> Tensor:
             q, v = at.unbind(1)
@@ -83,18 +82,16 @@ class ImpulseModel(CorrectedModel):
             return torch.stack([q_rate, self.dynamics.velocity(x_rate)], dim=1)
 
         for _ in range(self.substeps):
-            moving = self.nodes.corotating(states[-1]).step(rate, moving, step)
-            after = self.nodes.bodies(moving[:, 0], moving[:, 1], states[-1], step)
+            moving = self.nodes.step(rate, moving, states[-1], step)
+            after = self.nodes.bodies(moving, states[-1], step)
             twist = after[..., TWIST] * self.rigid.moves
             states.append(torch.cat([after[..., :7], twist], dim=-1))
         return states, self.rigid.hold(states[-1].detach())
 
     def corrections(self, view: BodyView) -> tuple[Tensor, Tensor]:
         carrier, bodies = self.viewer.sphere_body, view.bodies.vectors
-        features = torch.cat([view.contacts.vectors.flatten(2), view.contacts.scalars], dim=-1)
-        contacts = self.of_contact(features)
-        own = contacts.new_zeros(*bodies.shape[:2], contacts.shape[-1])
-        own = own.index_add(1, carrier, contacts)[:, carrier]
+        contacts = self.of_contact(view.contacts.flat)
+        own = summed(contacts, carrier, self.graph.body_count)[:, carrier]
         total = contacts.sum(1, keepdim=True).expand_as(contacts)
         pushes = self.to_contact(torch.cat([contacts, own, total], dim=-1))
         nothing = bodies.new_zeros(*bodies.shape[:2], ADDED, 2, DIMENSION)
@@ -114,54 +111,16 @@ def _rolling_steps(graph: Graph, statistics: Statistics) -> int:
     return min(_MOST_STEPS, max(1, math.ceil(turn / _TURN)))
 
 
-@dataclass(frozen=True, eq=False)
-class Corotating:
-    """Coordinates that turn with each body's spin about its centre of mass.
-
-    A Runge-Kutta step in them is Lawson's method (SIAM Journal on Numerical Analysis 4, 1967): it
-    follows a steady spin exactly, however fast, and must resolve only the changes of the spin.
-    """
-
-    pivot: Tensor
-    """Node about which each free node turns, shape (node,)."""
-    spin: Tensor
-    """Spin of each free node [rad/s], shape (batch, 1, node, 3)."""
-    fixed: Tensor | None
-    """Positions and velocities of the fixed nodes, which come last, shape (2, fixed node, 3); None
-    if no fixed node is a pivot."""
-
-    def step(self, rate: Callable[[Tensor], Tensor], moving: Tensor, step: float) -> Tensor:
-        """Advance nodes and velocities (batch, 2, node, 3) by a step [s] with the given rates."""
-
-        def corotating_rate(at: Tensor, time: float) -> Tensor:
-            at = self._turned(at, time)
-            arm = at - self._centre(at)
-            return self._turned(rate(at) - torch.linalg.cross(self.spin.expand_as(arm), arm), -time)
-
-        return self._turned(runge_kutta(corotating_rate, moving, step), step)
-
-    def _centre(self, at: Tensor) -> Tensor:
-        if self.fixed is not None:
-            at = torch.cat([at, self.fixed.expand(len(at), -1, -1, -1)], dim=2)
-        return at[:, :, self.pivot]
-
-    def _turned(self, vectors: Tensor, time: float) -> Tensor:
-        centre = self._centre(vectors)
-        turn = turning.matrix(turning.from_vector(time * self.spin))
-        return centre + (turn @ (vectors - centre)[..., None])[..., 0]
-
-
-class BodyNodes(nn.Module):
+class BodyNodes(TensorModule):
     """Conversion of bodies to the nodes of `mechanics_points`, and back."""
 
-    carrier: Tensor
-    carried: Tensor
-    com: Tensor
     pivot: Tensor
     """Centre of mass that each free node belongs to, itself if it is one, shape (node,).
 
     It is a fixed node if the world holds the body there.
     """
+    still: Tensor
+    """Positions and velocities of the fixed nodes, which follow the free ones, (2, node, 3)."""
     tip: Tensor
     """Node of each tip, which may be a fixed node, shape (tip,)."""
     body: Tensor
@@ -188,6 +147,7 @@ class BodyNodes(nn.Module):
             carried=carried,
             com=com,
             pivot=pivot,
+            still=np.stack([mechanics.points.fixed, np.zeros_like(mechanics.points.fixed)]),
             tip=np.concatenate([body.tips for body in bodies]),
             body=np.repeat(np.arange(len(bodies)), count),
             direction=np.concatenate([body.directions for body in bodies]),
@@ -195,23 +155,36 @@ class BodyNodes(nn.Module):
             share=(2.0 / (1.0 + np.repeat(count, count)))[:, None],
         )
 
-    def placed(self, state: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the nodes and their velocities, on the constraints, each (batch, node, 3)."""
-        return self.mechanics.placed(state[:, self.carrier], self.carried)
+    def placed(self, state: Tensor) -> Tensor:
+        """Return the nodes and their velocities, on the constraints, (batch, 2, node, 3)."""
+        return torch.stack(self.mechanics.placed(state[:, self.carrier], self.carried), dim=1)
 
-    def corotating(self, state: Tensor) -> Corotating:
-        """Return coordinates that turn with bodies in these states."""
-        fixed = self.mechanics.fixed
-        fixed_state = torch.stack([fixed, torch.zeros_like(fixed)]) if self.held else None
-        return Corotating(self.pivot, state[:, None, self.carrier, W].detach(), fixed_state)
+    def step(
+        self, rate: Callable[[Tensor], Tensor], moving: Tensor, state: Tensor, step: float
+    ) -> Tensor:
+        """Advance nodes and velocities (batch, 2, node, 3) of bodies in `state` by a step [s].
 
-    def bodies(self, q: Tensor, v: Tensor, before: Tensor, step: float) -> Tensor:
-        """Return the states of bodies with these nodes and velocities, shape (batch, body, 13).
+        The coordinates turn with each body's spin about its centre of mass. A Runge-Kutta step in
+        them is Lawson's method (SIAM Journal on Numerical Analysis 4, 1967): it follows a steady
+        spin exactly, however fast, and must resolve only the changes of the spin.
+        """
+        spin = state[:, None, self.carrier, W].detach()
+
+        def corotating_rate(at: Tensor, time: float) -> Tensor:
+            at = self._turned(at, time * spin)
+            arm = at - self._centre(at)
+            slope = rate(at) - torch.linalg.cross(spin.expand_as(arm), arm)
+            return self._turned(slope, -time * spin)
+
+        return self._turned(runge_kutta(corotating_rate, moving, step), step * spin)
+
+    def bodies(self, moving: Tensor, before: Tensor, step: float) -> Tensor:
+        """Return the states (batch, body, 13) of nodes and velocities (batch, 2, node, 3).
 
         They are a step [s] after states `before`, whose spin is followed first. The rest is a small
         turn, the smallest possible one if a body has only one tip.
         """
-        x, v = self.mechanics.all_nodes(q), nn.functional.pad(v, (0, 0, 0, self._fixed))
+        x, v = self._with_fixed(moving).unbind(1)
         orientation = turning.multiply(turning.from_vector(step * before[..., W]), before[..., Q])
         expected = turning.rotate(orientation[:, self.body], self.direction)
         arm = (x[:, self.tip] - x[:, self.com][:, self.body]) / self.distance
@@ -222,14 +195,22 @@ class BodyNodes(nn.Module):
         spin = self._summed(self.share * torch.linalg.cross(arm, rate))
         return torch.cat([x[:, self.com], orientation, v[:, self.com], spin], dim=-1)
 
-    @property
-    def _fixed(self) -> int:
-        return self.mechanics.points.count - self.mechanics.points.free
+    def _centre(self, moving: Tensor) -> Tensor:
+        """Return the node about which each free node turns, and its velocity."""
+        return (self._with_fixed(moving) if self.held else moving)[:, :, self.pivot]
+
+    def _with_fixed(self, moving: Tensor) -> Tensor:
+        return torch.cat([moving, self.still.expand(len(moving), -1, -1, -1)], dim=2)
+
+    def _turned(self, moving: Tensor, turn: Tensor) -> Tensor:
+        """Turn nodes and velocities by rotation vectors [rad] about their centres."""
+        centre = self._centre(moving)
+        matrix = turning.matrix(turning.from_vector(turn))
+        return centre + (matrix @ (moving - centre)[..., None])[..., 0]
 
     def _summed(self, values: Tensor) -> Tensor:
         """Sum over each body's tips."""
-        total = values.new_zeros(len(values), len(self.com), values.shape[-1])
-        return total.index_add(1, self.body, values)
+        return summed(values, self.body, len(self.com))
 
 
 class ImpulseHGNN(ImpulseModel):

@@ -4,12 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor, nn
 
 _FAINT = 0.01
+
+
+class TensorModule(nn.Module):
+    """Module whose attributes are tensors unless they are declared or assigned as something else.
+
+    Buffers that `keep` registers need no declaration then; one that needs an explanation has it in
+    a declaration.
+    """
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Tensor: ...
 
 
 def mlp(
@@ -35,6 +47,11 @@ def mixed(weights: Tensor, vectors: Tensor) -> Tensor:
     This is one matrix product, while `weights @ vectors` is one for each batch member.
     """
     return torch.tensordot(weights, vectors, ([1], [1])).transpose(0, 1)
+
+
+def summed(values: Tensor, index: Tensor, count: int) -> Tensor:
+    """Sum rows (batch, row, …) that have the same index, to shape (batch, count, …)."""
+    return values.new_zeros(len(values), count, *values.shape[2:]).index_add(1, index, values)
 
 
 def keep(module: nn.Module, **values: Any) -> None:

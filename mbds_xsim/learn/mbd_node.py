@@ -69,24 +69,18 @@ class MbdNode(BodyModel):
             )
             orientation = state[..., Q] / state[..., Q].norm(dim=-1, keepdim=True)
             state = torch.cat([state[..., X], orientation, state[..., TWIST]], dim=-1)
-        hold = self.rigid.hold(state.detach())
-        if hold is not None:
-            state = torch.cat([state[..., :7], hold.kept(state[..., TWIST])], dim=-1)
+        kept = self.rigid.hold(state.detach()).kept(state[..., TWIST])
+        state = torch.cat([state[..., :7], kept], dim=-1)
         return state, torch.zeros_like(state[:, None, :, TWIST]).expand(-1, ADDED, -1, -1)
 
     def rate(self, state: Tensor, inputs: KnownInputs) -> Tensor:
         """Return the time derivative of states (batch, body, 13) under the frame's inputs."""
-        shift, turn = (
-            self.network(self._seen(state, inputs).float())
-            .to(state)
-            .unflatten(-1, (-1, 2, DIMENSION))
-            .unbind(-2)
-        )
-        change = self.viewer.change / self.graph.frame_s
-        gain = change * self.viewer.links(state, shift, turn / self.viewer.radius)
+        motions = self.network(self._seen(state, inputs).float()).to(state)
+        gain = self.on_joints(state, motions.unflatten(-1, (-1, 2, DIMENSION)))
+        gain = self.viewer.change / self.graph.frame_s * gain
         spin = torch.cat([torch.zeros_like(state[..., :1]), 0.5 * state[..., W]], dim=-1)
         turning_rate = turning.multiply(spin, state[..., Q])
-        return torch.cat([state[..., V], turning_rate, gain * self.rigid.moves], dim=-1)
+        return torch.cat([state[..., V], turning_rate, gain], dim=-1)
 
     def _seen(self, state: Tensor, inputs: KnownInputs) -> Tensor:
         view, unit = self.viewer, self.viewer.change / self.graph.frame_s

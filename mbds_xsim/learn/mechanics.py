@@ -18,12 +18,12 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
-from torch import Tensor, nn
+from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import Unsupported
-from mbds_xsim.learn.layers import keep, mixed
+from mbds_xsim.learn.layers import TensorModule, keep, mixed
 from mbds_xsim.learn.mechanics_points import PointRows, points_of, rows_of
 from mbds_xsim.learn.rigid import Q, V, W, X
 from mbds_xsim.learn.turning import rotate
@@ -145,24 +145,12 @@ class _Solved(torch.autograd.Function):
         return -by_goal @ value.mT, by_goal[..., 0], None
 
 
-class Mechanics(nn.Module):
+class Mechanics(TensorModule):
     """Nodes, constraints, mass matrix and known forces of one scene, without contact.
 
     Springs, dampers and rotors in joints raise Unsupported.
     """
 
-    fixed: Tensor
-    mass: Tensor
-    mass_inverse: Tensor
-    first: Tensor
-    second: Tensor
-    goal: Tensor
-    spring: Tensor
-    spring_law: Tensor
-    com: Tensor
-    hinge_axis: Tensor
-    turning: Tensor
-    gravity: Tensor
     moved_mass: Tensor
     """Masses of free nodes, then of rods [kg], (node + rod,): both have kinetic energy."""
     speed_map: Tensor
@@ -177,11 +165,10 @@ class Mechanics(nn.Module):
         self.mechanism = Mechanism.of(scene)
         loaded = [joint.name for joint in self.mechanism.joints if joint.is_loaded]
         if loaded:
-            msg = (
+            raise Unsupported(
                 f"joint {loaded[0]!r}: got a spring, damper or rotor, allowed is "
                 "none: HGNN and LGNN know points and no joint coordinates; take gns or sgnn"
             )
-            raise Unsupported(msg)
         self.points = points = points_of(self.mechanism)
         self.free, springs = points.free, self.mechanism.springs
         rows = rows_of(self.mechanism, points)
@@ -217,7 +204,6 @@ class Mechanics(nn.Module):
             com=np.array([body.com for body in points.bodies]),
             hinge_axis=_table(axes, points.count),
             turning=_table(turning, 4),
-            gravity=np.array(scene.gravity),
             moved_mass=moved_mass,
             speed_map=speed_map,
             coupling=coupling,
@@ -235,11 +221,11 @@ class Mechanics(nn.Module):
 
     def jacobian(self, q: Tensor) -> Jacobian:
         """Return A, the derivative of the residuals by the free nodes."""
-        return self.terms.at(q)
+        return Jacobian(self.terms, mixed(self.terms.moving, q) + self.terms.still)
 
     def jacobian_rate(self, v: Tensor) -> Jacobian:
         """Return the time derivative of A at velocities v."""
-        return self.terms.rate(v)
+        return Jacobian(self.terms, mixed(self.terms.moving, v))
 
     def bias(self, v: Tensor) -> Tensor:
         """Return Ȧ q̇, shape (batch, row)."""
@@ -316,7 +302,7 @@ def _table(rows: Sequence[ArrayLike], width: int) -> Array:
     return np.array(rows, dtype=np.float64).reshape(-1, width)
 
 
-class Terms(nn.Module):
+class Terms(TensorModule):
     """Constant part of the terms: the first of each row, then the second of some rows."""
 
     weight: Tensor
@@ -350,14 +336,6 @@ class Terms(nn.Module):
             coupling=weight @ mass_inverse @ weight.T,
             again=again,
         )
-
-    def at(self, q: Tensor) -> Jacobian:
-        """Return A at free nodes (batch, node, 3)."""
-        return Jacobian(self, mixed(self.moving, q) + self.still)
-
-    def rate(self, v: Tensor) -> Jacobian:
-        """Return Ȧ at velocities of the free nodes."""
-        return Jacobian(self, mixed(self.moving, v))
 
     def summed(self, values: Tensor, dim: int) -> Tensor:
         """Sum the terms of each row."""

@@ -187,12 +187,11 @@ def _frame(mechanism: Mechanism, body: int, idle: Array) -> _Frame:
     directions = np.concatenate([directions, others])
     moments = np.einsum("ki,ij,kj->k", directions, second, directions)
     if moments.min() < 1e-9 * moments.max():
-        msg = (
+        raise Unsupported(
             f"body {mechanism.scene.bodies[body].name!r}: got smallest second moment "
             f"{moments.min():.3g} kg·m², allowed is above 0: HGNN and LGNN replace bodies "
             "by points, which have no mass matrix for a flat body; take gns or sgnn"
         )
-        raise Unsupported(msg)
     radius = np.sqrt(moments[len(chosen) :] / mass)
     return _Frame(directions, np.array([*map(np.linalg.norm, chosen), *radius]), moments)
 
@@ -272,13 +271,9 @@ class PointRows:
 
 def rows_of(mechanism: Mechanism, points: NodePoints) -> PointRows:
     """Return the rows of rigid bodies, joints and distance links that involve a free node."""
-    products: list[tuple[Array, Array, float]] = []
-    for joint in mechanism.joints:
-        products += _coincidence(joint, points)
-    for body in points.bodies:
-        products += _rigid(body, points.count)
-    for joint in mechanism.joints:
-        products += _aligned(joint, points)
+    products = [row for joint in mechanism.joints for row in _coincidence(joint, points)]
+    products += [row for body in points.bodies for row in _rigid(body, points.count)]
+    products += [row for joint in mechanism.joints for row in _aligned(joint, points)]
     for link in mechanism.distances:
         span = points.span(link.bodies, link.in_body)
         products.append((span, span, link.length**2))

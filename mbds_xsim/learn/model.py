@@ -11,10 +11,11 @@ from dataclasses import replace
 from typing import Any, ClassVar, Literal, Self, final
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from mbds_xsim.base.errors import InputError, Unsupported, check_name
 from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.layers import TensorModule
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Motions, Sample, Start
 from mbds_xsim.simulate.registry import registered
@@ -37,7 +38,7 @@ _PUSHED = 0.5
 """Fraction of the windows that go on for one more frame, so half of a batch is recorded data."""
 
 
-class LearnedModel(nn.Module, ABC):
+class LearnedModel(TensorModule, ABC):
     """Learned model of one scene. Its state is a tensor with one row per trajectory.
 
     A subclass is constructed from graph, statistics and settings; its initial parameters are drawn
@@ -218,8 +219,7 @@ def track_of(name: str, track: str | None = None, usual: str = "") -> str:
     """
     tracks = load_model(name).tracks
     if track is not None and tracks and track not in tracks:
-        msg = f"--track: got {track!r}, allowed for {name} is {', '.join(tracks)}"
-        raise InputError(msg)
+        raise InputError(f"--track: got {track!r}, allowed for {name} is {', '.join(tracks)}")
     return track or (usual if usual in tracks else ["", *tracks][-1])
 
 
@@ -271,8 +271,7 @@ def rollout(
     most = motions.frame_count - HISTORY
     steps = most if steps is None else steps
     if not 1 <= steps <= most:
-        msg = f"steps: got {steps}, allowed is 1 to {most}"
-        raise InputError(msg)
+        raise InputError(f"steps: got {steps}, allowed is 1 to {most}")
     if model.needs_bodies and motions.body is None:
         msg = "this model starts from the bodies' states; read the motions with bodies=True"
         raise InputError(msg)

@@ -47,7 +47,6 @@ def save_model(
     **facts: str,
 ) -> None:
     """Write a model with its registered name, settings, statistics, and facts of its training."""
-    content = io.BytesIO()
     whole = {
         "format": _FORMAT,
         "name": name,
@@ -57,8 +56,7 @@ def save_model(
         "parameters": model.state_dict(),
         "facts": facts,
     }
-    torch.save(whole, content)
-    write_whole(path, content.getvalue())
+    write_stored(path, whole)
 
 
 def read_model(path: Path, scene: Scene | None = None) -> tuple[LearnedModel, dict[str, str]]:
@@ -110,8 +108,7 @@ def _check_sizes(settings: Any) -> None:
         if isinstance(value, dict) and key != "recipe":
             _check_sizes(value)
         elif isinstance(value, int) and not 0 <= value <= _LARGEST:
-            msg = f"{key}: got {value}, allowed is at most {_LARGEST}"
-            raise ValueError(msg)
+            raise ValueError(f"{key}: got {value}, allowed is at most {_LARGEST}")
 
 
 @contextmanager
@@ -127,8 +124,7 @@ def _no_larger_than(parameters: Mapping[str, torch.Tensor]) -> Iterator[None]:
         nonlocal left
         left -= 0 if parameter is None else parameter.numel()
         if left < 0:
-            msg = "its settings ask for more parameters than it has"
-            raise ValueError(msg)
+            raise ValueError("its settings ask for more parameters than it has")
 
     hook = register_module_parameter_registration_hook(count)
     try:
@@ -163,8 +159,7 @@ class _Whole(msgspec.Struct, frozen=True):
 def _read(path: Path) -> _Whole:
     whole = read_stored(path, "trained model", "give another, or remove it", dict[str, Any])
     if whole.get("format") != _FORMAT:
-        msg = f"{path}: no trained model of this version; train it again"
-        raise InputError(msg)
+        raise InputError(f"{path}: no trained model of this version; train it again")
     try:
         return msgspec.convert(whole, _Whole)
     except Exception as error:  # an array in place of a dictionary raises `AttributeError`
@@ -182,6 +177,13 @@ _NAMED = {
 """All names that a file of this project contains: functions, and the types of arrays."""
 
 
+def write_stored(path: Path, whole: dict[str, Any]) -> None:
+    """Write a file of `torch.save`, whole or not at all."""
+    content = io.BytesIO()
+    torch.save(whole, content)
+    write_whole(path, content.getvalue())
+
+
 def read_stored(path: Path, label: str, remedy: str, kind: type[Stored]) -> Stored:
     """Read a file of `torch.save` as a type for `msgspec.convert`.
 
@@ -193,18 +195,15 @@ def read_stored(path: Path, label: str, remedy: str, kind: type[Stored]) -> Stor
         whole = torch.load(path, weights_only=True, map_location="cpu", mmap=True)
         return msgspec.convert(whole, kind)
     except OSError as error:
-        msg = f"{path}: no {label} can be read ({error.strerror or error})"
-        raise InputError(msg) from error
+        raise InputError(f"{path}: no {label} can be read ({error.strerror or error})") from error
     except Exception as error:  # torch's own messages do not help a user
-        msg = f"{path}: no {label}, or a damaged one; {remedy}"
-        raise InputError(msg) from error
+        raise InputError(f"{path}: no {label}, or a damaged one; {remedy}") from error
 
 
 def array(value: object) -> Tensor:
     """Copy an array out of a file; raise ValueError unless all its numbers are in the file."""
     if type(value) is not Tensor or value.layout is not torch.strided or value.device.type != "cpu":
-        msg = f"got {type(value).__name__}, allowed is an array"
-        raise ValueError(msg)
+        raise ValueError(f"got {type(value).__name__}, allowed is an array")
     if value.numel() * value.element_size() > value.untyped_storage().nbytes():
         msg = f"got an array of shape {tuple(value.shape)} whose numbers are not all in the file"
         raise ValueError(msg)
@@ -214,8 +213,7 @@ def array(value: object) -> Tensor:
 def arrays(value: object) -> dict[str, Tensor]:
     """Copy arrays by name out of a file; raise ValueError if they are not arrays."""
     if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
-        msg = f"got {type(value).__name__}, allowed are arrays by name"
-        raise ValueError(msg)
+        raise ValueError(f"got {type(value).__name__}, allowed are arrays by name")
     return {key: array(item) for key, item in value.items()}
 
 
@@ -240,9 +238,7 @@ def _check_archive(path: Path) -> None:
 def _check_names(content: bytes) -> None:
     for opcode, argument, _ in pickletools.genops(content):
         if opcode.name == "PROTO" and argument != _PROTOCOL:  # torch warns of others
-            msg = f"protocol {argument}"
-            raise ValueError(msg)
+            raise ValueError(f"protocol {argument}")
         imports = opcode.name in ("GLOBAL", "STACK_GLOBAL", "INST", "EXT1", "EXT2", "EXT4")
         if imports and argument not in _NAMED:
-            msg = f"names {argument}"
-            raise ValueError(msg)
+            raise ValueError(f"names {argument}")

@@ -62,8 +62,6 @@ class NeRD(BodyModel):
     }
     symmetries: ClassVar[frozenset[Symmetry]] = frozenset({"shift", "turn"})
 
-    down: Tensor
-
     def __init__(self, graph: Graph, statistics: Statistics, settings: NerdSettings) -> None:
         super().__init__(graph, statistics, settings)
         bodies, spheres = graph.body_count, len(self.viewer.sphere_body)
@@ -109,13 +107,11 @@ class NeRD(BodyModel):
         tokens = self.embed(self._seen(state, inputs, origin, frame).to(place)) + place
         outputs = self.read(self.blocks(tokens)[:, -1]).to(state)
         outputs = outputs.unflatten(-1, (-1, ADDED, 2, DIMENSION)) @ frame[:, -1, None, None].mT
-        last, view = state[:, -1], self.viewer
+        last, units = state[:, -1], (self.viewer.speed * self.graph.frame_s, self.viewer.change)
         hold = self.rigid.hold(last)
-        added = []
-        for k, unit in enumerate((view.speed * self.graph.frame_s, view.change)):
-            shift, turn = outputs[:, :, k].unbind(-2)
-            change = unit * view.links(last, shift, turn / view.radius) * self.rigid.moves
-            added.append(change if hold is None else hold.kept(change))
+        added = [
+            hold.kept(unit * self.on_joints(last, outputs[:, :, k])) for k, unit in enumerate(units)
+        ]
         return last, torch.stack(added, dim=1)
 
     def _base(self, state: Tensor) -> tuple[Tensor, Tensor]:

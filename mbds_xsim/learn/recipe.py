@@ -125,11 +125,9 @@ higher rate, validation errors fluctuate by more than they improve."""
 def check_device(device: str, *, here: bool = True) -> None:
     """Raise InputError for an unknown device or, if `here`, for one that this machine lacks."""
     if device not in ("cpu", "cuda"):
-        msg = f"--device: got {device!r}, allowed is cpu or cuda"
-        raise InputError(msg)
+        raise InputError(f"--device: got {device!r}, allowed is cpu or cuda")
     if here and device == "cuda" and not torch.cuda.is_available():
-        msg = "--device: got 'cuda', but torch finds no GPU here; allowed is cpu"
-        raise InputError(msg)
+        raise InputError("--device: got 'cuda', but torch finds no GPU here; allowed is cpu")
 
 
 def process_count(workers: int | None, device: str) -> int:

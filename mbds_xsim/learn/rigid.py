@@ -1,4 +1,4 @@
-"""Rigid bodies on joints in torch: smooth motion over a frame, and projection onto the joints.
+"""Rigid bodies on joints in torch: smooth motion, projection onto joints, motions these allow.
 
 The step is RATTLE (Andersen, J. Comput. Phys. 52 (1983) 24): impulses at the step's start put
 positions onto the joints, impulses at its end put velocities there. It is of second order, exact
@@ -19,10 +19,10 @@ from torch import Tensor, nn
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.learn import turning
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.layers import keep
+from mbds_xsim.learn.layers import TensorModule, keep, summed
 from mbds_xsim.learn.window import KnownInputs
 from mbds_xsim.scene.constraints import layout_of
-from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.mechanism import Link, Mechanism
 
 X, Q, TWIST, V, W = slice(0, 3), slice(3, 7), slice(7, 13), slice(7, 10), slice(10, 13)
 """Parts of a state: position, rotation, twist, velocity, angular velocity."""
@@ -30,7 +30,7 @@ _PASSES = 2  # Newton iterations with the matrix of the step's start
 _REST = 1e-10  # relative to a row's own size: redundant rows have a factor, too
 
 
-class JointRows(nn.Module):
+class JointRows(TensorModule):
     """Residuals of all joints and distance links, and their Jacobian by the twists of the bodies.
 
     `mbds_xsim.scene.constraints` defines them. A row along a direction e between two points p of
@@ -38,11 +38,6 @@ class JointRows(nn.Module):
     a right angle depends on angular velocities alone.
     """
 
-    vector_body: Tensor
-    vector: Tensor
-    first: Tensor
-    second: Tensor
-    length: Tensor
     ends: Tensor
     """Body at the parent's end of each row, then at the child's, shape (2 · row,)."""
     pairs: Tensor
@@ -50,7 +45,6 @@ class JointRows(nn.Module):
     shape (2, pair)."""
     place: Tensor
     """Place of the product of each pair in a flat matrix (row, row), shape (pair,)."""
-    axes: Tensor
 
     def __init__(self, mechanism: Mechanism) -> None:
         super().__init__()
@@ -85,19 +79,12 @@ class JointRows(nn.Module):
         """
         return (turn[:, self.vector_body] @ self.vector[..., None])[..., 0]
 
-    def residual(self, x: Tensor, turn: Tensor) -> Tensor:
-        """Return the residuals of the rows [m or rad], shape (batch, row).
-
-        `x` has centres of mass [m], `turn` rotation matrices; the world follows the bodies.
-        """
-        return self._spans(x, turn)[2]
-
     def halves(self, x: Tensor, turn: Tensor) -> Tensor:
         """Return the derivatives of the rows by the twists of the bodies at their ends (`ends`).
 
         Shape (batch, 2 · row, 6): by the parents' twists first, then by the children's.
         """
-        vectors, span, _ = self._spans(x, turn)
+        vectors, span, _ = self.spans(x, turn)
         layout, count = self.layout, len(self.first)
         points, along, links = layout.points, layout.along, layout.distances
         begin, end = vectors[:, :count], vectors[:, count : 2 * count]
@@ -117,8 +104,12 @@ class JointRows(nn.Module):
             halves.append(sign * torch.cat([move, spin], dim=-1))
         return torch.cat(halves, dim=1)
 
-    def _spans(self, x: Tensor, turn: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return rotated body-fixed vectors, spans from parents to children, and residuals."""
+    def spans(self, x: Tensor, turn: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return rotated body-fixed vectors, spans from parents to children, and residuals.
+
+        `x` has centres of mass [m], `turn` rotation matrices; the world follows the bodies.
+        Residuals are in m or rad, shape (batch, row).
+        """
         layout, vectors, count = self.layout, self.vectors(turn), len(self.first)
         begin, end = vectors[:, :count], vectors[:, count : 2 * count]
         span = x[:, self.second] + end - x[:, self.first] - begin
@@ -160,31 +151,25 @@ class JointHold:
         multiplier = torch.linalg.solve_triangular(self.factor.mT, side, upper=True)
         pull = self.over_mass * multiplier.repeat(1, 2, 1)
         world = self.rows.body_count
-        change = pull.new_zeros(len(pull), world + 1, 6).index_add(1, self.rows.ends, pull)
-        return change[:, :world]
+        return summed(pull, self.rows.ends, world + 1)[:, :world]
 
     def kept(self, change: Tensor) -> Tensor:
         """Return the part of changes (batch, body, 6) that the joints allow."""
+        if not len(self.rows):
+            return change
         whole = nn.functional.pad(change, (0, 0, 0, 1))  # the world does not change
         along = (self.jacobian * whole.index_select(1, self.rows.ends)).sum(-1)
         return change - self.least(along[:, : len(self.rows)] + along[:, len(self.rows) :])
 
 
-class BodyMechanics(nn.Module):
+class BodyMechanics(TensorModule):
     """Masses, joints, gravity and driven hinges of one scene.
 
     Springs, and dampers, rotors, friction and couplings in joints, raise Unsupported.
     """
 
-    mass: Tensor
-    inertia: Tensor
-    lightness: Tensor
-    gravity: Tensor
     moves: Tensor
     """Mask of the six components of a twist: 1 where the scene moves, else 0."""
-    still: Tensor
-    hinge_parent: Tensor
-    hinge_child: Tensor
 
     def __init__(self, graph: Graph) -> None:
         super().__init__()
@@ -192,15 +177,15 @@ class BodyMechanics(nn.Module):
         loaded = [f"joint {joint.name!r}" for joint in mechanism.joints if joint.is_loaded]
         loaded += [f"spring {spring.name!r}" for spring in mechanism.springs]
         if loaded:
-            msg = (
+            raise Unsupported(
                 f"{loaded[0]}: got a spring, damper, rotor, friction or coupling, allowed is none: "
                 "models of bodies know rigid joints alone; take gns or sgnn"
             )
-            raise Unsupported(msg)
         self.rows = JointRows(mechanism)
         spatial = graph.scene.dimension == 3
         moves = torch.cat([graph.moving, torch.tensor([spatial, True, spatial])])
         inertia = torch.from_numpy(mechanism.inertia)
+        ends = [*(h.child for h in mechanism.hinges), *(h.parent for h in mechanism.hinges)]
         keep(
             self,
             mass=torch.from_numpy(mechanism.mass)[:, None],
@@ -209,8 +194,7 @@ class BodyMechanics(nn.Module):
             gravity=graph.gravity,
             moves=moves.to(graph.gravity),
             still=torch.tensor([[0.0] * 3 + [1.0] + [0.0] * 3], dtype=torch.float64),
-            hinge_parent=torch.tensor([h.parent for h in mechanism.hinges], dtype=torch.int64),
-            hinge_child=torch.tensor([h.child for h in mechanism.hinges], dtype=torch.int64),
+            hinge_ends=torch.tensor(ends, dtype=torch.int64) % (mechanism.body_count + 1),
         )
 
     def moved(self, state: Tensor, change: Tensor) -> Tensor:
@@ -238,11 +222,11 @@ class BodyMechanics(nn.Module):
         terms = self.mass * change[..., :3].square() + change[..., 3:] * spin
         return terms.sum((-2, -1)) / self.mass.sum()
 
-    def hold(self, state: Tensor) -> JointHold | None:
-        """Return the joints at a pose, or None if there are none."""
-        if not len(self.rows):
-            return None
+    def hold(self, state: Tensor) -> JointHold:
+        """Return the joints at a pose; there may be none."""
         rows, count = self.rows, len(self.rows)
+        if not count:
+            return JointHold(rows, *[state.new_zeros(0)] * 4)
         jacobian = rows.halves(*self._placed(state))
         # Any mass of the world will do: its ends are in no pair, and `least` drops them.
         ends = rows.ends.clamp(max=rows.body_count - 1)
@@ -260,28 +244,26 @@ class BodyMechanics(nn.Module):
 
     def residual(self, state: Tensor) -> Tensor:
         """Return how far the joints are open [m or rad], shape (batch, row)."""
-        return self.rows.residual(*self._placed(state))
+        return self.rows.spans(*self._placed(state))[2]
 
     def smooth(
         self, state: Tensor, inputs: KnownInputs, frame_s: float, substeps: int
-    ) -> tuple[list[Tensor], JointHold | None]:
+    ) -> tuple[list[Tensor], JointHold]:
         """Move bodies on their joints over a frame, without contact.
 
         Returns:
             The states at the start and after each step, and the joints at the last state.
         """
         hold = self.hold(state)
-        if hold is not None:
-            state = torch.cat([state[..., :7], hold.kept(state[..., TWIST])], dim=-1)
-        states = [state]
+        states = [torch.cat([state[..., :7], hold.kept(state[..., TWIST])], dim=-1)]
         for _ in range(substeps):
-            state, hold = self._step(state, hold, inputs, frame_s / substeps)
+            state, hold = self._step(states[-1], hold, inputs, frame_s / substeps)
             states.append(state)
         return states, hold
 
     def _step(
-        self, state: Tensor, hold: JointHold | None, inputs: KnownInputs, step: float
-    ) -> tuple[Tensor, JointHold | None]:
+        self, state: Tensor, hold: JointHold, inputs: KnownInputs, step: float
+    ) -> tuple[Tensor, JointHold]:
         """Take a RATTLE step: half a kick, a drift that ends on the joints, half a kick."""
         half = 0.5 * step
         inertia = self._turned(self.inertia, state[..., Q])
@@ -290,10 +272,11 @@ class BodyMechanics(nn.Module):
         spin = _times(inertia, state[..., W]) + half * self._couples(state, inputs.torque)
         midway = turning.multiply(turning.from_vector(half * state[..., W]), state[..., Q])
         lightness = self._turned(self.lightness, midway)
-        for k in range(_PASSES + 1 if hold else 1):
+        passes = _PASSES if len(self.rows) else 0
+        for k in range(passes + 1):
             twist = torch.cat([v, _times(lightness, spin)], dim=-1) * self.moves
             after = self.moved(state, step * twist)
-            if hold is None or k == _PASSES:
+            if k == passes:
                 break
             kick = hold.least(self.residual(after)) / step
             v, spin = v - kick[..., :3], spin - _times(inertia, kick[..., 3:])
@@ -301,7 +284,7 @@ class BodyMechanics(nn.Module):
         spin = spin + half * self._couples(after, inputs.torque)
         spin = _times(self._turned(self.lightness, after[..., Q]), spin)
         twist, hold = torch.cat([v, spin], dim=-1) * self.moves, self.hold(after)
-        return torch.cat([after[..., :7], hold.kept(twist) if hold else twist], dim=-1), hold
+        return torch.cat([after[..., :7], hold.kept(twist)], dim=-1), hold
 
     def _couples(self, state: Tensor, torque: Tensor) -> Tensor:
         """Return the torques of the driven hinges on the bodies [N·m], shape (batch, body, 3)."""
@@ -309,9 +292,7 @@ class BodyMechanics(nn.Module):
         if torque.shape[-1]:
             _, turn = self._placed(state)
             along = self.rows.vectors(turn)[:, self.rows.layout.hinge] * torque[..., None]
-            world = state.shape[1]
-            couple = couple.index_add(1, self.hinge_child % (world + 1), along)
-            couple = couple.index_add(1, self.hinge_parent % (world + 1), -along)
+            couple = couple.index_add(1, self.hinge_ends, torch.cat([along, -along], dim=1))
         return couple[:, :-1]
 
     def _placed(self, state: Tensor) -> tuple[Tensor, Tensor]:
@@ -327,3 +308,74 @@ class BodyMechanics(nn.Module):
 
 def _times(matrix: Tensor, vector: Tensor) -> Tensor:
     return (matrix @ vector[..., None])[..., 0]
+
+
+class Links(TensorModule):
+    """Tree of bodies that carry each other, and the motion of each on its joint.
+
+    A body moves with the body that carries it, and in addition as its own joint allows: in any way
+    if it is free, about any axis on a ball joint, about one axis on a hinge, along one on a slider.
+    """
+
+    carried: Tensor
+    """Matrix whose row i is 1 at body i and at all bodies that carry it, shape (body, body)."""
+    parent: Tensor
+    """Body that carries each body; the world follows the bodies, shape (body,)."""
+    arm: Tensor
+    """Vector from the centre of mass to the joint in the native frame [m]; 0 for free bodies."""
+
+    def __init__(self, mechanism: Mechanism) -> None:
+        super().__init__()
+        count = mechanism.body_count
+        links = sorted(mechanism.links, key=lambda link: link.body)
+        carried = torch.eye(count).double()
+        for link in mechanism.links:  # parents come before children
+            if link.parent >= 0:
+                carried[link.body] += carried[link.parent]
+        # Others than free bodies and ball joints shift or turn at most along an axis.
+        free = torch.tensor([[link.joint is None] for link in links])
+        balls = torch.tensor([[bool(link.joint and link.joint.kind == "ball")] for link in links])
+        keep(
+            self,
+            carried=carried,
+            parent=torch.tensor([link.parent % (count + 1) for link in links]),
+            arm=_joint_vectors(links, "in_child"),
+            shift_axis=_joint_vectors(links, "axis", "slider"),
+            turn_axis=_joint_vectors(links, "axis", "hinge"),
+            shifts=free.double(),
+            turns=(free | balls).double(),
+        )
+
+    def forward(self, state: Tensor, shift: Tensor, turn: Tensor) -> Tensor:
+        """Return the twists (batch, body, 6) of bodies with these motions on their joints.
+
+        States are (batch, body, 13); shifts and turns, relative to the parent's, (batch, body, 3).
+        """
+        shift = self.shifts * shift + _along(self._turned(self.shift_axis, state), shift)
+        turn = self.turns * turn + _along(self._turned(self.turn_axis, state), turn)
+        pivot = state[..., X] + self._turned(self.arm, state)
+        spin = self.carried @ turn
+        lever = self.carried @ (shift - torch.linalg.cross(turn, pivot))
+        return torch.cat([lever + torch.linalg.cross(spin, state[..., X]), spin], dim=-1)
+
+    def beside(self, values: Tensor) -> Tensor:
+        """Subtract the parent's vector from each body's, (batch, body, 3); the world's is 0."""
+        return values - nn.functional.pad(values, (0, 0, 0, 1))[:, self.parent]
+
+    def _turned(self, vectors: Tensor, state: Tensor) -> Tensor:
+        return turning.rotate(state[..., Q], vectors)
+
+
+def _joint_vectors(links: list[Link], name: str, kind: str = "") -> Tensor:
+    """Return a vector of each link's joint; 0 for joints of another kind and free bodies."""
+    rows = [
+        list(getattr(link.joint, name))
+        if link.joint and kind in ("", link.joint.kind)
+        else [0.0] * 3
+        for link in links
+    ]
+    return torch.tensor(rows, dtype=torch.float64)
+
+
+def _along(axis: Tensor, vectors: Tensor) -> Tensor:
+    return (axis * vectors).sum(-1, keepdim=True) * axis

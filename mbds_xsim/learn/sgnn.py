@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.layers import keep
+from mbds_xsim.learn.layers import TensorModule, keep
 from mbds_xsim.learn.model import Change, PointModel, Symmetry, pushed
 from mbds_xsim.learn.recipe import Cosine, Plateau, Recipe
 from mbds_xsim.learn.sgnn_network import Hierarchy, Network, pool
@@ -63,10 +63,6 @@ class SGNN(PointModel):
             recipe=Recipe(rate=1e-3, horizon=4, schedule=Cosine()),
         ),
     }
-    length: Tensor
-    channel_size: Tensor
-    about: Tensor
-    up: Tensor
 
     def __init__(self, graph: Graph, statistics: Statistics, settings: SGNNSettings) -> None:
         super().__init__(graph, statistics, settings)
@@ -156,11 +152,8 @@ class SGNN(PointModel):
         return torch.stack([force, torch.linalg.cross(torque, arm)], dim=-2)
 
 
-class Unit(nn.Module):
+class Unit(TensorModule):
     """Mean, and one deviation for all axes, stored with the model."""
-
-    mean: Tensor
-    std: Tensor
 
     def __init__(self, moments: Moments) -> None:
         super().__init__()

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
-from mbds_xsim.learn.layers import keep, mlp
+from mbds_xsim.learn.layers import TensorModule, keep, mlp
 
 LEAST_NORM = 1e-6
 """Norm below which a Gram matrix of normalised vectors counts as zero; keeps gradients finite."""
@@ -88,21 +88,14 @@ def averaging(groups: Tensor, group_count: int) -> Tensor:
     return membership.to(torch.get_default_dtype()) / sizes
 
 
-class Scalars(NamedTuple):
-    """Block of scalar inputs; with `rows`, they are gathered after the first product.
+class Gathered(NamedTuple):
+    """Block of scalar inputs whose rows are gathered after the first product.
 
     A node's row is then multiplied once, however many edges read it.
     """
 
     values: Tensor
-    rows: Tensor | None = None
-
-    def add(self, total: Tensor, weight: Tensor) -> None:
-        """Add to a total each row times the block's part of a linear layer's weight."""
-        if self.rows is None:
-            total.flatten(0, -2).addmm_(self.values.flatten(0, -2), weight.T)
-        else:
-            total += functional.linear(self.values, weight).index_select(-2, self.rows)
+    rows: Tensor
 
 
 class SubequivariantMap(nn.Module):
@@ -121,7 +114,7 @@ class SubequivariantMap(nn.Module):
         self.first = nn.Linear(sum(self.widths), hidden)
         self.rest = mlp(hidden, channels * outputs + hidden, hidden=hidden, layers=layers - 1)
 
-    def forward(self, vectors: Tensor, *scalars: Scalars) -> tuple[Tensor, Tensor]:
+    def forward(self, vectors: Tensor, *scalars: Tensor | Gathered) -> tuple[Tensor, Tensor]:
         """Map vectors (…, channel, 3) and scalars to vectors (…, output, 3), scalars (…, hidden).
 
         Last channels and last blocks that are left out count as zero.
@@ -131,7 +124,10 @@ class SubequivariantMap(nn.Module):
         gram = gram.reshape(-1, self.channels, self.channels)[:, :count, :count].flatten(1)
         start = functional.linear(invariants(vectors), gram, self.first.bias)
         for block, weight in zip(scalars, weights[: len(scalars)], strict=True):
-            block.add(start, weight)
+            if isinstance(block, Gathered):
+                start += functional.linear(block.values, weight).index_select(-2, block.rows)
+            else:
+                start.flatten(0, -2).addmm_(block.flatten(0, -2), weight.T)
         *inner, last = self.rest
         assert isinstance(last, nn.Linear)
         deep = functional.silu(start)
@@ -179,19 +175,18 @@ class Passing(nn.Module):
         scalars: Tensor,
         edges: Edges,
         edge_vectors: Tensor,
-        edge_scalars: Tensor | None = None,
+        *edge_scalars: Tensor,
     ) -> tuple[Tensor, Tensor]:
         """Pass messages; vectors (batch, node, channel, 3), scalars (batch, node, hidden)."""
         if not len(edges.senders):  # no messages: a node reads only its own state
             for _ in range(self.steps):
-                vectors, scalars = self.update(vectors, Scalars(scalars))
+                vectors, scalars = self.update(vectors, scalars)
             return vectors, scalars
-        of_edge = [] if edge_scalars is None else [Scalars(edge_scalars)]
         for _ in range(self.steps):
-            at_ends = end_scalars(scalars, edges)
-            messages, hidden = self.message(ends(vectors, edges, edge_vectors), *at_ends, *of_edge)
+            whole, at_ends = ends(vectors, edges, edge_vectors), end_scalars(scalars, edges)
+            messages, hidden = self.message(whole, *at_ends, *edge_scalars)
             received = torch.cat([vectors, pool(edges.mean, messages)], dim=-2)
-            vectors, scalars = self.update(received, Scalars(scalars), Scalars(edges.mean @ hidden))
+            vectors, scalars = self.update(received, scalars, edges.mean @ hidden)
         return vectors, scalars
 
 
@@ -201,9 +196,9 @@ def ends(vectors: Tensor, edges: Edges, edge_vectors: Tensor) -> Tensor:
     return torch.cat([*at, edge_vectors], dim=-2)
 
 
-def end_scalars(scalars: Tensor, edges: Edges) -> tuple[Scalars, Scalars]:
+def end_scalars(scalars: Tensor, edges: Edges) -> tuple[Gathered, Gathered]:
     """Return the scalars of an edge's receiver and sender."""
-    return Scalars(scalars, edges.receivers), Scalars(scalars, edges.senders)
+    return Gathered(scalars, edges.receivers), Gathered(scalars, edges.senders)
 
 
 def apart(position: Tensor, edges: Edges) -> Tensor:
@@ -241,15 +236,13 @@ class _Invariants(torch.autograd.Function):
         return (slope + slope.mT) @ vectors
 
 
-class Network(nn.Module):
+class Network(TensorModule):
     """Network for the next frame's normalised motion: between, over and within objects.
 
     It commutes with every rotation and reflection that leaves `down` as it is (a unit vector along
     gravity, zero without), with translation (positions enter as differences), and with renumbering
     particles and objects. Particles have external vectors, such as a force on them, and scalars.
     """
-
-    down: Tensor
 
     def __init__(
         self,

@@ -7,7 +7,6 @@ resumes from its checkpoint and ends with the same bits.
 from __future__ import annotations
 
 import copy
-import io
 import math
 import time
 from collections.abc import Callable, Mapping
@@ -20,9 +19,8 @@ import torch
 from torch import Tensor
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.files import write_whole
 from mbds_xsim.learn.model import LearnedModel, roll
-from mbds_xsim.learn.model_file import array, arrays, read_stored
+from mbds_xsim.learn.model_file import array, arrays, read_stored, write_stored
 from mbds_xsim.learn.recipe import (
     SETTLED,
     WITHOUT_END,
@@ -118,8 +116,7 @@ def train(
     """
     for motions, split in ((training, "train"), (validation, "validation")):
         if motions.split != split:
-            msg = f"train: got the part {motions.split!r}, allowed here is {split!r}"
-            raise InputError(msg)
+            raise InputError(f"train: got the part {motions.split!r}, allowed here is {split!r}")
     own = {"seed": str(seed), "recipe": repr(recipe), "profile": repr(profile)}
     loop = _Loop(model, recipe, profile, seed, {**own, **(identity or {})})
     if checkpoint is not None and checkpoint.exists():
@@ -129,8 +126,7 @@ def train(
     horizon = min(profile.horizon, validation.frame_count - HISTORY)
     sample = validation.sample(rows, HISTORY - 1, horizon)
     while not loop.training.ended:
-        loop.learn(training)
-        loop.judge(sample)
+        loop.judge(sample, loop.learn(training))
         if checkpoint is not None:
             loop.save(checkpoint)
         if tell is not None:
@@ -182,20 +178,26 @@ class _Loop:
         self.generator = torch.Generator().manual_seed(seed)
         self.adam = optimiser(model, recipe)
 
-    def learn(self, training: Motions) -> None:
-        """Take steps until the next validation."""
-        self.total = torch.zeros((), device=training.position.device)
-        self.from_step, self.failed = self.step, 0
-        while self.step < min(self.from_step + self.profile.every, self.profile.steps):
+    def learn(self, training: Motions) -> float:
+        """Take steps until the next validation, and return the mean loss of those not skipped.
+
+        It is NaN if at least half of them were skipped.
+        """
+        total, taken, skipped = torch.zeros((), device=training.position.device), 0, 0
+        for _ in range(min(self.profile.every, self.profile.steps - self.step)):
             sample = training.draw(self.recipe.batch, self.generator, self.recipe.horizon)
             try:
                 loss = self._descend(sample)
             except torch.linalg.LinAlgError:  # type: ignore[attr-defined]
                 loss = None
-            self.failed += loss is None
-            self.total += 0.0 if loss is None else loss
+            if loss is None:
+                skipped += 1
+            else:
+                total += loss
+                taken += 1
             self.step += 1
-        self.training.skipped += self.failed
+        self.training.skipped += skipped
+        return float(total) / taken if taken > skipped else math.nan
 
     def _descend(self, sample: Sample) -> Tensor | None:
         """Take a step and return its loss; None if it is skipped."""
@@ -214,11 +216,9 @@ class _Loop:
         self.adam.step()
         return loss.detach()
 
-    def judge(self, sample: Sample) -> None:
+    def judge(self, sample: Sample, loss: float) -> None:
         """Validate, keep the best parameters, lower the rate, and decide whether the run ends."""
         model, curve = self.training.model, self.training.curve
-        steps = self.step - self.from_step - self.failed
-        loss = float(self.total) / steps if steps > self.failed else math.nan
         error = validation_error(model, sample) if math.isfinite(loss) else math.inf
         if error < min((point.error for point in curve), default=math.inf):
             self.best_state = copy.deepcopy(model.state_dict())
@@ -249,7 +249,6 @@ class _Loop:
 
     def save(self, path: Path) -> None:
         """Write a checkpoint, whole or not at all."""
-        content = io.BytesIO()
         state = {
             "identity": self.identity,
             "step": self.step,
@@ -260,8 +259,7 @@ class _Loop:
             "generator": self.generator.get_state(),
             **{name: msgspec.to_builtins(getattr(self.training, name)) for name in _KEPT},
         }
-        torch.save(state, content)
-        write_whole(path, content.getvalue())
+        write_stored(path, state)
 
     def restore(self, path: Path) -> None:
         """Resume from a checkpoint."""
@@ -270,8 +268,7 @@ class _Loop:
         try:
             model.load_state_dict(arrays(state.model))
         except (RuntimeError, ValueError) as error:
-            msg = f"{path}: a checkpoint of another model; name another file"
-            raise InputError(msg) from error
+            raise InputError(f"{path}: a checkpoint of another model; name another file") from error
         try:
             self.best_state = arrays(state.best)
             moments = {key: arrays(values) for key, values in state.adam["state"].items()}
@@ -311,11 +308,10 @@ def check_identity(
         if stated.get(key) != own[key]
     ]
     if facts:
-        msg = (
+        raise InputError(
             f"{path}: {label} of another {', '.join(facts)}; name another place, or remove it "
             "to start over"
         )
-        raise InputError(msg)
 
 
 def _entries_apart(stated: str, own: str) -> str:

@@ -121,11 +121,10 @@ class Motions(RowBundle):
         chosen = data.rows_of(split) if rows is None else np.intersect1d(data.rows_of(split), rows)
         frames = int(data.attributes["steps"]) + 1
         if not len(chosen) or frames <= HISTORY:
-            msg = (
+            raise InputError(
                 f"{data.path}: {len(chosen)} trajectories of {frames} frames for {split}, needed "
                 f"are at least 1 of {HISTORY + 1}; generate more"
             )
-            raise InputError(msg)
         graph = Graph.of(data.scene)
 
         def read(name: str) -> Tensor:
@@ -178,13 +177,8 @@ class Motions(RowBundle):
 
     def until(self, frames: int) -> Motions:
         """Keep at most the first `frames` frames of all trajectories."""
-        return replace(
-            self,
-            position=self.position[:, :frames],
-            velocity=self.velocity[:, :frames],
-            inputs=self.inputs[:, : frames - 1],
-            body=None if self.body is None else self.body[:, :frames],
-        )
+        first = self.mapped(lambda values: values[:, :frames], RowBundle)
+        return replace(first, inputs=self.inputs[:, : frames - 1])
 
     def window_count(self, horizon: int = 1) -> int:
         """Return the number of windows of `HISTORY` known frames and `horizon` frames to come."""

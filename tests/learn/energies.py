@@ -35,7 +35,8 @@ class TrueEnergy(nn.Module):
 
     def potential(self, q: Tensor) -> Tensor:
         mass = self.mechanics.moved_mass[: self.mechanics.free, None]
-        weight = -(mass * q * self.mechanics.gravity).sum((-1, -2))
+        gravity = torch.tensor(self.mechanics.mechanism.scene.gravity, dtype=torch.float64)
+        weight = -(mass * q * gravity).sum((-1, -2))
         span = torch.linalg.vector_norm(self.mechanics.spring @ self.mechanics.all_nodes(q), dim=-1)
         stiffness, rest = self.mechanics.spring_law[:, 0], self.mechanics.spring_law[:, 1]
         return weight + 0.5 * (stiffness * (span - rest) ** 2).sum(-1)

@@ -71,7 +71,7 @@ def test_bodies_are_found_in_their_nodes(scene: str) -> None:
     model = _built("lgnn+", motions)
     assert isinstance(model, ImpulseModel)
     state = model.begin(motions.sample(torch.arange(len(motions)), HISTORY - 1, 1).start)
-    recovered = model.nodes.bodies(*model.nodes.placed(state), state, 0.0)
+    recovered = model.nodes.bodies(model.nodes.placed(state), state, 0.0)
     torch.testing.assert_close(recovered, state, rtol=0.0, atol=1e-9)
 
 
@@ -83,7 +83,7 @@ def test_a_turn_is_found_whatever_of_it_the_spin_tells(followed: float) -> None:
     state = model.begin(motions.sample(torch.arange(len(motions)), HISTORY - 1, 1).start)
     turn = torch.tensor([0.0, 0.0, 0.0, 0.7, -0.9, 0.4], dtype=torch.float64)
     turned = model.rigid.moved(state, turn.expand(len(state), 1, 6))
-    recovered = model.nodes.bodies(*model.nodes.placed(turned), state, followed)
+    recovered = model.nodes.bodies(model.nodes.placed(turned), state, followed)
     same = (recovered[..., Q] * turned[..., Q]).sum(-1).abs()  # q and -q are one turn
     torch.testing.assert_close(same, torch.ones_like(same), rtol=0.0, atol=1e-12)
 

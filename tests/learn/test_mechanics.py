@@ -121,10 +121,9 @@ def test_a_pendulum_is_its_particles() -> None:
 
 def rate_of(kind: str, energy: TrueEnergy, force: Tensor, torque: Tensor, state: Tensor) -> Tensor:
     """Rate of nodes and their velocities, or momenta, under forces and torques."""
-    (q, v), inputs = state.unbind(1), KnownInputs(force, torque)
-    if kind == "lgnn":
-        return torch.stack([v, Lagrangian(energy).acceleration(q, v, inputs)], dim=1)
-    return torch.stack(Hamiltonian(energy).derivative(q, v, inputs), dim=1)
+    model = Lagrangian(energy) if kind == "lgnn" else Hamiltonian(energy)
+    q, x = state.unbind(1)
+    return torch.stack(model.derivative(q, x, KnownInputs(force, torque)), dim=1)
 
 
 @pytest.mark.parametrize("kind", ["lgnn", "hgnn"])

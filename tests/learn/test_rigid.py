@@ -9,8 +9,7 @@ from torch import Tensor
 
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.links import Links
-from mbds_xsim.learn.rigid import BodyMechanics, JointHold
+from mbds_xsim.learn.rigid import BodyMechanics, JointHold, Links
 from mbds_xsim.learn.window import KnownInputs
 from mbds_xsim.reference.solution import solve
 from mbds_xsim.scene.constraints import constraint_rows, dense_jacobian
@@ -68,7 +67,6 @@ def test_rows_are_those_of_the_scene(name: str) -> None:
     rows = constraint_rows(graph.mechanism, *np.split(state.numpy(), (3, 7, 10), axis=-1))
     bodies = BodyMechanics(graph)
     hold = bodies.hold(state)
-    assert hold is not None
     np.testing.assert_allclose(bodies.residual(state).numpy(), rows.residual, atol=1e-12)
     dense = dense_jacobian(rows, graph.body_count)
     np.testing.assert_allclose(_dense(hold).numpy(), dense, atol=1e-12)
@@ -101,7 +99,6 @@ def test_motions_of_links_are_those_that_joints_allow(name: str) -> None:
     state = _states(graph, truth)[:, 3]
     hold = BodyMechanics(graph).hold(state)
     links = Links(graph.mechanism)
-    assert hold is not None
     each = torch.eye(6 * graph.body_count).double().reshape(-1, graph.body_count, 6)
     for pose, jacobian in zip(state, _dense(hold), strict=True):
         twists = links(pose.expand(len(each), -1, -1), each[..., :3], each[..., 3:]).flatten(1)
@@ -116,7 +113,6 @@ def test_joints_take_the_least_of_a_change() -> None:
     _, truth = _solved(graph.scene)
     state, bodies = _states(graph, truth)[:, 2], BodyMechanics(graph)
     hold = bodies.hold(state)
-    assert hold is not None
     change = torch.from_numpy(np.random.default_rng(5).normal(size=(3, graph.body_count, 6)))
     kept = hold.kept(change)
     assert (_dense(hold) @ kept.flatten(1)[..., None]).abs().max() < 1e-6
