@@ -17,6 +17,7 @@ readers come last. Each model has a process of its own; as many run at a time as
 from __future__ import annotations
 
 import hashlib
+import itertools
 import re
 import sys
 import time
@@ -28,9 +29,7 @@ from pathlib import Path
 import msgspec
 
 from benchmarks.other_readings import from_compiled, from_pinocchio
-from benchmarks.survey_page import print_page
-from benchmarks.survey_rows import READERS, Cause, SurveyRow
-from benchmarks.survey_wheels import write_wheels
+from benchmarks.survey import READERS, Cause, SurveyRow, print_page, write_wheels
 from benchmarks.validated_model import verdicts_on
 from mbds_xsim.base import versions
 from mbds_xsim.base.errors import InputError
@@ -45,6 +44,7 @@ _MOVES = {
     "robot": re.compile(r"<joint[^>]*type\s*=\s*.(revolute|continuous|prismatic|floating|planar)"),
 }
 _INCLUDES = re.compile(r"<include\s+file\s*=\s*[\"']([^\"']+)")
+_FREEDOMS = {"hinge": 1, "slider": 1, "ball": 3, "fixed": 0}
 _ROOT = re.compile(r"<(mujoco|robot)\b")
 _REVISION = 4
 """Revision of the findings; raise it to survey all models anew."""
@@ -66,15 +66,12 @@ def main(words: list[str]) -> None:
     rows = [_begun(path.relative_to(packages), packages) for path in _models(packages)]
     rows = [by_key.get(row.key, row) for row in rows]
     _fill(looked_at, [row for row in rows if not (row.refused or row.bodies)], rows, words)
+    imported = [row for row in rows if row.bodies]
     if "--validate" in words:
         most = int(words[words.index("--validate") + 1])
-        smallest = sorted(filter(_imported, rows), key=lambda row: row.degrees_of_freedom)[:most]
+        smallest = sorted(imported, key=lambda row: row.degrees_of_freedom)[:most]
         _fill(validated, [row for row in smallest if not row.verdicts], rows, words)
-    _fill(read_by_engines, [r for r in rows if _imported(r) and not r.readers], rows, words)
-
-
-def _imported(row: SurveyRow) -> bool:
-    return bool(row.bodies)
+    _fill(read_by_engines, [row for row in rows if row.bodies and not row.readers], rows, words)
 
 
 def _fill(
@@ -85,19 +82,18 @@ def _fill(
 ) -> None:
     """Fill rows, each in a process of its own, and store every one as it comes."""
     packages, target = map(Path, words[:2])
-    done = 0
+    done = itertools.count(1)
 
     def keep(place: int, filled: SurveyRow | Crash) -> None:
-        nonlocal done
-        done += 1
-        row = waiting[place]
-        note = filled.reason if isinstance(filled, Crash) else "done"
-        if fill is validated and not isinstance(filled, Crash):
-            note = ", ".join(f"{engine} {verdict}" for engine, verdict in filled.verdicts.items())
-        print(f"{fill.__name__} {done}/{len(waiting)} {row.path}: {note}", file=sys.stderr)
-        if not isinstance(filled, Crash):  # such a row is tried again by the next run
+        row, note = waiting[place], "done"
+        if isinstance(filled, Crash):  # such a row is tried again by the next run
+            note = filled.reason
+        else:
+            if fill is validated:
+                note = ", ".join(" ".join(pair) for pair in filled.verdicts.items())
             rows[rows.index(row)] = filled
             write_whole(target, b"[\n%b\n]\n" % b",\n".join(map(msgspec.json.encode, rows)))
+        print(f"{fill.__name__} {next(done)}/{len(waiting)} {row.path}: {note}", file=sys.stderr)
 
     tasks = [Task(fill, (row, packages)) for row in waiting]
     run_tasks(tasks, finished=keep, packages=Path(__file__).parents[1])
@@ -141,14 +137,11 @@ def looked_at(row: SurveyRow, packages: Path) -> SurveyRow:
     mechanism = Mechanism.of(imported.scene)
     row.bodies = mechanism.body_count
     row.degrees_of_freedom = sum(
-        {"hinge": 1, "slider": 1, "ball": 3, "fixed": 0}[link.joint.kind] if link.joint else 6
-        for link in mechanism.links
+        _FREEDOMS[link.joint.kind] if link.joint else 6 for link in mechanism.links
     )
-    moving = [fate for fate in imported.fates if fate.moves]
+    lost = [fate for fate in imported.fates if fate.moves and fate.outcome != "kept"]
     row.kept = imported.count("kept")
-    row.lost = tuple(
-        msgspec.structs.replace(fate, places=()) for fate in moving if fate.outcome != "kept"
-    )
+    row.lost = tuple(msgspec.structs.replace(fate, places=()) for fate in lost)
     with suppress(ValueError):  # MuJoCo refuses some masses that the import takes as written
         row.from_compiled = from_compiled(path, imported)
     if row.format == "URDF":
