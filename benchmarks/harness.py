@@ -6,16 +6,25 @@ import platform
 import textwrap
 import time
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeVar
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from mbds_xsim.base.files import read_file
 from mbds_xsim.measure.runner import machine
 from mbds_xsim.report.files import table_lines
 
 Array = NDArray[Any]
 Work = Callable[[], object]
+Stored = TypeVar("Stored")
+
+
+def stored(file: Path, kind: type[Stored]) -> Stored:
+    """Read a result that was stored as JSON."""
+    return msgspec.json.decode(read_file(file), type=kind)
 
 
 def print_head(title: str, command: str, text: str) -> None:

@@ -28,6 +28,7 @@ from pathlib import Path
 
 import msgspec
 
+from benchmarks.harness import stored
 from benchmarks.other_readings import from_compiled, from_pinocchio
 from benchmarks.survey import READERS, Cause, SurveyRow, print_page, write_wheels
 from benchmarks.validated_model import verdicts_on
@@ -56,12 +57,12 @@ def main(words: list[str]) -> None:
         file = Path(words[0])
         by_hand = file.with_name("causes.toml").read_bytes()
         causes = msgspec.toml.decode(by_hand, type=dict[str, list[Cause]])["causes"]
-        stored = msgspec.json.decode(file.read_bytes(), type=list[SurveyRow])
-        print_page(stored, causes)
-        write_wheels(stored, causes, file.parent)
+        found = stored(file, list[SurveyRow])
+        print_page(found, causes)
+        write_wheels(found, causes, file.parent)
         return
     packages, target = map(Path, words[:2])
-    old = msgspec.json.decode(target.read_bytes(), type=list[SurveyRow]) if target.exists() else []
+    old = stored(target, list[SurveyRow]) if target.exists() else []
     by_key = {row.key: row for row in old}
     rows = [_begun(path.relative_to(packages), packages) for path in _models(packages)]
     rows = [by_key.get(row.key, row) for row in rows]

@@ -10,10 +10,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import msgspec
-
-from benchmarks.harness import print_head, print_table
-from mbds_xsim.base.files import read_file
+from benchmarks.harness import print_head, print_table, stored
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import refusal
 from mbds_xsim.learn.shift.gaps import paper_rows
@@ -45,11 +42,8 @@ _NO_STUDY, _REFUSED = "no study yet", "refused"
 
 def main(folders: Sequence[Path]) -> None:
     """Print the page."""
-    shifts = [
-        msgspec.json.decode(read_file(file), type=Shift)
-        for folder in folders
-        for file in sorted(folder.glob("*.json.gz"))
-    ]
+    files = [file for folder in folders for file in sorted(folder.glob("*.json.gz"))]
+    shifts = [stored(file, Shift) for file in files]
     printed = paper_rows()
     print_head("The paper's tables", "make reports-paper-tables", _HEAD)
     for table, title in _TABLES.items():
@@ -63,7 +57,8 @@ def main(folders: Sequence[Path]) -> None:
     scenes = dict.fromkeys(row["scenario"] for row in printed)
     models = dict.fromkeys(row["model"] for row in printed)
     for reason in dict.fromkeys(_refusal(s, m) for s in scenes for m in models):
-        print(f"- {reason}" if reason else "", end="\n" if reason else "")
+        if reason:
+            print(f"- {reason}")
 
 
 def _rows(
