@@ -51,11 +51,6 @@ def processor_s(work: Work) -> float:
     return both_s(work)[0]
 
 
-def wall_s(work: Work) -> float:
-    """Measure the wall-clock time [s]."""
-    return both_s(work)[1]
-
-
 def both_s(work: Work) -> tuple[float, float]:
     """Measure processor time and wall-clock time [s]."""
     wall, cpu = time.perf_counter(), time.process_time()
@@ -81,7 +76,7 @@ def take_turns(
         Times [s], shape (round, work, …).
     """
     least, most = rounds
-    first = wall_s(lambda: [spent(work) for work in works])
+    _, first = both_s(lambda: [spent(work) for work in works])
     times = []
     for k in range(min(most, max(least, int(patience / first)))):
         order = range(len(works))[:: -1 if k % 2 else 1]

@@ -8,8 +8,6 @@ python -m benchmarks.shift_summary reports/shift > reports/shift/README.md
 from __future__ import annotations
 
 import argparse
-import contextlib
-import io
 import itertools
 import math
 import statistics
@@ -20,13 +18,14 @@ from typing import Any
 
 import msgspec
 
-from benchmarks.harness import print_table, stored
+from benchmarks.harness import stored
 from mbds_xsim.base.files import write_whole
 from mbds_xsim.learn.shift.answers import MATCHED, ROBUST
 from mbds_xsim.learn.shift.gaps import ALL, LEAVE_ONE_OUT, SINGLE
 from mbds_xsim.learn.shift.interaction import changed
 from mbds_xsim.learn.shift.result import BoundedRatio, Gap, Interaction, Shift
 from mbds_xsim.report import themed
+from mbds_xsim.report.files import table_lines
 from mbds_xsim.report.quantity import NONE, number
 from mbds_xsim.studies.shift.figures import (
     at,
@@ -121,23 +120,23 @@ def main() -> None:
         for name, shift in studies.items()
         if _factor_count(shift) > 1
     }
-    page = io.StringIO()
-    with contextlib.redirect_stdout(page):
-        _print(arguments.folder, studies, several)
-    print(page.getvalue(), end="")
+    page = "".join(f"{line}\n" for line in _page(arguments.folder, studies, several))
+    print(page, end="")
     if arguments.png is not None:
-        write_whole(arguments.png, _picture(list(several.values()), page.getvalue().encode()))
+        write_whole(arguments.png, _picture(list(several.values()), page.encode()))
 
 
-def _print(folder: Path, studies: Mapping[str, Shift], several: Mapping[str, Shift]) -> None:
-    print(_HEAD)
+def _page(
+    folder: Path, studies: Mapping[str, Shift], several: Mapping[str, Shift]
+) -> Iterator[str]:
+    yield _HEAD
     costs = [line for name, shift in several.items() for line in _costs(name, shift)]
-    print_table("scene|model|>" + "|>".join(_FACTORS), costs)
-    print(_ALL)
+    yield from table_lines(["scene", "model", *(f">{factor}" for factor in _FACTORS)], costs)
+    yield _ALL
     rows = [row for name, shift in studies.items() for row in rows_of(shift, name)]
-    print_table(_HEADINGS, [*rows, *_over_scenes(studies.values())])
+    yield from table_lines(_HEADINGS.split("|"), [*rows, *_over_scenes(studies.values())])
     for name, shift in studies.items():
-        print("\n".join(_answers(shift, folder / name)))
+        yield from _answers(shift, folder / name)
 
 
 def _costs(name: str, shift: Shift) -> Iterator[tuple[str, ...]]:
