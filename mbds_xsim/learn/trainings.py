@@ -19,7 +19,7 @@ from mbds_xsim.learn.curves import read_curve
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.groups import shares_of
 from mbds_xsim.learn.model import load_model, model_names, refusal, track_of, trainable
-from mbds_xsim.learn.recipe import PROFILES, TRACKS, Profile
+from mbds_xsim.learn.recipe import TRACKS
 from mbds_xsim.learn.runs import (
     Cost,
     TrainingRequest,
@@ -79,12 +79,6 @@ class TrainingOutcome:
     """Facts about each run that was carried out now."""
     failed: dict[str, str] = field(default_factory=dict)
     """Reasons why runs ended without a result; a new request resumes them."""
-
-
-def profile_named(name: str) -> Profile:
-    """Return a profile by name, or raise UnknownName with the known names."""
-    check_name("profile", name, PROFILES)
-    return PROFILES[name]
 
 
 def planned(request: TrainingRequest, *, only: bool = False) -> TrainingPlan:
