@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from benchmarks.harness import stored
+from benchmarks.harness import placed, stored
 from mbds_xsim.base.files import write_whole
 from mbds_xsim.report import quantity
 from mbds_xsim.report.files import table_lines
@@ -20,9 +20,6 @@ from mbds_xsim.simulate.registry import REFERENCE
 from mbds_xsim.simulate.simulator import NATIVE
 from mbds_xsim.studies.tradeoff import CurveResult, Point, Tradeoff
 from mbds_xsim.studies.tradeoff.words import BUSY
-
-BEGIN, END = "<!-- choose-table: begin -->\n", "<!-- choose-table: end -->"
-
 
 _BREAK = "<br>"
 _OPTION = "°"
@@ -171,17 +168,8 @@ def main() -> None:
     if arguments.into is None:
         print(table)
     else:
-        write_whole(arguments.into, placed(arguments.into.read_text("utf-8"), table).encode())
-
-
-def placed(page: str, table: str) -> str:
-    """Insert the table between its markers."""
-    before, _, rest = page.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not end:
-        msg = f"no place for the table: give it the lines {BEGIN.strip()} and {END}"
-        raise SystemExit(msg)
-    return f"{before}{BEGIN}{table}\n{END}{after}"
+        page = arguments.into.read_text("utf-8")
+        write_whole(arguments.into, placed(page, "choose-table", table).encode())
 
 
 if __name__ == "__main__":

@@ -27,6 +27,17 @@ def stored(file: Path, kind: type[Stored]) -> Stored:
     return msgspec.json.decode(read_file(file), type=kind)
 
 
+def placed(page: str, name: str, text: str) -> str:
+    """Put a text into a page, between the marks of its name."""
+    begin, end = f"<!-- {name}: begin -->\n", f"<!-- {name}: end -->"
+    before, _, rest = page.partition(begin)
+    _, found, after = rest.partition(end)
+    if not found:
+        msg = f"no place for the {name}: give it the lines {begin.strip()} and {end}"
+        raise SystemExit(msg)
+    return f"{before}{begin}{text}\n{end}{after}"
+
+
 def print_head(title: str, command: str, text: str) -> None:
     """Print the head of a page: its title, the command that writes it, and its introduction."""
     paragraphs = (textwrap.fill(" ".join(part.split()), 100) for part in text.split("\n\n"))
