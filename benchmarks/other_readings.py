@@ -7,6 +7,7 @@ joint's place and axis. The deviation is the largest of these differences, in re
 from __future__ import annotations
 
 import site
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,9 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.imported import Imported
 from mbds_xsim.scene.mechanism import Mechanism
+
+Reading = dict[str, tuple[float, Array, Array, Array, Array]]
+"""By joint: mass, centre of mass and inertia of what it holds, its place and its axis."""
 
 
 def from_compiled(path: Path, imported: Imported) -> float:
@@ -38,7 +42,7 @@ def from_compiled(path: Path, imported: Imported) -> float:
         own = np.flatnonzero(model.body_weldid == body) if last else np.array([], dtype=int)
         pose = data.xanchor[j].copy(), data.xaxis[j].copy()
         reading[model.joint(j).name] = (*_together(model, data, own), *pose)
-    return _deviation(imported, reading)
+    return max([0.0, *_deviations(imported, reading)])
 
 
 def from_pinocchio(path: Path, imported: Imported, packages: Path) -> float:
@@ -59,7 +63,7 @@ def from_pinocchio(path: Path, imported: Imported, packages: Path) -> float:
         com = place.act(body.lever)
         inertia = place.rotation @ body.inertia @ place.rotation.T
         reading[model.names[j]] = (body.mass, com, inertia, place.translation.copy(), axis)
-    return _deviation(imported, reading)
+    return max([0.0, *_deviations(imported, reading)])
 
 
 def _together(model: Any, data: Any, bodies: Any) -> tuple[float, Array, Array]:
@@ -78,37 +82,23 @@ def _together(model: Any, data: Any, bodies: Any) -> tuple[float, Array, Array]:
     return float(mass.sum()), com, inertia
 
 
-def _sound_bodies(imported: Imported) -> set[str]:
-    """Return the bodies whose mass is as stated in the file."""
-    changed = {
+def _deviations(imported: Imported, reading: Reading) -> Iterator[float]:
+    """Yield all deviations, with bodies matched by the joint that holds them."""
+    scene, mechanism = imported.scene, Mechanism.of(imported.scene)
+    mended = {  # bodies whose mass is not as stated in the file
         place.split(":")[0]
         for fate in imported.fates
         if fate.outcome == "approximated" and fate.element == "inertial"
         for place in fate.places
     }
-    return {body.name for body in imported.scene.bodies} - changed
-
-
-def _deviation(
-    imported: Imported, reading: dict[str, tuple[float, Array, Array, Array, Array]]
-) -> float:
-    """Return the largest deviation, with bodies matched by the joint that holds them."""
-    scene, sound = imported.scene, _sound_bodies(imported)
-    mechanism = Mechanism.of(scene)
-    index = {body.name: k for k, body in enumerate(scene.bodies)}
-    worst = 0.0
-    for joint in scene.joints:
-        if joint.name not in reading:
-            continue
+    index = {body.name: k for k, body in enumerate(scene.bodies) if body.name not in mended}
+    for joint in (joint for joint in scene.joints if joint.name in reading):
         mass, com, inertia, anchor, axis = reading[joint.name]
-        apart = float(np.linalg.norm(np.array(joint.anchor) - anchor))
-        worst = max(worst, apart / scene.length)
+        yield float(np.linalg.norm(np.array(joint.anchor) - anchor)) / scene.length
         if joint.axis is not None:
-            worst = max(worst, float(np.linalg.norm(np.array(joint.axis) - axis)))
-        if joint.child in sound and mass > 0:
-            k = index[joint.child]
-            scale = float(np.linalg.norm(inertia))
-            worst = max(worst, abs(float(mechanism.mass[k]) / mass - 1))
-            worst = max(worst, float(np.linalg.norm(mechanism.com[k] - com)) / scene.length)
-            worst = max(worst, float(np.linalg.norm(mechanism.inertia[k] - inertia)) / scale)
-    return worst
+            yield float(np.linalg.norm(np.array(joint.axis) - axis))
+        if joint.child in index and mass > 0:
+            k, scale = index[joint.child], float(np.linalg.norm(inertia))
+            yield abs(float(mechanism.mass[k]) / mass - 1)
+            yield float(np.linalg.norm(mechanism.com[k] - com)) / scene.length
+            yield float(np.linalg.norm(mechanism.inertia[k] - inertia)) / scale

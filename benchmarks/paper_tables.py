@@ -84,7 +84,7 @@ def _here(shifts: Sequence[Shift], scene: str, model: str, frame: int, interval:
         for shift in shifts
         if shift.scene == scene and model in trained_models(shift) and frame in shift.frames
     ]
-    for shift in sorted(own, key=_steps, reverse=True):
+    for shift in sorted(own, key=lambda s: max(m.steps for m in s.models), reverse=True):
         matrix = matrix_of(shift, model, at(shift, frame), interval)
         homes = [matrix.at_home(name) for name in matrix.homes if name.endswith(_NATIVE)]
         if homes and (error := mean(homes)) is not None:
@@ -99,10 +99,6 @@ def _scene(scenario: str) -> str:
 @functools.cache
 def _refusal(scenario: str, model: str) -> str:
     return refusal(model.lower(), Graph.of(load_scene(_scene(scenario))), track="lite")
-
-
-def _steps(shift: Shift) -> int:
-    return max(facts.steps for facts in shift.models)
 
 
 if __name__ == "__main__":
