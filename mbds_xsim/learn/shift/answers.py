@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import itertools
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -137,8 +137,9 @@ def _most_robust(
     frame, variant = draws.evaluation.frames[place], groups[0].variant
     within = {group.model: _gaps_within(group, group.singles, gaps) for group in groups}
     resolved = {model: [g for g in own if g.resolved[place]] for model, own in within.items()}
+    judged = {model: own or within[model] for model, own in resolved.items()}
     ratios = {
-        group.model: draws.bounded(_worst_gap(group, resolved[group.model] or within[group.model]))
+        group.model: draws.bounded(functools.partial(_worst_gap, group, judged[group.model]))
         for group in groups
     }
     ordered = {m: ratios[m] for m in sorted(ratios, key=lambda model: ratios[model].value[place])}
@@ -179,18 +180,14 @@ def _count_resolved(gaps: Sequence[Gap], place: int) -> str:
     return f"{sum(gap.resolved[place] for gap in gaps)} of {len(gaps)}"
 
 
-def _worst_gap(group: _Trainings, gaps: Sequence[Gap]) -> Callable[[Look], Array]:
-    """Return a function for the largest ratio to the target-trained model."""
+def _worst_gap(group: _Trainings, gaps: Sequence[Gap], look: Look) -> Array:
+    """Compute the largest ratio to the target-trained model."""
     singles = {training.training: training for training in group.singles.values()}
-
-    def worst(look: Look) -> Array:
-        ratios = [
-            _over(look(singles[gap.training], gap.test), look(group.singles[gap.test], gap.test))
-            for gap in gaps
-        ]
-        return np.asarray(np.max(ratios, axis=0))
-
-    return worst
+    ratios = [
+        _over(look(singles[gap.training], gap.test), look(group.singles[gap.test], gap.test))
+        for gap in gaps
+    ]
+    return np.asarray(np.max(ratios, axis=0))
 
 
 def _mean_gap(group: _Trainings, look: Look) -> Array:
