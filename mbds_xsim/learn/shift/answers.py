@@ -225,19 +225,17 @@ def _several_engines(
         ratio = draws.bounded(left_out)
         parts = _count_resolved(_gaps_within(group, group.without, gaps), place)
         text = (
-            f"{at} leaving one engine out {ratio.verdict(place)} on the engine "
-            "left out, against training on a single other engine: error ratio "
-            f"{ratio.text(place)}. Of the gaps of these trainings to the target-trained model "
-            f"{parts} are resolved"
+            f"{at} leaving one engine out {ratio.verdict(place)} on the engine left out, against "
+            f"training on a single other engine: error ratio {ratio.text(place)}. Of the gaps of "
+            f"these trainings to the target-trained model {parts} are resolved"
         )
         question = f"Does training on several others help {model} ({variant})?"
         yield Answer(LEAVE_ONE_OUT, question, text, variant, _results({model: ratio}))
     if everything is not None:
         ratio = draws.bounded(worst_of_all)
         text = (
-            f"{at} training on all engines {ratio.verdict(place)} on the worst "
-            "engine, against single-engine trainings on their worst: error ratio "
-            f"{ratio.text(place)}"
+            f"{at} training on all engines {ratio.verdict(place)} on the worst engine, against "
+            f"single-engine trainings on their worst: error ratio {ratio.text(place)}"
         )
         question = f"Does training on all engines help {model} ({variant})?"
         yield Answer(ALL, question, text, variant, _results({model: ratio}))
