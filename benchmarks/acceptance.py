@@ -8,12 +8,11 @@ Each folder is written by `make reports-data`. It holds `data`, the JSON results
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import Any
 
-from benchmarks.harness import print_head, print_table
+from benchmarks.harness import print_head, print_table, stored
 from mbds_xsim.dataset.shard import stage_times
 from mbds_xsim.dataset.summary import Summary, summaries
 
@@ -40,7 +39,8 @@ def main(folders: list[Path]) -> None:
 
 def section(folder: Path) -> None:
     """Print the section of one run."""
-    results = {name: read(folder / f"{name}.json") for name in ("generate", "verify", "export")}
+    files = {name: folder / f"{name}.json" for name in ("generate", "verify", "export")}
+    results = {name: stored(file, dict) if file.exists() else {} for name, file in files.items()}
     sets = summaries(folder / "data")
     scenes = ", ".join(dict.fromkeys(summary.scene for summary in sets))
     print(f"## {scenes}: {max(summary.drawn for summary in sets):,} trajectories each\n")
@@ -50,11 +50,6 @@ def section(folder: Path) -> None:
     for pair, reason in results["generate"].get("left_out", {}).items():
         print(f"{pair} left out: {reason}\n")
     print(totals(sets, results), end="\n\n")
-
-
-def read(path: Path) -> dict[str, Any]:
-    """Return a stored result, or an empty one if there is no such file."""
-    return dict(json.loads(path.read_text("utf-8"))) if path.exists() else {}
 
 
 def row(summary: Summary, verified: dict[str, Any]) -> tuple[str, ...]:

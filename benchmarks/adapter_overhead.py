@@ -12,8 +12,8 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from functools import partial
 from statistics import median, quantiles
+from timeit import timeit
 from typing import Any
 from unittest.mock import patch
 
@@ -29,8 +29,8 @@ from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 
 SCENES = ("3ladder", "simplecubli")
-STARTS = {"mujoco": (10, 1), "pybullet": (1,), "dart": (1,), "exudyn": (1,)}
-"""Starts per rollout; MuJoCo takes only milliseconds for one, so it also runs ten at once."""
+RUNS = (("mujoco", 10), ("mujoco", 1), ("pybullet", 1), ("dart", 1), ("exudyn", 1))
+"""Engine and starts per rollout; MuJoCo takes only milliseconds for one, so it also runs ten."""
 ROUNDS, PATIENCE = (3, 9), 1.0  # (least, most) rounds, and the time to fill with them [s]
 ENGINE: dict[str, tuple[tuple[Any, str], ...]] = {
     "mujoco": ((mujoco, "mj_step mj_forward mj_kinematics mj_comPos mj_comVel mj_resetData"),),
@@ -72,15 +72,9 @@ class Stopwatch:
         costs = []
         for _ in range(20):
             watch = Stopwatch()
-            nothing = watch.timed(lambda: None)
-            spent = processor_s(partial(_repeat, nothing, 2000))
+            spent = timeit(watch.timed(lambda: None), timer=time.process_time, number=2000)
             costs.append((spent / watch.calls, watch.inside / watch.calls))
         return min(costs)
-
-
-def _repeat(call: Callable[[], object], count: int) -> None:
-    for _ in range(count):
-        call()
 
 
 @contextmanager
@@ -139,14 +133,9 @@ one thread.
 
 def main(names: list[str]) -> None:
     print_head("What the adapters cost beside their engines", _COMMAND, _TEXT)
-    lines = (
-        row(name, engine, starts)
-        for name in names or SCENES
-        for engine, counts in STARTS.items()
-        for starts in counts
-    )
+    lines = (row(name, *run) for name in names or SCENES for run in RUNS)
     print_table("scene|engine|>starts|>rollout|>overhead|>of 50 %|>load|>start", lines)
-    engines = [f"{name} {load_adapter(name).version()}" for name in STARTS]
+    engines = [f"{name} {load_adapter(name).version()}" for name in ENGINE]
     print_made(f"numpy {np.__version__}", *engines)
 
 

@@ -12,8 +12,7 @@ import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import msgspec
-
+from benchmarks.harness import placed, stored
 from mbds_xsim.base.files import write_whole
 from mbds_xsim.report import quantity
 from mbds_xsim.report.files import table_lines
@@ -21,9 +20,6 @@ from mbds_xsim.simulate.registry import REFERENCE
 from mbds_xsim.simulate.simulator import NATIVE
 from mbds_xsim.studies.tradeoff import CurveResult, Point, Tradeoff
 from mbds_xsim.studies.tradeoff.words import BUSY
-
-BEGIN, END = "<!-- choose-table: begin -->\n", "<!-- choose-table: end -->"
-
 
 _BREAK = "<br>"
 _OPTION = "°"
@@ -58,11 +54,10 @@ def _engines(study: Tradeoff) -> list[str]:
 
 
 def _row(study: Tradeoff, engines: Sequence[str]) -> list[str]:
-    cheapest = {engine: _cheapest(study, engine) for engine in engines}
-    costs = [_cost(place) for place in cheapest.values() if place is not None]
+    cheapest = [_cheapest(study, engine) for engine in engines]
+    least = min((_cost(place) for place in cheapest if place), default=0.0)
     cells = [
-        quantity.NONE if place is None else _cell(place, best=_cost(place) == min(costs))
-        for place in cheapest.values()
+        _cell(place, best=_cost(place) == least) if place else quantity.NONE for place in cheapest
     ]
     return [f"{study.scene}{_BREAK}{_asked(study)}", *cells]
 
@@ -111,25 +106,19 @@ def _cell(place: tuple[CurveResult, Point], *, best: bool) -> str:
     curve, point = place
     mark = "**" if best else ""
     name = f"{curve.method}{_OPTION}" if curve.variation else curve.method
-    return _BREAK.join(
-        [
-            f"{mark}{name}, {quantity.span(point.step_s)}{mark}",
-            f"{quantity.length(point.error_m)}".replace("<", "&lt;"),
-            f"{mark}{quantity.span(point.wall_s)}{mark}",
-        ]
-    )
+    error = quantity.length(point.error_m).replace("<", "&lt;")
+    step, wall = quantity.span(point.step_s), quantity.span(point.wall_s)
+    return _BREAK.join((f"{mark}{name}, {step}{mark}", error, f"{mark}{wall}{mark}"))
 
 
 def _reasons(studies: Sequence[Tradeoff], engines: Sequence[str]) -> Iterator[str]:
     """Yield why an engine has no point that keeps all budgets; scenes are grouped by reason."""
-    scenes: dict[str, dict[str, list[str]]] = {}
+    scenes: dict[tuple[str, str], list[str]] = {}
     for engine, study in itertools.product(engines, studies):
         if _cheapest(study, engine) is None:
-            alike = scenes.setdefault(engine, {}).setdefault(_reason(study, engine), [])
-            alike.append(study.scene)
-    for engine, reasons in scenes.items():
-        for reason, alike in reasons.items():
-            yield f"{engine} on {', '.join(alike)}: {reason}"
+            scenes.setdefault((engine, _reason(study, engine)), []).append(study.scene)
+    for (engine, reason), alike in scenes.items():
+        yield f"{engine} on {', '.join(alike)}: {reason}"
 
 
 def _reason(study: Tradeoff, engine: str) -> str:
@@ -175,21 +164,12 @@ def main() -> None:
     parser.add_argument("--into", type=Path)
     arguments = parser.parse_args()
     files = sorted(arguments.folder.glob("*.json"))
-    table = choose_table([msgspec.json.decode(file.read_bytes(), type=Tradeoff) for file in files])
+    table = choose_table([stored(file, Tradeoff) for file in files])
     if arguments.into is None:
         print(table)
     else:
-        write_whole(arguments.into, placed(arguments.into.read_text("utf-8"), table).encode())
-
-
-def placed(page: str, table: str) -> str:
-    """Insert the table between its markers."""
-    before, _, rest = page.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not end:
-        msg = f"no place for the table: give it the lines {BEGIN.strip()} and {END}"
-        raise SystemExit(msg)
-    return f"{before}{BEGIN}{table}\n{END}{after}"
+        page = arguments.into.read_text("utf-8")
+        write_whole(arguments.into, placed(page, "choose-table", table).encode())
 
 
 if __name__ == "__main__":

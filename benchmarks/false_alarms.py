@@ -11,7 +11,7 @@ import sys
 from collections import defaultdict
 from collections.abc import Iterator
 
-from benchmarks.harness import print_table
+from benchmarks.harness import SCENES, print_table
 from mbds_xsim.base.isolate import HERE
 from mbds_xsim.measure.result import EngineResult
 from mbds_xsim.scene.sampling import Starts
@@ -19,10 +19,6 @@ from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.studies.validate import validate_with_evidence
 
-SCENES = (
-    *("ballscroll", "balldrop", "5pendulum", "6pendulum"),
-    *("2ladder", "3ladder", "particlecar", "simplecubli"),
-)
 FIRST = 9001
 
 

@@ -8,13 +8,14 @@ Times are processor times of one thread, medians over the turns, and include all
 
 from __future__ import annotations
 
+import itertools
 import sys
 from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
 
-from benchmarks.harness import print_made, print_table, processor_s
+from benchmarks.harness import print_made, print_table, take_turns
 from mbds_xsim.checks.agreement import particle_error
 from mbds_xsim.reference import solve
 from mbds_xsim.scene.mechanism import Mechanism
@@ -63,24 +64,14 @@ def _rows(scene: Scene) -> Iterator[list[str]]:
         "reference": [partial(reference, rtol) for rtol in _TOLERANCES],
         "mujoco RK4": [partial(rolled, count) for count in _COUNTS],
     }
-    measured = [
-        [[_measured(scene, make, truth) for make in makes] for makes in work.values()]
-        for _ in range(_TURNS)
-    ]
-    for method, *turns in zip(work, *measured, strict=True):
-        errors, seconds = np.median(np.array(turns), axis=0).T
-        points = list(zip(errors.tolist(), (len(batch) / seconds).tolist(), strict=True))
+    makes = [make for own in work.values() for make in own]
+    errors = [_error(scene, make(), truth) for make in makes]
+    rates = len(batch) / np.median(take_turns(makes, (_TURNS, _TURNS)), axis=0)
+    measured = zip(errors, rates.tolist(), strict=True)
+    for method, own in work.items():
+        points = list(itertools.islice(measured, len(own)))
         text = ", ".join(f"{error:.1e} at {rate:.3g}" for error, rate in points)
         yield [scene.name, method, *(_rate_at(points, error) for error in _ERRORS), text]
-
-
-def _measured(
-    scene: Scene, make: Callable[[], Trajectory], truth: Trajectory
-) -> tuple[float, float]:
-    """Return the error [m] and the processor time of a batch [s]."""
-    motions: list[Trajectory] = []
-    seconds = processor_s(lambda: motions.append(make()))
-    return _error(scene, motions[0], truth), seconds
 
 
 def _error(scene: Scene, motion: Trajectory, truth: Trajectory) -> float:

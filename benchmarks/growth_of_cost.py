@@ -82,11 +82,11 @@ Costs = dict[tuple[str, str], list[GrowthPoint]]
 
 def costs() -> Costs:
     """Measure every size of every family, one after the other."""
-    points: Costs = {}
-    for family, sizes in _FAMILIES.items():
-        for engine in _METHODS:
-            points[family, engine] = [_apart(f"{size}{family}", engine) for size in sizes]
-    return points
+    return {
+        (family, engine): [_apart(f"{size}{family}", engine) for size in sizes]
+        for family, sizes in _FAMILIES.items()
+        for engine in _METHODS
+    }
 
 
 def _apart(name: str, engine: str) -> GrowthPoint:

@@ -6,16 +6,41 @@ import platform
 import textwrap
 import time
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeVar
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from mbds_xsim.base.files import read_file
 from mbds_xsim.measure.runner import machine
 from mbds_xsim.report.files import table_lines
 
 Array = NDArray[Any]
 Work = Callable[[], object]
+Stored = TypeVar("Stored")
+SCENES = (
+    *("ballscroll", "balldrop", "5pendulum", "6pendulum"),
+    *("2ladder", "3ladder", "particlecar", "simplecubli"),
+)
+"""Scenes of the paper."""
+
+
+def stored(file: Path, kind: type[Stored]) -> Stored:
+    """Read a result that was stored as JSON."""
+    return msgspec.json.decode(read_file(file), type=kind)
+
+
+def placed(page: str, name: str, text: str) -> str:
+    """Put a text into a page, between the marks of its name."""
+    begin, end = f"<!-- {name}: begin -->\n", f"<!-- {name}: end -->"
+    before, _, rest = page.partition(begin)
+    _, found, after = rest.partition(end)
+    if not found:
+        msg = f"no place for the table: give it the lines {begin.strip()} and {end}"
+        raise SystemExit(msg)
+    return f"{before}{begin}{text}\n{end}{after}"
 
 
 def print_head(title: str, command: str, text: str) -> None:
@@ -40,11 +65,6 @@ def print_made(*versions: str, on: str = "") -> None:
 def processor_s(work: Work) -> float:
     """Measure the time that this process spends on the processor [s]."""
     return both_s(work)[0]
-
-
-def wall_s(work: Work) -> float:
-    """Measure the wall-clock time [s]."""
-    return both_s(work)[1]
 
 
 def both_s(work: Work) -> tuple[float, float]:
@@ -72,7 +92,7 @@ def take_turns(
         Times [s], shape (round, work, …).
     """
     least, most = rounds
-    first = wall_s(lambda: [spent(work) for work in works])
+    _, first = both_s(lambda: [spent(work) for work in works])
     times = []
     for k in range(min(most, max(least, int(patience / first)))):
         order = range(len(works))[:: -1 if k % 2 else 1]

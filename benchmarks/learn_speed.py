@@ -12,9 +12,10 @@ from __future__ import annotations
 
 import argparse
 import functools
+import itertools
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from statistics import quantiles
 
 import numpy as np
@@ -50,17 +51,16 @@ WAYS = {"cpu": {"": (False, False)}, "cuda": {
 """Ways of training: whether in mixed precision, and whether compiled."""
 
 
-def spent_on(device: str) -> Callable[[Work], float]:
-    """Return a timer of one processor thread, or on a GPU of the wall time until all is done."""
+def on_gpu(work: Work) -> float:
+    """Measure the wall-clock time until the GPU has done all [s]."""
+    torch.cuda.synchronize()
+    begin = time.perf_counter()
+    work()
+    torch.cuda.synchronize()
+    return time.perf_counter() - begin
 
-    def on_gpu(work: Work) -> float:
-        torch.cuda.synchronize()
-        begin = time.perf_counter()
-        work()
-        torch.cuda.synchronize()
-        return time.perf_counter() - begin
 
-    return processor_s if device == "cpu" else on_gpu
+SPENT = {"cpu": processor_s, "cuda": on_gpu}
 
 
 def still() -> Statistics:
@@ -88,7 +88,7 @@ def training(name: str, track: str, device: str) -> Iterator[list[str]]:
             works[kind, mixed, compiled] = step(model, graph, recipe, device, mixed=mixed)
         weights.append(f"{sum(w.numel() for w in model.parameters()):,}")
     patience = PATIENCE[device]["train"]
-    seconds = take_turns([*works.values()], ROUNDS["train"], patience, spent_on(device))
+    seconds = take_turns([*works.values()], ROUNDS["train"], patience, SPENT[device])
     rates = dict(zip(works, BATCH / np.median(seconds, axis=0), strict=True))
     size = f"{graph.node_count}, {len(graph.senders)}"
     for way, how in ways.items():
@@ -135,7 +135,7 @@ def rolling(name: str, device: str) -> Iterator[list[str]]:
         for model, start in zip(models, known, strict=True)
         for count in BATCHES
     ]
-    turns = take_turns(works, ROUNDS["roll"], PATIENCE[device]["roll"], spent_on(device))
+    turns = take_turns(works, ROUNDS["roll"], PATIENCE[device]["roll"], SPENT[device])
     costs = turns.reshape(len(turns), len(MODELS), len(BATCHES)) / (np.array(BATCHES) * FRAMES)
     for kind, rounds in zip(MODELS, np.moveaxis(costs, 1, 0), strict=True):
         times = [f"{1e3 * seconds:.3g}" for seconds in np.median(rounds, axis=0)]
@@ -171,12 +171,8 @@ medians of rounds in which models and batches take turns."""
     file = "learn-speed.md" if device == "cpu" else "learn-speed-gpu.md"
     command = " ".join(["python -m benchmarks.learn_speed", *sys.argv[1:], f"> reports/{file}"])
     print_head("Speed of learned models", command, text)
-    lines = (
-        row
-        for scene in scenes
-        for track in arguments.tracks
-        for row in training(scene, track, device)
-    )
+    pairs = itertools.product(scenes, arguments.tracks)
+    lines = (row for scene, track in pairs for row in training(scene, track, device))
     way = "|way" if device == "cuda" else ""
     print_table(f"scene|nodes, edges|track|weights GNS, SGNN{way}|>GNS|>SGNN", lines)
     print(f"""
@@ -185,9 +181,8 @@ Ratio: batch {BATCHES[0]} over batch {BATCHES[-1]}, with its quartiles; the aim 
 {FRAMES} frames are of slow motions; [whole rollouts](models/6pendulum.md) take longer.
 """)
     heads = "|>".join(f"batch {count}" for count in BATCHES)
-    print_table(
-        f"scene|model|>{heads}|>ratio", (row for name in scenes for row in rolling(name, device))
-    )
+    lines = (row for name in scenes for row in rolling(name, device))
+    print_table(f"scene|model|>{heads}|>ratio", lines)
     where = machine() if device == "cpu" else f"{torch.cuda.get_device_name()}, {machine()}"
     print_made(f"torch {torch.__version__}", on=where)
 

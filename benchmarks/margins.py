@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -62,7 +61,7 @@ def main(folder: Path) -> None:
     print_head("How near the budgets", _COMMAND, _TEXT)
     rows = (
         [check, *(_cell(worst.get(engine)) for engine in engines)]
-        for check, worst in _by_tightness(findings)
+        for check, worst in sorted(findings.items(), key=_tightness)
     )
     print_table("|".join(["check", *engines]), rows)
 
@@ -76,14 +75,10 @@ def _add(findings: Found, validation: Validation) -> None:
                 findings[finding.check][engine.engine] = worst
 
 
-def _by_tightness(findings: Found) -> Iterator[tuple[str, dict[str, Worst]]]:
-    """Yield the tightest checks first, and those without a budget last."""
-
-    def place(item: tuple[str, dict[str, Worst]]) -> tuple[bool, float]:
-        worst = item[1].values()
-        return any(one.finding.budget is None for one in worst), -max(one.share for one in worst)
-
-    yield from sorted(findings.items(), key=place)
+def _tightness(item: tuple[str, dict[str, Worst]]) -> tuple[bool, float]:
+    """Return a sort key: the tightest checks first, and those without a budget last."""
+    worst = item[1].values()
+    return any(one.finding.budget is None for one in worst), -max(one.share for one in worst)
 
 
 def _cell(worst: Worst | None) -> str:

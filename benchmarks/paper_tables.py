@@ -10,10 +10,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import msgspec
-
-from benchmarks.harness import print_head, print_table
-from mbds_xsim.base.files import read_file
+from benchmarks.harness import print_head, print_table, stored
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import refusal
 from mbds_xsim.learn.shift.gaps import paper_rows
@@ -45,11 +42,8 @@ _NO_STUDY, _REFUSED = "no study yet", "refused"
 
 def main(folders: Sequence[Path]) -> None:
     """Print the page."""
-    shifts = [
-        msgspec.json.decode(read_file(file), type=Shift)
-        for folder in folders
-        for file in sorted(folder.glob("*.json.gz"))
-    ]
+    files = [file for folder in folders for file in sorted(folder.glob("*.json.gz"))]
+    shifts = [stored(file, Shift) for file in files]
     printed = paper_rows()
     print_head("The paper's tables", "make reports-paper-tables", _HEAD)
     for table, title in _TABLES.items():
@@ -63,7 +57,8 @@ def main(folders: Sequence[Path]) -> None:
     scenes = dict.fromkeys(row["scenario"] for row in printed)
     models = dict.fromkeys(row["model"] for row in printed)
     for reason in dict.fromkeys(_refusal(s, m) for s in scenes for m in models):
-        print(f"- {reason}" if reason else "", end="\n" if reason else "")
+        if reason:
+            print(f"- {reason}")
 
 
 def _rows(
@@ -89,7 +84,7 @@ def _here(shifts: Sequence[Shift], scene: str, model: str, frame: int, interval:
         for shift in shifts
         if shift.scene == scene and model in trained_models(shift) and frame in shift.frames
     ]
-    for shift in sorted(own, key=_steps, reverse=True):
+    for shift in sorted(own, key=lambda s: max(m.steps for m in s.models), reverse=True):
         matrix = matrix_of(shift, model, at(shift, frame), interval)
         homes = [matrix.at_home(name) for name in matrix.homes if name.endswith(_NATIVE)]
         if homes and (error := mean(homes)) is not None:
@@ -104,10 +99,6 @@ def _scene(scenario: str) -> str:
 @functools.cache
 def _refusal(scenario: str, model: str) -> str:
     return refusal(model.lower(), Graph.of(load_scene(_scene(scenario))), track="lite")
-
-
-def _steps(shift: Shift) -> int:
-    return max(facts.steps for facts in shift.models)
 
 
 if __name__ == "__main__":

@@ -27,10 +27,6 @@ from mbds_xsim.studies.stability.verdict import CRITERIA
 from mbds_xsim.studies.tradeoff import Tradeoff
 from mbds_xsim.studies.tradeoff import present as tradeoff
 
-TEXTS = {"study", "engine", "version", "method", "family", "profile", "machine"} | {
-    "outcome", "told", "reason", "source",
-}  # fmt: skip
-
 
 def main(folder: Path) -> None:
     for stored in stored_results(folder):
@@ -124,15 +120,10 @@ def _panels(cells: list[MapCell]) -> list[Panel]:
 
 def _cell(row: dict[str, str]) -> MapCell:
     named = any(isinstance(value, str) for value in study_named(row["study"]).values)
-    figures = {
-        key: float(text) if text else None
-        for key, text in row.items()
-        if key not in TEXTS | {"value", "options", "silent"}
-    }
-    whole = {key: row[key] for key in TEXTS} | figures
     value = row["value"] if named else float(row["value"])
-    options = json.loads(row["options"])
-    return msgspec.convert({**whole, "key": "", "value": value, "options": options}, MapCell)
+    given = {name: text for name, text in row.items() if text}
+    whole = given | {"key": "", "value": value, "options": json.loads(row["options"])}
+    return msgspec.convert(whole, MapCell, strict=False)
 
 
 if __name__ == "__main__":

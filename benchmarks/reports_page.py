@@ -49,15 +49,13 @@ between a new result and a stored one, use [`mbds-xsim diff`](../docs/diff.md).
 
 def main(folder: Path) -> None:
     print(_HEAD)
-    listed = {folder / "README.md", *(folder / pattern for _, _, pattern in CHAPTERS)}
     for heading, target, pattern in CHAPTERS:
-        exact = folder / pattern
-        pages = (
-            [exact] if exact.is_file() else sorted(set(folder.glob(pattern)) - listed, key=_place)
-        )
+        others = {"README.md", *(other for _, _, other in CHAPTERS if other != pattern)}
+        pages = {*folder.glob(pattern)} - {folder / other for other in others}
         if pages:
             print(f"## {heading}\n\n`{target}`\n")
-            print_table("report|in short|data|command", (row(page, folder) for page in pages))
+            rows = (row(page, folder) for page in sorted(pages, key=_place))
+            print_table("report|in short|data|command", rows)
             print()
 
 

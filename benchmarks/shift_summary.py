@@ -8,8 +8,6 @@ python -m benchmarks.shift_summary reports/shift > reports/shift/README.md
 from __future__ import annotations
 
 import argparse
-import contextlib
-import io
 import itertools
 import math
 import statistics
@@ -20,13 +18,14 @@ from typing import Any
 
 import msgspec
 
-from benchmarks.harness import print_table
-from mbds_xsim.base.files import read_file, write_whole
+from benchmarks.harness import stored
+from mbds_xsim.base.files import write_whole
 from mbds_xsim.learn.shift.answers import MATCHED, ROBUST
 from mbds_xsim.learn.shift.gaps import ALL, LEAVE_ONE_OUT, SINGLE
 from mbds_xsim.learn.shift.interaction import changed
-from mbds_xsim.learn.shift.result import Gap, Interaction, Shift
+from mbds_xsim.learn.shift.result import BoundedRatio, Gap, Interaction, Shift
 from mbds_xsim.report import themed
+from mbds_xsim.report.files import table_lines
 from mbds_xsim.report.quantity import NONE, number
 from mbds_xsim.studies.shift.figures import (
     at,
@@ -60,24 +59,17 @@ page has theirs, and what is bold is significant among its pairs.
 *Equal*: MuJoCo, DART and PyBullet at a step of 1 ms, PyBullet without damping, contact hard.
 *Native*: each engine as its users have it. *Matched*: settings that keep all budgets of the scene.
 """
-_FACTORS: dict[str, tuple[str, str] | str] = {
-    "engine alone, equal settings": "equal",
-    "step alone, 4 or 1 ms": ("mujoco-coarse", "mujoco-equal"),
-    "PyBullet's damping alone": ("pybullet-native", "pybullet-undamped"),
-    "MuJoCo's own contact and step": ("mujoco-equal", "mujoco-native"),
-    "engine, native settings": "native",
-    "engine, matched settings": "matched",
+Ends = tuple[str, str] | str
+"""Two named domains, or the engines of one variant."""
+_FACTORS: dict[str, tuple[str, Ends]] = {
+    "engine alone, equal settings": ("engine\nalone", "equal"),
+    "step alone, 4 or 1 ms": ("step", ("mujoco-coarse", "mujoco-equal")),
+    "PyBullet's damping alone": ("damping", ("pybullet-native", "pybullet-undamped")),
+    "MuJoCo's own contact and step": ("contact\nand step", ("mujoco-equal", "mujoco-native")),
+    "engine, native settings": ("native\nengines", "native"),
+    "engine, matched settings": ("matched\nengines", "matched"),
 }
-"""Domains that differ in one factor: a named pair, or the engines of one variant."""
-_SHORT = (
-    "engine\nalone",
-    "step",
-    "damping",
-    "contact\nand step",
-    "native\nengines",
-    "matched\nengines",
-)
-"""Short labels of the factors, for the picture."""
+"""Short label, for the picture, and domains that differ in this factor alone."""
 _PANEL = (5.6, 3.4)  # width and height [in]
 _ALL = """
 ## All studies
@@ -122,101 +114,99 @@ def main() -> None:
     parser.add_argument("--png", type=Path)
     arguments = parser.parse_args()
     files = sorted(arguments.folder.glob("*.json.gz"))
-    results = {file.name.removesuffix(".json.gz"): read_file(file) for file in files}
-    studies = {name: msgspec.json.decode(text, type=Shift) for name, text in results.items()}
+    studies = {file.name.removesuffix(".json.gz"): stored(file, Shift) for file in files}
     several = {
         name: _with_matched(shift, studies.get(name.replace("-factors", "-matched")))
         for name, shift in studies.items()
         if _factor_count(shift) > 1
     }
-    page = io.StringIO()
-    with contextlib.redirect_stdout(page):
-        _print(arguments.folder, studies, several)
-    print(page.getvalue(), end="")
+    page = "".join(f"{line}\n" for line in _page(arguments.folder, studies, several))
+    print(page, end="")
     if arguments.png is not None:
-        write_whole(arguments.png, _picture(list(several.values()), page.getvalue().encode()))
+        write_whole(arguments.png, _picture(list(several.values()), page.encode()))
 
 
-def _print(folder: Path, studies: Mapping[str, Shift], several: Mapping[str, Shift]) -> None:
-    print(_HEAD)
+def _page(
+    folder: Path, studies: Mapping[str, Shift], several: Mapping[str, Shift]
+) -> Iterator[str]:
+    yield _HEAD
     costs = [line for name, shift in several.items() for line in _costs(name, shift)]
-    print_table("scene|model|>" + "|>".join(_FACTORS), costs)
-    print(_ALL)
+    yield from table_lines(["scene", "model", *(f">{factor}" for factor in _FACTORS)], costs)
+    yield _ALL
     rows = [row for name, shift in studies.items() for row in rows_of(shift, name)]
-    print_table(_HEADINGS, [*rows, *_over_scenes(studies.values())])
+    yield from table_lines(_HEADINGS.split("|"), [*rows, *_over_scenes(studies.values())])
     for name, shift in studies.items():
-        print("\n".join(_answers(shift, folder / name)))
+        yield from _answers(shift, folder / name)
 
 
 def _costs(name: str, shift: Shift) -> Iterator[tuple[str, ...]]:
     """Yield a table row for each model of a study: the cost of each factor alone."""
     place = shift.frames.index(shift.at)
     for model in trained_models(shift):
-        costs = [_cost(_dearest(shift, model, factor), place) for factor in _FACTORS]
+        costs = [_cost(_dearest(shift, model, ends), place) for _, ends in _FACTORS.values()]
         yield f"[{shift.scene}]({name}.md)", model, *costs
 
 
 def _factor_count(shift: Shift) -> int:
-    return sum(any(_is(pair, factor) for pair in shift.interactions) for factor in _FACTORS)
+    return sum(bool(_pairs(shift, ends)) for _, ends in _FACTORS.values())
+
+
+def _pairs(shift: Shift, ends: Ends) -> list[Interaction]:
+    """Return the pairs of these two domains, or of engines of this variant."""
+    if isinstance(ends, str):
+        change = ("engine", f"on {ends} data")
+        return [p for p in shift.interactions if changed(p.first, p.second) == change]
+    return [pair for pair in shift.interactions if {pair.first, pair.second} == {*ends}]
 
 
 def _with_matched(shift: Shift, matched: Shift | None) -> Shift:
     """Add the pairs of engines on matched data from their own study, if this one has none."""
-    if matched is None or matched.frames != shift.frames:
-        return shift
-    if any(_is(pair, "engine, matched settings") for pair in shift.interactions):
+    if matched is None or matched.frames != shift.frames or _pairs(shift, "matched"):
         return shift
     pairs = (*shift.interactions, *matched.interactions)
     return msgspec.structs.replace(shift, interactions=pairs)
 
 
-def _dearest(shift: Shift, model: str, factor: str) -> Interaction | None:
+def _dearest(shift: Shift, model: str, ends: Ends) -> Interaction | None:
     """Return the most costly pair, preferring significant ones; None if none is known."""
     place = shift.frames.index(shift.at)
-    own = [pair for pair in shift.interactions if pair.model == model and _is(pair, factor)]
+    own = [pair for pair in _pairs(shift, ends) if pair.model == model]
     known = [pair for pair in own if pair.value[place] is not None]
     return max(known, key=lambda pair: (pair.resolved[place], pair.value[place]), default=None)
-
-
-def _is(pair: Interaction, factor: str) -> bool:
-    ends = _FACTORS[factor]
-    if isinstance(ends, str):
-        return changed(pair.first, pair.second) == ("engine", f"on {ends} data")
-    return {pair.first, pair.second} == set(ends)
 
 
 def _cost(pair: Interaction | None, place: int) -> str:
     if pair is None:
         return NONE
-    value, low, high = (number(getattr(pair, x)[place]) for x in ("value", "low", "high"))
-    return f"**{value}** [{low}, {high}]" if pair.resolved[place] else f"{value} [{low}, {high}]"
+    return _bounded(pair, place, "**" if pair.resolved[place] else "")
 
 
 def _picture(studies: Sequence[Shift], page: bytes) -> bytes:
     """Draw a table for each model, on one colour scale, for the page with the same figures."""
     models = list(dict.fromkeys(model for shift in studies for model in trained_models(shift)))
     tables: dict[str, dict[tuple[int, int], tuple[float | None, bool]]] = {m: {} for m in models}
+    factors = list(_FACTORS.values())
     for row, shift in enumerate(studies):
         place = shift.frames.index(shift.at)
-        for model, (column, factor) in itertools.product(models, enumerate(_FACTORS)):
-            pair = _dearest(shift, model, factor)
-            if pair is not None:
+        for model, (column, (_, ends)) in itertools.product(models, enumerate(factors)):
+            if pair := _dearest(shift, model, ends):
                 tables[model][row, column] = pair.value[place], pair.resolved[place]
     most = max(value or 1.0 for costs in tables.values() for value, _ in costs.values())
-    scenes = [shift.scene for shift in studies]
+    scenes, labels = [shift.scene for shift in studies], [label for label, _ in factors]
+    rows = math.ceil(len(models) / 2)
 
     def draw(figure: Any) -> None:
-        parts = figure.subplots(math.ceil(len(models) / 2), 2, squeeze=False).ravel()
+        parts = figure.subplots(rows, 2, squeeze=False).ravel()
         for axes, model in itertools.zip_longest(parts, models):
             if model is None:
                 axes.remove()
                 continue
-            draw_costs(axes, tables[model], scenes, _SHORT, most)
+            draw_costs(axes, tables[model], scenes, labels, most)
             axes.set_title(model)
         words = "How many times the squared error grows by which change"
         figure.suptitle(f"{words}, t = {studies[0].at} (framed: significant)")
 
-    return themed.png(draw, (2 * _PANEL[0], math.ceil(len(models) / 2) * _PANEL[1]), page)
+    return themed.png(draw, (2 * _PANEL[0], rows * _PANEL[1]), page)
 
 
 def rows_of(shift: Shift, name: str) -> Iterator[tuple[str, ...]]:
@@ -259,9 +249,8 @@ def _variants(shift: Shift) -> list[str]:
 
 def _within(gap: Gap, model: str, variant: str) -> bool:
     """Return whether a gap is one of the model's, between two engines of a variant."""
-    ends = f"-{variant}"
-    kind = gap.model == model and gap.kind == SINGLE
-    return kind and gap.training.endswith(ends) and gap.test.endswith(ends)
+    variants = {domain.rpartition("-")[2] for domain in (gap.training, gap.test)}
+    return (gap.model, gap.kind, variants) == (model, SINGLE, {variant})
 
 
 def _beside_formula(shift: Shift, model: str, variant: str) -> float | None:
@@ -269,10 +258,8 @@ def _beside_formula(shift: Shift, model: str, variant: str) -> float | None:
     pick = at(shift, shift.at)
     learned, formulas = matrix_of(shift, model, pick), best_formula(shift, pick)
     parts = []
-    for column, name in enumerate(learned.columns):
-        if not name.endswith(f"-{variant}") or name not in learned.rows:
-            continue
-        error = learned.values[learned.rows.index(name)][column]
+    for name in (home for home in learned.homes if home.endswith(f"-{variant}")):
+        error = learned.at_home(name)
         if error is None or not formulas.get(name):
             return None
         parts.append(error / formulas[name])
@@ -298,12 +285,13 @@ def _change(shift: Shift, model: str, variant: str) -> str:
 def _ratio(shift: Shift, kind: str, model: str, variant: str, place: int) -> str:
     for answer in shift.answers:
         if (answer.kind, answer.variant) == (kind, variant) and model in answer.ratios:
-            ratio = answer.ratios[model]
-            return (
-                f"{number(ratio.value[place])} "
-                f"[{number(ratio.low[place])}, {number(ratio.high[place])}]"
-            )
+            return _bounded(answer.ratios[model], place)
     return NONE
+
+
+def _bounded(ratio: BoundedRatio | Interaction, place: int, mark: str = "") -> str:
+    value, low, high = (number(x[place]) for x in (ratio.value, ratio.low, ratio.high))
+    return f"{mark}{value}{mark} [{low}, {high}]"
 
 
 def _answers(shift: Shift, page: Path) -> Iterator[str]:

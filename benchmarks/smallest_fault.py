@@ -1,6 +1,6 @@
 """Find the smallest errors of a mass and of gravity that `validate` catches, engine by engine.
 
-    PYTHONPATH=tests python benchmarks/smallest_fault.py [SCENE ...]
+    PYTHONPATH=tests python -m benchmarks.smallest_fault [SCENE ...]
 
 Everything is as `validate` does by default, one engine at a time, except that the native model is
 not read back: the verdict is on the motion alone. If an engine fails without a fault, its step is

@@ -8,7 +8,7 @@ from mbds_xsim.scene.sampling_terms import HingeRate, HingeTorque, Levels
 from mbds_xsim.scene.scene import PARTICLE_RADIUS, Body, ContactSphere, Joint, Particle, Scene
 
 from .paper import GROUND, NOISE, SOURCE
-from .particles import PARTICLES, Edge, Point, neighbours, ties, wheel, wheel_edges
+from .particles import Edge, Point, neighbours, wheel, wheel_edges
 
 LENGTHS = (-0.4, -0.2, 0.0, 0.2, 0.4)
 WIDTHS = (-0.15, 0.15)
@@ -66,10 +66,6 @@ def _chassis() -> list[Point]:
 
 
 def _edges() -> tuple[Edge, ...]:
-    chassis = _chassis()
     cells = product(*(range(len(values)) for values in (LENGTHS, WIDTHS, HEIGHTS)))
-    edges = neighbours([(i, j, k) for i, j, k in cells])
-    for number, point in enumerate(_HUBS.values()):
-        hub = len(chassis) + number * PARTICLES
-        edges += [*wheel_edges(hub), *ties(hub, point, chassis)]
-    return tuple(edges)
+    grid = neighbours([(i, j, k) for i, j, k in cells])
+    return (*grid, *wheel_edges(_HUBS.values(), _chassis()))

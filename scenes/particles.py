@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -15,7 +15,6 @@ Point = tuple[float, float, float]
 Edge = tuple[int, int]
 
 RING = 12
-PARTICLES = RING + 1
 
 
 def neighbours(cells: Sequence[Cell], *, apart: int = 1) -> list[Edge]:
@@ -25,13 +24,6 @@ def neighbours(cells: Sequence[Cell], *, apart: int = 1) -> list[Edge]:
         for (a, here), (b, there) in combinations(enumerate(cells), 2)
         if sum(abs(p - q) for p, q in zip(here, there, strict=True)) == apart
     ]
-
-
-def ties(hub: int, point: Point, body: Sequence[Point]) -> list[Edge]:
-    """Return edges from a hub to all the nearest of a body's particles, numbered from 0."""
-    distances = [math.dist(point, particle) for particle in body]
-    nearest = min(distances)
-    return [(k, hub) for k, distance in enumerate(distances) if distance < nearest + 1e-9]
 
 
 def wheel(name: str, hub: Point, axis: Point, first: Point, radius: float) -> Body:
@@ -49,10 +41,18 @@ def wheel(name: str, hub: Point, axis: Point, first: Point, radius: float) -> Bo
     return Body(name, particles=tuple(map(Particle, points)))
 
 
-def wheel_edges(hub: int) -> list[Edge]:
-    """Return the spokes and the ring of the wheel whose hub has this number."""
-    ring = range(hub + 1, hub + PARTICLES)
-    return [
-        *((hub, k) for k in ring),
-        *((k, hub + 1 + (k - hub) % RING) for k in ring),
-    ]
+def wheel_edges(hubs: Iterable[Point], body: Sequence[Point]) -> list[Edge]:
+    """Return the edges of wheels whose particles are numbered after those of a body.
+
+    Each has spokes, a ring, and edges from its hub to all the nearest of the body's particles.
+    """
+    edges: list[Edge] = []
+    for number, point in enumerate(hubs):
+        hub = len(body) + number * (1 + RING)
+        ring = range(hub + 1, hub + 1 + RING)
+        edges += [(hub, k) for k in ring]
+        edges += [(k, hub + 1 + (k - hub) % RING) for k in ring]
+        distances = [math.dist(point, particle) for particle in body]
+        reach = min(distances) + 1e-9
+        edges += [(k, hub) for k, distance in enumerate(distances) if distance < reach]
+    return edges

@@ -9,7 +9,7 @@ from mbds_xsim.scene.sampling_terms import HingeRate, HingeTorque, Levels, Throw
 from mbds_xsim.scene.scene import PARTICLE_RADIUS, Body, ContactSphere, Joint, Particle, Scene
 
 from .paper import GROUND, NOISE, SOURCE
-from .particles import PARTICLES, Cell, Edge, Point, neighbours, ties, wheel, wheel_edges
+from .particles import Cell, Point, neighbours, wheel, wheel_edges
 
 SIDE = 0.4
 """Side of the cube through its corner particles [m]."""
@@ -62,7 +62,7 @@ def simplecubli() -> Scene:
                 random_sign=True,
             ),
         ),
-        edges=_edges(cells),
+        edges=(*neighbours(cells), *wheel_edges(_hubs(), frame)),
         budget=Budget(error=1.25e-3),
     )
 
@@ -81,12 +81,3 @@ def _place(cell: Cell) -> Point:
 
 def _hubs() -> list[Point]:
     return [(OFFSET * x, OFFSET * y, LOWEST + OFFSET * z) for x, y, z in _AXES.values()]
-
-
-def _edges(cells: list[Cell]) -> tuple[Edge, ...]:
-    edges = neighbours(cells)
-    frame = [_place(cell) for cell in cells]
-    for number, point in enumerate(_hubs()):
-        hub = len(cells) + number * PARTICLES
-        edges += [*wheel_edges(hub), *ties(hub, point, frame)]
-    return tuple(edges)

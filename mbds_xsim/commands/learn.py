@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.errors import InputError, check_name
 from mbds_xsim.base.isolate import Carrier, Conduct
 from mbds_xsim.base.text import counted
 from mbds_xsim.commands import shared
@@ -229,9 +229,10 @@ def _check_options(device: str, tensorboard: Path | None, *, fast: bool, far: bo
 def _profile(name: str, steps: int | None, *, bf16: bool, compiled: bool) -> Profile:
     import msgspec
 
-    from mbds_xsim.learn.trainings import profile_named
+    from mbds_xsim.learn.recipe import PROFILES
 
-    profile = msgspec.structs.replace(profile_named(name), mixed_precision=bf16, compiled=compiled)
+    check_name("profile", name, PROFILES)
+    profile = msgspec.structs.replace(PROFILES[name], mixed_precision=bf16, compiled=compiled)
     return profile if steps is None else profile.of_exactly(steps)
 
 

@@ -104,9 +104,8 @@ def to_png(curves: Sequence[LearningCurve]) -> bytes:
     """
     panels: dict[str, list[LearningCurve]] = {}
     for curve in curves:
-        if not any(math.isfinite(point.error) for point in curve.points):
-            continue
-        panels.setdefault(curve.run.rpartition("/")[0], []).append(curve)
+        if any(math.isfinite(point.error) for point in curve.points):
+            panels.setdefault(curve.run.rpartition("/")[0], []).append(curve)
     styles = looks(sorted({_training(curve) for curve in curves}))
     columns = max(1, min(_ABREAST, len(panels)))
     rows = max(1, math.ceil(len(panels) / columns))
@@ -131,14 +130,10 @@ def _panel(
     axes.set_yscale("log")
     for curve in curves:
         colour, dash = styles[_training(curve)]
-        steps = [point.step for point in curve.points]
-        errors = [point.error for point in curve.points]
-        axes.plot(steps, errors, color=colour, linestyle=dash, linewidth=1.1)
-        finite = [k for k, error in enumerate(errors) if math.isfinite(error)]
-        if finite:
-            last = finite[-1]
-            mark = _MARK[curve.ended]
-            axes.plot(steps[last], errors[last], color=colour, marker=mark, markersize=5)
+        points = [(point.step, point.error) for point in curve.points]
+        axes.plot(*zip(*points, strict=True), color=colour, linestyle=dash, linewidth=1.1)
+        last = [point for point in points if math.isfinite(point[1])][-1]
+        axes.plot(*last, color=colour, marker=_MARK[curve.ended], markersize=5)
 
 
 def _legend(figure: Any, styles: Mapping[str, Look]) -> None:

@@ -187,8 +187,7 @@ def prepared(
 def carry_out(run: TrainingRun) -> dict[str, str]:
     """Train or resume a run in a process of its own, write its files, and return its facts."""
     torch.set_num_threads(1)
-    known = finished(run)
-    if known is not None:
+    if known := finished(run):
         return known
     model, statistics, parts = prepared(run)
     run.checkpoint.parent.mkdir(parents=True, exist_ok=True)

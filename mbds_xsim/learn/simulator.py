@@ -124,7 +124,9 @@ class LearnedSimulator(Simulator):
         begin = time.perf_counter()
         model, _ = read_model(self.trained.file, scene)
         setup = time.perf_counter() - begin
-        quiet = self._without_noise(start)
+        quiet = start
+        if self.quiet is not None:
+            quiet = self.quiet[np.flatnonzero(self.quiet.index == start.index[0])]
         known = batch = known_start(model, truth, quiet)
         if self.together > 1:
             batch = known.repeated(self.together).truncated(_TIMED)
@@ -142,11 +144,6 @@ class LearnedSimulator(Simulator):
             simulated_s=rows * frames * model.graph.frame_s,
             setup_s=setup,
         )
-
-    def _without_noise(self, start: Batch) -> Batch:
-        if self.quiet is None:
-            return start
-        return self.quiet[np.flatnonzero(self.quiet.index == start.index[0])]
 
 
 def signs_of(motion: ParticleMotion, truth: ParticleMotion) -> Signs:

@@ -19,7 +19,7 @@ from mbds_xsim.learn.curves import read_curve
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.groups import shares_of
 from mbds_xsim.learn.model import load_model, model_names, refusal, track_of, trainable
-from mbds_xsim.learn.recipe import PROFILES, TRACKS, Profile
+from mbds_xsim.learn.recipe import TRACKS
 from mbds_xsim.learn.runs import (
     Cost,
     TrainingRequest,
@@ -81,12 +81,6 @@ class TrainingOutcome:
     """Reasons why runs ended without a result; a new request resumes them."""
 
 
-def profile_named(name: str) -> Profile:
-    """Return a profile by name, or raise UnknownName with the known names."""
-    check_name("profile", name, PROFILES)
-    return PROFILES[name]
-
-
 def planned(request: TrainingRequest, *, only: bool = False) -> TrainingPlan:
     """Plan the runs of a request; `only`, if nothing will be written and blocked runs are allowed.
 
@@ -123,14 +117,12 @@ def planned(request: TrainingRequest, *, only: bool = False) -> TrainingPlan:
     blocked: dict[str, str] = {}
     for run in runs:
         try:
-            facts = finished(run)
+            if facts := finished(run):
+                done[run.name] = facts
         except InputError as error:
             if not only:
                 raise
             blocked[run.name] = str(error)
-            continue
-        if facts is not None:
-            done[run.name] = facts
     missing = tuple(run for run in runs if run.name not in done)
     _check_contents(missing)
     left_out = {f"{g.name}/{e}": lack for g in request.groups for e, lack in g.left_out.items()}
@@ -174,17 +166,15 @@ def carry(
     hours = {(cost.group, cost.model): cost.hours for cost in costs}
     runs = sorted(plan.runs, key=lambda run: -hours.get((run.group.name, run.model), 0.0))
 
-    def note(place: int, answer: object) -> None:
+    def note(place: int, answer: dict[str, str] | Crash) -> None:
         run = runs[place]
         if not isinstance(answer, Crash):
-            assert isinstance(answer, dict)
-            outcome.trained[run.name] = answer
-            progress.ended(run.name, run.profile.steps, _ended(answer))
-            return
-        if answer.refused:
+            outcome.trained[run.name], how = answer, _ended(answer)
+        elif answer.refused:
             raise InputError(answer.reason)
-        outcome.failed[run.name] = answer.reason
-        progress.ended(run.name, run.profile.steps, f"failed: {answer.reason}")
+        else:
+            outcome.failed[run.name], how = answer.reason, f"failed: {answer.reason}"
+        progress.ended(run.name, run.profile.steps, how)
 
     progress.begin(len(plan.done), [run.profile.steps for run in runs])
     tasks = [Task(carry_out, (run,), math.inf) for run in runs]

@@ -10,8 +10,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from benchmarks.survey_rows import Cause, SurveyRow
-from benchmarks.survey_wheels import linked, write_wheels
+from benchmarks.survey import Cause, SurveyRow, linked, write_wheels
 from mbds_xsim.scene.imported import Fate
 from mbds_xsim.studies.readers import Difference
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import itertools
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,7 +29,7 @@ from mbds_xsim.learn.shift.gaps import (
     Look,
     trainings_of,
 )
-from mbds_xsim.learn.shift.result import INTERVALS, Answer, BoundedRatio, Gap, values
+from mbds_xsim.learn.shift.result import INTERVALS, Answer, BoundedRatio, Gap
 from mbds_xsim.learn.trained import TrainedModel
 
 RESOLVABLE, ROBUST, MATCHED, SPEED = "resolvable", "robust", "matched", "speed"
@@ -41,7 +41,6 @@ _BLIND = (
 )
 _ALONE = "This cannot be asked: no model was trained on two of the tested engines, each alone"
 _UNTOLD = f"this cannot be told: {_BLIND}"
-_VERDICTS = ("helps", "harms", "makes no difference that can be told")
 
 
 @dataclass(frozen=True)
@@ -75,12 +74,11 @@ def answers_of(draws: Draws, gaps: Sequence[Gap], at: int) -> Iterator[Answer]:
 def _trainings(evaluation: Evaluation, model: str, variant: str) -> _Trainings:
     tests = [domain.name for domain in evaluation.test.domains if domain.variant == variant]
     trainings = [t for t in trainings_of(evaluation, model) if t.variant == variant]
-    singles = {t.domains[0]: t for t in trainings if t.single}
     absent = {t: [n for n in tests if n not in t.domains] for t in trainings if not t.single}
     return _Trainings(
         model,
         variant,
-        {name: t for name, t in singles.items() if name in tests},
+        {t.domains[0]: t for t in trainings if t.single and t.domains[0] in tests},
         {names[0]: t for t, names in absent.items() if len(names) == 1},
         # If an engine is not tested, trainings that left it out have seen all domains, too.
         max((t for t, n in absent.items() if not n), key=lambda t: len(t.engines), default=None),
@@ -93,14 +91,15 @@ def _resolved(gaps: Sequence[Gap], place: int, frame: int) -> Answer:
     if not single:
         return Answer(RESOLVABLE, "Is a shift resolvable?", _ALONE)
     count = Counter(gap.why[place] for gap in single)
-    resolved = [gap for gap in single if not gap.why[place]]
-    better = sum(_is_gain(gap, place) for gap in resolved)
+    resolved = [gap for gap in single if gap.resolved[place]]
+    worse = [gap for gap in resolved if (gap.difference[place] or 0.0) >= 0.0]
     text = (
         f"At t = {frame}, {len(resolved)} of {len(single)} shifts from one engine's data to "
-        f"another's are resolved{_by_settings(single, place)}. In {len(resolved) - better} of them "
-        f"the model errs more than the one trained there{_no_harm(resolved, place)}, in {better} "
-        f"less. Not resolved are {count[WEAK]} because the model's own error exceeds the engine "
-        f"floor, {count[UNSURE]} because the interval of the difference contains 0"
+        f"another's are resolved{_by_settings(single, place)}. In {len(worse)} of them the model "
+        f"errs more than the one trained there{_no_harm(worse, place)}, in "
+        f"{len(resolved) - len(worse)} less. Not resolved are {count[WEAK]} because the model's "
+        f"own error exceeds the engine floor, {count[UNSURE]} because the interval of the "
+        "difference contains 0"
     )
     if count[LONELY]:
         text += f", {count[LONELY]} because one trajectory gives no interval"
@@ -124,20 +123,11 @@ def _by_settings(gaps: Sequence[Gap], place: int) -> str:
     )
 
 
-def _no_harm(resolved: Sequence[Gap], place: int) -> str:
+def _no_harm(worse: Sequence[Gap], place: int) -> str:
     """Count models that lose nothing by the change, but are worse than the target's own."""
-    worse = [gap for gap in resolved if not _is_gain(gap, place)]
-    count = sum(_not_above(gap.transferred[place], gap.own[place]) for gap in worse)
+    # Errors behind a resolved gap are known.
+    count = sum((gap.transferred[place] or 0.0) <= (gap.own[place] or 0.0) for gap in worse)
     return f" (in {count} of these no more than at home: its data teach less)" if count else ""
-
-
-def _not_above(here: float | None, there: float | None) -> bool:
-    return here is not None and there is not None and here <= there
-
-
-def _is_gain(gap: Gap, place: int) -> bool:
-    difference = gap.difference[place]
-    return difference is not None and difference < 0.0
 
 
 def _most_robust(
@@ -147,8 +137,9 @@ def _most_robust(
     frame, variant = draws.evaluation.frames[place], groups[0].variant
     within = {group.model: _gaps_within(group, group.singles, gaps) for group in groups}
     resolved = {model: [g for g in own if g.resolved[place]] for model, own in within.items()}
+    judged = {model: own or within[model] for model, own in resolved.items()}
     ratios = {
-        group.model: draws.bounded(_worst_gap(group, resolved[group.model] or within[group.model]))
+        group.model: draws.bounded(functools.partial(_worst_gap, group, judged[group.model]))
         for group in groups
     }
     ordered = {m: ratios[m] for m in sorted(ratios, key=lambda model: ratios[model].value[place])}
@@ -189,18 +180,14 @@ def _count_resolved(gaps: Sequence[Gap], place: int) -> str:
     return f"{sum(gap.resolved[place] for gap in gaps)} of {len(gaps)}"
 
 
-def _worst_gap(group: _Trainings, gaps: Sequence[Gap]) -> Callable[[Look], Array]:
-    """Return a function for the largest ratio to the target-trained model."""
+def _worst_gap(group: _Trainings, gaps: Sequence[Gap], look: Look) -> Array:
+    """Compute the largest ratio to the target-trained model."""
     singles = {training.training: training for training in group.singles.values()}
-
-    def worst(look: Look) -> Array:
-        ratios = [
-            _over(look(singles[gap.training], gap.test), look(group.singles[gap.test], gap.test))
-            for gap in gaps
-        ]
-        return np.asarray(np.max(ratios, axis=0))
-
-    return worst
+    ratios = [
+        _over(look(singles[gap.training], gap.test), look(group.singles[gap.test], gap.test))
+        for gap in gaps
+    ]
+    return np.asarray(np.max(ratios, axis=0))
 
 
 def _mean_gap(group: _Trainings, look: Look) -> Array:
@@ -238,19 +225,17 @@ def _several_engines(
         ratio = draws.bounded(left_out)
         parts = _count_resolved(_gaps_within(group, group.without, gaps), place)
         text = (
-            f"{at} leaving one engine out {ratio.verdict(place, *_VERDICTS)} on the engine "
-            "left out, against training on a single other engine: error ratio "
-            f"{ratio.text(place)}. Of the gaps of these trainings to the target-trained model "
-            f"{parts} are resolved"
+            f"{at} leaving one engine out {ratio.verdict(place)} on the engine left out, against "
+            f"training on a single other engine: error ratio {ratio.text(place)}. Of the gaps of "
+            f"these trainings to the target-trained model {parts} are resolved"
         )
         question = f"Does training on several others help {model} ({variant})?"
         yield Answer(LEAVE_ONE_OUT, question, text, variant, _results({model: ratio}))
     if everything is not None:
         ratio = draws.bounded(worst_of_all)
         text = (
-            f"{at} training on all engines {ratio.verdict(place, *_VERDICTS)} on the worst "
-            "engine, against single-engine trainings on their worst: error ratio "
-            f"{ratio.text(place)}"
+            f"{at} training on all engines {ratio.verdict(place)} on the worst engine, against "
+            f"single-engine trainings on their worst: error ratio {ratio.text(place)}"
         )
         question = f"Does training on all engines help {model} ({variant})?"
         yield Answer(ALL, question, text, variant, _results({model: ratio}))
@@ -353,10 +338,7 @@ def _texts(ratios: Mapping[str, Bounded], place: int) -> str:
 
 
 def _results(ratios: Mapping[str, Bounded]) -> dict[str, BoundedRatio]:
-    return {
-        model: BoundedRatio(values(ratio.value), values(ratio.low), values(ratio.high))
-        for model, ratio in ratios.items()
-    }
+    return {model: BoundedRatio(**ratio.rounded()) for model, ratio in ratios.items()}
 
 
 def _over(here: Array, there: Array) -> Array:

@@ -20,7 +20,7 @@ from scipy.stats import kendalltau
 
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.learn.shift.evaluation import Evaluation, known_mean
-from mbds_xsim.learn.shift.result import INTERVALS, Agreement, Gap, values
+from mbds_xsim.learn.shift.result import INTERVALS, Agreement, Gap, Values, values
 from mbds_xsim.learn.trained import TrainedModel
 
 Errors = dict[tuple[str, int], float]
@@ -65,11 +65,16 @@ class Bounded:
             return f"{self.value[place]:.3g} [no interval]"
         return f"{self.value[place]:.3g} [{self.low[place]:.3g}, {self.high[place]:.3g}]"
 
-    def verdict(self, place: int, less: str, more: str, same: str) -> str:
-        """Choose the words for a ratio that is below 1, above 1, or neither for certain."""
+    def verdict(self, place: int) -> str:
+        """Say of what leads to a ratio of errors whether that is below 1, above 1, or neither."""
         if self.high[place] < 1.0:
-            return less
-        return more if self.low[place] > 1.0 else same
+            return "helps"
+        return "harms" if self.low[place] > 1.0 else "makes no difference that can be told"
+
+    def rounded(self, name: str = "") -> dict[str, Values]:
+        """Return the figures to store, as `value`, `low` and `high` or as `name`, `name_low`, …."""
+        keys = (name, f"{name}_low", f"{name}_high") if name else ("value", "low", "high")
+        return dict(zip(keys, map(values, (self.value, self.low, self.high)), strict=True))
 
 
 class Draws:
@@ -170,29 +175,24 @@ def _gap(draws: Draws, kind: str, training: TrainedModel, target: TrainedModel) 
     difference = draws.bounded(lambda look: look(training, test) - look(target, test))
     bounds = zip(own, floor, difference.low, difference.high, strict=True)
     why = tuple(why_unresolved(*each) for each in bounds)
-    figures = {
-        "own": own,
-        "transferred": draws.mean(training, test),
-        "target": draws.mean(target, test),
-        "ratio": ratio.value,
-        "ratio_low": ratio.low,
-        "ratio_high": ratio.high,
-        "difference": difference.value,
-        "difference_low": difference.low,
-        "difference_high": difference.high,
-        "engine_floor": floor,
-        **{
-            f"{name}_floor": known_mean(evaluation.counted(evaluation.floors.get(name, unknown)))
-            for name in ("noise", "chaos")
-        },
-    }
+    noise, chaos = (
+        known_mean(evaluation.counted(evaluation.floors.get(name, unknown)))
+        for name in ("noise", "chaos")
+    )
     return Gap(
         model=training.model,
         kind=kind,
         training=training.training,
         test=test,
         seeds=(len(evaluation.runs(training)), len(evaluation.runs(target))),
-        **{name: values(figure) for name, figure in figures.items()},
+        own=values(own),
+        transferred=values(draws.mean(training, test)),
+        target=values(draws.mean(target, test)),
+        **ratio.rounded("ratio"),
+        **difference.rounded("difference"),
+        engine_floor=values(floor),
+        noise_floor=values(noise),
+        chaos_floor=values(chaos),
         resolved=tuple(not reason for reason in why),
         why=why,
     )
@@ -222,9 +222,9 @@ class Resampler:
     seeds are drawn together, too.
     """
 
-    def __init__(self, trajectories: int, *, draws: int = DRAWS, seed: int = _SEED) -> None:
-        self._draws, self._seed = draws, seed
-        self._weights = _weights(np.random.default_rng([seed]), draws, trajectories)
+    def __init__(self, trajectories: int, *, draws: int = DRAWS) -> None:
+        self._draws = draws
+        self._weights = _weights(np.random.default_rng([_SEED]), draws, trajectories)
 
     def means(self, errors: Array, runs: str) -> Array:
         """Return resampled means (draw, frame) of finite errors (seed, trajectory, frame).
@@ -234,7 +234,7 @@ class Resampler:
         """
         if errors.shape[1] < _SEVERAL:
             return np.full((self._draws, errors.shape[2]), np.nan)
-        rng = np.random.default_rng([self._seed, zlib.crc32(runs.encode())])
+        rng = np.random.default_rng([_SEED, zlib.crc32(runs.encode())])
         seeds = _weights(rng, self._draws, len(errors))
         each = np.einsum("dt,stf->dsf", self._weights, errors, optimize=True)
         return np.einsum("ds,dsf->df", seeds, each)

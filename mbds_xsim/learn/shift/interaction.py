@@ -30,7 +30,7 @@ from scipy.stats import false_discovery_control, norm
 
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.learn.shift.gaps import Bounded, Draws, Look, own_and_floor, singles_of
-from mbds_xsim.learn.shift.result import Answer, Interaction, PairRatio, values
+from mbds_xsim.learn.shift.result import Answer, Interaction, PairRatio
 from mbds_xsim.learn.trained import TrainedModel
 
 Ratio = Callable[[TrainedModel, TrainedModel, Look], Array]
@@ -86,9 +86,7 @@ def compared(
             first=first.domains[0],
             second=second.domains[0],
             seeds=min(len(draws.evaluation.runs(each)) for each in (first, second)),
-            value=values(bounds.value),
-            low=values(bounds.low),
-            high=values(bounds.high),
+            **bounds.rounded(),
             resolved=tuple(row),
         )
         for (first, second), bounds, row in zip(pairs, bounded, resolved, strict=True)

@@ -77,12 +77,8 @@ _AT = 10
 _SINCE = " after the first contact"
 
 
-@dataclass(frozen=True, eq=False)
-class ShiftQuestion:
-    """Models and data of one scene that belong together."""
-
-    test: Paired
-    trained: tuple[TrainedModel, ...]
+ShiftQuestion = tuple[Paired, list[TrainedModel]]
+"""Data and models of one scene that belong together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +108,7 @@ def question_of(
     check_data(trained, test)
     for model in trained:
         curve_of(model)  # a damaged one is refused now, not after all the work
-    return ShiftQuestion(test, tuple(trained))
+    return test, trained
 
 
 def study(
@@ -129,7 +125,8 @@ def study(
     predictions and simulations are reused if `conduct.cache` allows it.
     """
     begin = time.perf_counter()
-    test, models = question.test, [*trivial_models(), *question.trained]
+    test, trained = question
+    models = [*trivial_models(), *trained]
     plan = RolloutPlan(min(max(FRAMES), test.batch.steps + 1 - HISTORY), device=device)
     frames = tuple(frame for frame in FRAMES if frame <= plan.horizon)
     at = _frame_of(frames, at)
@@ -261,8 +258,6 @@ class SampleRollout:
 
     model: str
     training: str
-    at_home: bool
-    """Whether it was trained on the domain that is shown."""
     position: Array
     """Positions [m], shape (trajectory, frame, particle, 3); NaN where lost."""
 
@@ -299,13 +294,8 @@ def samples_of(evaluation: Evaluation) -> Samples:
         index=motions.index,
         truth=motions.position[:, HISTORY - 1 : HISTORY + horizon].numpy(),
         models=tuple(
-            SampleRollout(
-                model.model,
-                model.training,
-                model.training == domain.name,
-                _predicted(evaluation, model, domain, rows, horizon),
-            )
-            for model in _chosen(evaluation, domain)
+            SampleRollout(m.model, m.training, _predicted(evaluation, m, domain, rows, horizon))
+            for m in _chosen(evaluation, domain)
         ),
     )
 

@@ -258,7 +258,8 @@ def name_of(sample: SampleRollout) -> str:
 
 def styles_of(samples: Samples) -> tuple[Style, ...]:
     """Return the rollouts' styles: the model's colour, dashed if trained on another domain."""
-    return tuple(model_style(s.model, dashed=not s.at_home) for s in samples.models)
+    home = samples.domain.name
+    return tuple(model_style(s.model, dashed=s.training != home) for s in samples.models)
 
 
 def pack(samples: Samples) -> dict[str, Any]:
