@@ -125,8 +125,7 @@ class Consistency:
     def _bumps(self) -> Mask:
         """Steps in which a joint may stick or run into a stop, or a servo saturate."""
         record = Record(self.scene, self.batch, self.reference)
-        clear = clear_of_stops(record.mechanism, record.world, record.frame, None)
-        return np.asarray(~(clear & record.steady))
+        return np.asarray(~(clear_of_stops(record) & record.steady))
 
     def _late(self, values: Array) -> Array:
         """Bound the error of bumps up to each frame, as runs may agree on the wrong instant.

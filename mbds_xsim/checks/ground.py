@@ -327,7 +327,7 @@ def _undisturbed(record: Record, push: Push) -> Mask:
     undisturbed = np.full(push.steady.shape, not rubs)
     for joint in mechanism.limited:
         if group & {joint.parent, joint.child}:
-            undisturbed &= clear_of_own(joint, record.world, record.frame)
+            undisturbed &= clear_of_own(record, joint)
     inside = np.isin(mechanism.sphere_pairs, push.spheres).all(axis=1)
     return undisturbed & record.parted[:, :, inside].all(axis=2) if inside.any() else undisturbed
 

@@ -10,7 +10,7 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.checks.finding import Figures, check
-from mbds_xsim.checks.mismatch import Mismatch
+from mbds_xsim.checks.mismatch import Mismatch, mismatch_of
 from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
@@ -116,9 +116,9 @@ def velocity_lag(record: Record) -> Figures | None:
 
 def _mismatch(record: Record) -> Mismatch | None:
     """Return the mismatch; None if contact, friction or drives leave no step to check."""
-    if record.steps < 1 or (_skips(record) and not np.isfinite(record.mismatch.blur).any()):
+    if record.steps < 1 or (_skips(record) and not np.isfinite(mismatch_of(record).blur).any()):
         return None
-    return record.mismatch
+    return mismatch_of(record)
 
 
 def _skips(record: Record) -> bool:

@@ -10,6 +10,7 @@ Integration, 2.9).
 from __future__ import annotations
 
 import dataclasses
+import functools
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -19,16 +20,9 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.checks.carried import CarriedPoints, carried
 from mbds_xsim.checks.flights import usual
-from mbds_xsim.scene.joint_space import (
-    BodyStates,
-    joint_coordinate,
-    to_bodies,
-    to_links,
-)
+from mbds_xsim.checks.record import Record
+from mbds_xsim.scene.joint_space import BodyStates, joint_coordinate, to_bodies, to_links
 from mbds_xsim.scene.mechanism import Mechanism
-
-EVERY_SECOND = (0, 2)
-"""First step and stride that cover every frame once."""
 
 MOMENT = 5e-4  # share of the frame interval; jerks are differences of accelerations over it
 _FACTOR = 8.0  # largest error of the quintic over its estimate (measured: 7.3)
@@ -74,40 +68,19 @@ class _Points(NamedTuple):
     rate_acceleration: Array
 
 
-def mismatch_of(
-    mechanism: Mechanism,
-    bodies: BodyStates,
-    force: Array,
-    torque: Array,
-    flying: Mask,
-    *,
-    frame: float,
-    lag: float,
-    steps: tuple[int, int],
-    many: bool = False,
-) -> Mismatch:
-    """Compare positions and velocities over some steps, outside contact.
-
-    Args:
-        mechanism: Mechanism of the recorded motion.
-        bodies: Recorded states, NaN where they are lost, shape (trajectory, frame, body, …).
-        force: Held forces [N], shape (trajectory, step, body, 3).
-        torque: Held torques [N·m] and pushes of drives, shape (trajectory, step, hinge + drive).
-        flying: Steps outside contact, shape (trajectory, step).
-        frame: Interval between frames [s].
-        lag: Recorded velocities belong to frame time + lag [s].
-        steps: First step and stride; every second step covers all frames.
-        many: As in `Record`.
-    """
-    first = np.arange(steps[0], bodies.position.shape[1] - 1, steps[1])
-    flow = Flow(mechanism, MOMENT * frame, many)
-    begin, end = _ends(flow, bodies, first, (flying, force, torque), lag)
+@functools.lru_cache(maxsize=1)
+def mismatch_of(record: Record) -> Mismatch:
+    """Compare positions and velocities over the record's `steps_compared`, outside contact."""
+    start, stride = record.steps_compared
+    first, frame = np.arange(start, record.steps, stride), record.frame
+    flow = Flow(record.mechanism, MOMENT * frame, record.many)
+    begin, end = _ends(record, flow, first)
     # Hermite's formulas with no, one and two derivatives at each end.
     trapezoid = (begin.velocity + end.velocity) / 2
     bend = (begin.acceleration - end.acceleration) * frame
     cubic = trapezoid + bend / 12
     quintic = trapezoid + bend / 10 + frame**2 / 120 * (begin.jerk + end.jerk)
-    points = CarriedPoints(mechanism)
+    points = CarriedPoints(record.mechanism)
     gaps = trapezoid - cubic, cubic - quintic
     jerk = np.maximum(points.rms(begin.jerk), points.rms(end.jerk))
     return Mismatch(
@@ -125,16 +98,16 @@ def mismatch_of(
     )
 
 
-def _ends(
-    flow: Flow, bodies: BodyStates, first: Index, inputs: tuple[Mask, Array, Array], lag: float
-) -> tuple[_Points, _Points]:
-    """Return the points at the beginnings and ends of steps; `inputs` are flight and loads."""
+def _ends(record: Record, flow: Flow, first: Index) -> tuple[_Points, _Points]:
+    """Return the points at the beginnings and ends of steps."""
     # Both at once, since calls cost as much as arithmetic here.
     both, count = np.concatenate([first, first + 1]), len(first)
+    inputs = (record.flying() & record.steady, record.batch.force, record.torque)
     free, force, torque = (np.concatenate([each[:, first]] * 2, axis=1) for each in inputs)
     if flow.mechanism.compliant or flow.mechanism.drives:
-        torque = torque + winding_torque(flow.mechanism, bodies)[:, both]
-    points = _points_at(flow, bodies[:, both], free, force, torque, lag)
+        torque = torque + winding_torque(flow.mechanism, record.bodies)[:, both]
+    states = record.bodies[:, both]
+    points = _points_at(flow, states, known_states(states) & free, force, torque, record.lag)
     begin, end = (
         _Points(*(each[:, half] for each in points))
         for half in (slice(0, count), slice(count, None))
@@ -175,14 +148,8 @@ def _extrapolate(coarse: Array, fine: Array) -> Array:
 
 
 def _points_at(
-    flow: Flow,
-    states: BodyStates,
-    free: Mask,
-    force: Array,
-    torque: Array,
-    lag: float,
+    flow: Flow, states: BodyStates, known: Mask, force: Array, torque: Array, lag: float
 ) -> _Points:
-    known = known_states(states) & free
     subset = states[known].each(np.asfortranarray)  # components apart, as in `Record`
     near = flow.closed(subset)
     if lag:

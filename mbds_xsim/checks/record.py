@@ -12,7 +12,6 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.coordinates import clear_of_stops
-from mbds_xsim.checks.mismatch import EVERY_SECOND, Mismatch, mismatch_of
 from mbds_xsim.checks.spheres import (
     Neighbours,
     Spheres,
@@ -31,6 +30,9 @@ from mbds_xsim.simulate.claims import Method
 if TYPE_CHECKING:
     from mbds_xsim.checks.balance_kernel import Masses
     from mbds_xsim.checks.motion_kernel import FlatMotion
+
+EVERY_SECOND = (0, 2)
+"""First step and stride that cover every frame once."""
 
 _EARTH = 9.81
 _STEADY = 0.02  # share of the largest rate; below it a joint with dry friction may stop in a step
@@ -177,7 +179,7 @@ class Record:
         alone = self.clear[:, :, own].all(axis=2)
         if crossing.any():
             alone = alone & self.parted[:, :, crossing].all(axis=2)
-        return alone & clear_of_stops(self.mechanism, self.world, self.frame, group)
+        return alone & clear_of_stops(self, group)
 
     @functools.cached_property
     def spin(self) -> Array:
@@ -218,21 +220,6 @@ class Record:
             begin, end = (np.sign(u) * (np.abs(u) > drive.limit) for u in ends)
             steady &= begin == end
         return steady
-
-    @functools.cached_property
-    def mismatch(self) -> Mismatch:
-        """Mismatch between displacements and velocities within frames, outside contact."""
-        return mismatch_of(
-            self.mechanism,
-            self.bodies,
-            self.batch.force,
-            self.torque,
-            self.flying() & self.steady,
-            frame=self.frame,
-            lag=self.lag,
-            steps=self.steps_compared,
-            many=self.many,
-        )
 
     def by_step(self, parts: Sequence[Array]) -> Array:
         """Put values of steps at the frames at their ends, 0 at frame 0, (…, frame, part)."""

@@ -80,10 +80,10 @@ def kicked(record: Record, pull: Array | float = 0.0) -> tuple[Array, Array]:
 def _jump(record: Record, joint: PlacedJoint) -> Array:
     """Compute a joint's change of rate, (trajectory, step); NaN where it reaches no stop."""
     change = np.abs(np.diff(joint_rate(joint, record.world), axis=1))
-    return np.where(clear_of_own(joint, record.world, record.frame), np.nan, change)
+    return np.where(clear_of_own(record, joint), np.nan, change)
 
 
 def _deepest(record: Record, joint: PlacedJoint) -> Array:
     """Compute a joint's distance from its stop at the farther end of steps, (trajectory, step)."""
-    gap = np.maximum(stop_gap(joint, coordinate_of(record, joint)), 0.0)
+    gap = np.maximum(stop_gap(record, joint), 0.0)
     return np.maximum(gap[:, 1:], gap[:, :-1])
