@@ -20,7 +20,7 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.balances import groups_of
-from mbds_xsim.checks.finding import Figures, check
+from mbds_xsim.checks.finding import Figures, check, side_by_side
 from mbds_xsim.checks.flights import numbers, usual
 from mbds_xsim.checks.forced import Forced, forced
 from mbds_xsim.checks.ground import Push, pushes_of, responses
@@ -73,7 +73,7 @@ def _of_few(record: Record, more: Forced | None = None) -> tuple[Array, str]:
     own = rotation.rotate(rotation.conjugate(record.bodies.native[:, :-1]), turn.difference)
     parts += [turn.drift(own), _delay(record, place, turn)]
     parts += [_of_group(record, push, place.difference) for push in pushes_of(record)]
-    figures = record.by_frame([each[..., k] for each in parts for k in range(each.shape[-1])])
+    figures = side_by_side(parts)
     figures[:, 0] = np.where(record.finite[:, :1], np.nan_to_num(figures[:, 0]), np.nan)
     allowed = np.nanmedian(turn.allowed) if record.finite[:, 1:].any() else np.nan
     return figures, f"turns are known to {allowed:.2g} rad/s in half of the frames"

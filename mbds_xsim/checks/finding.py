@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -24,6 +24,11 @@ class Figures(NamedTuple):
     note: str = ""
     uncertainty: Array | float = 0.0
     """Resolution of the check, as in `Finding`."""
+
+
+def side_by_side(parts: Sequence[Array]) -> Array:
+    """Join parts, shape (trajectory, frame, part), so that they are apart in memory."""
+    return np.concatenate([part.T for part in parts]).T
 
 
 @dataclass(frozen=True)
