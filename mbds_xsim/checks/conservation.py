@@ -243,7 +243,8 @@ def _angular(record: Record, balance: Balance) -> tuple[Array, Array, Array, Arr
     else:
         arm = arm - balance.about
     own = rotation.rotate(states.native[:, :, bodies], record.turning[:, :, bodies])
-    each = own + rotation.cross(arm, mass[:, None] * speed)
+    orbital = rotation.cross(arm, mass[:, None] * speed)
+    each = own + orbital
     gravity = np.array(record.scene.gravity)
     swept = frame / 2 * (arm[:, 1:] + arm[:, :-1]) + frame**2 / 12 * (speed[:, :-1] - speed[:, 1:])
     swept = swept + record.lag * (arm[:, 1:] - arm[:, :-1])

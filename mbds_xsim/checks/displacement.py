@@ -67,7 +67,7 @@ def displacement(record: Record) -> Figures | None:
 def _of_few(record: Record, more: Forced | None = None) -> tuple[Array, str]:
     """Compute the parts, with the effect of forces within frames if given, and a note."""
     parts = []
-    place, turn = _Residual.of_places(record, more), _Residual.of_turns(record, more)
+    place, turn = (_Residual.of(record, more, angular=kind) for kind in (False, True))
     for residual in (place, turn):
         parts += [residual.by_frame, residual.drift(residual.difference)]
     own = rotation.rotate(rotation.conjugate(record.bodies.native[:, :-1]), turn.difference)
@@ -135,25 +135,33 @@ class _Residual:
     """Share of a frame that a step takes, as errors of a method do not average out."""
 
     @staticmethod
-    def of_places(record: Record, more: Forced | None) -> _Residual:
-        velocity = record.bodies.velocity
-        mean = record.moved / record.frame
-        residual = mean - (velocity[:, 1:] + velocity[:, :-1]) / 2
-        bend = None if more is None else more.places
-        return _residual(record, residual, velocity, 1.0, _hidden(record, more, False), bend)
-
-    @staticmethod
-    def of_turns(record: Record, more: Forced | None) -> _Residual:
-        """Compare recorded turns with those that velocities give to third order (Magnus)."""
-        spin, facing, frame = record.bodies.angular_velocity, record.bodies.native, record.frame
-        begin, end = spin[:, :-1], spin[:, 1:]
-        predicted = frame / 2 * (begin + end) - frame**2 / 12 * rotation.cross(begin, end)
-        turned = rotation.multiply(facing[:, 1:], rotation.conjugate(facing[:, :-1]))
-        back = rotation.multiply(rotation.from_vector(-predicted), turned)
-        residual = rotation.to_vector(back) / frame
-        bend = None if more is None else more.turns
-        hidden = _hidden(record, more, True)
-        return _residual(record, residual, spin, 1.0 / record.scene.length, hidden, bend)
+    def of(record: Record, more: Forced | None, *, angular: bool) -> _Residual:
+        """Compare displacements with velocities, or turns with angular ones."""
+        frame, share = record.frame, (record.step or 0.0) / record.frame
+        velocity = record.bodies.angular_velocity if angular else record.bodies.velocity
+        gained = np.diff(velocity, axis=1)
+        change = _second_differences(gained)
+        change = _with_ends(_window(np.maximum(change[:, 1:], change[:, :-1])))
+        if more is not None:
+            swing = more.turns if angular else more.places
+            change = np.maximum(change, np.maximum(_SWING * swing, _unresolved(swing, gained)))
+        bend = (_BEND + min(_METHOD * share**2, _BEND)) * change
+        residual = _of_turns(record) if angular else _of_places(record)
+        if record.lag:
+            residual = residual + record.lag / frame * gained
+            fastest = _window(rotation.norm(gained).max(axis=2, keepdims=True))
+            bend = bend + _LAG * abs(record.lag) / frame * fastest
+        repeats = _repeats(record)
+        speed = np.nanmax(rotation.norm(velocity), axis=(1, 2), initial=0.0)
+        least = frame * record.usual_pull * (1.0 / record.scene.length if angular else 1.0)
+        return _Residual(
+            residual,
+            gained,
+            np.where(repeats, 0.0, bend),
+            np.where(repeats, 0.0, _hidden(record, more, angular)),
+            np.maximum(_FLOOR * np.maximum(speed, least)[:, None, None], _TINY),
+            share,
+        )
 
     @functools.cached_property
     def allowed(self) -> Array:
@@ -186,38 +194,20 @@ class _Residual:
         return _at_end(np.asarray(known.any(axis=2)), rotation.norm(mean[:, 0]) / limit)
 
 
-def _residual(
-    record: Record,
-    residual: Array,
-    velocity: Array,
-    per_length: float,
-    hidden: Array,
-    swing: Array | None,
-) -> _Residual:
-    gained = np.diff(velocity, axis=1)
-    share = (record.step or 0.0) / record.frame
-    own = min(_METHOD * share**2, _BEND)
-    change = _second_differences(gained)
-    change = _with_ends(_window(np.maximum(change[:, 1:], change[:, :-1])))
-    if swing is not None:
-        change = np.maximum(change, np.maximum(_SWING * swing, _unresolved(swing, gained)))
-    bend = (_BEND + own) * change
-    if record.lag:
-        residual = residual + record.lag / record.frame * gained
-        fastest = _window(rotation.norm(gained).max(axis=2, keepdims=True))
-        bend = bend + _LAG * abs(record.lag) / record.frame * fastest
-    repeats = _repeats(record)
-    speed = np.nanmax(rotation.norm(velocity), axis=(1, 2), initial=0.0)
-    least = record.frame * record.usual_pull * per_length
-    floor = _FLOOR * np.maximum(speed, least)[:, None, None]
-    return _Residual(
-        residual,
-        gained,
-        np.where(repeats, 0.0, bend),
-        np.where(repeats, 0.0, hidden),
-        np.maximum(floor, _TINY),
-        share,
-    )
+def _of_places(record: Record) -> Array:
+    """Return mean velocities by displacements less those by velocities [m/s]."""
+    velocity = record.bodies.velocity
+    return record.moved / record.frame - (velocity[:, 1:] + velocity[:, :-1]) / 2
+
+
+def _of_turns(record: Record) -> Array:
+    """Compare recorded turns with those that velocities give to third order (Magnus) [rad/s]."""
+    spin, facing, frame = record.bodies.angular_velocity, record.bodies.native, record.frame
+    begin, end = spin[:, :-1], spin[:, 1:]
+    predicted = frame / 2 * (begin + end) - frame**2 / 12 * rotation.cross(begin, end)
+    turned = rotation.multiply(facing[:, 1:], rotation.conjugate(facing[:, :-1]))
+    back = rotation.multiply(rotation.from_vector(-predicted), turned)
+    return rotation.to_vector(back) / frame
 
 
 def _unresolved(swing: Array, gained: Array) -> Array:

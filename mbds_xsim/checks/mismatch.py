@@ -18,14 +18,72 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index, Mask
-from mbds_xsim.checks.carried import CarriedPoints, carried
 from mbds_xsim.checks.flights import usual
 from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.joint_space import BodyStates, joint_coordinate, to_bodies, to_links
-from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
 
 MOMENT = 5e-4  # share of the frame interval; jerks are differences of accelerations over it
 _FACTOR = 8.0  # largest error of the quintic over its estimate (measured: 7.3)
+_LEAST_ARM = 1e-3  # share of a body's reach; points nearer to its centre drown in rounding
+_ARMS = np.concatenate([np.zeros((1, 3)), np.eye(3)])
+
+
+@dataclass(frozen=True, eq=False)
+class CarriedPoints:
+    """Four points per body, whose motion combines displacement and rotation in one vector.
+
+    They are its centre of mass, and one at the radius of gyration along each axis of its native
+    frame.
+    """
+
+    mechanism: Mechanism
+
+    def rms(self, vectors: Array) -> Array:
+        """Return the RMS over mass and points, shape (trajectory, step)."""
+        return np.sqrt(self.inner(vectors, vectors))
+
+    def each(self, vectors: Array) -> Array:
+        """Return the RMS over each body's points, moved out to the body's ends, shape (…, body).
+
+        Vectors relative to the centre grow in proportion to the distance from it.
+        """
+        center = vectors[..., :1, :]
+        stretch = _extents(self.mechanism) / _gyrations(self.mechanism)
+        ends = center + stretch[:, None, None] * (vectors - center)
+        return np.sqrt(np.einsum("...bpi,...bpi->...b", ends, ends) / len(_ARMS))
+
+    def inner(self, one: Array, other: Array) -> Array:
+        """Return the scalar product averaged over mass and points, shape (trajectory, step)."""
+        share = self.mechanism.mass / (4.0 * self.mechanism.mass.sum())
+        weighed = share[:, None, None] * one  # einsum of three takes several times as long
+        return np.asarray(np.einsum("...bpi,...bpi->...", weighed, other))
+
+    def as_bodies(self, points: Array, native: Array) -> tuple[Array, Array]:
+        """Compute velocities [m/s], [rad/s] of bodies from those of points, (…, body, 3)."""
+        axes = rotation.rotate(native[..., None, :], _ARMS[1:])
+        turns = rotation.cross(axes, points[..., 1:, :] - points[..., :1, :]).sum(axis=-2)
+        return points[..., 0, :], turns / (2.0 * _gyrations(self.mechanism)[:, None])
+
+    def as_points(self, velocity: Array, spin: Array, native: Array) -> Array:
+        """Compute velocities of points from those of bodies [m/s], shape (…, body, point, 3)."""
+        return velocity[..., None, :] + rotation.cross(spin[..., None, :], self._arms(native))
+
+    def moving(self, states: BodyStates, pull: Array, push: Array) -> tuple[Array, Array, Array]:
+        """Compute positions, velocities and accelerations of the points."""
+        spin, arm = states.angular_velocity[..., None, :], self._arms(states.native)
+        swing = rotation.cross(spin, arm)
+        return (
+            states.position[..., None, :] + arm,
+            states.velocity[..., None, :] + swing,
+            pull[..., None, :]
+            + rotation.cross(push[..., None, :], arm)
+            + rotation.cross(spin, swing),
+        )
+
+    def _arms(self, native: Array) -> Array:
+        radii = _gyrations(self.mechanism)[:, None, None]
+        return rotation.rotate(native[..., None, :], radii * _ARMS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,15 +232,13 @@ def _placed(known: Mask, values: Array) -> Array:
 def _derivatives(
     flow: Flow, states: BodyStates, closed: BodyStates, force: Array, torque: Array
 ) -> _Points:
-    mechanism = flow.mechanism
+    points = CarriedPoints(flow.mechanism)
     rates = flow.accelerations(closed, force, torque)
     later = flow.closed(flow.later(closed, *rates))
     then = flow.accelerations(later, force, torque)
-    position, velocity, acceleration = carried(mechanism, states, *rates)
-    change = carried(mechanism, later, *then)[2] - carried(mechanism, closed, *rates)[2]
-    pull, push = flow.of_rates(closed, *rates)
-    changes = dataclasses.replace(states, velocity=pull, angular_velocity=push)
-    rate_acceleration = carried(mechanism, changes, *rates)[1]
+    position, velocity, acceleration = points.moving(states, *rates)
+    change = points.moving(later, *then)[2] - points.moving(closed, *rates)[2]
+    rate_acceleration = points.as_points(*flow.of_rates(closed, *rates), states.native)
     return _Points(position, velocity, acceleration, change / flow.moment, rate_acceleration)
 
 
@@ -262,3 +318,39 @@ class Flow:
 def known_states(states: BodyStates) -> Mask:
     """Return which states have finite positions, with the shape of the leading axes."""
     return np.asarray(np.isfinite(states.position).all(axis=(-1, -2)))
+
+
+@functools.lru_cache(maxsize=64)
+def _gyrations(mechanism: Mechanism) -> Array:
+    """Return mean radii of gyration [m], shape (body,), at least a thousandth of bodies' reaches.
+
+    A link without moments of inertia turns, too, so its points must not coincide.
+    """
+    radii = np.sqrt(np.trace(mechanism.inertia, axis1=1, axis2=2) / (2 * mechanism.mass))
+    return np.maximum(radii, _LEAST_ARM * _reaches(mechanism))
+
+
+@functools.lru_cache(maxsize=64)
+def _extents(mechanism: Mechanism) -> Array:
+    """Return distances of the farthest things that bodies carry from their centres [m], (body,).
+
+    They are at least the radius of gyration. A slender rod that twists hardly moves its mass, but
+    does move a joint on its side.
+    """
+    return np.maximum(_gyrations(mechanism), _reaches(mechanism))
+
+
+def _reaches(mechanism: Mechanism) -> Array:
+    """Return how far joints, particles, spheres and attachments reach from centres of mass [m]."""
+    reaches = np.zeros(len(mechanism.mass))
+    joints = [((one.parent, one.child), (one.in_parent, one.in_child)) for one in mechanism.joints]
+    pairs = [(pair.bodies, pair.in_body) for pair in (*mechanism.distances, *mechanism.springs)]
+    for bodies, points in (*joints, *pairs):
+        for body, point in zip(bodies, points, strict=True):
+            if body != WORLD_INDEX:
+                reaches[body] = max(reaches[body], float(np.linalg.norm(point)))
+    particles = np.linalg.norm(mechanism.particle_offset, axis=1)
+    spheres = np.linalg.norm(mechanism.sphere_offset, axis=1) + mechanism.sphere_radius
+    np.maximum.at(reaches, mechanism.particle_body, particles)
+    np.maximum.at(reaches, mechanism.sphere_body, spheres)
+    return reaches
