@@ -23,6 +23,7 @@ from mbds_xsim.testing.collision_cases import (
     gate,
     swings,
 )
+from mbds_xsim.testing.contact_contract import matched_or_skip
 
 _REBOUNDS = (0.0, 0.5, 1.0)
 
@@ -85,9 +86,7 @@ class CollisionContract:
         """Coefficients of pairs, which engines mix from two, are right, also with a ground."""
         for ground in (None, Ground(0.2, 0.5)):
             scene = balls(TWO["slides"], ground=ground)
-            _skip_unable(adapter, scene)
-            batch = draw_batch(scene, [0])
-            settings = adapter.settings(scene, "matched")
+            settings, batch = matched_or_skip(adapter, scene), draw_batch(scene, [0])
             with adapter.open(scene, settings) as run:
                 native = run.readback(batch)
                 assert native.collision is not None
@@ -105,30 +104,16 @@ class CollisionContract:
         motion = _simulate(adapter, scene)
         settings = adapter.settings(scene, "matched")
         method = adapter.methods[settings.method]
-        scales = adapter.contact_scales(settings)
-        findings = audit(
-            scene,
-            draw_batch(scene, [0]),
-            motion,
-            method,
-            step=settings.step,
-            contact_time=scales.time,
-        )
+        batch, time = draw_batch(scene, [0]), adapter.contact_scales(settings).time
+        findings = audit(scene, batch, motion, method, step=settings.step, contact_time=time)
         assert {"collision restitution", "collision friction"} <= {one.check for one in findings}
         for one in findings:
             over = one.budget is not None and one.figure > one.budget + one.uncertainty
             assert not np.any(over), f"{one.check}: {one.figure}, {one.where}"
 
 
-def _skip_unable(adapter: Adapter, scene: Scene) -> None:
-    settings = adapter.settings(scene, "matched")
-    if adapter.refusals(scene, settings.method):
-        pytest.skip(f"{adapter.name} {settings.method} cannot do {scene.name}")
-
-
 def _simulate(adapter: Adapter, scene: Scene) -> Trajectory:
-    _skip_unable(adapter, scene)
-    with adapter.open(scene, adapter.settings(scene, "matched")) as run:
+    with adapter.open(scene, matched_or_skip(adapter, scene)) as run:
         motion = run.rollout(draw_batch(scene, [0]))
     assert motion.failures == (None,)
     return motion

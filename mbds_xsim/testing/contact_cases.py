@@ -218,9 +218,9 @@ def laid_cubli(steps: int = 50) -> Scene:
     )
 
 
-def bounces(restitution: float, height: float = 0.5, steps: int = 75) -> Scene:
-    """Make a ball that falls from a height [m]."""
-    return ball(height, ground=Ground(FRICTION, restitution), steps=steps)
+def bounces(restitution: float) -> Scene:
+    """Make a ball that falls from half a metre."""
+    return ball(0.5, ground=Ground(FRICTION, restitution), steps=75)
 
 
 def rebound_heights(scene: Scene, time: Array) -> tuple[Array, Array]:

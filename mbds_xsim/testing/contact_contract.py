@@ -65,8 +65,7 @@ class ContactContract:
     def test_friction_stops_where_a_ball_rolls(self, adapter: Adapter) -> None:
         """Momentum about the contact point fixes the final motion, however friction got there."""
         case = CONTACT_CASES["slide to roll"]()
-        settings = _settings(adapter, case.scene)
-        scales, motion = _simulate(adapter, case.scene, case.batch, settings)
+        scales, motion = _simulate(adapter, case.scene, case.batch)
         sink = _G * scales.time**2
         # A ball that sinks rolls on a smaller radius.
         allowed = 1e-6 + sink / PARTICLE_RADIUS * np.abs(case.exact.velocity).max()
@@ -82,8 +81,7 @@ class ContactContract:
     ) -> None:
         """Height and speed in flight give the rebound; an impact may be one contact time late."""
         scene = bounces(restitution)
-        settings = _settings(adapter, scene)
-        scales, motion = _simulate(adapter, scene, draw_batch(scene, [0]), settings)
+        scales, motion = _simulate(adapter, scene)
         height = motion.position[0, :, 0, 2] - PARTICLE_RADIUS
         top = height + motion.velocity[0, :, 0, 2] ** 2 / (2 * _G)
         number, wanted = rebound_heights(scene, motion.time)
@@ -106,8 +104,9 @@ class ContactContract:
         for speed in (0.3, 1.0, 3.0, 8.0):
             drop = 0.0137 * speed  # touches down in the middle of a step
             scene = ball(drop, (0.0, 0.0, -speed), ground=ground, steps=1)
-            settings = _settings(adapter, scene, coarser=1)
-            scales, motion = _simulate(adapter, scene, draw_batch(scene, [0]), settings)
+            scales, motion = _simulate(
+                adapter, scene, settings=_settings(adapter, scene, coarser=1)
+            )
             height, climb = (
                 motion.position[0, 1, 0, 2] - PARTICLE_RADIUS,
                 motion.velocity[0, 1, 0, 2],
@@ -124,8 +123,7 @@ class ContactContract:
         height, push = 0.15, 1000.0
         scene = ball(height, ground=Ground(0.43, 0.6), steps=1)
         scene = msgspec.structs.replace(scene, forces=(Force("ball", ((0.0, 0.0, -push),), 1),))
-        settings = _settings(adapter, scene, coarser=1)
-        scales, motion = _simulate(adapter, scene, draw_batch(scene, [0]), settings)
+        scales, motion = _simulate(adapter, scene, settings=_settings(adapter, scene, coarser=1))
         top, climb = motion.position[0, 1, 0, 2] - PARTICLE_RADIUS, motion.velocity[0, 1, 0, 2]
         pull = push / Mechanism.of(scene).mass[0] + _G
         impact = np.sqrt(2 * pull * height)
@@ -137,8 +135,7 @@ class ContactContract:
     def test_without_friction_nothing_turns(self, adapter: Adapter) -> None:
         """A smooth ground takes no speed and no spin."""
         scene = ball(0.3, (3.0, 1.0, 0.0), (0.0, 0.0, 4.0), ground=Ground(0.0, 0.5))
-        settings = _settings(adapter, scene)
-        _, motion = _simulate(adapter, scene, draw_batch(scene, [0]), settings)
+        _, motion = _simulate(adapter, scene)
         along, spin = motion.velocity[0, :, 0, :2], motion.angular_velocity[0, :, 0]
         np.testing.assert_allclose(along, [[3.0, 1.0]] * 51, atol=1e-12)
         np.testing.assert_allclose(spin, [[0.0, 0.0, 4.0]] * 51, atol=1e-12)
@@ -191,8 +188,8 @@ class ContactContract:
             contacts=(*single.contacts, ContactSphere("still", centre, PARTICLE_RADIUS)),
         )
         settings = _settings(adapter, scene)
-        scales, both = _simulate(adapter, scene, draw_batch(scene, [0]), settings)
-        _, alone = _simulate(adapter, single, draw_batch(single, [0]), settings)
+        scales, both = _simulate(adapter, scene, settings=settings)
+        _, alone = _simulate(adapter, single, settings=settings)
         # Engines that choose their steps by contacts may round differently.
         np.testing.assert_allclose(both.position[:, :, 0], alone.position[:, :, 0], atol=1e-12)
         sink = 1e-9 + _G * scales.time**2
@@ -221,9 +218,7 @@ class ContactContract:
 
 def _settings(adapter: Adapter, scene: Scene, *, coarser: int = _COARSER) -> Settings:
     """Return the matched settings; skip the test if the engine cannot simulate the scene."""
-    careful = adapter.settings(scene, "matched")
-    if adapter.refusals(scene, careful.method):
-        pytest.skip(f"{adapter.name} {careful.method} cannot do {scene.name}")
+    careful = matched_or_skip(adapter, scene)
     if value := adapter.cannot_hold(scene):
         pytest.skip(f"{adapter.name} cannot hold {value}")
     stored = settings_for(scene, adapter, "matched")
@@ -234,9 +229,20 @@ def _settings(adapter: Adapter, scene: Scene, *, coarser: int = _COARSER) -> Set
     return Settings(careful.method, careful.step * coarser, careful.options)
 
 
+def matched_or_skip(adapter: Adapter, scene: Scene) -> Settings:
+    """Return the preset of matched settings; skip the test if its method refuses the scene."""
+    settings = adapter.settings(scene, "matched")
+    if adapter.refusals(scene, settings.method):
+        pytest.skip(f"{adapter.name} {settings.method} cannot do {scene.name}")
+    return settings
+
+
 def _simulate(
-    adapter: Adapter, scene: Scene, batch: Batch, settings: Settings
+    adapter: Adapter, scene: Scene, batch: Batch | None = None, settings: Settings | None = None
 ) -> tuple[ContactScales, Trajectory]:
+    """Simulate a scene's first start, or a batch, at `_settings` or others."""
+    batch = draw_batch(scene, [0]) if batch is None else batch
+    settings = settings or _settings(adapter, scene)
     with adapter.open(scene, settings) as run:
         motion = run.rollout(batch)
     assert motion.failures == (None,) * len(batch), f"{settings.method}: {motion.failures}"
