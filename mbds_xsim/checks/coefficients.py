@@ -356,8 +356,12 @@ def shared_faults(evidence: Iterable[BalanceEvidence | None]) -> list[str]:
     missing, weight = (
         np.concatenate([getattr(each, name) for each in known]) for name in ("missing", "weight")
     )
+    lines = [*_of_parts(known[0], share, error), *_of_steps(missing, weight)]
     impacts = [each.impacts for each in known if each.impacts is not None]
-    return [*_of_parts(known[0], share, error), *_of_steps(missing, weight), *_of_impacts(impacts)]
+    pool = Pool.of(ImpactEvidence.joined(impacts)) if impacts else None
+    if pool is not None and max(pool.used) > 1.0:
+        lines.append(str(pool))
+    return lines
 
 
 def _of_parts(parts: BalanceEvidence, share: Array, error: Array) -> Iterator[str]:
@@ -377,12 +381,6 @@ def _of_steps(missing: Array, weight: Array) -> Iterator[str]:
     enough = (weight > 1.0).sum(axis=0) >= _ENOUGH
     for step in np.flatnonzero(enough & (mean - _ERRORS * spread > _HALF))[:1]:
         yield f"inputs of step {step}: {mean[step]:.2g} of them are missing in all trajectories"
-
-
-def _of_impacts(shown: list[ImpactEvidence]) -> Iterator[str]:
-    pool = Pool.of(ImpactEvidence.joined(shown)) if shown else None
-    if pool is not None and max(pool.used) > 1.0:
-        yield str(pool)
 
 
 def _mean(values: Array, weight: Array) -> tuple[Array, Array]:

@@ -188,12 +188,10 @@ def yielding(record: Record, bodies: BodyStates, sphere: Index) -> Array:
 
 def _acceleration(record: Record, hits: Impacts, bodies: BodyStates) -> Array:
     """Compute the acceleration of the lowest point without the ground [m/s²], (impact, 3)."""
-    inputs = (values[hits.row, hits.step] for values in (record.batch.force, record.torque))
-    force, torque = inputs
+    force, torque = record.batch.force[hits.row, hits.step], record.torque[hits.row, hits.step]
     ends = []
     for moment in (-_MOMENT, _MOMENT):
-        moments = np.full(len(hits.row), moment)
-        there = followed(record, bodies, force, torque, moments)
+        there = followed(record, bodies, force, torque, np.full(len(hits.row), moment))
         point = one_sphere(record, there, hits.sphere)
         ends.append(np.column_stack([point.slip, point.climb]))
     return np.asarray((ends[1] - ends[0]) / (2.0 * _MOMENT))

@@ -10,7 +10,7 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.checks.finding import Figures, check
-from mbds_xsim.checks.mismatch import Mismatch, mismatch_of
+from mbds_xsim.checks.mismatch import Mismatch, mismatch_of, projected
 from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
@@ -209,26 +209,18 @@ def unexplained_by_loops(
 
     joints = tuple(joint for joint in mechanism.joints if joint not in mechanism.loops)
     tree = dataclasses.replace(mechanism, joints=joints, loops=(), distances=())
-    open_loops, closed = (_allowed(each, start, change) for each in (tree, mechanism))
-    impulse = [a - b for a, b in zip(open_loops, closed, strict=True)]
+    changed = BodyStates(start.position, start.native, *change)
+    open_loops, closed = (projected(each, changed) for each in (tree, mechanism))
+    impulse = (
+        open_loops.velocity - closed.velocity,
+        open_loops.angular_velocity - closed.angular_velocity,
+    )
     pulls = (accelerations(each, start, *load) for each in (tree, mechanism))
     forced = [step * (a - b) for a, b in zip(*pulls, strict=True)]
     most, size = (_size(mechanism, start, *each) for each in (forced, impulse))
     share = np.minimum(1.0, most / np.maximum(size, np.finfo(float).tiny))[:, None, None]
     linear, angular = (a - share * b for a, b in zip(change, impulse, strict=True))
     return linear, angular
-
-
-def _allowed(
-    mechanism: Mechanism, start: BodyStates, change: tuple[Array, Array]
-) -> tuple[Array, Array]:
-    """Return the part of velocities that a mechanism's joints allow."""
-    from mbds_xsim.reference.equations import dynamics_of
-
-    dynamics = dynamics_of(mechanism)
-    packed = dynamics.pack(BodyStates(start.position, start.native, *change))
-    projected = dynamics.unpack(dynamics.project(packed))
-    return projected.velocity, projected.angular_velocity
 
 
 def _size(mechanism: Mechanism, start: BodyStates, linear: Array, angular: Array) -> Array:

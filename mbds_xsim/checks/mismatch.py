@@ -304,15 +304,22 @@ class Flow:
         mechanism = self.mechanism
         if not mechanism.loops or all(joint.kind == "ball" for joint in mechanism.joints):
             return states
-        from mbds_xsim.reference.equations import dynamics_of
-
-        known, dynamics = known_states(states), dynamics_of(mechanism)
+        known = known_states(states)
         tree = to_bodies(mechanism, to_links(mechanism, states[known]))
-        projected = dynamics.unpack(dynamics.project(dynamics.pack(tree)))
+        closed = projected(mechanism, tree)
         filled = states.each(lambda values: np.full_like(values, np.nan))
         for name, values in vars(filled).items():
-            values[known] = getattr(projected, name)
+            values[known] = getattr(closed, name)
         return filled
+
+
+def projected(mechanism: Mechanism, states: BodyStates) -> BodyStates:
+    """Return states that a mechanism's joints allow, by the least change in the mass metric."""
+    # The reference loads the compiled parts of scipy, which most uses do without.
+    from mbds_xsim.reference.equations import dynamics_of
+
+    dynamics = dynamics_of(mechanism)
+    return dynamics.unpack(dynamics.project(dynamics.pack(states)))
 
 
 def known_states(states: BodyStates) -> Mask:

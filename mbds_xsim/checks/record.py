@@ -15,7 +15,6 @@ from mbds_xsim.checks.coordinates import clear_of_stops
 from mbds_xsim.checks.spheres import (
     Neighbours,
     Spheres,
-    driven,
     neighbours_of,
     out_of_reach,
     spheres_of,
@@ -151,10 +150,16 @@ class Record:
 
     @property
     def _pulls(self) -> Array:
-        """Largest acceleration of each sphere [m/s²], shape (trajectory, frame, sphere)."""
+        """Largest acceleration of each sphere by loads, gravity and its body's rotation [m/s²].
+
+        Shape (trajectory, frame, sphere).
+        """
         padded = np.pad(self.loads, ((0, 0), (1, 1), (0, 0)))[..., self.mechanism.sphere_body]
         loads = np.maximum(padded[:, 1:], padded[:, :-1])
-        return loads + driven(self.mechanism, self.bodies, self.pull)
+        spin = self.bodies.angular_velocity[..., self.mechanism.sphere_body, :]
+        reach = np.linalg.norm(self.mechanism.sphere_offset, axis=-1)
+        driven = np.asarray(self.pull + np.sum(spin**2, axis=-1) * reach)
+        return loads + driven
 
     @functools.cached_property
     def neighbours(self) -> Neighbours:

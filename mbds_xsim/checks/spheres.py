@@ -83,13 +83,6 @@ def direction(vectors: Array) -> Array:
     return np.asarray(vectors / np.maximum(size, np.finfo(float).tiny))
 
 
-def driven(mechanism: Mechanism, bodies: BodyStates, pull: float) -> Array:
-    """Bound accelerations of spheres by gravity and bodies' rotation [m/s²], (…, sphere)."""
-    spin = bodies.angular_velocity[..., mechanism.sphere_body, :]
-    reach = np.linalg.norm(mechanism.sphere_offset, axis=-1)
-    return np.asarray(pull + np.sum(spin**2, axis=-1) * reach)
-
-
 def out_of_reach(gap: Array, speed: Array, pull: Array, frame: float) -> Mask:
     """Find steps in which gaps cannot close, by speeds and pulls at both ends, (…, step, gap).
 
