@@ -313,13 +313,7 @@ def _besides(values: Array, reach: int) -> Array:
 class BalanceEvidence:
     """Evidence from the balances of some trajectories."""
 
-    names: tuple[str, ...]
-    """Names of the parts."""
-    errors: tuple[float, ...]
-    """Numbers of standard errors allowed."""
-    share: Array
-    """Share by which each part is off, (part, trajectory); NaN if too few steps count."""
-    error: Array
+    parts: list[BalancePart]
     missing: Array
     """Missing share of the inputs of each step, shape (trajectory, step)."""
     weight: Array
@@ -332,16 +326,9 @@ def evidence_of(record: Record) -> BalanceEvidence | None:
     """Collect evidence about coefficients; None if nothing flies or the method is unknown."""
     if record.method is None or not record.flying().any():
         return None
-    parts, steps = parts_of(record), steps_of(record)
-    return BalanceEvidence(
-        names=tuple(part.name for part in parts),
-        errors=tuple(part.errors for part in parts),
-        share=np.stack([np.where(part.known, part.share, np.nan) for part in parts]),
-        error=np.stack([np.maximum(part.error, _SHARPEST) for part in parts]),
-        missing=steps.share,
-        weight=np.minimum(steps.inputs, 1.0 / _SHARPEST) ** 2,
-        impacts=impact_evidence_of(record),
-    )
+    steps = steps_of(record)
+    weight = np.minimum(steps.inputs, 1.0 / _SHARPEST) ** 2
+    return BalanceEvidence(parts_of(record), steps.share, weight, impact_evidence_of(record))
 
 
 def shared_faults(evidence: Iterable[BalanceEvidence | None]) -> list[str]:
@@ -349,14 +336,12 @@ def shared_faults(evidence: Iterable[BalanceEvidence | None]) -> list[str]:
     known = [each for each in evidence if each is not None]
     if not known:
         return []
-    share, error = (
-        np.concatenate([getattr(each, name) for each in known], axis=1)
-        for name in ("share", "error")
-    )
+    same_parts = zip(*(each.parts for each in known), strict=True)
+    lines = [line for parts in same_parts for line in _of_part(parts)]
     missing, weight = (
         np.concatenate([getattr(each, name) for each in known]) for name in ("missing", "weight")
     )
-    lines = [*_of_parts(known[0], share, error), *_of_steps(missing, weight)]
+    lines += _of_steps(missing, weight)
     impacts = [each.impacts for each in known if each.impacts is not None]
     pool = Pool.of(ImpactEvidence.joined(impacts)) if impacts else None
     if pool is not None and max(pool.used) > 1.0:
@@ -364,16 +349,21 @@ def shared_faults(evidence: Iterable[BalanceEvidence | None]) -> list[str]:
     return lines
 
 
-def _of_parts(parts: BalanceEvidence, share: Array, error: Array) -> Iterator[str]:
-    known = np.isfinite(share)
-    mean, spread = _mean(np.nan_to_num(share), np.where(known, error**-2, 0.0))
-    for k, name in enumerate(parts.names):
-        allowed, count = SURE + parts.errors[k] * spread[k], int(known[k].sum())
-        if count >= _ENOUGH and abs(mean[k]) > allowed:
-            yield (
-                f"{name}: relative error {abs(mean[k]):.2g} in {count} trajectories, "
-                f"allowed {allowed:.2g}"
-            )
+def _of_part(same: tuple[BalancePart, ...]) -> Iterator[str]:
+    """Describe what one part shows in several groups of trajectories together, if it is off."""
+    known, share, error = (
+        np.concatenate([getattr(part, name) for part in same])
+        for name in ("known", "share", "error")
+    )
+    known &= np.isfinite(share)
+    weight = np.where(known, np.maximum(error, _SHARPEST) ** -2, 0.0)
+    mean, spread = _mean(np.where(known, share, 0.0), weight)
+    allowed, count = SURE + same[0].errors * spread, int(known.sum())
+    if count >= _ENOUGH and abs(mean) > allowed:
+        yield (
+            f"{same[0].name}: relative error {abs(mean):.2g} in {count} trajectories, "
+            f"allowed {allowed:.2g}"
+        )
 
 
 def _of_steps(missing: Array, weight: Array) -> Iterator[str]:
