@@ -13,6 +13,7 @@ from mbds_xsim.checks.finding import Figures, check, side_by_side
 from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.joint_space import BodyStates, select_bodies
 from mbds_xsim.scene.mechanism import PlacedJoint, PointPair
+from mbds_xsim.scene.state import STATES
 from mbds_xsim.simulate import rounding
 
 _UNIT = 1e-9
@@ -26,7 +27,6 @@ _FEW = 12
 _RESIDUE = 1e-6
 """Share of the largest number: below 2⁻²⁸ of it, differences have no more bits than a float32."""
 _MOST_SINGLE = 0.5
-_STATE = ("position", "orientation", "velocity", "angular_velocity")
 
 
 @check("finite", _UNIT)
@@ -53,8 +53,8 @@ def precision(record: Record) -> Figures | None:
         return None
     motion, batch = record.trajectory, record.batch
     exact = not _bits(np.array([record.frame]), _SINGLE).any()
-    parts = np.zeros((len(batch), len(motion.time), len(_STATE)))
-    for k, name in enumerate(_STATE):
+    parts = np.zeros((len(batch), len(motion.time), len(STATES)))
+    for k, name in enumerate(STATES):
         values = getattr(motion, name)
         single = ~_bits(values, _SINGLE)
         single[:, 0] = False
@@ -73,7 +73,7 @@ def precision(record: Record) -> Figures | None:
         first = single.any(axis=(2, 3)).argmax(axis=1)
         share = np.where(count >= _FEW, short / np.maximum(count, 1), 0.0)
         parts[np.arange(len(batch)), first, k] = share
-    names = (f"{name.replace('_', ' ')} rounded to 24 significant bits" for name in _STATE)
+    names = (f"{name.replace('_', ' ')} rounded to 24 significant bits" for name in STATES)
     return Figures(parts, names)
 
 

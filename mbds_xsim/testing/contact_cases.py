@@ -94,7 +94,6 @@ def ball(
 
 def crate(
     tilt: float = 0.0,
-    velocity: Vector = _STILL,
     height: float = 0.0,
     ground: Ground | None = None,
     steps: int = 50,
@@ -109,7 +108,6 @@ def crate(
         inertia=Inertia(30.0, (1.5, 1.5, 1.5)),
         position=middle,
         orientation=turn,
-        velocity=velocity,
     )
     return Scene(
         "crate",

@@ -25,7 +25,7 @@ from mbds_xsim.scene.scene import (
     Particle,
     Scene,
 )
-from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.scene.state import STATES, Batch, Trajectory
 from mbds_xsim.simulate import readback
 from mbds_xsim.simulate.adapter import Adapter, Profile, Settings
 from mbds_xsim.simulate.choice import settings_for
@@ -173,7 +173,7 @@ class ContactContract:
             several, alone = run.rollout(batch), run.rollout(batch[:1])
         assert several.failures == (None,) * 3
         assert gaps(scene, several).min(axis=(1, 2)).max() < 0.03  # all of them have touched
-        for key in ("position", "orientation", "velocity", "angular_velocity"):
+        for key in STATES:
             first, _, last = getattr(several, key)
             np.testing.assert_array_equal(first, last)
             np.testing.assert_array_equal(first, getattr(alone, key)[0])
