@@ -108,16 +108,22 @@ def parts_of(record: Record) -> list[BalancePart]:
     here = _work(record, 0)
     products = weight * residual[..., 0] * here
     squares = weight * here**2
-    for balance, flights in flights_of(record):
-        gain = gain_of(record, balance)
-        rest, counts = _weighed(np.where(flights[..., None], gain.residual, np.nan))
-        products += counts * np.einsum("tsc,tsc->ts", rest, gain.inputs)
-        squares += counts * np.einsum("tsc,tsc->ts", gain.inputs, gain.inputs)
+    for momentum, inputs in _momenta(record):
+        rest, counts = _weighed(momentum)
+        products += counts * np.einsum("tsc,tsc->ts", rest, inputs)
+        squares += counts * np.einsum("tsc,tsc->ts", inputs, inputs)
     parts = [_part("inputs", products, squares, _ERRORS)]
     for name, part, errors, faint in _parts(record, here, residual):
         vague = weight * np.abs(part) * faint
         parts.append(_part(name, weight * residual[..., 0] * part, weight * part**2, errors, vague))
     return parts
+
+
+def _momenta(record: Record) -> Iterator[tuple[Array, Array]]:
+    """Yield residuals of momenta, NaN where nothing flies, and impulses, (trajectory, step, …)."""
+    for balance, flights in flights_of(record):
+        gain = gain_of(record, balance)
+        yield np.where(flights[..., None], gain.residual, np.nan), gain.inputs
 
 
 def _timely(record: Record, residual: Array) -> Array:
@@ -276,12 +282,9 @@ class Steps:
 @functools.lru_cache(maxsize=1)
 def steps_of(record: Record) -> Steps:
     """Combine the balances of energy and of the momenta that no support touches."""
-    balances = [(_residual(record)[..., None], _work(record, 0)[..., None])]
-    for balance, flights in flights_of(record):
-        gain = gain_of(record, balance)
-        balances.append((np.where(flights[..., None], gain.residual, np.nan), gain.inputs))
+    energy = _residual(record)[..., None], _work(record, 0)[..., None]
     squares = np.zeros((3, len(record.finite), record.steps))
-    for residual, inputs in balances:
+    for residual, inputs in (energy, *_momenta(record)):
         residual = np.where(np.isfinite(residual), residual, 0.0)
         inputs = np.where(np.isfinite(inputs), inputs, 0.0)
         sizes = np.stack([_size(each) for each in (residual, residual + inputs, inputs)])

@@ -72,7 +72,7 @@ def _of_few(record: Record, more: Forced | None = None) -> tuple[Array, str]:
         parts += [residual.by_frame, residual.drift(residual.difference)]
     own = rotation.rotate(rotation.conjugate(record.bodies.native[:, :-1]), turn.difference)
     parts += [turn.drift(own), _delay(record, place, turn)]
-    parts += [_of_group(record, push, place.difference) for push in pushes_of(record)]
+    parts += [_of_group(record, push, place) for push in pushes_of(record)]
     figures = side_by_side(parts)
     figures[:, 0] = np.where(record.finite[:, :1], np.nan_to_num(figures[:, 0]), np.nan)
     allowed = np.nanmedian(turn.allowed) if record.finite[:, 1:].any() else np.nan
@@ -176,6 +176,10 @@ class _Residual:
     def weight(self) -> Array:
         """Weight of each step in means, 0 where nothing is known, (trajectory, step, body)."""
         return np.where(np.isfinite(self.difference[..., 0]), 1.0 / self.allowed**2, 0.0)
+
+    def along_gain(self, vectors: Array) -> Array:
+        """Sum weighted products of vectors with gains over the bodies, (trajectory, step)."""
+        return numbers(self.weight * rotation.dot(self.gain, vectors)).sum(axis=2)
 
     def drift(self, residual: Array) -> Array:
         """Return the weighted mean residual over its limit, placed at the trajectory's end."""
@@ -303,37 +307,29 @@ def _upward(push: Push) -> Array:
     return np.where(reached, push.impulse[..., 2], 0.0)
 
 
-def _of_group(record: Record, push: Push, residual: Array) -> Array:
+def _of_group(record: Record, push: Push, place: _Residual) -> Array:
     """Compute the residual of a group's centre of mass over its bound, (trajectory, frame, 1).
 
     The vertical impulse only grows, and horizontal changes add up to at most μ times as much. The
     bound is exact except for a lag, by which impulses of neighbouring steps belong to this one.
     """
-    centre = push.middle(residual)
+    centre = push.middle(place.difference)
     gain = _upward(push)[..., None] / push.mass
     late = abs(record.lag) / record.frame * (_window(gain) + push.blur[..., None] / push.mass)
-    speed = np.nanmax(rotation.norm(record.bodies.velocity), axis=(1, 2), initial=0.0)
-    floor = _FLOOR * np.maximum(speed, record.frame * record.usual_pull)[:, None, None]
     sizes = np.stack([np.hypot(centre[..., 0], centre[..., 1]), np.abs(centre[..., 2])], axis=-1)
-    limit = _PATH * gain * np.array([record.ground.friction, 1.0]) + late + floor
+    limit = _PATH * gain * np.array([record.ground.friction, 1.0]) + late + place.floor
     return _framed((sizes / limit).max(axis=-1, keepdims=True))
 
 
 def _delay(record: Record, place: _Residual, turn: _Residual) -> Array:
     """Compute the slope of residuals over accelerations, over its limit, at the last frame."""
-    known = record.finite[:, 1:] & record.finite[:, :-1]
-    squares, products = (
-        [numbers(each.weight * rotation.dot(each.gain, other)).sum(axis=2) for each, other in pairs]
-        for pairs in (
-            [(place, place.gain), (turn, turn.gain)],
-            [(place, place.difference), (turn, turn.difference)],
-        )
-    )
+    squares = [each.along_gain(each.gain) for each in (place, turn)]
+    products = [each.along_gain(each.difference) for each in (place, turn)]
     square = np.maximum(sum(each.sum(axis=1) for each in squares), _FAINT)
     slope = sum(each.sum(axis=1) for each in products) / square
     rests = [b - slope[:, None] * a for a, b in zip(squares, products, strict=True)]
     error = np.sqrt(sum(np.sum(rest**2, axis=1) for rest in rests)) / square
-    return _at_end(known, (np.abs(slope) / (_LATE + _ERRORS * error))[:, None])
+    return record.at_end((np.abs(slope) / (_LATE + _ERRORS * error))[:, None])
 
 
 def _framed(values: Array) -> Array:

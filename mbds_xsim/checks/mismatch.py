@@ -208,15 +208,21 @@ def _extrapolate(coarse: Array, fine: Array) -> Array:
 def _points_at(
     flow: Flow, states: BodyStates, known: Mask, force: Array, torque: Array, lag: float
 ) -> _Points:
+    points, force, torque = CarriedPoints(flow.mechanism), force[known], torque[known]
     subset = states[known].each(np.asfortranarray)  # components apart, as in `Record`
     near = flow.closed(subset)
     if lag:
-        rates = flow.accelerations(near, force[known], torque[known])
-        gain = flow.of_rates(near, *rates)
+        gain = flow.of_rates(near, *flow.accelerations(near, force, torque))
         subset = _faster(subset, *gain, -lag)
         near = flow.closed(_faster(near, *gain, -lag))
-    points = _derivatives(flow, subset, near, force[known], torque[known])
-    return _Points(*(_placed(known, values) for values in points))
+    rates = flow.accelerations(near, force, torque)
+    later = flow.closed(flow.later(near, *rates))
+    then = flow.accelerations(later, force, torque)
+    position, velocity, acceleration = points.moving(subset, *rates)
+    change = points.moving(later, *then)[2] - points.moving(near, *rates)[2]
+    by_rates = points.as_points(*flow.of_rates(near, *rates), subset.native)
+    parts = position, velocity, acceleration, change / flow.moment, by_rates
+    return _Points(*(_placed(known, values) for values in parts))
 
 
 def _placed(known: Mask, values: Array) -> Array:
@@ -227,19 +233,6 @@ def _placed(known: Mask, values: Array) -> Array:
     whole = np.full(shape, np.nan)
     whole[known] = values
     return whole
-
-
-def _derivatives(
-    flow: Flow, states: BodyStates, closed: BodyStates, force: Array, torque: Array
-) -> _Points:
-    points = CarriedPoints(flow.mechanism)
-    rates = flow.accelerations(closed, force, torque)
-    later = flow.closed(flow.later(closed, *rates))
-    then = flow.accelerations(later, force, torque)
-    position, velocity, acceleration = points.moving(states, *rates)
-    change = points.moving(later, *then)[2] - points.moving(closed, *rates)[2]
-    rate_acceleration = points.as_points(*flow.of_rates(closed, *rates), states.native)
-    return _Points(position, velocity, acceleration, change / flow.moment, rate_acceleration)
 
 
 def _faster(states: BodyStates, pull: Array, push: Array, time: float) -> BodyStates:

@@ -228,28 +228,19 @@ class Record:
 
     def by_step(self, parts: Sequence[Array]) -> Array:
         """Put values of steps at the frames at their ends, 0 at frame 0, (…, frame, part)."""
-        series = self._filled(0.0, len(parts))
-        for k, part in enumerate(parts):
-            series[:, 1:, k] = part
-        return series
+        return self.by_frame([np.pad(part, ((0, 0), (1, 0))) for part in parts])
 
     def by_frame(self, parts: Sequence[Array]) -> Array:
-        """Put values of frames side by side, shape (trajectory, frame, part)."""
-        series = self._filled(0.0, len(parts))
-        for k, part in enumerate(parts):
-            series[..., k] = part
-        return series
+        """Put values of frames side by side, apart in memory, shape (trajectory, frame, part)."""
+        shape = len(parts), *self.finite.T.shape
+        return np.array([part.T for part in parts]).reshape(shape).T
 
     def at_end(self, values: Array) -> Array:
         """Put values of trajectories at their last finite frames, (trajectory, frame, part)."""
-        series = self._filled(np.nan, values.shape[-1])
+        series = np.full((values.shape[-1], *self.finite.T.shape), np.nan).T
         last = np.maximum(self.finite.sum(axis=1) - 1, 0)
         series[np.arange(len(series)), last] = values
         return series
-
-    def _filled(self, value: float, parts: int) -> Array:
-        """Make an array of shape (trajectory, frame, part), with the parts apart in memory."""
-        return np.full((parts, *self.finite.T.shape), value).T
 
     @property
     def ground(self) -> Ground:
