@@ -48,15 +48,9 @@ class Check:
         budget = self.budget
         if isinstance(budget, str):
             budget = float(getattr(record.scene.budget, budget))
-        return Finding.of(
-            self.name,
-            self.unit,
-            figures.parts,
-            budget=budget(record) if callable(budget) else budget,
-            names=tuple(figures.names),
-            uncertainty=figures.uncertainty,
-            note=figures.note,
-        )
+        elif callable(budget):
+            budget = budget(record)
+        return Finding.of(self.name, self.unit, budget=budget, **figures._asdict())
 
     def finding(self, record: Record) -> Finding:
         """Return the finding on a record to which the check must apply."""
@@ -104,12 +98,12 @@ class Finding:
         parts: Array,
         *,
         budget: float | None,
-        names: tuple[str, ...] = (),
+        names: Iterable[str] = (),
         uncertainty: Array | float = 0.0,
         note: str = "",
     ) -> Finding:
         """Make a finding from values of several named parts, shape (trajectory, frame, part)."""
-        highest = np.fmax.reduce(parts, axis=1)
+        names, highest = tuple(names), np.fmax.reduce(parts, axis=1)
         worst = np.where(np.isnan(highest), -np.inf, highest).argmax(axis=1)
         return Finding(
             check,
