@@ -1,7 +1,7 @@
-"""Part of the contract suite about the ground; it skips engines without contact.
+"""Parts of the contract suite about contact; they skip engines without a ground or collisions.
 
-Contact is a claim of the matched settings, so these are tested. Their careful steps are made
-coarser; the allowed error grows with them.
+Contact is a claim of the matched settings, so these are tested. On the ground their careful steps
+are made coarser; the allowed error grows with them.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import pytest
 from mbds_xsim import reference
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
+from mbds_xsim.checks.audit import audit
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import (
@@ -31,6 +32,16 @@ from mbds_xsim.simulate.adapter import Adapter, Profile, Settings
 from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.claims import ContactScales
 from mbds_xsim.simulate.registry import load_scene
+from mbds_xsim.testing.collision_cases import (
+    RADIUS,
+    TWO,
+    Flying,
+    balls,
+    collided,
+    cradle,
+    gate,
+    swings,
+)
 from mbds_xsim.testing.contact_cases import (
     CONTACT_CASES,
     RESTITUTIONS,
@@ -42,6 +53,7 @@ from mbds_xsim.testing.contact_cases import (
 
 _G = -GRAVITY[2]
 _COARSER = 4
+_REBOUNDS = (0.0, 0.5, 1.0)
 _SCENES = ("ballscroll", "balldrop", "particlecar", "simplecubli")
 
 
@@ -209,9 +221,93 @@ class ContactContract:
             assert change < 1e-3 * np.linalg.norm(spins, axis=-1).max()
 
 
+class CollisionContract:
+    """Tests of collisions between bodies, one for each way in which they go wrong."""
+
+    @pytest.mark.parametrize("restitution", _REBOUNDS)
+    @pytest.mark.parametrize("name", TWO)
+    def test_balls_part_as_newton_and_coulomb_say(
+        self, adapter: Adapter, name: str, restitution: float
+    ) -> None:
+        """Errors stay within the budgets of restitution and friction, times the approach speed."""
+        scene = balls(TWO[name], restitution=restitution)
+        motion = _motion_of(adapter, scene)
+        exact, touch = collided(scene, TWO[name])
+        mass = np.array([ball.mass for ball in TWO[name]])
+        meet = float(np.linalg.norm(exact.velocity[0, 0, 0] - exact.velocity[0, 0, 1]))
+        within = (scene.budget.restitution + scene.budget.friction) * meet + 1e-9
+        off = motion.velocity[:, -1] - exact.velocity[:, -1]
+        turn = motion.angular_velocity[:, -1] - exact.angular_velocity[:, -1]
+        assert np.abs(off).max() <= within
+        assert np.abs(turn).max() * RADIUS <= 2.5 * within
+        before = exact.time < touch
+        assert np.abs(motion.position - exact.position)[:, before].max() < 1e-9
+        together = np.einsum("b,fbi->fi", mass, motion.velocity[0])
+        assert np.abs(together - together[0]).max() < 1e-3 * meet
+
+    @pytest.mark.parametrize("restitution", _REBOUNDS)
+    def test_joined_bodies_collide_as_free_ones_do(
+        self, adapter: Adapter, restitution: float
+    ) -> None:
+        """One of two pendulums falls on the other: they swing up to (1 ∓ e)² / 4 of its height."""
+        scene = cradle(restitution)
+        height = swings(scene, _motion_of(adapter, scene))
+        wanted = np.array([(1.0 - restitution) ** 2, (1.0 + restitution) ** 2]) / 4.0
+        assert height[0, 1] == pytest.approx(0.0, abs=1e-9)
+        assert height[-1] / height[0, 0] == pytest.approx(wanted, abs=0.02)
+
+    @pytest.mark.parametrize("restitution", _REBOUNDS)
+    def test_a_body_collides_with_the_one_that_carries_it(
+        self, adapter: Adapter, restitution: float
+    ) -> None:
+        """An arm swings back from its post at e times its speed."""
+        motion = _motion_of(adapter, gate(restitution))
+        rates = motion.angular_velocity[0, [0, -1], 1, 2]
+        assert rates == pytest.approx([3.0, -3.0 * restitution], abs=0.06)
+
+    def test_what_is_no_pair_goes_through(self, adapter: Adapter) -> None:
+        """The first ball passes through a third one in its way, which it may not touch."""
+        left, right = TWO["head on"]
+        three = balls([left, right, Flying((0.2, 0.0, 1.0))])
+        assert three.collisions is not None
+        alone = msgspec.structs.replace(three.collisions, pairs=three.collisions.pairs[:1])
+        motion = _motion_of(adapter, msgspec.structs.replace(three, collisions=alone))
+        assert np.abs(motion.velocity[0, :, 2]).max() == 0.0
+        assert motion.velocity[0, -1, 0, 0] < 0.0  # the other two have met beyond it
+
+    def test_collisions_read_back_as_the_scenes(self, adapter: Adapter) -> None:
+        """Coefficients of pairs, which engines mix from two, are right, also with a ground."""
+        for ground in (None, Ground(0.2, 0.5)):
+            scene = balls(TWO["slides"], ground=ground)
+            settings, batch = _matched_or_skip(adapter, scene), draw_batch(scene, [0])
+            with adapter.open(scene, settings) as run:
+                native = run.readback(batch)
+                assert native.collision is not None
+                assert readback.compare(Mechanism.of(scene), batch, settings, native) == []
+                assert run.size.contact_pairs == 1 + 2 * (ground is not None)
+
+    def test_the_checks_pass_through_collisions_and_bounces(self, adapter: Adapter) -> None:
+        """Three balls that fall, collide and bounce pass every check."""
+        three = (
+            Flying((0.0, 0.0, 0.3), (1.2, 0.05, 0.0), (0.0, 0.0, 9.0)),
+            Flying((0.35, 0.02, 0.32), (-0.4, 0.0, 0.0), mass=2.0),
+            Flying((-0.4, 0.0, 0.4), (0.9, 0.0, -0.2), (0.0, 6.0, 0.0), mass=0.5),
+        )
+        scene = balls(three, ground=Ground(0.2, 0.6), gravity=GRAVITY, steps=60)
+        motion = _motion_of(adapter, scene)
+        settings = adapter.settings(scene, "matched")
+        method = adapter.methods[settings.method]
+        batch, time = draw_batch(scene, [0]), adapter.contact_scales(settings).time
+        findings = audit(scene, batch, motion, method, step=settings.step, contact_time=time)
+        assert {"collision restitution", "collision friction"} <= {one.check for one in findings}
+        for one in findings:
+            over = one.budget is not None and one.figure > one.budget + one.uncertainty
+            assert not np.any(over), f"{one.check}: {one.figure}, {one.where}"
+
+
 def _settings(adapter: Adapter, scene: Scene, *, coarser: int = _COARSER) -> Settings:
     """Return the matched settings; skip the test if the engine cannot simulate the scene."""
-    careful = matched_or_skip(adapter, scene)
+    careful = _matched_or_skip(adapter, scene)
     if value := adapter.cannot_hold(scene):
         pytest.skip(f"{adapter.name} cannot hold {value}")
     stored = settings_for(scene, adapter, "matched")
@@ -222,7 +318,7 @@ def _settings(adapter: Adapter, scene: Scene, *, coarser: int = _COARSER) -> Set
     return Settings(careful.method, careful.step * coarser, careful.options)
 
 
-def matched_or_skip(adapter: Adapter, scene: Scene) -> Settings:
+def _matched_or_skip(adapter: Adapter, scene: Scene) -> Settings:
     """Return the preset of matched settings; skip the test if its method refuses the scene."""
     settings = adapter.settings(scene, "matched")
     if adapter.refusals(scene, settings.method):
@@ -261,3 +357,10 @@ def _spins(scene: Scene, motion: Trajectory, row: int) -> Array:
     place, speed = motion.position[row], motion.velocity[row]
     place, speed = (part - np.einsum("b,fbi->fi", share, part)[:, None] for part in (place, speed))
     return np.asarray(own + np.cross(place, mechanism.mass[:, None] * speed))
+
+
+def _motion_of(adapter: Adapter, scene: Scene) -> Trajectory:
+    with adapter.open(scene, _matched_or_skip(adapter, scene)) as run:
+        motion = run.rollout(draw_batch(scene, [0]))
+    assert motion.failures == (None,)
+    return motion

@@ -35,8 +35,7 @@ from mbds_xsim.simulate.adapter import Adapter, Run, Settings
 from mbds_xsim.simulate.claims import CONTACTS, Feature, Method, check_claims
 from mbds_xsim.testing.case import Case
 from mbds_xsim.testing.cases import CASES
-from mbds_xsim.testing.collision_contract import CollisionContract
-from mbds_xsim.testing.contact_contract import ContactContract
+from mbds_xsim.testing.contact_contract import CollisionContract, ContactContract
 from mbds_xsim.testing.ladder import (
     EXACT,
     STEPS_PER_FRAME,
