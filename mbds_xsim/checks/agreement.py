@@ -40,10 +40,8 @@ def particle_error(mechanism: Mechanism, trajectory: Trajectory, reference: Traj
     Frames that only one of the two has are left out; NaN frames stay NaN.
     """
     frames = min(len(trajectory.time), len(reference.time))
-    offset = (
-        (markers_of(mechanism, trajectory)[:, :frames])
-        - (markers_of(mechanism, reference)[:, :frames])
-    )
+    ours, theirs = (markers_of(mechanism, run)[:, :frames] for run in (trajectory, reference))
+    offset = ours - theirs
     return np.sqrt(np.mean(np.sum(offset**2, axis=-1), axis=-1))
 
 

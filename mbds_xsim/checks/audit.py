@@ -6,75 +6,61 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from mbds_xsim.checks.balance import balance, balance_drift, cones
-from mbds_xsim.checks.coefficients import coefficients
-from mbds_xsim.checks.collisions import collision_friction, collision_gap, collision_restitution
-from mbds_xsim.checks.conservation import energy_balance, momentum
-from mbds_xsim.checks.displacement import displacement
-from mbds_xsim.checks.eccentric import eccentric_friction, eccentric_restitution
-from mbds_xsim.checks.finding import Check, Finding
-from mbds_xsim.checks.friction import friction, rolling, wheels
-from mbds_xsim.checks.ground import restitution
-from mbds_xsim.checks.integrity import (
-    angle_gap,
-    angle_gap_rate,
-    finite,
-    gap,
-    gap_rate,
-    planarity,
-    precision,
-    start,
-)
-from mbds_xsim.checks.kinematics import kinematics, velocity_lag
-from mbds_xsim.checks.passivity import (
-    contact_gap,
-    energy_rise,
-    hop,
+from mbds_xsim.checks import (
+    balance,
+    coefficients,
+    collisions,
+    conservation,
+    displacement,
+    eccentric,
+    friction,
+    ground,
+    integrity,
+    kinematics,
     passivity,
-    penetration,
-    resting,
+    stops,
 )
+from mbds_xsim.checks.finding import Check, Finding
 from mbds_xsim.checks.record import Record
-from mbds_xsim.checks.stops import past_limits, stop_passivity
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.claims import Method
 
 CHECKS: tuple[Check, ...] = (
-    finite,
-    precision,
-    start,
-    gap,
-    angle_gap,
-    gap_rate,
-    angle_gap_rate,
-    planarity,
-    displacement,
-    kinematics,
-    velocity_lag,
-    energy_balance,
-    momentum,
-    coefficients,
-    past_limits,
-    stop_passivity,
-    penetration,
-    contact_gap,
-    passivity,
-    energy_rise,
-    balance,
-    balance_drift,
-    cones,
-    friction,
-    wheels,
-    rolling,
-    restitution,
-    eccentric_restitution,
-    eccentric_friction,
-    collision_gap,
-    collision_restitution,
-    collision_friction,
-    hop,
-    resting,
+    integrity.finite,
+    integrity.precision,
+    integrity.start,
+    integrity.gap,
+    integrity.angle_gap,
+    integrity.gap_rate,
+    integrity.angle_gap_rate,
+    integrity.planarity,
+    displacement.displacement,
+    kinematics.kinematics,
+    kinematics.velocity_lag,
+    conservation.energy_balance,
+    conservation.momentum,
+    coefficients.coefficients,
+    stops.past_limits,
+    stops.stop_passivity,
+    passivity.penetration,
+    passivity.contact_gap,
+    passivity.passivity,
+    passivity.energy_rise,
+    balance.balance,
+    balance.balance_drift,
+    balance.cones,
+    friction.friction,
+    friction.wheels,
+    friction.rolling,
+    ground.restitution,
+    eccentric.eccentric_restitution,
+    eccentric.eccentric_friction,
+    collisions.collision_gap,
+    collisions.collision_restitution,
+    collisions.collision_friction,
+    passivity.hop,
+    passivity.resting,
 )
 """All checks; each returns a finding, or None if it does not apply to the scene."""
 

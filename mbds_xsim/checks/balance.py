@@ -16,6 +16,7 @@ gained momentum that no impulses within Coulomb's cones explain: wrong friction 
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +27,7 @@ from mbds_xsim.checks.finding import Figures, check
 from mbds_xsim.checks.gains import Axle, axles_of, gains_of
 from mbds_xsim.checks.ground import Push, pushes_of
 from mbds_xsim.checks.record import Record
+from mbds_xsim.checks.spheres import direction
 
 _LASTING = 1.0  # share of its change that a slip must exceed
 _FAST = 0.5  # share of gravity's gain per frame; slower slips may come and go in one (Exudyn)
@@ -76,18 +78,12 @@ class Cones:
 def cones_of(record: Record, push: Push) -> Cones:
     """Find the sets of allowed impulses of each step at the group's spheres."""
     begin, end = (slip[..., :2] for slip in gains_of(record, push).slips)
-    sizes = [np.linalg.norm(part, axis=-1) for part in (begin, end)]
+    slowest = np.minimum(*(np.linalg.norm(part, axis=-1) for part in (begin, end)))
     change = np.linalg.norm(end - begin, axis=-1)
-    lasts = np.minimum(*sizes) > _LASTING * change + _FAST * record.fall
+    lasts = slowest > _LASTING * change + _FAST * record.fall
     lasts &= push.reach & (push.resting[:, 1:] & push.resting[:, :-1])[..., None]
-    tiny = np.finfo(float).tiny
-    ways = [
-        part / np.maximum(size, tiny)[..., None]
-        for part, size in zip((begin, end), sizes, strict=True)
-    ]
-    middle = ways[0] + ways[1]
-    middle = middle / np.maximum(np.linalg.norm(middle, axis=-1, keepdims=True), tiny)
-    turned = np.arccos(np.clip(np.einsum("...i,...i->...", ways[0], middle), -1.0, 1.0))
+    middle = direction(direction(begin) + direction(end))
+    turned = np.arccos(np.clip(np.einsum("...i,...i->...", direction(begin), middle), -1.0, 1.0))
     least = np.where(lasts, np.cos(np.minimum(turned + _ASIDE, np.pi)), -1.0)
     return Cones(record.ground.friction, -middle, least)
 
@@ -114,8 +110,7 @@ def unexplained(columns: Array, gains: Array, cones: Cones) -> Array:
         turn=turn,
         start=_of(across, gains),
         weight=_WEIGHT * mean,
-        least=_WEIGHT * mean / _RANGE,
-        most=_WEIGHT * mean * _RANGE,
+        first=_WEIGHT * mean,
         cones=cones,
         impulses=np.zeros_like(size),
         off=np.zeros_like(size),
@@ -144,8 +139,8 @@ class _Search:
     """Right-hand side of the normal equations."""
     weight: Array
     """Weight of the distance from the cones, (step, 1)."""
-    least: Array
-    most: Array
+    first: Array
+    """The same at the start."""
     cones: Cones
     impulses: Array
     """Impulses within the cones."""
@@ -167,7 +162,8 @@ class _Search:
             self.off = ahead - self.impulses
         apart, moved = _size(self.impulses - best), _size(self.impulses - before)
         ratio = np.sqrt(np.maximum(apart, _TINY) / np.maximum(moved, _TINY))
-        weight = np.clip(self.weight * np.clip(ratio, 1.0 / _MILD, _MILD), self.least, self.most)
+        weight = self.weight * np.clip(ratio, 1.0 / _MILD, _MILD)
+        weight = np.clip(weight, self.first / _RANGE, self.first * _RANGE)
         late = apart > _SAME * _size(best)
         late |= self.weight * moved > _SAME * _size(self.start)
         self.off = self.off * self.weight / weight
@@ -234,8 +230,7 @@ def balance(record: Record) -> Figures:
     The scale is the larger of the ground's vertical impulse and the weight's. None without contact,
     or if something else supports the bodies that may touch.
     """
-    groups = [(push, _imbalance_of(record, push)) for push in pushes_of(record)]
-    return _figures(record, [(push, rest, _parts(rest)) for push, rest in groups])
+    return _figures(record, lambda _, rest: _parts(rest))
 
 
 @check("balance drift", "balance")
@@ -244,8 +239,7 @@ def balance_drift(record: Record) -> Figures:
 
     A small torque that always acts shows in the sum. None without bodies of revolution on axles.
     """
-    groups = [(push, _imbalance_of(record, push)) for push in pushes_of(record)]
-    return _figures(record, [(push, rest, _drifts(record, push, rest)) for push, rest in groups])
+    return _figures(record, functools.partial(_drifts, record))
 
 
 @check("cones", "balance")
@@ -255,19 +249,23 @@ def cones(record: Record) -> Figures:
     Such impulses push, with friction up to μ times the push, and with exactly that much against the
     slip of a sphere that slips through the whole step. Scale and None are as in `balance`.
     """
-    parts = []
-    for push in pushes_of(record):
-        rest = _imbalance_of(record, push)
-        rows = _confined(rest, cones_of(record, push))
-        parts.append((push, rest, _parts(replace(rest, rows=rows, vague=rest.vague + rest.beside))))
+
+    def parts(push: Push, rest: _Imbalance) -> dict[str, Array]:
+        some, rows = ~rest.flying, rest.gain.copy()
+        allowed = cones_of(record, push)[some]
+        rows[some] = unexplained(rest.columns[some], rest.gain[some], allowed)
+        return _parts(replace(rest, rows=rows, vague=rest.vague + rest.beside))
+
     return _figures(record, parts)
 
 
-def _figures(record: Record, groups: list[tuple[Push, _Imbalance, dict[str, Array]]]) -> Figures:
-    names = [f"{name}, {push.name}" for push, _, parts in groups for name in parts]
-    columns = [
-        np.where(rest.known, part, np.nan) for _, rest, parts in groups for part in parts.values()
-    ]
+def _figures(record: Record, parts_of: Callable[[Push, _Imbalance], dict[str, Array]]) -> Figures:
+    names, columns = [], []
+    for push in pushes_of(record):
+        rest = _imbalance_of(record, push)
+        for name, part in parts_of(push, rest).items():
+            names.append(f"{name}, {push.name}")
+            columns.append(np.where(rest.known, part, np.nan))
     return Figures(record.by_step(columns), names)
 
 
@@ -359,10 +357,3 @@ def _unexplained(columns: Array, momentum: Array) -> Array:
     residual = momentum.copy()
     residual[some] -= np.einsum("src,sqc,sq->sr", turn, turn, momentum[some], optimize=True)
     return residual
-
-
-def _confined(rest: _Imbalance, cones: Cones) -> Array:
-    """Return the residual of the best impulses within the cones, (trajectory, step, row)."""
-    some, rows = ~rest.flying, rest.gain.copy()
-    rows[some] = unexplained(rest.columns[some], rest.gain[some], cones[some])
-    return rows

@@ -108,16 +108,22 @@ def parts_of(record: Record) -> list[BalancePart]:
     here = _work(record, 0)
     products = weight * residual[..., 0] * here
     squares = weight * here**2
-    for balance, flights in flights_of(record):
-        gain = gain_of(record, balance)
-        rest, counts = _weighed(np.where(flights[..., None], gain.residual, np.nan))
-        products += counts * np.einsum("tsc,tsc->ts", rest, gain.inputs)
-        squares += counts * np.einsum("tsc,tsc->ts", gain.inputs, gain.inputs)
+    for momentum, inputs in _momenta(record):
+        rest, counts = _weighed(momentum)
+        products += counts * np.einsum("tsc,tsc->ts", rest, inputs)
+        squares += counts * np.einsum("tsc,tsc->ts", inputs, inputs)
     parts = [_part("inputs", products, squares, _ERRORS)]
     for name, part, errors, faint in _parts(record, here, residual):
         vague = weight * np.abs(part) * faint
         parts.append(_part(name, weight * residual[..., 0] * part, weight * part**2, errors, vague))
     return parts
+
+
+def _momenta(record: Record) -> Iterator[tuple[Array, Array]]:
+    """Yield residuals of momenta, NaN where nothing flies, and impulses, (trajectory, step, …)."""
+    for balance, flights in flights_of(record):
+        gain = gain_of(record, balance)
+        yield np.where(flights[..., None], gain.residual, np.nan), gain.inputs
 
 
 def _timely(record: Record, residual: Array) -> Array:
@@ -276,12 +282,9 @@ class Steps:
 @functools.lru_cache(maxsize=1)
 def steps_of(record: Record) -> Steps:
     """Combine the balances of energy and of the momenta that no support touches."""
-    balances = [(_residual(record)[..., None], _work(record, 0)[..., None])]
-    for balance, flights in flights_of(record):
-        gain = gain_of(record, balance)
-        balances.append((np.where(flights[..., None], gain.residual, np.nan), gain.inputs))
+    energy = _residual(record)[..., None], _work(record, 0)[..., None]
     squares = np.zeros((3, len(record.finite), record.steps))
-    for residual, inputs in balances:
+    for residual, inputs in (energy, *_momenta(record)):
         residual = np.where(np.isfinite(residual), residual, 0.0)
         inputs = np.where(np.isfinite(inputs), inputs, 0.0)
         sizes = np.stack([_size(each) for each in (residual, residual + inputs, inputs)])
@@ -313,13 +316,7 @@ def _besides(values: Array, reach: int) -> Array:
 class BalanceEvidence:
     """Evidence from the balances of some trajectories."""
 
-    names: tuple[str, ...]
-    """Names of the parts."""
-    errors: tuple[float, ...]
-    """Numbers of standard errors allowed."""
-    share: Array
-    """Share by which each part is off, (part, trajectory); NaN if too few steps count."""
-    error: Array
+    parts: list[BalancePart]
     missing: Array
     """Missing share of the inputs of each step, shape (trajectory, step)."""
     weight: Array
@@ -332,16 +329,9 @@ def evidence_of(record: Record) -> BalanceEvidence | None:
     """Collect evidence about coefficients; None if nothing flies or the method is unknown."""
     if record.method is None or not record.flying().any():
         return None
-    parts, steps = parts_of(record), steps_of(record)
-    return BalanceEvidence(
-        names=tuple(part.name for part in parts),
-        errors=tuple(part.errors for part in parts),
-        share=np.stack([np.where(part.known, part.share, np.nan) for part in parts]),
-        error=np.stack([np.maximum(part.error, _SHARPEST) for part in parts]),
-        missing=steps.share,
-        weight=np.minimum(steps.inputs, 1.0 / _SHARPEST) ** 2,
-        impacts=impact_evidence_of(record),
-    )
+    steps = steps_of(record)
+    weight = np.minimum(steps.inputs, 1.0 / _SHARPEST) ** 2
+    return BalanceEvidence(parts_of(record), steps.share, weight, impact_evidence_of(record))
 
 
 def shared_faults(evidence: Iterable[BalanceEvidence | None]) -> list[str]:
@@ -349,27 +339,34 @@ def shared_faults(evidence: Iterable[BalanceEvidence | None]) -> list[str]:
     known = [each for each in evidence if each is not None]
     if not known:
         return []
-    share, error = (
-        np.concatenate([getattr(each, name) for each in known], axis=1)
-        for name in ("share", "error")
-    )
+    same_parts = zip(*(each.parts for each in known), strict=True)
+    lines = [line for parts in same_parts for line in _of_part(parts)]
     missing, weight = (
         np.concatenate([getattr(each, name) for each in known]) for name in ("missing", "weight")
     )
+    lines += _of_steps(missing, weight)
     impacts = [each.impacts for each in known if each.impacts is not None]
-    return [*_of_parts(known[0], share, error), *_of_steps(missing, weight), *_of_impacts(impacts)]
+    pool = Pool.of(ImpactEvidence.joined(impacts)) if impacts else None
+    if pool is not None and max(pool.used) > 1.0:
+        lines.append(str(pool))
+    return lines
 
 
-def _of_parts(parts: BalanceEvidence, share: Array, error: Array) -> Iterator[str]:
-    known = np.isfinite(share)
-    mean, spread = _mean(np.nan_to_num(share), np.where(known, error**-2, 0.0))
-    for k, name in enumerate(parts.names):
-        allowed, count = SURE + parts.errors[k] * spread[k], int(known[k].sum())
-        if count >= _ENOUGH and abs(mean[k]) > allowed:
-            yield (
-                f"{name}: relative error {abs(mean[k]):.2g} in {count} trajectories, "
-                f"allowed {allowed:.2g}"
-            )
+def _of_part(same: tuple[BalancePart, ...]) -> Iterator[str]:
+    """Describe what one part shows in several groups of trajectories together, if it is off."""
+    known, share, error = (
+        np.concatenate([getattr(part, name) for part in same])
+        for name in ("known", "share", "error")
+    )
+    known &= np.isfinite(share)
+    weight = np.where(known, np.maximum(error, _SHARPEST) ** -2, 0.0)
+    mean, spread = _mean(np.where(known, share, 0.0), weight)
+    allowed, count = SURE + same[0].errors * spread, int(known.sum())
+    if count >= _ENOUGH and abs(mean) > allowed:
+        yield (
+            f"{same[0].name}: relative error {abs(mean):.2g} in {count} trajectories, "
+            f"allowed {allowed:.2g}"
+        )
 
 
 def _of_steps(missing: Array, weight: Array) -> Iterator[str]:
@@ -377,12 +374,6 @@ def _of_steps(missing: Array, weight: Array) -> Iterator[str]:
     enough = (weight > 1.0).sum(axis=0) >= _ENOUGH
     for step in np.flatnonzero(enough & (mean - _ERRORS * spread > _HALF))[:1]:
         yield f"inputs of step {step}: {mean[step]:.2g} of them are missing in all trajectories"
-
-
-def _of_impacts(shown: list[ImpactEvidence]) -> Iterator[str]:
-    pool = Pool.of(ImpactEvidence.joined(shown)) if shown else None
-    if pool is not None and max(pool.used) > 1.0:
-        yield str(pool)
 
 
 def _mean(values: Array, weight: Array) -> tuple[Array, Array]:

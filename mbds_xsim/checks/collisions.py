@@ -78,29 +78,25 @@ def collision_restitution(record: Record) -> Figures | None:
 
 
 @check("collision friction", "friction")
-def collision_friction(record: Record) -> Figures | None:
+def collision_friction(record: Record) -> Figures:
     """Compare tangential impulses with Coulomb's law, over μ times normal; None without balls.
 
     They must stop the slip, or be μ times the normal impulse against it. For balls with uneven
     inertia only an excess over μ times the normal impulse counts.
     """
     by_pair = _all(record)
-    if not by_pair:
-        return None
     deviations = [_aside(record, pair, hits) for pair, hits in by_pair.items()]
     return Figures(_placed(record, by_pair, deviations), _names(record, by_pair))
 
 
 @check("collision gap", "contact_gap")
-def collision_gap(record: Record) -> Figures | None:
+def collision_gap(record: Record) -> Figures:
     """Measure the distance of balls where they rebound, over the scene's length.
 
     An overlap that the declared contact time explains does not count, and no overlap counts without
     a declared time. None without balls.
     """
     by_pair, time = _all(record), record.contact_time
-    if not by_pair:
-        return None
     gaps = [
         np.maximum(hits.gap, 0.0 if time is None else -hits.gap - time * hits.approach)
         for hits in by_pair.values()

@@ -11,7 +11,7 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.balances import Balance, balances_of
 from mbds_xsim.checks.coordinates import coordinate_of, hinge_turns
-from mbds_xsim.checks.finding import Figures, check
+from mbds_xsim.checks.finding import Figures, check, side_by_side
 from mbds_xsim.checks.flights import summed
 from mbds_xsim.checks.integrity import pair_distance
 from mbds_xsim.checks.joint_work import losses
@@ -104,7 +104,7 @@ def _of_bodies(record: Record) -> Array:
     turning = np.einsum("tfbi,tfbi->tfb", record.spin, record.turning)
     kinetic = 0.5 * (mechanism.mass * moving + turning)
     weight = -mechanism.mass * rotation.dot(bodies.position, np.array(record.scene.gravity))
-    return record.by_frame([*np.moveaxis(kinetic, -1, 0), *np.moveaxis(weight, -1, 0)])
+    return side_by_side([kinetic, weight])
 
 
 @functools.lru_cache(maxsize=1)
@@ -182,17 +182,10 @@ def gain_of(record: Record, balance: Balance) -> Gain:
     """Compute the gain of a group from its momenta, inputs and gravity."""
     if balance.angular and record.many:
         return _turned(record, balance)
-    bodies = _rows(balance)
-    state, scale = (_angular if balance.angular else _linear)(record, balance)
-    force, mass = record.force[:, :, bodies], record.mechanism.mass[bodies]
-    if balance.angular:
-        inputs, weight, blur = _moments(record, balance, force, mass)
-    else:
-        inputs, blur = _total(force) * record.frame, np.zeros(force.shape[:2])
-        weight = record.frame * float(mass.sum()) * np.array(record.scene.gravity)
-    residual = np.diff(state, axis=1) - inputs - weight
-    across = balance.directions.T
-    return Gain(residual @ across, inputs @ across, blur, scale)
+    each, inputs, weight, blur = (_angular if balance.angular else _linear)(record, balance)
+    residual = np.diff(_total(each), axis=1) - inputs - weight
+    across, sizes = balance.directions.T, rotation.norm(each).sum(axis=2)
+    return Gain(residual @ across, inputs @ across, blur, _scale(record, balance, sizes))
 
 
 def _turned(record: Record, balance: Balance) -> Gain:
@@ -214,7 +207,7 @@ def _turned(record: Record, balance: Balance) -> Gain:
     inputs = inputs[:count, 1:] + record.frame * _driving(record, balance) @ balance.directions.T
     residual = np.diff(state[:count], axis=1) - inputs - weight[:count, 1:]
     size, blur = (sums[k].T[:count] for k in (kernel.SIZE, kernel.BLUR))
-    return Gain(residual, inputs, blur[:, 1:], _floored(record, balance, size, record.scene.length))
+    return Gain(residual, inputs, blur[:, 1:], _scale(record, balance, size))
 
 
 def _unbalanced(record: Record, balance: Balance, flights: Mask) -> tuple[Array, Array]:
@@ -226,49 +219,33 @@ def _unbalanced(record: Record, balance: Balance, flights: Mask) -> tuple[Array,
     return imbalance / gain.scale[:, None], error / gain.scale
 
 
-def _linear(record: Record, balance: Balance) -> tuple[Array, Array]:
-    bodies, mass = _rows(balance), record.mechanism.mass[_rows(balance)]
+def _linear(record: Record, balance: Balance) -> tuple[Array, Array, Array, Array]:
+    """Return the same as `_angular`, for linear momenta and impulses, whose error is 0."""
+    bodies, frame = _rows(balance), record.frame
+    force, mass = record.force[:, :, bodies], record.mechanism.mass[bodies]
     each = mass[:, None] * record.bodies.velocity[:, :, bodies]
-    return _total(each), _scale(record, balance, each, 1.0)
+    weight = frame * float(mass.sum()) * np.array(record.scene.gravity)
+    return each, _total(force) * frame, weight, np.zeros(force.shape[:2])
 
 
-def _angular(record: Record, balance: Balance) -> tuple[Array, Array]:
-    """Return angular momentum about the balance's point, (trajectory, frame, 3), and its scale."""
-    mechanism, states, bodies = record.mechanism, record.bodies, _rows(balance)
-    mass, velocity = mechanism.mass[bodies], states.velocity[:, :, bodies]
-    drift = 0.0 if balance.about is not None else _mean(mass, velocity)
-    orbital = rotation.cross(_arms(record, balance), mass[:, None] * (velocity - drift))
-    own = rotation.rotate(states.native[:, :, bodies], record.turning[:, :, bodies])
-    each = own + orbital
-    return _total(each), _scale(record, balance, each, record.scene.length)
+def _angular(record: Record, balance: Balance) -> tuple[Array, Array, Array, Array]:
+    """Return momenta of the bodies, angular impulses of inputs and gravity, and their error.
 
-
-def _scale(record: Record, balance: Balance, each: Array, arm: float) -> Array:
-    """Return the largest sum of the bodies' own momenta, shape (trajectory,).
-
-    It is at least 1e-3 of what the group has at the speed of a fall through the scene's length.
+    Momenta, shape (trajectory, frame, body, 3), are about the balance's point. Impulses have shape
+    (trajectory, step, 3). Momenta from lagging velocities lag, too, which the moments at both ends
+    correct.
     """
-    return _floored(record, balance, rotation.norm(each).sum(axis=2), arm)
-
-
-def _floored(record: Record, balance: Balance, sizes: Array, arm: float) -> Array:
-    speed = np.sqrt(record.usual_pull * record.scene.length)
-    floor = _FLOOR * float(record.mechanism.mass[_rows(balance)].sum()) * speed * arm
-    return np.maximum(np.nanmax(sizes, axis=1, initial=0.0), floor)
-
-
-def _moments(
-    record: Record, balance: Balance, force: Array, mass: Array
-) -> tuple[Array, Array, Array]:
-    """Return angular impulses of inputs and of gravity, (trajectory, step, 3), and their error.
-
-    Momenta from lagging velocities lag, too, which the moments at both ends correct.
-    """
-    arm = _arms(record, balance)
-    speed = record.bodies.velocity[:, :, _rows(balance)]
+    bodies, states, frame = _rows(balance), record.bodies, record.frame
+    force, mass = record.force[:, :, bodies], record.mechanism.mass[bodies]
+    arm, speed = states.position[:, :, bodies], states.velocity[:, :, bodies]
     if balance.about is None:
-        speed = speed - _mean(record.mechanism.mass[_rows(balance)], speed)
-    frame, gravity = record.frame, np.array(record.scene.gravity)
+        arm, speed = arm - _mean(mass, arm), speed - _mean(mass, speed)
+    else:
+        arm = arm - balance.about
+    own = rotation.rotate(states.native[:, :, bodies], record.turning[:, :, bodies])
+    orbital = rotation.cross(arm, mass[:, None] * speed)
+    each = own + orbital
+    gravity = np.array(record.scene.gravity)
     swept = frame / 2 * (arm[:, 1:] + arm[:, :-1]) + frame**2 / 12 * (speed[:, :-1] - speed[:, 1:])
     swept = swept + record.lag * (arm[:, 1:] - arm[:, :-1])
     impulse = _total(rotation.cross(swept, force)) + frame * _driving(record, balance)
@@ -279,7 +256,18 @@ def _moments(
     change = np.diff(bend, axis=1, prepend=bend[:, 1:2] if bend.shape[1] > 1 else 0.0)
     load = force + mass[:, None] * gravity
     error = frame / 60 * rotation.norm(change) * rotation.norm(load)
-    return impulse, weight, error.sum(axis=2)
+    return each, impulse, weight, error.sum(axis=2)
+
+
+def _scale(record: Record, balance: Balance, sizes: Array) -> Array:
+    """Return the largest sum of the bodies' own momenta, shape (trajectory,).
+
+    It is at least 1e-3 of what the group has at the speed of a fall through the scene's length.
+    """
+    length = record.scene.length
+    speed, arm = np.sqrt(record.usual_pull * length), length if balance.angular else 1.0
+    floor = _FLOOR * float(record.mechanism.mass[_rows(balance)].sum()) * speed * arm
+    return np.maximum(np.nanmax(sizes, axis=1, initial=0.0), floor)
 
 
 def _driving(record: Record, balance: Balance) -> Array:
@@ -292,14 +280,6 @@ def _driving(record: Record, balance: Balance) -> Array:
         if joint.child == WORLD_INDEX and joint.parent in balance.bodies:
             moment -= torque
     return moment
-
-
-def _arms(record: Record, balance: Balance) -> Array:
-    """Return centres of mass from the balance's point [m], shape (trajectory, frame, body, 3)."""
-    places = record.bodies.position[:, :, _rows(balance)]
-    if balance.about is not None:
-        return places - balance.about
-    return places - _mean(record.mechanism.mass[_rows(balance)], places)
 
 
 def _rows(balance: Balance) -> slice | list[int]:

@@ -125,8 +125,7 @@ class Consistency:
     def _bumps(self) -> Mask:
         """Steps in which a joint may stick or run into a stop, or a servo saturate."""
         record = Record(self.scene, self.batch, self.reference)
-        clear = clear_of_stops(record.mechanism, record.world, record.frame, None)
-        return np.asarray(~(clear & record.steady))
+        return np.asarray(~(clear_of_stops(record) & record.steady))
 
     def _late(self, values: Array) -> Array:
         """Bound the error of bumps up to each frame, as runs may agree on the wrong instant.
@@ -229,7 +228,8 @@ def _compare(
     frames = min(value.shape[1] for value in values)
     floor, predictable = floor[:, :frames], predictable[:, :frames]
     *runs, truth = (value[:, :frames] for value in values)
-    limits = [extrapolate(part, order, floor, bumps=bumps) for part in _threes(runs)]
+    threes = [runs[k : k + 3] for k in range(max(1, len(runs) - 2))]  # or both, if there are two
+    limits = [extrapolate(part, order, floor, bumps=bumps) for part in threes]
     series = np.full(floor.shape, np.nan)
     before: Extrapolation | None = None
     for each, finest in zip(limits, runs[-len(limits) :], strict=True):
@@ -254,11 +254,6 @@ def _compare(
         stopped=np.asarray(ended.any(axis=1)),
         brief=2 * np.isfinite(series).sum(axis=1) < (predictable & there).sum(axis=1),
     )
-
-
-def _threes(runs: list[Array]) -> list[list[Array]]:
-    """Return the runs three at a time, or both if there are only two."""
-    return [runs[k : k + 3] for k in range(max(1, len(runs) - 2))]
 
 
 def _unsteady(before: Extrapolation, after: Extrapolation, finest: Array, floor: Array) -> Array:

@@ -8,64 +8,53 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbds_xsim.base.arrays import Array, Mask
-from mbds_xsim.scene.joint_space import BodyStates, joint_coordinate, joint_rate, joint_turns
-from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
+from mbds_xsim.scene.joint_space import joint_coordinate, joint_rate, joint_turns
+from mbds_xsim.scene.mechanism import WORLD_INDEX, PlacedJoint
 
 if TYPE_CHECKING:
     from mbds_xsim.checks.record import Record
 
 
-def counted_coordinate(joint: PlacedJoint, world: BodyStates, frame: float) -> Array:
-    """Return a joint's coordinate [rad or m], shape (trajectory, frame).
+def coordinate_of(record: Record, joint: PlacedJoint) -> Array:
+    """Return a hinge's or slider's coordinate [rad or m], shape (trajectory, frame).
 
     A hinge's angle is in (−π, π] at the start, and counts whole turns from then on.
-
-    Args:
-        joint: A hinge or slider.
-        world: Recorded states with the world as last body.
-        frame: Interval between frames [s].
     """
+    world = record.world
     coordinate = joint_coordinate(joint, world.position, world.native)
     if joint.kind == "hinge":
-        coordinate[:, 1:] = coordinate[:, :1] + joint_turns(joint, world, frame).cumsum(axis=1)
+        turns = joint_turns(joint, world, record.frame)
+        coordinate[:, 1:] = coordinate[:, :1] + turns.cumsum(axis=1)
     return coordinate
 
 
-def clear_of_stops(
-    mechanism: Mechanism, world: BodyStates, frame: float, group: tuple[int, ...] | None
-) -> Mask:
+def clear_of_stops(record: Record, group: tuple[int, ...] | None = None) -> Mask:
     """Find the steps in which no joint can reach a stop, shape (trajectory, step).
 
     At both ends a joint must be farther from its stops than it can move in a frame, at the larger
-    rate of both ends plus their difference.
-
-    Args:
-        mechanism: Mechanism of the recorded motion.
-        world: Recorded states with the world as last body.
-        frame: Interval between frames [s].
-        group: Only joints between the world and these bodies count; None: all joints count.
+    rate of both ends plus their difference. Of a group of bodies, only joints to the world count.
     """
-    clear = np.ones(world.position[:, 1:, 0, 0].shape, dtype=bool)
-    for joint in mechanism.limited:
+    clear = np.ones(record.world.position[:, 1:, 0, 0].shape, dtype=bool)
+    for joint in record.mechanism.limited:
         ends = {joint.parent, joint.child}
         if group is None or (WORLD_INDEX in ends and ends & {*group}):
-            clear &= clear_of_own(joint, world, frame)
+            clear &= clear_of_own(record, joint)
     return clear
 
 
-def clear_of_own(joint: PlacedJoint, world: BodyStates, frame: float) -> Mask:
+def clear_of_own(record: Record, joint: PlacedJoint) -> Mask:
     """Find the steps in which one joint cannot reach its stops, shape (trajectory, step)."""
-    gap = stop_gap(joint, counted_coordinate(joint, world, frame))
-    rate = joint_rate(joint, world)
+    gap, rate = stop_gap(record, joint), joint_rate(joint, record.world)
     begin, end = rate[:, :-1], rate[:, 1:]
-    travel = frame * (np.maximum(np.abs(begin), np.abs(end)) + np.abs(end - begin))
+    travel = record.frame * (np.maximum(np.abs(begin), np.abs(end)) + np.abs(end - begin))
     return np.asarray(np.minimum(gap[:, :-1], gap[:, 1:]) > travel)
 
 
-def stop_gap(joint: PlacedJoint, coordinate: Array) -> Array:
+def stop_gap(record: Record, joint: PlacedJoint) -> Array:
     """Return a joint's distance from the nearer of its stops [rad or m], negative past it."""
     assert joint.limits is not None
     low, high = joint.limits
+    coordinate = coordinate_of(record, joint)
     return np.minimum(coordinate - low, high - coordinate)
 
 
@@ -74,11 +63,6 @@ def hinge_turns(record: Record) -> Array:
     """Compute the turns of hinges over each step [rad], shape (trajectory, step, hinge)."""
     world, frame, hinges = record.world, record.frame, record.mechanism.hinges
     return np.stack([joint_turns(joint, world, frame) for joint in hinges], axis=-1)
-
-
-def coordinate_of(record: Record, joint: PlacedJoint) -> Array:
-    """Return a joint's coordinate as `counted_coordinate` does, shape (trajectory, frame)."""
-    return counted_coordinate(joint, record.world, record.frame)
 
 
 @functools.lru_cache(maxsize=1)

@@ -20,7 +20,7 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.balances import groups_of
-from mbds_xsim.checks.finding import Figures, check
+from mbds_xsim.checks.finding import Figures, check, side_by_side
 from mbds_xsim.checks.flights import numbers, usual
 from mbds_xsim.checks.forced import Forced, forced
 from mbds_xsim.checks.ground import Push, pushes_of, responses
@@ -67,13 +67,13 @@ def displacement(record: Record) -> Figures | None:
 def _of_few(record: Record, more: Forced | None = None) -> tuple[Array, str]:
     """Compute the parts, with the effect of forces within frames if given, and a note."""
     parts = []
-    place, turn = _Residual.of_places(record, more), _Residual.of_turns(record, more)
+    place, turn = (_Residual.of(record, more, angular=kind) for kind in (False, True))
     for residual in (place, turn):
         parts += [residual.by_frame, residual.drift(residual.difference)]
     own = rotation.rotate(rotation.conjugate(record.bodies.native[:, :-1]), turn.difference)
     parts += [turn.drift(own), _delay(record, place, turn)]
-    parts += [_of_group(record, push, place.difference) for push in pushes_of(record)]
-    figures = record.by_frame([each[..., k] for each in parts for k in range(each.shape[-1])])
+    parts += [_of_group(record, push, place) for push in pushes_of(record)]
+    figures = side_by_side(parts)
     figures[:, 0] = np.where(record.finite[:, :1], np.nan_to_num(figures[:, 0]), np.nan)
     allowed = np.nanmedian(turn.allowed) if record.finite[:, 1:].any() else np.nan
     return figures, f"turns are known to {allowed:.2g} rad/s in half of the frames"
@@ -135,25 +135,33 @@ class _Residual:
     """Share of a frame that a step takes, as errors of a method do not average out."""
 
     @staticmethod
-    def of_places(record: Record, more: Forced | None) -> _Residual:
-        velocity = record.bodies.velocity
-        mean = record.moved / record.frame
-        residual = mean - (velocity[:, 1:] + velocity[:, :-1]) / 2
-        bend = None if more is None else more.places
-        return _residual(record, residual, velocity, 1.0, _hidden(record, more, False), bend)
-
-    @staticmethod
-    def of_turns(record: Record, more: Forced | None) -> _Residual:
-        """Compare recorded turns with those that velocities give to third order (Magnus)."""
-        spin, facing, frame = record.bodies.angular_velocity, record.bodies.native, record.frame
-        begin, end = spin[:, :-1], spin[:, 1:]
-        predicted = frame / 2 * (begin + end) - frame**2 / 12 * rotation.cross(begin, end)
-        turned = rotation.multiply(facing[:, 1:], rotation.conjugate(facing[:, :-1]))
-        back = rotation.multiply(rotation.from_vector(-predicted), turned)
-        residual = rotation.to_vector(back) / frame
-        bend = None if more is None else more.turns
-        hidden = _hidden(record, more, True)
-        return _residual(record, residual, spin, 1.0 / record.scene.length, hidden, bend)
+    def of(record: Record, more: Forced | None, *, angular: bool) -> _Residual:
+        """Compare displacements with velocities, or turns with angular ones."""
+        frame, share = record.frame, (record.step or 0.0) / record.frame
+        velocity = record.bodies.angular_velocity if angular else record.bodies.velocity
+        gained = np.diff(velocity, axis=1)
+        change = _second_differences(gained)
+        change = _with_ends(_window(np.maximum(change[:, 1:], change[:, :-1])))
+        if more is not None:
+            swing = more.turns if angular else more.places
+            change = np.maximum(change, np.maximum(_SWING * swing, _unresolved(swing, gained)))
+        bend = (_BEND + min(_METHOD * share**2, _BEND)) * change
+        residual = _of_turns(record) if angular else _of_places(record)
+        if record.lag:
+            residual = residual + record.lag / frame * gained
+            fastest = _window(rotation.norm(gained).max(axis=2, keepdims=True))
+            bend = bend + _LAG * abs(record.lag) / frame * fastest
+        repeats = _repeats(record)
+        speed = np.nanmax(rotation.norm(velocity), axis=(1, 2), initial=0.0)
+        least = frame * record.usual_pull * (1.0 / record.scene.length if angular else 1.0)
+        return _Residual(
+            residual,
+            gained,
+            np.where(repeats, 0.0, bend),
+            np.where(repeats, 0.0, _hidden(record, more, angular)),
+            np.maximum(_FLOOR * np.maximum(speed, least)[:, None, None], _TINY),
+            share,
+        )
 
     @functools.cached_property
     def allowed(self) -> Array:
@@ -168,6 +176,10 @@ class _Residual:
     def weight(self) -> Array:
         """Weight of each step in means, 0 where nothing is known, (trajectory, step, body)."""
         return np.where(np.isfinite(self.difference[..., 0]), 1.0 / self.allowed**2, 0.0)
+
+    def along_gain(self, vectors: Array) -> Array:
+        """Sum weighted products of vectors with gains over the bodies, (trajectory, step)."""
+        return numbers(self.weight * rotation.dot(self.gain, vectors)).sum(axis=2)
 
     def drift(self, residual: Array) -> Array:
         """Return the weighted mean residual over its limit, placed at the trajectory's end."""
@@ -186,38 +198,20 @@ class _Residual:
         return _at_end(np.asarray(known.any(axis=2)), rotation.norm(mean[:, 0]) / limit)
 
 
-def _residual(
-    record: Record,
-    residual: Array,
-    velocity: Array,
-    per_length: float,
-    hidden: Array,
-    swing: Array | None,
-) -> _Residual:
-    gained = np.diff(velocity, axis=1)
-    share = (record.step or 0.0) / record.frame
-    own = min(_METHOD * share**2, _BEND)
-    change = _second_differences(gained)
-    change = _with_ends(_window(np.maximum(change[:, 1:], change[:, :-1])))
-    if swing is not None:
-        change = np.maximum(change, np.maximum(_SWING * swing, _unresolved(swing, gained)))
-    bend = (_BEND + own) * change
-    if record.lag:
-        residual = residual + record.lag / record.frame * gained
-        fastest = _window(rotation.norm(gained).max(axis=2, keepdims=True))
-        bend = bend + _LAG * abs(record.lag) / record.frame * fastest
-    repeats = _repeats(record)
-    speed = np.nanmax(rotation.norm(velocity), axis=(1, 2), initial=0.0)
-    least = record.frame * record.usual_pull * per_length
-    floor = _FLOOR * np.maximum(speed, least)[:, None, None]
-    return _Residual(
-        residual,
-        gained,
-        np.where(repeats, 0.0, bend),
-        np.where(repeats, 0.0, hidden),
-        np.maximum(floor, _TINY),
-        share,
-    )
+def _of_places(record: Record) -> Array:
+    """Return mean velocities by displacements less those by velocities [m/s]."""
+    velocity = record.bodies.velocity
+    return record.moved / record.frame - (velocity[:, 1:] + velocity[:, :-1]) / 2
+
+
+def _of_turns(record: Record) -> Array:
+    """Compare recorded turns with those that velocities give to third order (Magnus) [rad/s]."""
+    spin, facing, frame = record.bodies.angular_velocity, record.bodies.native, record.frame
+    begin, end = spin[:, :-1], spin[:, 1:]
+    predicted = frame / 2 * (begin + end) - frame**2 / 12 * rotation.cross(begin, end)
+    turned = rotation.multiply(facing[:, 1:], rotation.conjugate(facing[:, :-1]))
+    back = rotation.multiply(rotation.from_vector(-predicted), turned)
+    return rotation.to_vector(back) / frame
 
 
 def _unresolved(swing: Array, gained: Array) -> Array:
@@ -313,37 +307,29 @@ def _upward(push: Push) -> Array:
     return np.where(reached, push.impulse[..., 2], 0.0)
 
 
-def _of_group(record: Record, push: Push, residual: Array) -> Array:
+def _of_group(record: Record, push: Push, place: _Residual) -> Array:
     """Compute the residual of a group's centre of mass over its bound, (trajectory, frame, 1).
 
     The vertical impulse only grows, and horizontal changes add up to at most μ times as much. The
     bound is exact except for a lag, by which impulses of neighbouring steps belong to this one.
     """
-    centre = push.middle(residual)
+    centre = push.middle(place.difference)
     gain = _upward(push)[..., None] / push.mass
     late = abs(record.lag) / record.frame * (_window(gain) + push.blur[..., None] / push.mass)
-    speed = np.nanmax(rotation.norm(record.bodies.velocity), axis=(1, 2), initial=0.0)
-    floor = _FLOOR * np.maximum(speed, record.frame * record.usual_pull)[:, None, None]
     sizes = np.stack([np.hypot(centre[..., 0], centre[..., 1]), np.abs(centre[..., 2])], axis=-1)
-    limit = _PATH * gain * np.array([record.ground.friction, 1.0]) + late + floor
+    limit = _PATH * gain * np.array([record.ground.friction, 1.0]) + late + place.floor
     return _framed((sizes / limit).max(axis=-1, keepdims=True))
 
 
 def _delay(record: Record, place: _Residual, turn: _Residual) -> Array:
     """Compute the slope of residuals over accelerations, over its limit, at the last frame."""
-    known = record.finite[:, 1:] & record.finite[:, :-1]
-    squares, products = (
-        [numbers(each.weight * rotation.dot(each.gain, other)).sum(axis=2) for each, other in pairs]
-        for pairs in (
-            [(place, place.gain), (turn, turn.gain)],
-            [(place, place.difference), (turn, turn.difference)],
-        )
-    )
+    squares = [each.along_gain(each.gain) for each in (place, turn)]
+    products = [each.along_gain(each.difference) for each in (place, turn)]
     square = np.maximum(sum(each.sum(axis=1) for each in squares), _FAINT)
     slope = sum(each.sum(axis=1) for each in products) / square
     rests = [b - slope[:, None] * a for a, b in zip(squares, products, strict=True)]
     error = np.sqrt(sum(np.sum(rest**2, axis=1) for rest in rests)) / square
-    return _at_end(known, (np.abs(slope) / (_LATE + _ERRORS * error))[:, None])
+    return record.at_end((np.abs(slope) / (_LATE + _ERRORS * error))[:, None])
 
 
 def _framed(values: Array) -> Array:

@@ -32,6 +32,7 @@ from mbds_xsim.checks.ground import (
     restitution_note,
 )
 from mbds_xsim.checks.record import Record
+from mbds_xsim.checks.spheres import direction
 from mbds_xsim.scene.joint_space import BodyStates
 
 _RESTITUTION = 5.0  # times the budget of balls; springs of few steps are off by up to 0.033
@@ -187,12 +188,10 @@ def yielding(record: Record, bodies: BodyStates, sphere: Index) -> Array:
 
 def _acceleration(record: Record, hits: Impacts, bodies: BodyStates) -> Array:
     """Compute the acceleration of the lowest point without the ground [m/s²], (impact, 3)."""
-    inputs = (values[hits.row, hits.step] for values in (record.batch.force, record.torque))
-    force, torque = inputs
+    force, torque = record.batch.force[hits.row, hits.step], record.torque[hits.row, hits.step]
     ends = []
     for moment in (-_MOMENT, _MOMENT):
-        moments = np.full(len(hits.row), moment)
-        there = followed(record, bodies, force, torque, moments)
+        there = followed(record, bodies, force, torque, np.full(len(hits.row), moment))
         point = one_sphere(record, there, hits.sphere)
         ends.append(np.column_stack([point.slip, point.climb]))
     return np.asarray((ends[1] - ends[0]) / (2.0 * _MOMENT))
@@ -212,16 +211,11 @@ def _friction(slip: Array, gives: Array, alone: Array, most: Array) -> Array:
         np.linalg.solve(soft, -(slip + alone[:, :2])[..., None])[..., 0], dtype=float
     )
     needed = np.linalg.norm(holds, axis=1)
-    ahead = np.einsum("kij,kj->ki", soft, _direction(slip)) * most[:, None]
-    middle = _direction(slip + 0.5 * (alone[:, :2] - ahead))
+    ahead = np.einsum("kij,kj->ki", soft, direction(slip)) * most[:, None]
+    middle = direction(slip + 0.5 * (alone[:, :2] - ahead))
     still = np.linalg.norm(slip, axis=1) < _STILL
-    against = np.where(still[:, None], _direction(holds), -middle)
+    against = np.where(still[:, None], direction(holds), -middle)
     return np.where((needed <= most)[:, None], holds, most[:, None] * against)
-
-
-def _direction(vectors: Array) -> Array:
-    size = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return vectors / np.maximum(size, np.finfo(float).tiny)
 
 
 @dataclass(frozen=True, eq=False)
@@ -345,8 +339,7 @@ def _by_rigid(record: Record, hits: Impacts) -> tuple[Array, Array, Array, Array
     ground = record.ground
     speed = np.linalg.norm(hits.rebound, axis=1)
     slips = (speed > _SLIPS * hits.arriving).astype(float)
-    against = -hits.rebound / np.maximum(speed, np.finfo(float).tiny)[:, None]
-    along = np.einsum("ki,ki->k", hits.impulse[:, :2], against)
+    along = np.einsum("ki,ki->k", hits.impulse[:, :2], -direction(hits.rebound))
     share = along / ((ground.friction or 1.0) * hits.impulse[:, 2]) - 1.0
     delivered = hits.leaving / hits.arriving
     return delivered - ground.restitution, np.ones(len(speed)), slips * share, slips

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -26,6 +26,11 @@ class Figures(NamedTuple):
     """Resolution of the check, as in `Finding`."""
 
 
+def side_by_side(parts: Sequence[Array]) -> Array:
+    """Join parts, shape (trajectory, frame, part), so that they are apart in memory."""
+    return np.concatenate([part.T for part in parts]).T
+
+
 @dataclass(frozen=True)
 class Check:
     """Check to call with a record."""
@@ -43,15 +48,9 @@ class Check:
         budget = self.budget
         if isinstance(budget, str):
             budget = float(getattr(record.scene.budget, budget))
-        return Finding.of(
-            self.name,
-            self.unit,
-            figures.parts,
-            budget=budget(record) if callable(budget) else budget,
-            names=tuple(figures.names),
-            uncertainty=figures.uncertainty,
-            note=figures.note,
-        )
+        elif callable(budget):
+            budget = budget(record)
+        return Finding.of(self.name, self.unit, budget=budget, **figures._asdict())
 
     def finding(self, record: Record) -> Finding:
         """Return the finding on a record to which the check must apply."""
@@ -99,12 +98,12 @@ class Finding:
         parts: Array,
         *,
         budget: float | None,
-        names: tuple[str, ...] = (),
+        names: Iterable[str] = (),
         uncertainty: Array | float = 0.0,
         note: str = "",
     ) -> Finding:
         """Make a finding from values of several named parts, shape (trajectory, frame, part)."""
-        highest = np.fmax.reduce(parts, axis=1)
+        names, highest = tuple(names), np.fmax.reduce(parts, axis=1)
         worst = np.where(np.isnan(highest), -np.inf, highest).argmax(axis=1)
         return Finding(
             check,

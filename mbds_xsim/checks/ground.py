@@ -19,6 +19,7 @@ from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.checks.balances import balances_of, groups_of
 from mbds_xsim.checks.coordinates import clear_of_own
 from mbds_xsim.checks.finding import Figures, check
+from mbds_xsim.checks.mismatch import projected
 from mbds_xsim.checks.record import Record
 from mbds_xsim.checks.spheres import Neighbours, Spheres, spheres_of
 from mbds_xsim.scene.joint_space import BodyStates
@@ -155,9 +156,6 @@ def pushed(mechanism: Mechanism, bodies: BodyStates, sphere: Index) -> BodyState
     Returns:
         States with these velocities, for impulses along x, y and z, shape (state, 3, body, …).
     """
-    # The reference loads the compiled parts of scipy, which most uses do without.
-    from mbds_xsim.reference.equations import dynamics_of
-
     each, axis = (k.ravel() for k in np.indices((len(sphere), 3)))
     row, body, states = np.arange(len(each)), mechanism.sphere_body[sphere][each], bodies[each]
     native, push = states.native[row, body], np.eye(3)[axis]
@@ -168,11 +166,9 @@ def pushed(mechanism: Mechanism, bodies: BodyStates, sphere: Index) -> BodyState
     velocity[row, body] = push / mechanism.mass[body, None]
     moment = rotation.cross(arm, push)
     spin[row, body] = np.linalg.solve(inertia, moment[..., None])[..., 0]
-    dynamics = dynamics_of(mechanism)
-    start = dynamics.pack(BodyStates(states.position, states.native, velocity, spin))
-    projected = dynamics.unpack(dynamics.project(start))
+    joined = projected(mechanism, BodyStates(states.position, states.native, velocity, spin))
     shape = (len(sphere), 3, mechanism.body_count)
-    return projected.each(lambda values: values.reshape(*shape, -1))
+    return joined.each(lambda values: values.reshape(*shape, -1))
 
 
 def lowest(mechanism: Mechanism, native: Array, sphere: Index) -> Array:
@@ -327,7 +323,7 @@ def _undisturbed(record: Record, push: Push) -> Mask:
     undisturbed = np.full(push.steady.shape, not rubs)
     for joint in mechanism.limited:
         if group & {joint.parent, joint.child}:
-            undisturbed &= clear_of_own(joint, record.world, record.frame)
+            undisturbed &= clear_of_own(record, joint)
     inside = np.isin(mechanism.sphere_pairs, push.spheres).all(axis=1)
     return undisturbed & record.parted[:, :, inside].all(axis=2) if inside.any() else undisturbed
 

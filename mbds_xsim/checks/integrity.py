@@ -9,10 +9,11 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.coordinates import coupling_errors
-from mbds_xsim.checks.finding import Figures, check
+from mbds_xsim.checks.finding import Figures, check, side_by_side
 from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.joint_space import BodyStates, select_bodies
-from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint, PointPair
+from mbds_xsim.scene.mechanism import PlacedJoint, PointPair
+from mbds_xsim.scene.state import STATES
 from mbds_xsim.simulate import rounding
 
 _UNIT = 1e-9
@@ -26,7 +27,6 @@ _FEW = 12
 _RESIDUE = 1e-6
 """Share of the largest number: below 2⁻²⁸ of it, differences have no more bits than a float32."""
 _MOST_SINGLE = 0.5
-_STATE = ("position", "orientation", "velocity", "angular_velocity")
 
 
 @check("finite", _UNIT)
@@ -53,8 +53,8 @@ def precision(record: Record) -> Figures | None:
         return None
     motion, batch = record.trajectory, record.batch
     exact = not _bits(np.array([record.frame]), _SINGLE).any()
-    parts = np.zeros((len(batch), len(motion.time), len(_STATE)))
-    for k, name in enumerate(_STATE):
+    parts = np.zeros((len(batch), len(motion.time), len(STATES)))
+    for k, name in enumerate(STATES):
         values = getattr(motion, name)
         single = ~_bits(values, _SINGLE)
         single[:, 0] = False
@@ -73,7 +73,7 @@ def precision(record: Record) -> Figures | None:
         first = single.any(axis=(2, 3)).argmax(axis=1)
         share = np.where(count >= _FEW, short / np.maximum(count, 1), 0.0)
         parts[np.arange(len(batch)), first, k] = share
-    names = (f"{name.replace('_', ' ')} rounded to 24 significant bits" for name in _STATE)
+    names = (f"{name.replace('_', ' ')} rounded to 24 significant bits" for name in STATES)
     return Figures(parts, names)
 
 
@@ -144,15 +144,15 @@ def gap(record: Record) -> Figures:
     For a slider it is the distance of the child's anchor from the parent's axis, for a distance
     link the change of its length, and for a coupling how far the slider is off its place.
     """
-    offset = _apart(record, slides=True)
-    links = record.mechanism.distances
+    world, links = record.world, record.mechanism.distances
+    offset = _apart(world, _anchors(_parted(record)[1]))
     parts = [
         _anchor_gaps(record)[0],
         rotation.norm(rotation.cross(_axes(record), offset)),
-        np.abs(pair_distance(record.world, links) - [link.length for link in links]),
+        np.abs(pair_distance(world, links) - [link.length for link in links]),
         np.abs(coupling_errors(record, "slider")[0]),
     ]
-    return Figures(record.by_frame(_columns(parts)), _names(record))
+    return Figures(side_by_side(parts), _names(record))
 
 
 @check("gap rate", lambda record: record.scene.budget.gap / record.frame, "m/s")
@@ -162,185 +162,162 @@ def gap_rate(record: Record) -> Figures:
     The budget is the gap's over a frame. Velocities with a declared lag fit the joints of an
     earlier instant; the part that rotation in between explains is subtracted.
     """
-    spin = select_bodies(record.world.angular_velocity, _ends(_parted(record.mechanism)[1])[0])
-    sliding = _parting(record, slides=True)
-    sliding = sliding - rotation.cross(spin, _apart(record, slides=True))
+    world, ends = record.world, _anchors(_parted(record)[1])
+    spin = select_bodies(world.angular_velocity, ends[0][0])
+    sliding = _parting(world, ends) - rotation.cross(spin, _apart(world, ends))
     parts = [
         _anchor_gaps(record)[1],
         rotation.norm(rotation.cross(_axes(record), sliding)),
-        np.abs(pair_rate(record.world, record.mechanism.distances)),
+        np.abs(pair_rate(world, record.mechanism.distances)),
         np.abs(coupling_errors(record, "slider")[1]),
     ]
-    opening = record.by_frame(_columns(parts))
-    if record.lag:
-        late = _turned(record, rotation.norm(record.bodies.velocity))
-        opening = np.maximum(opening - late, 0.0)
+    opening = _less_late(record, side_by_side(parts), record.bodies.velocity)
     return Figures(opening, _names(record))
 
 
 @check("angle gap rate", lambda record: record.scene.budget.angle_gap / record.frame, "rad/s")
-def angle_gap_rate(record: Record) -> Figures | None:
+def angle_gap_rate(record: Record) -> Figures:
     """Measure the rates at which hinges tilt, and sliders and fixed joints turn [rad/s].
 
     As `gap_rate`, but for angles. None without such joints.
     """
-    joints = [j for j in record.mechanism.joints if j.kind != "ball"]
-    if not joints:
-        return None
+    (parent, child), free = _facing(record)
     states = record.world
-    parent, child = _ends(joints)
     turning = states.angular_velocity[..., child, :] - states.angular_velocity[..., parent, :]
-    free = states.arms(parent, _free(joints))
+    free = states.arms(parent, free)
     across = turning - rotation.dot(turning, free)[..., None] * free
     slip = np.abs(coupling_errors(record, "hinge")[1])
     rate = np.concatenate([rotation.norm(across), slip], axis=-1)
-    if record.lag:
-        late = _turned(record, rotation.norm(record.bodies.angular_velocity))
-        rate = np.maximum(rate - late, 0.0)
-    return Figures(rate, [*(f"joint {j.name}" for j in joints), *_followers(record, "hinge")])
+    rate = _less_late(record, rate, record.bodies.angular_velocity)
+    return Figures(rate, _angle_names(record))
 
 
 @check("angle gap", "angle_gap", "rad")
-def angle_gap(record: Record) -> Figures | None:
+def angle_gap(record: Record) -> Figures:
     """Measure tilts of hinges, and turns of sliders and fixed joints [rad]; None without these."""
-    joints = [j for j in record.mechanism.joints if j.kind != "ball"]
-    if not joints:
-        return None
-    states = record.world
-    parent, child = _ends(joints)
-    back = rotation.conjugate(states.native[..., parent, :])
-    turn = rotation.multiply(back, states.native[..., child, :])
+    (parent, child), free = _facing(record)
+    native = record.world.native
+    back = rotation.conjugate(native[..., parent, :])
+    turn = rotation.multiply(back, native[..., child, :])
     # Without a hinge's free turn, the rest is a swing whose half angle has the sine |across|.
-    free = _free(joints)
     along = np.sum(turn[..., 1:] * free, axis=-1)
     across = np.linalg.norm(turn[..., 1:] - along[..., None] * free, axis=-1)
     angle = 2.0 * np.arctan2(across, np.hypot(turn[..., 0], along))
     off = np.abs(coupling_errors(record, "hinge")[0])
-    names = [*(f"joint {j.name}" for j in joints), *_followers(record, "hinge")]
-    return Figures(np.concatenate([angle, off], axis=-1), names)
+    return Figures(np.concatenate([angle, off], axis=-1), _angle_names(record))
 
 
 def pair_distance(states: BodyStates, pairs: tuple[PointPair, ...]) -> Array:
     """Compute distances of attachment points [m], shape (…, pair), from states with the world."""
-    begin, end = (states.points(*points) for points in _attached(pairs))
-    return np.asarray(rotation.norm(end - begin))
+    return np.asarray(rotation.norm(_apart(states, _attached(pairs))))
 
 
 def pair_rate(states: BodyStates, pairs: tuple[PointPair, ...]) -> Array:
     """Compute rates of attachment distances [m/s], (…, pair), from states with the world."""
     ends = _attached(pairs)
-    offset, parting = (
-        b - a
-        for a, b in (
-            [states.points(*points) for points in ends],
-            [states.speeds(*points) for points in ends],
-        )
-    )
-    return np.asarray(rotation.dot(parting, offset / rotation.norm(offset)[..., None]))
+    offset = _apart(states, ends)
+    way = offset / rotation.norm(offset)[..., None]
+    return np.asarray(rotation.dot(_parting(states, ends), way))
 
 
-def _turned(record: Record, speeds: Array) -> Array:
-    """Bound the change of lagging velocities by rotation, shape (…, frame, 1).
+def _less_late(record: Record, rates: Array, velocity: Array) -> Array:
+    """Subtract what rotation changes in lagging velocities, shape (…, frame, part).
 
     Methods that keep joints closed at the beginning of a step declare a lag of half a step, so the
     bound takes twice the lag, at the fastest rotation of the mechanism.
     """
-    fastest = rotation.norm(record.bodies.angular_velocity).max(axis=-1, keepdims=True)
-    return np.asarray(2.0 * abs(record.lag) * fastest * speeds.max(axis=-1, keepdims=True))
+    if not record.lag:
+        return rates
+    spin, speed = (
+        rotation.norm(each).max(axis=-1, keepdims=True)
+        for each in (record.bodies.angular_velocity, velocity)
+    )
+    return np.maximum(rates - 2.0 * abs(record.lag) * spin * speed, 0.0)
 
 
-def _parted(mechanism: Mechanism) -> tuple[list[PlacedJoint], list[PlacedJoint]]:
+def _parted(record: Record) -> tuple[list[PlacedJoint], list[PlacedJoint]]:
     """Return joints whose bodies share an anchor, and sliders."""
-    joints = mechanism.joints
+    joints = record.mechanism.joints
     return [j for j in joints if j.kind != "slider"], [j for j in joints if j.kind == "slider"]
 
 
+@functools.lru_cache(maxsize=1)
 def _anchor_gaps(record: Record) -> tuple[Array, Array]:
     """Return distances [m] and relative speeds [m/s] of shared anchors, shape (…, joint)."""
-    if record.many:
-        return _anchor_gaps_of_many(record)
-    kinds = _apart(record, slides=False), _parting(record, slides=False)
-    return rotation.norm(kinds[0]), rotation.norm(kinds[1])
-
-
-@functools.lru_cache(maxsize=1)
-def _anchor_gaps_of_many(record: Record) -> tuple[Array, Array]:
+    ends = _anchors(_parted(record)[0])
+    if not record.many:
+        apart, parting = _apart(record.world, ends), _parting(record.world, ends)
+        return rotation.norm(apart), rotation.norm(parting)
     from mbds_xsim.checks.balance_kernel import Ends, part_joints  # imports a compiler
 
-    joints, motion = _parted(record.mechanism)[0], record.motion
-    points = [_vectors([getattr(j, key) for j in joints]) for key in ("in_parent", "in_child")]
-    ends = Ends(np.array(_ends(joints), dtype=np.int64).reshape(2, -1), np.array(points))
-    gaps = np.empty((2, len(joints), motion.frames, motion.rows))
-    part_joints(motion, ends, gaps.reshape(-1))
+    motion = record.motion
+    bodies, points = (np.array(each) for each in zip(*ends, strict=True))
+    gaps = np.empty((2, points.shape[1], motion.frames, motion.rows))
+    part_joints(motion, Ends(bodies.astype(np.int64), points), gaps.reshape(-1))
     gap, rate = (np.asarray(values.T)[: len(record.batch)] for values in gaps)
     return gap, rate
 
 
-def _columns(parts: list[Array]) -> list[Array]:
-    return [part[..., k] for part in parts for k in range(part.shape[-1])]
-
-
-def _names(record: Record) -> tuple[str, ...]:
+def _names(record: Record) -> list[str]:
     """Return the names of the parts of gaps and gap rates."""
-    joints, sliders = _parted(record.mechanism)
+    joints, sliders = _parted(record)
     links = (f"distance link {link.name}" for link in record.mechanism.distances)
     joint_names = (f"joint {j.name}" for j in [*joints, *sliders])
-    return (*joint_names, *links, *_followers(record, "slider"))
+    return [*joint_names, *links, *_followers(record, "slider")]
+
+
+def _angle_names(record: Record) -> list[str]:
+    names = (f"joint {j.name}" for j in record.mechanism.joints if j.kind != "ball")
+    return [*names, *_followers(record, "hinge")]
 
 
 def _followers(record: Record, kind: str) -> list[str]:
     return [c.name for c in record.mechanism.couplings if c.follower.kind == kind]
 
 
-def _free(joints: list[PlacedJoint]) -> Array:
-    """Return the axes about which joints turn freely, zero if there is none."""
-    return np.array([j.axis if j.kind == "hinge" else np.zeros(3) for j in joints])
+def _facing(record: Record) -> tuple[tuple[list[int], list[int]], Array]:
+    """Return parents and children of joints that resist turns, and axes of free turns, or zero."""
+    joints = [j for j in record.mechanism.joints if j.kind != "ball"]
+    free = _vectors([j.axis if j.kind == "hinge" else np.zeros(3) for j in joints])
+    return ([j.parent for j in joints], [j.child for j in joints]), free
 
 
-def _attached(pairs: tuple[PointPair, ...]) -> list[tuple[list[int], Array]]:
-    """Return bodies and points of the two ends of distance links or springs."""
+_Ends = list[tuple[list[int], Array]]
+"""Bodies and points in them, of the first and of the second ends of pairs."""
+
+
+def _attached(pairs: tuple[PointPair, ...]) -> _Ends:
+    """Return the ends of distance links or springs."""
     return [
         ([pair.bodies[k] for pair in pairs], _vectors([pair.in_body[k] for pair in pairs]))
         for k in (0, 1)
     ]
 
 
-@functools.lru_cache(maxsize=2)
-def _arms(record: Record, slides: bool) -> list[tuple[list[int], Array]]:
-    """Return bodies of the two ends of sliders, or other joints, and arms of their anchors [m]."""
-    joints = _parted(record.mechanism)[slides]
-    points = ([joint.in_parent for joint in joints], [joint.in_child for joint in joints])
+def _anchors(joints: list[PlacedJoint]) -> _Ends:
+    """Return the anchors of joints in parents and children."""
     return [
-        (bodies, record.world.arms(bodies, _vectors(end)))
-        for bodies, end in zip(_ends(joints), points, strict=True)
+        ([j.parent for j in joints], _vectors([j.in_parent for j in joints])),
+        ([j.child for j in joints], _vectors([j.in_child for j in joints])),
     ]
 
 
-def _apart(record: Record, *, slides: bool) -> Array:
-    """Return the child's anchor relative to the parent's, in W [m], shape (…, joint, 3)."""
-    places = record.world.position
-    near, far = (select_bodies(places, bodies) + arm for bodies, arm in _arms(record, slides))
+def _apart(world: BodyStates, ends: _Ends) -> Array:
+    """Return second ends relative to first ones, in W [m], shape (…, pair, 3)."""
+    near, far = (world.points(*end) for end in ends)
     return far - near
 
 
-def _parting(record: Record, *, slides: bool) -> Array:
-    """Return the child's anchor velocity past the parent's, in W [m/s], shape (…, joint, 3)."""
-    speeds, spins = record.world.velocity, record.world.angular_velocity
-    near, far = (
-        select_bodies(speeds, bodies) + rotation.cross(select_bodies(spins, bodies), arm)
-        for bodies, arm in _arms(record, slides)
-    )
+def _parting(world: BodyStates, ends: _Ends) -> Array:
+    """Return velocities of second ends past first ones, in W [m/s], shape (…, pair, 3)."""
+    near, far = (world.speeds(*end) for end in ends)
     return far - near
 
 
 def _axes(record: Record) -> Array:
     """Return the axes of sliders in W; they are fixed in the parents."""
-    sliders = _parted(record.mechanism)[1]
-    return record.world.arms(_ends(sliders)[0], _vectors([j.axis for j in sliders]))
-
-
-def _ends(joints: list[PlacedJoint]) -> tuple[list[int], list[int]]:
-    return [j.parent for j in joints], [j.child for j in joints]
+    sliders = _parted(record)[1]
+    return record.world.arms([j.parent for j in sliders], _vectors([j.axis for j in sliders]))
 
 
 def _vectors(values: list[Array]) -> Array:

@@ -94,10 +94,8 @@ def _dampers(record: Record) -> Losses:
     """Yield the losses of dampers: damping times the integral of the squared rate."""
     for each, path in _ways(record):
         if each.damping:
-            yield (
-                each.damping / record.frame * path.square,
-                each.damping / record.frame * path.vague,
-            )
+            drag = each.damping / record.frame
+            yield drag * path.square, drag * path.vague
 
 
 def delayed_springs(record: Record) -> Array:

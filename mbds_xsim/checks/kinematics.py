@@ -8,9 +8,9 @@ from collections.abc import Callable
 import numpy as np
 
 from mbds_xsim.base import rotation
-from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.checks.finding import Figures, check
-from mbds_xsim.checks.mismatch import Mismatch
+from mbds_xsim.checks.mismatch import Mismatch, mismatch_of, projected
 from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
@@ -38,17 +38,22 @@ def kinematics(record: Record) -> Figures | None:
         return None
     if mismatch.frame[0] == 1 and (record.mechanism.loops or record.mechanism.distances):
         mismatch = dataclasses.replace(mismatch, residual=_started(record, mismatch))
-    points, order, step = mismatch.points, record.order, _step(record)
+    points, step = mismatch.points, _step(record)
     steps = max(1, round(record.frame / step))
     rounded = rounding.step_error(record.method, steps) * record.scene.length / record.frame
-    whole, each = (
-        _beyond(measure, mismatch, jerk, blur + rounded, step, order)
-        / _largest(measure(mismatch.velocity), record)
-        for measure, jerk, blur in (
-            (points.rms, mismatch.jerk, mismatch.blur),
-            (points.each, mismatch.jerk_each, mismatch.blur_each),
-        )
-    )
+
+    def beyond(measure: Callable[[Array], Array], jerk: Array, blur: Array) -> Array:
+        """Return the mismatch beyond known errors, over the largest speed."""
+        # Methods of order 1 follow a modified flow to second order; those above 2 have errors that
+        # are higher in the rate at which accelerations change.
+        pull = np.maximum(measure(mismatch.acceleration), np.finfo(float).tiny)
+        rate = np.minimum(step * jerk / pull, 1.0)
+        own = _METHOD * step**2 * jerk * rate ** max(record.order - 2, 0)
+        rest = np.maximum(measure(mismatch.residual) - (blur + rounded) - own, 0.0)
+        return np.asarray(rest) / _largest(measure(mismatch.velocity), record)
+
+    whole = beyond(points.rms, mismatch.jerk, mismatch.blur)
+    each = beyond(points.each, mismatch.jerk_each, mismatch.blur_each)
     bodies = record.scene.bodies
     series = np.full((*record.finite.shape, 1 + len(bodies)), np.nan)
     series[:, mismatch.frame] = np.concatenate([whole[..., None], each], axis=-1)
@@ -60,36 +65,15 @@ def kinematics(record: Record) -> Figures | None:
     return Figures(series, ["", *(body.name for body in bodies)], note)
 
 
-def _beyond(
-    measure: Callable[[Array], Array],
-    mismatch: Mismatch,
-    jerk: Array,
-    blur: Array,
-    step: float,
-    order: int,
-) -> Array:
-    """Return the mismatch beyond known errors [m/s], in one measure.
-
-    Subtracted are the blur and a method's error: of order 2, or higher in the rate at which
-    accelerations change. Methods of order 1 follow a modified flow to second order.
-    """
-    pull = np.maximum(measure(mismatch.acceleration), np.finfo(float).tiny)
-    rate = np.minimum(step * jerk / pull, 1.0)
-    own = _METHOD * step**2 * jerk * rate ** max(order - 2, 0)
-    return np.asarray(np.maximum(measure(mismatch.residual) - blur - own, 0.0))
-
-
 def _started(record: Record, mismatch: Mismatch) -> Array:
     """Subtract from the first step's mismatch what closing loops by impulses does to the start."""
     residual = mismatch.residual.copy()
-    known = np.flatnonzero(np.isfinite(residual[:, 0]).all(axis=(1, 2, 3)))
-    if not len(known):
-        return residual
-    start = record.bodies[known, 0]
-    load = record.batch.force[known, 0], record.torque[known, 0]
-    change = mismatch.points.as_bodies(residual[known, 0], start.native)
-    unexplained = unexplained_by_loops(record.mechanism, start, change, load, _step(record))
-    residual[known, 0] = mismatch.points.as_points(*unexplained, start.native)
+    rows = np.flatnonzero(np.isfinite(residual[:, 0]).all(axis=(1, 2, 3)))
+    if len(rows):
+        native = record.bodies.native[rows, 0]
+        change = mismatch.points.as_bodies(residual[rows, 0], native)
+        change = _unexplained_by_loops(record, rows, change)
+        residual[rows, 0] = mismatch.points.as_points(*change, native)
     return residual
 
 
@@ -116,9 +100,9 @@ def velocity_lag(record: Record) -> Figures | None:
 
 def _mismatch(record: Record) -> Mismatch | None:
     """Return the mismatch; None if contact, friction or drives leave no step to check."""
-    if record.steps < 1 or (_skips(record) and not np.isfinite(record.mismatch.blur).any()):
+    if record.steps < 1 or (_skips(record) and not np.isfinite(mismatch_of(record).blur).any()):
         return None
-    return record.mismatch
+    return mismatch_of(record)
 
 
 def _skips(record: Record) -> bool:
@@ -180,14 +164,10 @@ def _largest(speeds: Array, record: Record) -> Array:
     return np.maximum(np.nanmax(speeds, axis=axes, keepdims=True, initial=0.0), rest)
 
 
-def unexplained_by_loops(
-    mechanism: Mechanism,
-    start: BodyStates,
-    change: tuple[Array, Array],
-    load: tuple[Array, Array],
-    step: float,
+def _unexplained_by_loops(
+    record: Record, rows: Index, change: tuple[Array, Array]
 ) -> tuple[Array, Array]:
-    """Subtract from changes of velocities what an impulse of the loops' constraints explains.
+    """Subtract what an impulse of the loops' constraints explains from changes of velocities.
 
     An engine that closes loops by impulses keeps them closed where a step begins, not where it
     ends, so that the loops' effect on velocities comes a step late. The drawn start has no such
@@ -197,38 +177,27 @@ def unexplained_by_loops(
     mechanism in the metric of kinetic energy. It is at most what the loops' own forces do in a
     step.
 
-    Args:
-        mechanism: Mechanism with loops or distance links.
-        start: Drawn states, shape (trajectory, body, …).
-        change: Linear [m/s] and angular [rad/s] changes, shape (trajectory, body, 3).
-        load: Forces on bodies and torques of hinges in the first step.
-        step: Integration step [s].
+    Changes are linear [m/s] and angular [rad/s], shape (row, body, 3).
     """
     # The reference loads the compiled parts of scipy, which most uses do without.
     from mbds_xsim.reference import accelerations
 
+    mechanism, start = record.mechanism, record.bodies[rows, 0]
     joints = tuple(joint for joint in mechanism.joints if joint not in mechanism.loops)
     tree = dataclasses.replace(mechanism, joints=joints, loops=(), distances=())
-    open_loops, closed = (_allowed(each, start, change) for each in (tree, mechanism))
-    impulse = [a - b for a, b in zip(open_loops, closed, strict=True)]
+    changed = BodyStates(start.position, start.native, *change)
+    open_loops, closed = (projected(each, changed) for each in (tree, mechanism))
+    impulse = (
+        open_loops.velocity - closed.velocity,
+        open_loops.angular_velocity - closed.angular_velocity,
+    )
+    load = record.batch.force[rows, 0], record.torque[rows, 0]
     pulls = (accelerations(each, start, *load) for each in (tree, mechanism))
-    forced = [step * (a - b) for a, b in zip(*pulls, strict=True)]
+    forced = [_step(record) * (a - b) for a, b in zip(*pulls, strict=True)]
     most, size = (_size(mechanism, start, *each) for each in (forced, impulse))
     share = np.minimum(1.0, most / np.maximum(size, np.finfo(float).tiny))[:, None, None]
     linear, angular = (a - share * b for a, b in zip(change, impulse, strict=True))
     return linear, angular
-
-
-def _allowed(
-    mechanism: Mechanism, start: BodyStates, change: tuple[Array, Array]
-) -> tuple[Array, Array]:
-    """Return the part of velocities that a mechanism's joints allow."""
-    from mbds_xsim.reference.equations import dynamics_of
-
-    dynamics = dynamics_of(mechanism)
-    packed = dynamics.pack(BodyStates(start.position, start.native, *change))
-    projected = dynamics.unpack(dynamics.project(packed))
-    return projected.velocity, projected.angular_velocity
 
 
 def _size(mechanism: Mechanism, start: BodyStates, linear: Array, angular: Array) -> Array:

@@ -10,6 +10,7 @@ Integration, 2.9).
 from __future__ import annotations
 
 import dataclasses
+import functools
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,21 +18,72 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index, Mask
-from mbds_xsim.checks.carried import CarriedPoints, carried
 from mbds_xsim.checks.flights import usual
-from mbds_xsim.scene.joint_space import (
-    BodyStates,
-    joint_coordinate,
-    to_bodies,
-    to_links,
-)
-from mbds_xsim.scene.mechanism import Mechanism
-
-EVERY_SECOND = (0, 2)
-"""First step and stride that cover every frame once."""
+from mbds_xsim.checks.record import Record
+from mbds_xsim.scene.joint_space import BodyStates, joint_coordinate, to_bodies, to_links
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
 
 MOMENT = 5e-4  # share of the frame interval; jerks are differences of accelerations over it
 _FACTOR = 8.0  # largest error of the quintic over its estimate (measured: 7.3)
+_LEAST_ARM = 1e-3  # share of a body's reach; points nearer to its centre drown in rounding
+_ARMS = np.concatenate([np.zeros((1, 3)), np.eye(3)])
+
+
+@dataclass(frozen=True, eq=False)
+class CarriedPoints:
+    """Four points per body, whose motion combines displacement and rotation in one vector.
+
+    They are its centre of mass, and one at the radius of gyration along each axis of its native
+    frame.
+    """
+
+    mechanism: Mechanism
+
+    def rms(self, vectors: Array) -> Array:
+        """Return the RMS over mass and points, shape (trajectory, step)."""
+        return np.sqrt(self.inner(vectors, vectors))
+
+    def each(self, vectors: Array) -> Array:
+        """Return the RMS over each body's points, moved out to the body's ends, shape (…, body).
+
+        Vectors relative to the centre grow in proportion to the distance from it.
+        """
+        center = vectors[..., :1, :]
+        stretch = _extents(self.mechanism) / _gyrations(self.mechanism)
+        ends = center + stretch[:, None, None] * (vectors - center)
+        return np.sqrt(np.einsum("...bpi,...bpi->...b", ends, ends) / len(_ARMS))
+
+    def inner(self, one: Array, other: Array) -> Array:
+        """Return the scalar product averaged over mass and points, shape (trajectory, step)."""
+        share = self.mechanism.mass / (4.0 * self.mechanism.mass.sum())
+        weighed = share[:, None, None] * one  # einsum of three takes several times as long
+        return np.asarray(np.einsum("...bpi,...bpi->...", weighed, other))
+
+    def as_bodies(self, points: Array, native: Array) -> tuple[Array, Array]:
+        """Compute velocities [m/s], [rad/s] of bodies from those of points, (…, body, 3)."""
+        axes = rotation.rotate(native[..., None, :], _ARMS[1:])
+        turns = rotation.cross(axes, points[..., 1:, :] - points[..., :1, :]).sum(axis=-2)
+        return points[..., 0, :], turns / (2.0 * _gyrations(self.mechanism)[:, None])
+
+    def as_points(self, velocity: Array, spin: Array, native: Array) -> Array:
+        """Compute velocities of points from those of bodies [m/s], shape (…, body, point, 3)."""
+        return velocity[..., None, :] + rotation.cross(spin[..., None, :], self._arms(native))
+
+    def moving(self, states: BodyStates, pull: Array, push: Array) -> tuple[Array, Array, Array]:
+        """Compute positions, velocities and accelerations of the points."""
+        spin, arm = states.angular_velocity[..., None, :], self._arms(states.native)
+        swing = rotation.cross(spin, arm)
+        return (
+            states.position[..., None, :] + arm,
+            states.velocity[..., None, :] + swing,
+            pull[..., None, :]
+            + rotation.cross(push[..., None, :], arm)
+            + rotation.cross(spin, swing),
+        )
+
+    def _arms(self, native: Array) -> Array:
+        radii = _gyrations(self.mechanism)[:, None, None]
+        return rotation.rotate(native[..., None, :], radii * _ARMS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,40 +126,19 @@ class _Points(NamedTuple):
     rate_acceleration: Array
 
 
-def mismatch_of(
-    mechanism: Mechanism,
-    bodies: BodyStates,
-    force: Array,
-    torque: Array,
-    flying: Mask,
-    *,
-    frame: float,
-    lag: float,
-    steps: tuple[int, int],
-    many: bool = False,
-) -> Mismatch:
-    """Compare positions and velocities over some steps, outside contact.
-
-    Args:
-        mechanism: Mechanism of the recorded motion.
-        bodies: Recorded states, NaN where they are lost, shape (trajectory, frame, body, …).
-        force: Held forces [N], shape (trajectory, step, body, 3).
-        torque: Held torques [N·m] and pushes of drives, shape (trajectory, step, hinge + drive).
-        flying: Steps outside contact, shape (trajectory, step).
-        frame: Interval between frames [s].
-        lag: Recorded velocities belong to frame time + lag [s].
-        steps: First step and stride; every second step covers all frames.
-        many: As in `Record`.
-    """
-    first = np.arange(steps[0], bodies.position.shape[1] - 1, steps[1])
-    flow = Flow(mechanism, MOMENT * frame, many)
-    begin, end = _ends(flow, bodies, first, (flying, force, torque), lag)
+@functools.lru_cache(maxsize=1)
+def mismatch_of(record: Record) -> Mismatch:
+    """Compare positions and velocities over the record's `steps_compared`, outside contact."""
+    start, stride = record.steps_compared
+    first, frame = np.arange(start, record.steps, stride), record.frame
+    flow = Flow(record.mechanism, MOMENT * frame, record.many)
+    begin, end = _ends(record, flow, first)
     # Hermite's formulas with no, one and two derivatives at each end.
     trapezoid = (begin.velocity + end.velocity) / 2
     bend = (begin.acceleration - end.acceleration) * frame
     cubic = trapezoid + bend / 12
     quintic = trapezoid + bend / 10 + frame**2 / 120 * (begin.jerk + end.jerk)
-    points = CarriedPoints(mechanism)
+    points = CarriedPoints(record.mechanism)
     gaps = trapezoid - cubic, cubic - quintic
     jerk = np.maximum(points.rms(begin.jerk), points.rms(end.jerk))
     return Mismatch(
@@ -125,16 +156,16 @@ def mismatch_of(
     )
 
 
-def _ends(
-    flow: Flow, bodies: BodyStates, first: Index, inputs: tuple[Mask, Array, Array], lag: float
-) -> tuple[_Points, _Points]:
-    """Return the points at the beginnings and ends of steps; `inputs` are flight and loads."""
+def _ends(record: Record, flow: Flow, first: Index) -> tuple[_Points, _Points]:
+    """Return the points at the beginnings and ends of steps."""
     # Both at once, since calls cost as much as arithmetic here.
     both, count = np.concatenate([first, first + 1]), len(first)
+    inputs = (record.flying() & record.steady, record.batch.force, record.torque)
     free, force, torque = (np.concatenate([each[:, first]] * 2, axis=1) for each in inputs)
     if flow.mechanism.compliant or flow.mechanism.drives:
-        torque = torque + winding_torque(flow.mechanism, bodies)[:, both]
-    points = _points_at(flow, bodies[:, both], free, force, torque, lag)
+        torque = torque + winding_torque(flow.mechanism, record.bodies)[:, both]
+    states = record.bodies[:, both]
+    points = _points_at(flow, states, known_states(states) & free, force, torque, record.lag)
     begin, end = (
         _Points(*(each[:, half] for each in points))
         for half in (slice(0, count), slice(count, None))
@@ -175,23 +206,23 @@ def _extrapolate(coarse: Array, fine: Array) -> Array:
 
 
 def _points_at(
-    flow: Flow,
-    states: BodyStates,
-    free: Mask,
-    force: Array,
-    torque: Array,
-    lag: float,
+    flow: Flow, states: BodyStates, known: Mask, force: Array, torque: Array, lag: float
 ) -> _Points:
-    known = known_states(states) & free
+    points, force, torque = CarriedPoints(flow.mechanism), force[known], torque[known]
     subset = states[known].each(np.asfortranarray)  # components apart, as in `Record`
     near = flow.closed(subset)
     if lag:
-        rates = flow.accelerations(near, force[known], torque[known])
-        gain = flow.of_rates(near, *rates)
+        gain = flow.of_rates(near, *flow.accelerations(near, force, torque))
         subset = _faster(subset, *gain, -lag)
         near = flow.closed(_faster(near, *gain, -lag))
-    points = _derivatives(flow, subset, near, force[known], torque[known])
-    return _Points(*(_placed(known, values) for values in points))
+    rates = flow.accelerations(near, force, torque)
+    later = flow.closed(flow.later(near, *rates))
+    then = flow.accelerations(later, force, torque)
+    position, velocity, acceleration = points.moving(subset, *rates)
+    change = points.moving(later, *then)[2] - points.moving(near, *rates)[2]
+    by_rates = points.as_points(*flow.of_rates(near, *rates), subset.native)
+    parts = position, velocity, acceleration, change / flow.moment, by_rates
+    return _Points(*(_placed(known, values) for values in parts))
 
 
 def _placed(known: Mask, values: Array) -> Array:
@@ -202,21 +233,6 @@ def _placed(known: Mask, values: Array) -> Array:
     whole = np.full(shape, np.nan)
     whole[known] = values
     return whole
-
-
-def _derivatives(
-    flow: Flow, states: BodyStates, closed: BodyStates, force: Array, torque: Array
-) -> _Points:
-    mechanism = flow.mechanism
-    rates = flow.accelerations(closed, force, torque)
-    later = flow.closed(flow.later(closed, *rates))
-    then = flow.accelerations(later, force, torque)
-    position, velocity, acceleration = carried(mechanism, states, *rates)
-    change = carried(mechanism, later, *then)[2] - carried(mechanism, closed, *rates)[2]
-    pull, push = flow.of_rates(closed, *rates)
-    changes = dataclasses.replace(states, velocity=pull, angular_velocity=push)
-    rate_acceleration = carried(mechanism, changes, *rates)[1]
-    return _Points(position, velocity, acceleration, change / flow.moment, rate_acceleration)
 
 
 def _faster(states: BodyStates, pull: Array, push: Array, time: float) -> BodyStates:
@@ -281,17 +297,60 @@ class Flow:
         mechanism = self.mechanism
         if not mechanism.loops or all(joint.kind == "ball" for joint in mechanism.joints):
             return states
-        from mbds_xsim.reference.equations import dynamics_of
-
-        known, dynamics = known_states(states), dynamics_of(mechanism)
+        known = known_states(states)
         tree = to_bodies(mechanism, to_links(mechanism, states[known]))
-        projected = dynamics.unpack(dynamics.project(dynamics.pack(tree)))
+        closed = projected(mechanism, tree)
         filled = states.each(lambda values: np.full_like(values, np.nan))
         for name, values in vars(filled).items():
-            values[known] = getattr(projected, name)
+            values[known] = getattr(closed, name)
         return filled
+
+
+def projected(mechanism: Mechanism, states: BodyStates) -> BodyStates:
+    """Return states that a mechanism's joints allow, by the least change in the mass metric."""
+    # The reference loads the compiled parts of scipy, which most uses do without.
+    from mbds_xsim.reference.equations import dynamics_of
+
+    dynamics = dynamics_of(mechanism)
+    return dynamics.unpack(dynamics.project(dynamics.pack(states)))
 
 
 def known_states(states: BodyStates) -> Mask:
     """Return which states have finite positions, with the shape of the leading axes."""
     return np.asarray(np.isfinite(states.position).all(axis=(-1, -2)))
+
+
+@functools.lru_cache(maxsize=64)
+def _gyrations(mechanism: Mechanism) -> Array:
+    """Return mean radii of gyration [m], shape (body,), at least a thousandth of bodies' reaches.
+
+    A link without moments of inertia turns, too, so its points must not coincide.
+    """
+    radii = np.sqrt(np.trace(mechanism.inertia, axis1=1, axis2=2) / (2 * mechanism.mass))
+    return np.maximum(radii, _LEAST_ARM * _reaches(mechanism))
+
+
+@functools.lru_cache(maxsize=64)
+def _extents(mechanism: Mechanism) -> Array:
+    """Return distances of the farthest things that bodies carry from their centres [m], (body,).
+
+    They are at least the radius of gyration. A slender rod that twists hardly moves its mass, but
+    does move a joint on its side.
+    """
+    return np.maximum(_gyrations(mechanism), _reaches(mechanism))
+
+
+def _reaches(mechanism: Mechanism) -> Array:
+    """Return how far joints, particles, spheres and attachments reach from centres of mass [m]."""
+    reaches = np.zeros(len(mechanism.mass))
+    joints = [((one.parent, one.child), (one.in_parent, one.in_child)) for one in mechanism.joints]
+    pairs = [(pair.bodies, pair.in_body) for pair in (*mechanism.distances, *mechanism.springs)]
+    for bodies, points in (*joints, *pairs):
+        for body, point in zip(bodies, points, strict=True):
+            if body != WORLD_INDEX:
+                reaches[body] = max(reaches[body], float(np.linalg.norm(point)))
+    particles = np.linalg.norm(mechanism.particle_offset, axis=1)
+    spheres = np.linalg.norm(mechanism.sphere_offset, axis=1) + mechanism.sphere_radius
+    np.maximum.at(reaches, mechanism.particle_body, particles)
+    np.maximum.at(reaches, mechanism.sphere_body, spheres)
+    return reaches

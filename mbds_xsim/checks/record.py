@@ -12,11 +12,9 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.coordinates import clear_of_stops
-from mbds_xsim.checks.mismatch import EVERY_SECOND, Mismatch, mismatch_of
 from mbds_xsim.checks.spheres import (
     Neighbours,
     Spheres,
-    driven,
     neighbours_of,
     out_of_reach,
     spheres_of,
@@ -31,6 +29,9 @@ from mbds_xsim.simulate.claims import Method
 if TYPE_CHECKING:
     from mbds_xsim.checks.balance_kernel import Masses
     from mbds_xsim.checks.motion_kernel import FlatMotion
+
+EVERY_SECOND = (0, 2)
+"""First step and stride that cover every frame once."""
 
 _EARTH = 9.81
 _STEADY = 0.02  # share of the largest rate; below it a joint with dry friction may stop in a step
@@ -149,10 +150,16 @@ class Record:
 
     @property
     def _pulls(self) -> Array:
-        """Largest acceleration of each sphere [m/s²], shape (trajectory, frame, sphere)."""
+        """Largest acceleration of each sphere by loads, gravity and its body's rotation [m/s²].
+
+        Shape (trajectory, frame, sphere).
+        """
         padded = np.pad(self.loads, ((0, 0), (1, 1), (0, 0)))[..., self.mechanism.sphere_body]
         loads = np.maximum(padded[:, 1:], padded[:, :-1])
-        return loads + driven(self.mechanism, self.bodies, self.pull)
+        spin = self.bodies.angular_velocity[..., self.mechanism.sphere_body, :]
+        reach = np.linalg.norm(self.mechanism.sphere_offset, axis=-1)
+        driven = np.asarray(self.pull + np.sum(spin**2, axis=-1) * reach)
+        return loads + driven
 
     @functools.cached_property
     def neighbours(self) -> Neighbours:
@@ -177,7 +184,7 @@ class Record:
         alone = self.clear[:, :, own].all(axis=2)
         if crossing.any():
             alone = alone & self.parted[:, :, crossing].all(axis=2)
-        return alone & clear_of_stops(self.mechanism, self.world, self.frame, group)
+        return alone & clear_of_stops(self, group)
 
     @functools.cached_property
     def spin(self) -> Array:
@@ -219,45 +226,21 @@ class Record:
             steady &= begin == end
         return steady
 
-    @functools.cached_property
-    def mismatch(self) -> Mismatch:
-        """Mismatch between displacements and velocities within frames, outside contact."""
-        return mismatch_of(
-            self.mechanism,
-            self.bodies,
-            self.batch.force,
-            self.torque,
-            self.flying() & self.steady,
-            frame=self.frame,
-            lag=self.lag,
-            steps=self.steps_compared,
-            many=self.many,
-        )
-
     def by_step(self, parts: Sequence[Array]) -> Array:
         """Put values of steps at the frames at their ends, 0 at frame 0, (…, frame, part)."""
-        series = self._filled(0.0, len(parts))
-        for k, part in enumerate(parts):
-            series[:, 1:, k] = part
-        return series
+        return self.by_frame([np.pad(part, ((0, 0), (1, 0))) for part in parts])
 
     def by_frame(self, parts: Sequence[Array]) -> Array:
-        """Put values of frames side by side, shape (trajectory, frame, part)."""
-        series = self._filled(0.0, len(parts))
-        for k, part in enumerate(parts):
-            series[..., k] = part
-        return series
+        """Put values of frames side by side, apart in memory, shape (trajectory, frame, part)."""
+        shape = len(parts), *self.finite.T.shape
+        return np.array([part.T for part in parts]).reshape(shape).T
 
     def at_end(self, values: Array) -> Array:
         """Put values of trajectories at their last finite frames, (trajectory, frame, part)."""
-        series = self._filled(np.nan, values.shape[-1])
+        series = np.full((values.shape[-1], *self.finite.T.shape), np.nan).T
         last = np.maximum(self.finite.sum(axis=1) - 1, 0)
         series[np.arange(len(series)), last] = values
         return series
-
-    def _filled(self, value: float, parts: int) -> Array:
-        """Make an array of shape (trajectory, frame, part), with the parts apart in memory."""
-        return np.full((parts, *self.finite.T.shape), value).T
 
     @property
     def ground(self) -> Ground:

@@ -77,11 +77,10 @@ def spheres_of(mechanism: Mechanism, bodies: BodyStates) -> Spheres:
     return Spheres(gap, speed[..., 2], speed[..., :2])
 
 
-def driven(mechanism: Mechanism, bodies: BodyStates, pull: float) -> Array:
-    """Bound accelerations of spheres by gravity and bodies' rotation [m/s²], (…, sphere)."""
-    spin = bodies.angular_velocity[..., mechanism.sphere_body, :]
-    reach = np.linalg.norm(mechanism.sphere_offset, axis=-1)
-    return np.asarray(pull + np.sum(spin**2, axis=-1) * reach)
+def direction(vectors: Array) -> Array:
+    """Return unit vectors along vectors; zero stays zero."""
+    size = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(vectors / np.maximum(size, np.finfo(float).tiny))
 
 
 def out_of_reach(gap: Array, speed: Array, pull: Array, frame: float) -> Mask:

@@ -66,8 +66,9 @@ def kicked(record: Record, pull: Array | float = 0.0) -> tuple[Array, Array]:
     """
     limited, states = record.mechanism.limited, record.bodies[:, :-1]
     jumps = np.stack([_jump(record, joint) for joint in limited], axis=-1)
-    distances = np.stack([_deepest(record, joint) for joint in limited], axis=-1)
-    fall_speeds = np.minimum(record.frame * pull, np.sqrt(2.0 * pull * distances))
+    gaps = np.maximum(np.stack([stop_gap(record, joint) for joint in limited], axis=-1), 0.0)
+    farther = np.maximum(gaps[:, 1:], gaps[:, :-1])  # of the step's two ends
+    fall_speeds = np.minimum(record.frame * pull, np.sqrt(2.0 * pull * farther))
     jumps = np.where(np.isfinite(jumps), jumps + np.nan_to_num(fall_speeds), 0.0)
     stopped = jumps.any(axis=-1)
     bounds = np.zeros((2, *states.position.shape[:-1]))
@@ -80,10 +81,4 @@ def kicked(record: Record, pull: Array | float = 0.0) -> tuple[Array, Array]:
 def _jump(record: Record, joint: PlacedJoint) -> Array:
     """Compute a joint's change of rate, (trajectory, step); NaN where it reaches no stop."""
     change = np.abs(np.diff(joint_rate(joint, record.world), axis=1))
-    return np.where(clear_of_own(joint, record.world, record.frame), np.nan, change)
-
-
-def _deepest(record: Record, joint: PlacedJoint) -> Array:
-    """Compute a joint's distance from its stop at the farther end of steps, (trajectory, step)."""
-    gap = np.maximum(stop_gap(joint, coordinate_of(record, joint)), 0.0)
-    return np.maximum(gap[:, 1:], gap[:, :-1])
+    return np.where(clear_of_own(record, joint), np.nan, change)

@@ -19,7 +19,7 @@ from mbds_xsim.base.isolate import Crash
 from mbds_xsim.checks import CHECKS, Finding, Record, agreement, audited
 from mbds_xsim.checks.coefficients import evidence_of, shared_faults
 from mbds_xsim.checks.extrapolation import LEAST_SPAN
-from mbds_xsim.checks.mismatch import EVERY_SECOND
+from mbds_xsim.checks.record import EVERY_SECOND
 from mbds_xsim.dataset.layout import INTEGRITY, sampled
 from mbds_xsim.measure.campaign import RTOL, reference_of
 from mbds_xsim.measure.judge import failed_lines, reference_findings

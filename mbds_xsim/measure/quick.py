@@ -12,7 +12,7 @@ import hashlib
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import msgspec
 import numpy as np
@@ -205,7 +205,7 @@ class Search:
     """Place of the largest count that failed."""
     passed: int | None = None
     """Place of the smallest count that passed."""
-    closed: bool = field(default=False)
+    closed: bool = False
     """Whether larger counts are ruled out."""
 
     @property

@@ -94,11 +94,8 @@ class Store(Generic[R]):
         line = b"\n" + _sum(row_text) + b" " + row_text + b"\n"
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            handle = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
-            try:
-                os.write(handle, line)
-            finally:
-                os.close(handle)
+            with self.path.open("ab", buffering=0) as file:
+                file.write(line)  # one call, so that rows of several processes do not mix
         except OSError as error:
             msg = f"cannot keep rows in {self.path}: {error.strerror}; set MBDS_XSIM_CACHE"
             raise InputError(msg) from error

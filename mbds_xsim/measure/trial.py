@@ -78,7 +78,8 @@ def run_trial(
     outcome.parts.append(simulation)
     row, limits = _judge_all(outcome, reference)
     # If it already fails, other steps cannot change the verdict.
-    if sample and _passed(row, limits):
+    passed = not row.result.reasons and all(limit.passed.all() for limit in limits)
+    if sample and passed:
         outcome.sample = list(range(min(sample, len(batch))))
         steps = other_steps(scene, contender)
         while steps:
@@ -136,10 +137,6 @@ def _judge_all(outcome: Outcome, reference: ReferenceOutcome) -> tuple[Judged, l
         return row, []
     scene, method, momentum = outcome.scene, outcome.method, row.series.get("momentum")
     return row, contact_findings(scene, row.trajectory, reference, method, momentum)
-
-
-def _passed(row: Judged, limits: Sequence[Finding]) -> bool:
-    return not row.result.reasons and all(limit.passed.all() for limit in limits)
 
 
 def _excess(batch: Batch, result: EngineResult, limits: Sequence[Finding]) -> float:

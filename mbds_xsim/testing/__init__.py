@@ -14,7 +14,6 @@ if "pytest" in sys.modules:
     sys.modules["pytest"].register_assert_rewrite(
         "mbds_xsim.testing.contract",
         "mbds_xsim.testing.contact_contract",
-        "mbds_xsim.testing.collision_contract",
         "mbds_xsim.testing.models",
     )
 

@@ -140,15 +140,15 @@ _LENGTH = 0.4  # of the pendulums in a cradle, and of a gate [m]
 _GATE = ("post", "arm")
 
 
-def cradle(restitution: float, *, angle: float = -0.6, steps: int = 60) -> Scene:
-    """Hang two equal balls from a fixed frame: one falls from an angle, one hangs still."""
+def cradle(restitution: float) -> Scene:
+    """Hang two equal balls from a fixed frame: one falls from 0.6 rad, one hangs still."""
     top, names = 1.0, ("left", "right")
     places = [(-RADIUS, 0.0, top - _LENGTH), (RADIUS + 1e-9, 0.0, top - _LENGTH)]
     frame = Body("frame", inertia=Inertia(1.0, (0.1, 0.1, 0.1), com=(0.0, 0.0, top)))
     hung = (Body(n, (Particle(at, 1.0, 1e-3),)) for n, at in zip(names, places, strict=True))
     hinges = (
         Joint(n, "hinge", "frame", n, (at[0], 0.0, top), (0.0, -1.0, 0.0), start, 0.0)
-        for n, at, start in zip(names, places, (angle, 0.0), strict=True)
+        for n, at, start in zip(names, places, (-0.6, 0.0), strict=True)
     )
     return Scene(
         "cradle",
@@ -159,16 +159,16 @@ def cradle(restitution: float, *, angle: float = -0.6, steps: int = 60) -> Scene
         joints=(Joint("base", "fixed", "world", "frame", (0.0, 0.0, top)), *hinges),
         contacts=tuple(ContactSphere(n, at, RADIUS) for n, at in zip(names, places, strict=True)),
         collisions=Collisions((names,), 0.0, restitution),
-        clock=Clock(frame=0.01, steps=steps),
+        clock=Clock(frame=0.01, steps=60),
     )
 
 
-def gate(restitution: float, *, rate: float = 3.0) -> Scene:
+def gate(restitution: float) -> Scene:
     """Hinge an arm with a ball upright on a fixed post; it swings against the post's own ball."""
     away = 0.8  # [rad]
     places = [(_LENGTH, 0.0, 0.0), (_LENGTH * math.cos(away), -_LENGTH * math.sin(away), 0.0)]
     still = Joint("still", "fixed", "world", "post", (0.0, 0.0, 0.0))
-    hinge = Joint("hinge", "hinge", "post", "arm", (0.0,) * 3, (0.0, 0.0, 1.0), 0.0, rate)
+    hinge = Joint("hinge", "hinge", "post", "arm", (0.0,) * 3, (0.0, 0.0, 1.0), 0.0, 3.0)
     return Scene(
         "gate",
         tuple(Body(n, (Particle(p, 1.0, 1e-3),)) for n, p in zip(_GATE, places, strict=True)),

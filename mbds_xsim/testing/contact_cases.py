@@ -94,7 +94,6 @@ def ball(
 
 def crate(
     tilt: float = 0.0,
-    velocity: Vector = _STILL,
     height: float = 0.0,
     ground: Ground | None = None,
     steps: int = 50,
@@ -109,7 +108,6 @@ def crate(
         inertia=Inertia(30.0, (1.5, 1.5, 1.5)),
         position=middle,
         orientation=turn,
-        velocity=velocity,
     )
     return Scene(
         "crate",
@@ -218,9 +216,9 @@ def laid_cubli(steps: int = 50) -> Scene:
     )
 
 
-def bounces(restitution: float, height: float = 0.5, steps: int = 75) -> Scene:
-    """Make a ball that falls from a height [m]."""
-    return ball(height, ground=Ground(FRICTION, restitution), steps=steps)
+def bounces(restitution: float) -> Scene:
+    """Make a ball that falls from half a metre."""
+    return ball(0.5, ground=Ground(FRICTION, restitution), steps=75)
 
 
 def rebound_heights(scene: Scene, time: Array) -> tuple[Array, Array]:

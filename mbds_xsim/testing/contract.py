@@ -30,14 +30,12 @@ from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
-from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import readback
-from mbds_xsim.simulate.adapter import Adapter, Settings
+from mbds_xsim.simulate.adapter import Adapter, Run, Settings
 from mbds_xsim.simulate.claims import CONTACTS, Feature, Method, check_claims
 from mbds_xsim.testing.case import Case
 from mbds_xsim.testing.cases import CASES
-from mbds_xsim.testing.collision_contract import CollisionContract
-from mbds_xsim.testing.contact_contract import ContactContract
+from mbds_xsim.testing.contact_contract import CollisionContract, ContactContract
 from mbds_xsim.testing.ladder import (
     EXACT,
     STEPS_PER_FRAME,
@@ -103,7 +101,7 @@ class AdapterContract(ContactContract, CollisionContract):
     def test_velocities_are_those_of_the_motion(self, adapter: Adapter, case: Case) -> None:
         """Velocities fit the positions in every frame, at the time that the method declares."""
         for method in _able(adapter, case.scene):
-            batch, motion = _run(adapter, case, method)
+            batch, motion = rolled(adapter, case, method.name, _COARSE)
             record = Record(case.scene, batch, motion, method, case.scene.clock.frame / _COARSE)
             for finding in (kinematics.finding(record), velocity_lag.finding(record)):
                 assert finding.budget is not None
@@ -126,24 +124,25 @@ class AdapterContract(ContactContract, CollisionContract):
     def test_frame_zero_is_the_start(self, adapter: Adapter) -> None:
         """Frame 0 holds the start, in the right shapes, units and order of bodies."""
         for case in _able_cases(adapter):
-            batch, trajectory = _run(adapter, case, _first(adapter, case))
+            method = _first(adapter, case)
+            batch, trajectory = rolled(adapter, case, method.name, _COARSE)
 
             frames = case.scene.clock.steps + 1
             assert trajectory.position.shape == (1, frames, len(case.scene.bodies), 3)
-            finding = start.finding(Record(case.scene, batch, trajectory, _first(adapter, case)))
+            finding = start.finding(Record(case.scene, batch, trajectory, method))
             assert finding.passed.all(), f"{adapter.name} on {case.name}: {finding.line(0)}"
 
     def test_time_is_that_of_the_frames(self, adapter: Adapter) -> None:
         """Frame k is at time k · frame."""
         for case in _able_cases(adapter)[:1]:
-            _, trajectory = _run(adapter, case, _first(adapter, case))
+            _, trajectory = rolled(adapter, case, _first(adapter, case).name, _COARSE)
 
             np.testing.assert_allclose(trajectory.time, np.arange(51) * 0.02, rtol=1e-12)
 
     def test_quaternions_are_unit_and_finite(self, adapter: Adapter) -> None:
         """The tumbling case catches a wrong convention (not wxyz); this test catches drift."""
         for case in _able_cases(adapter):
-            _, trajectory = _run(adapter, case, _first(adapter, case), _FINER)
+            _, trajectory = rolled(adapter, case, _first(adapter, case).name, _FINER)
 
             np.testing.assert_allclose(
                 np.linalg.norm(trajectory.orientation, axis=-1), 1.0, atol=1e-9
@@ -152,11 +151,10 @@ class AdapterContract(ContactContract, CollisionContract):
     def test_same_batch_same_bits(self, adapter: Adapter) -> None:
         """A batch repeats to the bit in the same run, and in a run loaded afresh."""
         case = _able_cases(adapter)[-1]
-        settings = case_settings(adapter, case, _first(adapter, case), 4)
         batch = draw_batch(case.scene, [0, 1])
-        with adapter.open(case.scene, settings) as run:
+        with _opened(adapter, case, 4) as run:
             first, second = run.rollout(batch), run.rollout(batch)
-        with adapter.open(case.scene, settings) as run:
+        with _opened(adapter, case, 4) as run:
             third = run.rollout(batch)
 
         for other in (second, third):
@@ -166,8 +164,7 @@ class AdapterContract(ContactContract, CollisionContract):
     def test_trajectories_of_a_batch_do_not_touch_each_other(self, adapter: Adapter) -> None:
         """The second trajectory of two is the same as alone, and the arrays share no memory."""
         case = _able_cases(adapter)[-1]
-        settings = case_settings(adapter, case, _first(adapter, case), 4)
-        with adapter.open(case.scene, settings) as run:
+        with _opened(adapter, case, 4) as run:
             both = run.rollout(draw_batch(case.scene, [0, 1]))
             alone = run.rollout(draw_batch(case.scene, [1]))
 
@@ -177,13 +174,9 @@ class AdapterContract(ContactContract, CollisionContract):
     def test_two_open_runs_do_not_touch_each_other(self, adapter: Adapter) -> None:
         """Interleaved runs of two scenes give what each gives alone."""
         first, second = _able_cases(adapter)[0], _able_cases(adapter)[-1]
-        with adapter.open(
-            second.scene, case_settings(adapter, second, _first(adapter, second), 4)
-        ) as a:
+        with _opened(adapter, second, 4) as a:
             alone = a.rollout(draw_batch(second.scene, [0]))
-            with adapter.open(
-                first.scene, case_settings(adapter, first, _first(adapter, first), 4)
-            ) as b:
+            with _opened(adapter, first, 4) as b:
                 b.rollout(draw_batch(first.scene, [0]))
                 beside = a.rollout(draw_batch(second.scene, [0]))
 
@@ -232,9 +225,7 @@ class AdapterContract(ContactContract, CollisionContract):
         able = _able_cases(adapter)
         case = next((case for case in able if case.scene.springs), able[0])
         batch = draw_batch(case.scene, [0], noise=False, inputs=False)
-        with adapter.open(
-            case.scene, case_settings(adapter, case, _first(adapter, case), 2)
-        ) as run:
+        with _opened(adapter, case, 2) as run:
             text, motion = run.native(batch), run.rollout(batch)
         if text.lstrip().startswith("<"):
             ElementTree.fromstring(text)
@@ -259,9 +250,8 @@ class AdapterContract(ContactContract, CollisionContract):
     def test_closing_twice_and_many_opens(self, adapter: Adapter) -> None:
         """Closing a run releases the engine's memory; closing it twice does no harm."""
         case = _able_cases(adapter)[0]
-        settings = case_settings(adapter, case, _first(adapter, case), 1)
         for _ in range(40):
-            run = adapter.open(case.scene, settings)
+            run = _opened(adapter, case, 1)
             run.close()
             run.close()
 
@@ -278,10 +268,9 @@ _COARSE, _FINER, _ = STEPS_PER_FRAME
 """Steps per frame of motions that are cached already, because orders are measured with them."""
 
 
-def _run(
-    adapter: Adapter, case: Case, method: Method, steps_per_frame: int = _COARSE
-) -> tuple[Batch, Trajectory]:
-    return rolled(adapter, case, method.name, steps_per_frame)
+def _opened(adapter: Adapter, case: Case, steps_per_frame: int) -> Run:
+    settings = case_settings(adapter, case, _first(adapter, case), steps_per_frame)
+    return adapter.open(case.scene, settings)
 
 
 def _refusing(adapter: Adapter) -> Iterator[tuple[str, Mapping[Feature, str]]]:

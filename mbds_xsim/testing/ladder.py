@@ -42,9 +42,7 @@ def measured_order(
     return float(slope), errors
 
 
-def answer_known_to(
-    case: Case, method: Method, steps_per_frame: int = STEPS_PER_FRAME[-1]
-) -> float:
+def answer_known_to(case: Case, method: Method) -> float:
     """Return the error below which a method has met a case's answer [m].
 
     Such an error cannot be distinguished from rounding added up over the steps, for the
@@ -52,7 +50,7 @@ def answer_known_to(
     """
     frames = np.arange(case.scene.clock.steps + 1.0)
     place = np.abs(case.exact(case.scene.clock.frame * frames)).max()
-    steps = steps_per_frame * case.scene.clock.steps
+    steps = STEPS_PER_FRAME[-1] * case.scene.clock.steps
     return max(EXACT, rounding.step_error(method, steps) * max(case.scene.length, float(place)))
 
 
