@@ -14,7 +14,6 @@ from mbds_xsim.reference.lane_algebra import (
     load3,
     load9,
     number3,
-    store3,
     sub,
     times,
 )
@@ -78,10 +77,10 @@ def put_rows(t, work, y):
 def _put(t, rows, k, n, first, second):
     """Store a row with opposite linear parts, and its size."""
     b = ROW * k
-    store3(rows, b, times(-1.0, n))
-    store3(rows, b + 3, first)
-    store3(rows, b + 6, n)
-    store3(rows, b + 9, second)
+    store(rows, b, times(-1.0, n))
+    store(rows, b + 3, first)
+    store(rows, b + 6, n)
+    store(rows, b + 9, second)
     p, c, linear = t.row_ends[0, k], t.row_ends[1, k], dot(n, n)
     total = (t.yielding[p, 0] + t.yielding[c, 0]) * linear
     total = total + t.yielding[p, 1] * dot(first, first)

@@ -167,6 +167,7 @@ def load(a, k):
 
 
 @traced
-def store(a, k, number):
-    """Write a row of an array of shape (number, 8)."""
-    a.put(k, number)
+def store(a, k, value):
+    """Write a row of an array of shape (number, 8), or as many as a tuple has numbers."""
+    for q, number in enumerate(value if isinstance(value, tuple) else (value,)):
+        a.put(k + q, number)
