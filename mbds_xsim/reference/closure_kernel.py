@@ -73,13 +73,13 @@ def accelerate(t, work, y, rate, first):
     move(t, work, y)
     act(t, work, y)
     weigh(t, work)
-    if len(t.row_kind):
+    if len(t.row.kind):
         put_rows(t, work, y)
         for k in range(t.loaded):
             store(work.goals, k, load(work.rows, ROW * k + 12))
     _inwards(t, work)
     _outwards(t, work)
-    if len(t.row_kind):
+    if len(t.row.kind):
         contradiction(t, work, y)
     rates(t, work, y, rate, first)
 
@@ -87,7 +87,7 @@ def accelerate(t, work, y, rate, first):
 @compiled
 def project(t, work, y):
     """Project states onto the closures by least mass-weighted changes; normalise quaternions."""
-    if len(t.row_kind):
+    if len(t.row.kind):
         for step in range(2):
             resist(t, work, y, step)
             _outwards(t, work)
@@ -199,7 +199,7 @@ def _pass_on(t, work, i):
         if t.kind[i] == HINGE:
             goal = goal + dot(sub(n, cross(load3(a, b + ARM), f)), twist)
         f, n = _respond_at(work, b, t.kind[i], w, plan.on_speed[q], f, n)
-        if t.row_kind[k] == COUPLED:
+        if t.row.kind[k] == COUPLED:
             f, n = _drive(t, work, i, k, w, plan.on_speed[q], f, n)
         for s in range(speeds):
             goal = goal - load(work.through, w + s) * load(work.own, fast + s)
@@ -213,7 +213,7 @@ def _pass_on(t, work, i):
                 total = total + load(work.through, w + s) * load(work.response, z + s)
             store(work.couplings, plan.on_pair[pair], total)
             pair += 1
-        if t.row_kind[k] == COUPLED:
+        if t.row.kind[k] == COUPLED:
             own, z = load(work.rows, ROW * k + 14), plan.on_speed[q]
             for s in range(speeds):  # a fixed joint has none
                 own = own + load(work.through, w + s) * load(work.response, z + s)
@@ -254,8 +254,8 @@ def _respond_at(work, b, kind, w, z, f, n):
 def _drive(t, work, i, k, w, z, f, n):
     """Let a coupling's load act on a link's coordinate if it is one of the coupling's two."""
     for end in range(2):
-        if t.row_ends[end, k] == i:
-            a, b, more = work.link, i * PLACES, -t.row_way[k, end]
+        if t.row.ends[k, end] == i:
+            a, b, more = work.link, i * PLACES, -t.row.way[k, end]
             effect = more * load(a, b + DI)
             store(work.through, w, load(work.through, w) + more)
             store(work.response, z, load(work.response, z) + effect)

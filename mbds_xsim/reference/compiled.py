@@ -127,9 +127,9 @@ def projected(mechanism: Mechanism, states: Array) -> Array:
     kernel, projections = Kernel(tree), states.copy()
     coordinates = to_tree(spanned, maximal_of(mechanism).unpack(states), states)
     for rows, y in _in_lanes(coordinates):
-        for k, place in enumerate(tree.row_place[0]):
-            if tree.row_kind[k] == COUPLED and place in tree.angle_at:
-                wanted = tree.row_length[k] - tree.row_way[k, 1] * y[tree.row_place[1, k]]
+        for k, place in enumerate(tree.row.place[:, 0]):
+            if tree.row.kind[k] == COUPLED and place in tree.angle_at:
+                wanted = tree.row.length[k] - tree.row.way[k, 1] * y[tree.row.place[k, 1]]
                 y[place] += 2 * np.pi * np.round((wanted - y[place]) / (2 * np.pi))
         kernel.y[:] = y
         kernel.run(PROJECT)
@@ -232,7 +232,7 @@ def _keep_signs(tree: Tree, states: Array, start: Array) -> None:
 
 def _workspace(tree: Tree) -> Workspace:
     """Create the arrays that the kernels of a tree need."""
-    links, rows, loaded, plan = len(tree.kind) + 1, len(tree.row_kind), tree.loaded, tree.plan
+    links, rows, loaded, plan = len(tree.kind) + 1, len(tree.row.kind), tree.loaded, tree.plan
     work = Workspace(
         link=lines(links * PLACES),
         own=lines(tree.size),

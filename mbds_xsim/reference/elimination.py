@@ -69,11 +69,11 @@ def plan_of(
     Args:
         parent: Parent of each link; children have the larger numbers.
         speeds: Number of each link's speeds.
-        ends: Links of the rows' two ends, shape (2, row).
+        ends: Links of the rows' two ends, shape (row, 2).
         coupled: Mask of the rows that act on coordinates of these links, shape (row,).
         keep_all: Whether no row is eliminated; the couplings are then those at the world.
     """
-    world, couplings = len(parent), _Couplings(ends.shape[1])
+    world, couplings = len(parent), _Couplings(len(ends))
     on, leaving = _ways(parent, ends, coupled, keep_all)
     pairs: list[list[int]] = [[] for _ in range(world)]
     drop = np.zeros((world + 1, 2), dtype=np.int64)
@@ -145,7 +145,7 @@ def _ways(
     world = len(parent)
     on: list[list[tuple[int, int]]] = [[] for _ in range(world + 1)]
     leaving: list[list[int]] = [[] for _ in range(world + 1)]
-    for row, pair in enumerate(ends.T.tolist()):
+    for row, pair in enumerate(ends.tolist()):
         first, second = (_path(parent, end) for end in pair)
         inner = [path[1:] if coupled[row] else path for path in (first, second)]
         meet = next((link for link in inner[0] if link in inner[1]), world)
@@ -228,7 +228,7 @@ def _work(mechanism: Mechanism) -> int:
     ends = [((j.parent, j.child), _CLOSES[j.kind]) for j in mechanism.loops]
     ends += [(pair.bodies, _DISTANCE) for pair in mechanism.distances]
     each = [number.get(body, world) for pair, _ in ends for body in pair]
-    pairs = np.array(each, dtype=np.int64).reshape(-1, 2).T
+    pairs = np.array(each, dtype=np.int64).reshape(-1, 2)
     on, _ = _ways(parent, pairs, np.zeros(len(ends), dtype=bool))
     rows = [sum(ends[row][1] for row, _ in here) for here in on]
     return sum(count * (count + _PASSING) for count in rows)
