@@ -92,23 +92,24 @@ def plan_of(
         drop[link, 1] = len(dropped)
         if link < world:
             pairs[link] = couplings.join([row for row, _ in on[link]])
-    ways = [way for link in range(world) for way in on[link]]
     width = [int(speeds[link]) for link in range(world) for _ in on[link]]
+    on_row, on_end = _columns(on[:world], 2)
+    near_row, near_end, near_pair = _columns(near, 3)
     return Elimination(
         on_start=_starts(on[:world]),
-        on_row=_column(ways, 0),
-        on_end=_column(ways, 1),
+        on_row=on_row,
+        on_end=on_end,
         on_speed=np.cumsum([0, *width])[:-1],
-        on_pair=_flat(pairs),
+        on_pair=_columns(pairs, 1)[0],
         pair_start=_starts(pairs),
         drop=drop,
         drop_row=np.array(dropped, dtype=np.int64),
         near_start=_starts(near),
-        near_row=_column([each for rows in near for each in rows], 0),
-        near_end=_column([each for rows in near for each in rows], 1),
-        near_pair=_column([each for rows in near for each in rows], 2),
+        near_row=near_row,
+        near_end=near_end,
+        near_pair=near_pair,
         fill_start=_starts(fill),
-        fill_pair=_flat(fill),
+        fill_pair=_columns(fill, 1)[0],
         pair_row=np.array([*couplings.number], dtype=np.int64).reshape(-1, 2),
         speed_count=sum(width),
     )
@@ -171,12 +172,10 @@ def _starts(lists: Sequence[Sequence[object]]) -> Index:
     return np.cumsum([0, *map(len, lists)])
 
 
-def _flat(lists: list[list[int]]) -> Index:
-    return np.array([each for one in lists for each in one], dtype=np.int64)
-
-
-def _column(rows: Sequence[tuple[int, ...]], k: int) -> Index:
-    return np.array([row[k] for row in rows], dtype=np.int64)
+def _columns(lists: Sequence[Sequence[object]], count: int) -> Index:
+    """Join lists of numbers, or of as many in a tuple; return what stands in each place."""
+    table = np.array([each for one in lists for each in one], dtype=np.int64)
+    return np.ascontiguousarray(table.reshape(-1, count).T)
 
 
 def with_short_loops(mechanism: Mechanism) -> Mechanism:
