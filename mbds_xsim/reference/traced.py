@@ -108,7 +108,7 @@ class RowArray:
 def traced(function: Callable[..., Any]) -> Any:
     """Let kernels call a function of numbers, tuples of numbers, and arrays."""
 
-    def typed(*arguments: Any) -> Any:
+    def typed(typing: Any, *arguments: Any) -> Any:  # noqa: ARG001
         kinds = [types.intp if isinstance(kind, types.Integer) else kind for kind in arguments]
         result = _kind_of(function(*(_traceable(kind) for kind in kinds)))
 
@@ -119,17 +119,11 @@ def traced(function: Callable[..., Any]) -> Any:
 
         return signature(result, *kinds), generate
 
-    shapes: tuple[Callable[..., Any], ...] = (
-        lambda _: typed(),
-        lambda _, a: typed(a),
-        lambda _, a, b: typed(a, b),
-        lambda _, a, b, c: typed(a, b, c),
-        lambda _, a, b, c, d: typed(a, b, c, d),
-        lambda _, a, b, c, d, e: typed(a, b, c, d, e),
-        lambda _, a, b, c, d, e, f: typed(a, b, c, d, e, f),
-        lambda _, a, b, c, d, e, f, g: typed(a, b, c, d, e, f, g),
-    )
-    wrapper = intrinsic(shapes[len(inspect.signature(function).parameters)])
+    # numba matches arguments to parameters by their names.
+    first, _ = inspect.signature(typed).parameters.values()
+    named = inspect.Signature([first, *inspect.signature(function).parameters.values()])
+    typed.__signature__ = named  # type: ignore[attr-defined]
+    wrapper = intrinsic(typed)
     # Traced functions call each other.
     own = {"__call__": lambda _, *arguments: function(*arguments)}
     wrapper.__class__ = type("Traced", (type(wrapper),), own)
