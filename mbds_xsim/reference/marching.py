@@ -199,7 +199,7 @@ class _March:
         if not len(self.row):
             return
         self.y = self.dynamics.project(self.y)
-        self.rate = self._derivative(self.y, self._forces(slice(None)))
+        self.rate = self.dynamics.derivative(self.y, *self._forces(slice(None)))
         self._end_at_impact(np.where(resting(*self.dynamics.gaps(self.y)), 0.0, np.nan))
 
     def run(self) -> Marched:
@@ -212,15 +212,12 @@ class _March:
         row, at = self.row[pick], self.at[pick]
         return self.problem.force[row, at], self.problem.torque[row, at]
 
-    def _derivative(self, y: Array, forces: tuple[Array, Array]) -> Array:
-        return self.dynamics.derivative(y, *forces)
-
     def _advance(self) -> None:
         """Try a step with every state; those whose error is too large stay where they are."""
         # Equal steps to the end of the frame, so that the last one is not too short.
         h = self.remaining / np.ceil(self.remaining / self.step)
         forces = self._forces(slice(None))
-        new, stages = try_step(lambda y: self._derivative(y, forces), self.y, self.rate, h)
+        new, stages = try_step(lambda y: self.dynamics.derivative(y, *forces), self.y, self.rate, h)
         allowed = self.rtol * (1.0 + np.maximum(np.abs(self.y), np.abs(new)))
         ratio = error_ratio(stages, h, allowed).reshape(-1, self.companions).max(axis=1)
         ratio = np.repeat(ratio, self.companions)
@@ -283,7 +280,7 @@ class _March:
         under_way = self.at < self.frames
         done = done[under_way[done]]
         if len(done):
-            self.rate[done] = self._derivative(self.y[done], self._forces(done))
+            self.rate[done] = self.dynamics.derivative(self.y[done], *self._forces(done))
         if not under_way.all():
             self._keep(under_way)
 

@@ -36,13 +36,7 @@ _CONFIRMED = 1e-13
 _ALONE = 1e-11
 
 
-def solve(
-    scene: Scene,
-    batch: Batch,
-    *,
-    rtol: float = 1e-11,
-    cache: bool = True,
-) -> Trajectory:
+def solve(scene: Scene, batch: Batch, *, rtol: float = 1e-11, cache: bool = True) -> Trajectory:
     """Integrate every trajectory of a batch to high accuracy.
 
     Most scenes are integrated by compiled kernels, in coordinates of a spanning tree; loops are
@@ -119,8 +113,7 @@ def _marched(problem: Problem) -> Marched:
 def checked_tolerance(rtol: float) -> float:
     """Return the tolerance, or raise InputError if it is out of range."""
     if not TIGHTEST <= rtol <= LOOSEST:
-        msg = f"rtol: got {rtol}, allowed is {TIGHTEST:.0e} to {LOOSEST:.0e}"
-        raise InputError(msg)
+        raise InputError(f"rtol: got {rtol}, allowed is {TIGHTEST:.0e} to {LOOSEST:.0e}")
     return rtol
 
 
@@ -209,13 +202,7 @@ _SEED = 20240607
 _PAIRS_TOGETHER = 32
 
 
-def sensitivity(
-    scene: Scene,
-    batch: Batch,
-    *,
-    rtol: float = 1e-7,
-    cache: bool = True,
-) -> Array:
+def sensitivity(scene: Scene, batch: Batch, *, rtol: float = 1e-7, cache: bool = True) -> Array:
     """Measure the growth factor G: RMS particle distance of two runs over that at the start.
 
     The second start is displaced by 1e-8 m, and its velocities are changed by 1e-8 m/s, in random
