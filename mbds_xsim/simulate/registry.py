@@ -108,15 +108,12 @@ def load_adapter(name: str) -> Adapter:
     """
     if name == REFERENCE:
         return made(_TRUTH)
-    points = registered("mbds_xsim.adapters")
     check_name("engine", name, simulator_names())
-    other = stand_in(points[name])
-    if isinstance(other, str):
-        raise EngineFaulty(f"the engine {name} cannot be used: {other}; repair or uninstall it")
-    if other is not None:
-        return other
+    point = registered("mbds_xsim.adapters")[name]
+    if is_foreign(name) and not in_worker():  # a task already has a process of its own
+        return _stand_in(point)
     try:
-        adapter = made(points[name])
+        adapter = made(point)
         if not is_foreign(name):  # a foreign one may lack a package
             version_of(adapter.package)  # adapters import their engine late
         return adapter
@@ -296,17 +293,6 @@ class _StandIn(Adapter):
         return made(self.point).load(scene, settings)
 
 
-def stand_in(point: EntryPoint) -> Adapter | str | None:
-    """Return the stand-in for another package's adapter, or why there is none.
-
-    Returns:
-        None for the toolkit's own adapters, and in a process that carries out a task, which is
-        already a separate one.
-    """
-    foreign = not in_worker() and _owner(point) != _OURS
-    return _tried(point) if foreign else None
-
-
 def made(point: EntryPoint) -> Adapter:
     """Import an adapter and make an instance.
 
@@ -321,10 +307,12 @@ def made(point: EntryPoint) -> Adapter:
     return adapter
 
 
-def _tried(point: EntryPoint) -> Adapter | str:
+def _stand_in(point: EntryPoint) -> Adapter:
+    """Make the stand-in for another package's adapter."""
     answer = _ask(_claims, point)
     if isinstance(answer, Crash):
-        return f"{point.value} of the package {_owner(point)}: {answer.reason}"
+        why = f"{point.value} of the package {_owner(point)}: {answer.reason}"
+        raise EngineFaulty(f"the engine {point.name} cannot be used: {why}; repair or uninstall it")
     adapter: Adapter = type(point.name, (_StandIn,), answer | {"point": point})()
     return adapter
 
