@@ -51,21 +51,19 @@ def put_rows(t, work, y):
             n = times(1.0 / length, line)
             along = dot(n, speed)
             bias = dot(n, bend) + (dot(speed, speed) - along * along) / length
-            store(rows, ROW * k + 12, bias)
-            store(rows, ROW * k + 13, length - t.row.length[k])
+            off = length - t.row.length[k]
         else:
             n = apply(turn, way)
             n_rate = cross(spin, n)
             n_bend = cross(spin, n_rate)
             if kind == ALONG:
                 bias = dot(n, bend) + 2.0 * dot(n_rate, speed) + dot(n_bend, line)
-                store(rows, ROW * k + 12, bias)
-                store(rows, ROW * k + 13, dot(n, line))
+                off = dot(n, line)
                 first = add(first, line)
             else:
                 bias = dot(cross(other, roll), n) + 2.0 * dot(roll, n_rate) + dot(second, n_bend)
-                store(rows, ROW * k + 12, bias)
-                store(rows, ROW * k + 13, dot(second, n))
+                off = dot(second, n)
+        store(rows, ROW * k + 12, (bias, off))
         if kind == NORMAL:
             lever = cross(second, n)
             _put(t, rows, k, zero(), times(-1.0, lever), lever)
