@@ -54,13 +54,6 @@ _NO_SCHEME = Scheme(
     begin=np.searchsorted(np.nonzero(_ROWS)[0], np.arange(len(_ROWS) + 1)),
     stage=np.nonzero(_ROWS)[1],
     weight=_ROWS[np.nonzero(_ROWS)],
-    rtol=0.0,
-    first=0.0,
-    smallest=0.0,
-    most=0,
-    companions=1,
-    near=0.0,
-    follows=1e-4,
 )
 _NO_TASK = Problems(
     start=np.zeros((0, 0)),

@@ -49,13 +49,13 @@ class Scheme(NamedTuple):
     stage: Index
     """Stage of each weight; weights of zero are left out."""
     weight: Array
-    rtol: float
-    first: float
-    smallest: float
-    most: int
-    companions: int
-    near: float
-    follows: float
+    rtol: float = 0.0
+    first: float = 0.0
+    smallest: float = 0.0
+    most: int = 0
+    companions: int = 1
+    near: float = 0.0
+    follows: float = 1e-4
 
 
 class Lane(NamedTuple):

@@ -243,9 +243,7 @@ def _growth(scene: Scene, batch: Batch, rtol: float) -> Array:
     once = _problem(scene, batch, rtol)
     mechanism, dynamics = once.mechanism, once.dynamics
     start = dynamics.project(once.start)
-    other = np.array(
-        [_perturbed(mechanism, *pair) for pair in zip(start, batch.index, strict=True)]
-    )
+    other = np.array([_perturbed(dynamics, *pair) for pair in zip(start, batch.index, strict=True)])
     pairs = np.stack([start, other], axis=1).reshape(-1, *start.shape[1:])
     twice = once.part(np.repeat(np.arange(len(batch)), 2))
     marched = integrate(dataclasses.replace(twice, start=pairs, companions=2))
@@ -255,12 +253,11 @@ def _growth(scene: Scene, batch: Batch, rtol: float) -> Array:
     return np.asarray(distance / distance[:, :1])
 
 
-def _perturbed(mechanism: Mechanism, state: Array, index: int) -> Array:
+def _perturbed(dynamics: Dynamics, state: Array, index: int) -> Array:
     """Perturb one state, shape (body + world, 13), as its joints allow."""
-    dynamics = dynamics_of(mechanism)
     rng = np.random.default_rng(np.random.SeedSequence([_SEED, index]))
-    free = _free_components(mechanism, dynamics, state)
-    shift, rate = (_allowed_twist(mechanism, dynamics, state, free, rng) for _ in range(2))
+    free = _free_components(dynamics, state)
+    shift, rate = (_allowed_twist(dynamics, state, free, rng) for _ in range(2))
     moved = state.copy()
     moved[:, :3] += shift[:, :3]
     moved[:, 3:7] = rotation.multiply(rotation.from_vector(shift[:, 3:]), state[:, 3:7])
@@ -268,8 +265,9 @@ def _perturbed(mechanism: Mechanism, state: Array, index: int) -> Array:
     return np.asarray(dynamics.project(moved[None])[0])
 
 
-def _free_components(mechanism: Mechanism, dynamics: Dynamics, state: Array) -> Array:
+def _free_components(dynamics: Dynamics, state: Array) -> Array:
     """1 where a body may move or turn, else 0, shape (body, 6)."""
+    mechanism = dynamics.mechanism
     free = np.ones((mechanism.body_count, 6))
     if mechanism.scene.dimension < 3:
         free[:, [1, 3, 5]] = 0.0
@@ -282,18 +280,14 @@ def _free_components(mechanism: Mechanism, dynamics: Dynamics, state: Array) -> 
 
 
 def _allowed_twist(
-    mechanism: Mechanism,
-    dynamics: Dynamics,
-    state: Array,
-    free: Array,
-    rng: np.random.Generator,
+    dynamics: Dynamics, state: Array, free: Array, rng: np.random.Generator
 ) -> Array:
     """Random twists, shape (body + world, 6), under which the markers move by 1e-8 m (RMS)."""
     trial = state.copy()
     trial[:-1, 7:] = free * rng.standard_normal(free.shape)
-    trial[:-1, 10:] /= mechanism.scene.length
+    trial[:-1, 10:] /= dynamics.length
     trial = dynamics.project(trial[None])[0]
-    rate = dynamics.unpack(trial).speeds(*markers(mechanism))
+    rate = dynamics.unpack(trial).speeds(*markers(dynamics.mechanism))
     return np.asarray(trial[:, 7:] * (_SIZE / _rms(rate)))
 
 
