@@ -85,21 +85,21 @@ def apply(m, v):
 
 
 @traced
-def apply_turned(m, v):
-    """Multiply a transposed matrix and a vector."""
-    return apply(transposed(m), v)
-
-
-@traced
 def apply_even(m, v):
     """Multiply a symmetric matrix and a vector."""
-    return apply(_whole(m), v)
+    return apply(whole(m), v)
 
 
 @traced
 def outer(a, b):
     """Return the matrix a bᵀ."""
     return tuple(x * y for x in a for y in b)
+
+
+@traced
+def whole(m):
+    """Return all nine elements of a symmetric matrix."""
+    return m[0], m[3], m[4], m[3], m[1], m[5], m[4], m[5], m[2]
 
 
 @traced
@@ -128,12 +128,6 @@ def product(a, b):
 
 
 @traced
-def even_product(a, b):
-    """Multiply a symmetric matrix and another one."""
-    return product(_whole(a), b)
-
-
-@traced
 def less_product(m, a, b):
     """Subtract a product of matrices that is symmetric from a symmetric matrix."""
     for column, row in zip(_columns(a), _rows(b), strict=True):
@@ -149,12 +143,6 @@ def crossed(m, r):
 
 
 @traced
-def crossed_even(m, r):
-    """Multiply a symmetric matrix M and [r]× from the right."""
-    return crossed(_whole(m), r)
-
-
-@traced
 def cross_matrix(r, m):
     """Multiply [r]× and a matrix."""
     return transposed([x for column in _columns(m) for x in cross(r, column)])
@@ -164,10 +152,6 @@ def cross_matrix(r, m):
 def transposed(m):
     """Transpose a matrix."""
     return m[0], m[3], m[6], m[1], m[4], m[7], m[2], m[5], m[8]
-
-
-def _whole(m):
-    return m[0], m[3], m[4], m[3], m[1], m[5], m[4], m[5], m[2]
 
 
 def _rows(m):

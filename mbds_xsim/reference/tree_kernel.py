@@ -24,13 +24,10 @@ from mbds_xsim.reference.lane_algebra import (
     add_to,
     apply,
     apply_even,
-    apply_turned,
     cross,
     cross_matrix,
     crossed,
-    crossed_even,
     dot,
-    even_product,
     inverse_even,
     less_product,
     load3,
@@ -45,6 +42,7 @@ from mbds_xsim.reference.lane_algebra import (
     times,
     transposed,
     upper,
+    whole,
 )
 from mbds_xsim.reference.lanes import spread
 from mbds_xsim.reference.traced import load, store, traced
@@ -149,11 +147,11 @@ def _at_joint(a, b):
     """Return H', J', f' and n' of a link at its joint."""
     m, h, arm = load6(a, b + M), load9(a, b + H), load3(a, b + ARM)
     bend = load3(a, b + BEND)
-    hj = add(h, crossed_even(m, arm))
+    hj = add(h, crossed(whole(m), arm))
     jj = add(load6(a, b + J), upper(crossed(transposed(h), arm)))
     jj = sub(jj, upper(cross_matrix(arm, hj)))
     f = add(load3(a, b + F), apply_even(m, bend))
-    n = sub(add(load3(a, b + N), apply_turned(h, bend)), cross(arm, f))
+    n = sub(add(load3(a, b + N), apply(transposed(h), bend)), cross(arm, f))
     return hj, jj, f, n
 
 
@@ -165,7 +163,7 @@ def _gather_ball(a, speeds, b, p, fast, kind, root):
     else:
         hj, jj, f, n = _at_joint(a, b)
     inverse = inverse_even(jj)
-    g = even_product(inverse, transposed(hj))
+    g = product(whole(inverse), transposed(hj))
     store(a, b + HJ, hj)
     store(a, b + JI, inverse)
     store(a, b + G, g)
@@ -180,7 +178,7 @@ def _gather_ball(a, speeds, b, p, fast, kind, root):
         store(speeds, fast - 3, apply_even(inverse_mass, f))
         return
     reach = load3(a, b + REACH)
-    mine = crossed_even(m, reach)
+    mine = crossed(whole(m), reach)
     turned = cross_matrix(reach, mine)
     _give(a, p, m, times(-1.0, mine), times(-1.0, upper(turned)), f, cross(reach, f))
 
@@ -195,7 +193,7 @@ def _gather_axis(a, speeds, b, p, fast, kind, armature, root):
         inverse = 1.0 / (dot(axis, un) + armature)
         own = -inverse * dot(axis, n)
     elif kind == SLIDER:
-        uf, un = apply_even(m, axis), apply_turned(hj, axis)
+        uf, un = apply_even(m, axis), apply(transposed(hj), axis)
         inverse = 1.0 / (dot(axis, uf) + armature)
         own = -inverse * dot(axis, f)
     else:
@@ -211,7 +209,7 @@ def _gather_axis(a, speeds, b, p, fast, kind, armature, root):
     m, j = sub(m, upper(outer(kf, uf))), sub(jj, upper(outer(kn, un)))
     h = sub(hj, outer(kf, un))
     f, n, reach = add(f, times(own, uf)), add(n, times(own, un)), load3(a, b + REACH)
-    out = sub(h, crossed_even(m, reach))
+    out = sub(h, crossed(whole(m), reach))
     # J + Y H − Hᵀ Y − Y M Y, of which the first two terms and the last are J + Y (H − M Y).
     j = add(j, upper(cross_matrix(reach, out)))
     j = sub(j, upper(crossed(transposed(h), reach)))
