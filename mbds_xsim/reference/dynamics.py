@@ -62,7 +62,7 @@ class Dynamics:
         self._multipliers = Multipliers(self.topology)
         damping = [joint.damping for joint in mechanism.compliant]
         damping += [drive.servo.damping for drive in mechanism.drives]
-        self.damped = bool(np.any(self.topology.damping) or any(damping))
+        self.damped = bool(np.any(self.topology.spring[:, 2]) or any(damping))
         self._constrains = bool(self.topology.layout.row_count)
         self._inverse_mass_root = self.topology.weight / self.topology.mass_root[:, None]
         self._inverse_inertia_root = self.topology.weight / self.topology.inertia_root
@@ -206,7 +206,7 @@ class Dynamics:
             twist += top.hinge_incidence @ (
                 motion.vector[0][:, top.layout.hinge] * torque[..., None]
             )
-        if len(top.stiffness):
+        if len(top.spring):
             self._add_springs(motion, push, twist)
         if self.mechanism.compliant or self.mechanism.drives:
             loads = joint_loads(self.mechanism, self.unpack(state), pushes)
@@ -227,12 +227,13 @@ class Dynamics:
         distance = np.sqrt(np.einsum("bsi,bsi->bs", d, d))
         along = d / distance[..., None]
         stretch = np.einsum("bsi,bsi->bs", along, d_rate)
-        tension = top.stiffness * (distance - top.rest_length) + top.damping * stretch
+        rest_length, stiffness, damping = top.spring.T
+        tension = stiffness * (distance - rest_length) + damping * stretch
         pull = tension[..., None] * along
         spans = top.layout.span_body.shape[1]
         for end, sign in ((0, 1.0), (1, -1.0)):
             first = end * spans + top.layout.springs.start
-            arm = motion.vector[0][:, first : first + len(top.stiffness)]
+            arm = motion.vector[0][:, first : first + len(top.spring)]
             push += top.spring_incidence[end] @ (sign * pull)
             twist += top.spring_incidence[end] @ rotation.cross(arm, sign * pull)
 

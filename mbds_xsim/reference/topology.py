@@ -40,9 +40,8 @@ class Topology:
     """+1 at the child, −1 at the parent, shape (body + world, hinge)."""
     spring_incidence: Array
     """One incidence matrix for each end, shape (2, body + world, spring)."""
-    rest_length: Array
-    stiffness: Array
-    damping: Array
+    spring: Array
+    """Rest length, stiffness and damping, shape (spring, 3)."""
     sphere_body: Indices
     sphere: Array
     """Centres of the contact spheres in principal frames, shape (sphere, 3)."""
@@ -79,9 +78,7 @@ def topology_of(mechanism: Mechanism) -> Topology:
         spring_incidence=np.array(
             [_incidence([spring.bodies[end] for spring in springs], count) for end in (0, 1)]
         ),
-        rest_length=np.array([spring.length for spring in springs]),
-        stiffness=np.array([spring.stiffness for spring in springs]),
-        damping=np.array([spring.damping for spring in springs]),
+        spring=np.array([(s.length, s.stiffness, s.damping) for s in springs]).reshape(-1, 3),
         sphere_body=mechanism.sphere_body.astype(np.intp),
         sphere=rotation.rotate(back[mechanism.sphere_body], mechanism.sphere_offset),
         sphere_radius=mechanism.sphere_radius,

@@ -155,6 +155,7 @@ def tree_of(mechanism: Mechanism) -> Tree:
         moment=top.inertia_root[body] ** 2,
         yielding=np.array([*zip(1.0 / mechanism.mass[body], yielding, strict=True), (0.0, 0.0)]),
         gravity=top.gravity,
+        spring=top.spring,
         **acting,
         row=row,
         loaded=len(row.kind),
@@ -216,7 +217,6 @@ def _acting(mechanism: Mechanism, inwards: Array, link_of: Index, first: int) ->
         spring_points=np.stack(
             [_turned(inwards, [(s.bodies[end], s.in_body[end]) for s in springs]) for end in (0, 1)]
         ),
-        spring=np.array([(s.length, s.stiffness, s.damping) for s in springs]).reshape(-1, 3),
         law_kind=np.array([_KINDS[joint.kind] for joint in laws], dtype=np.int64),
         law_ends=_ends([(joint.parent, joint.child) for joint in laws], link_of),
         law_axis=_turned(inwards, [(joint.parent, joint.axis) for joint in laws]),
