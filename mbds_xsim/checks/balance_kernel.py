@@ -20,8 +20,8 @@ from mbds_xsim.reference.lane_algebra import (
     sub,
     times,
 )
-from mbds_xsim.reference.lanes import LANES, put_eight, root, spread
-from mbds_xsim.reference.traced import load, store
+from mbds_xsim.reference.lanes import LANES, root, spread
+from mbds_xsim.reference.traced import load, put_eight, store
 
 
 class Masses(NamedTuple):

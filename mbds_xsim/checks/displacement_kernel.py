@@ -28,13 +28,12 @@ from mbds_xsim.reference.lanes import (
     cosine,
     larger,
     positive,
-    put_eight,
     root,
     sine,
     size,
     spread,
 )
-from mbds_xsim.reference.traced import load, store
+from mbds_xsim.reference.traced import load, put_eight, store
 
 _TINY = 2.2250738585072014e-308
 _SMALL = 1e-12

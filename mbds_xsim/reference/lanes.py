@@ -83,32 +83,11 @@ _arithmetic(operator.truediv, "fdiv")
 _arithmetic(operator.neg, "fneg", count=1)
 
 
-def address(context: Any, builder: Any, kind: Any, array: Any, row: Any, width: int = LANES) -> Any:
-    """Point to a row of an array of lanes."""
+def address(context: Any, builder: Any, kind: Any, array: Any, row: Any, width: int) -> Any:
+    """Point to eight numbers of an array, by their row and its width."""
     array = context.make_array(kind)(context, builder, array)
     row = builder.mul(row, context.get_constant(types.intp, width))
     return builder.bitcast(builder.gep(array.data, [row]), _VECTOR.as_pointer())
-
-
-@intrinsic
-def eight(typing: Any, array: Any, at: Any) -> Any:  # noqa: ARG001
-    """Read eight numbers that follow each other in an array of one axis."""
-
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return builder.load(address(context, builder, sig.args[0], args[0], args[1], 1), align=8)
-
-    return lanes(array, types.intp), generate
-
-
-@intrinsic
-def put_eight(typing: Any, array: Any, at: Any, value: Any) -> Any:  # noqa: ARG001
-    """Write eight numbers that follow each other in an array of one axis."""
-
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        builder.store(args[2], address(context, builder, sig.args[0], args[0], args[1], 1), align=8)
-        return context.get_dummy_value()
-
-    return types.void(array, types.intp, lanes), generate
 
 
 @intrinsic

@@ -19,7 +19,7 @@ from numba.core import cgutils
 from numba.core.typing.templates import signature
 from numba.extending import intrinsic
 
-from mbds_xsim.reference.lanes import address, lanes, spread_over
+from mbds_xsim.reference.lanes import LANES, address, lanes, spread_over
 
 
 @dataclass(frozen=True)
@@ -82,17 +82,17 @@ class RowArray:
     builder: Any = None
     value: Any = None
 
-    def row(self, at: Number) -> Number:
-        """Read a row of an array of lanes."""
+    def row(self, at: Number, width: int = LANES) -> Number:
+        """Read eight numbers, which are a row of an array of lanes, or start at any number."""
         if self.builder is None:
             return Number(lanes)
-        place = address(self.context, self.builder, self.kind, self.value, at.value)
+        place = address(self.context, self.builder, self.kind, self.value, at.value, width)
         return Number(lanes, self.builder, self.builder.load(place, align=8))
 
-    def put(self, at: Number, number: Number) -> None:
-        """Write a row of an array of lanes."""
+    def put(self, at: Number, number: Number, width: int = LANES) -> None:
+        """Write eight numbers, as `row` reads them."""
         if self.builder is not None:
-            place = address(self.context, self.builder, self.kind, self.value, at.value)
+            place = address(self.context, self.builder, self.kind, self.value, at.value, width)
             self.builder.store(number.value, place, align=8)
 
     def __getitem__(self, at: tuple[Number, int]) -> Number:
@@ -165,3 +165,15 @@ def store(a, k, value):
     """Write a row of an array of shape (number, 8), or as many as a tuple has numbers."""
     for q, number in enumerate(value if isinstance(value, tuple) else (value,)):
         a.put(k + q, number)
+
+
+@traced
+def eight(a, at):
+    """Read eight numbers that follow each other in an array of one axis."""
+    return a.row(at, 1)
+
+
+@traced
+def put_eight(a, at, value):
+    """Write eight numbers that follow each other in an array of one axis."""
+    a.put(at, value, 1)
