@@ -145,7 +145,11 @@ def integrate(problem: Problem) -> Marched:
     if has_known_impacts(mechanism):
         return march_balls(problem) if mechanism.scene.ground else march_colliding(problem)
     if mechanism.braked:
-        return _gripping(problem)
+        from mbds_xsim.reference.gripping import march_gripping  # imports a compiler
+
+        # Companions stop and start at different times, so that their errors do not cancel.
+        rtol = min(problem.rtol, _ALONE) if problem.companions > 1 else problem.rtol
+        return march_gripping(dataclasses.replace(problem, rtol=rtol))
     stiff = is_stiff(problem)
     if stiff or mechanism.scene.contacts:
         marched = march_stiff(problem) if stiff else march(problem)
@@ -153,14 +157,6 @@ def integrate(problem: Problem) -> Marched:
     from mbds_xsim.reference.compiled import march_compiled  # imports a compiler
 
     return march_compiled(problem)
-
-
-def _gripping(problem: Problem) -> Marched:
-    from mbds_xsim.reference.gripping import march_gripping  # imports a compiler
-
-    # Companions stop and start at different times, so that their errors do not cancel.
-    rtol = min(problem.rtol, _ALONE) if problem.companions > 1 else problem.rtol
-    return march_gripping(dataclasses.replace(problem, rtol=rtol))
 
 
 def _trajectory(
