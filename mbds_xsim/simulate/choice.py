@@ -85,9 +85,8 @@ class Choice:
             registry.load_adapter(name)
         named = bool(names)
         words, settings = _profiles(words_of(profiles), names)
-        if not names:
-            names = tuple(dict.fromkeys(name for table in settings.values() for name in table))
-        names = names or (*registry.installed_engines(), *also)
+        listed = dict.fromkeys(name for table in settings.values() for name in table)
+        names = names or tuple(listed) or (*registry.installed_engines(), *also)
         if not names:
             msg = "no engine is installed; install them with: pip install 'mbds-xsim[engines]'"
             raise InputError(msg)

@@ -144,15 +144,13 @@ def load_scene(name: str) -> Scene:
         return read_scene(Path(name))
     singles = registered("mbds_xsim.single_scenes")
     if name in singles:
-        single: Callable[[], Scene] = singles[name].load()
-        return single()
+        return singles[name].load()()
     if name in _scene_files():
         return read_scene(_scene_files()[name])
     match = re.fullmatch(r"([1-9][0-9]{0,3})([a-z]\w*)", name)
     families = registered("mbds_xsim.families")
     if match and match[2] in families:
-        family: Callable[[int], Scene] = families[match[2]].load()
-        return family(int(match[1]))
+        return families[match[2]].load()(int(match[1]))
     digits = re.match(r"[0-9]*", name)[0]  # type: ignore[index]  # matches any text
     if name[len(digits) :] in families:
         msg = f"no scene is called {name!r}: N of N{name[len(digits) :]} is a number from 1 to 9999"
@@ -194,8 +192,7 @@ def read_model(
     (answer,) = run_tasks([Task(_read, arguments, _READING)], workers=1)
     if isinstance(answer, Crash):
         raise SceneError(f"{path}: {answer.reason}")
-    imported: Imported = answer
-    return imported
+    return answer
 
 
 def _read(point: EntryPoint, path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
@@ -275,8 +272,7 @@ class _StandIn(Adapter):
         if isinstance(answer, Crash):
             reason = answer.reason if answer.refused else f"gives no settings: {answer.reason}"
             raise Unsupported(f"{self.name} {profile}: {reason}")
-        settings: Settings = answer
-        return settings
+        return answer
 
     def cannot_hold(self, scene: Scene) -> str:
         answer = _ask(_cannot_hold, self.point, scene)
@@ -286,8 +282,7 @@ class _StandIn(Adapter):
         answer = _ask(_scales, self.point, settings)
         if isinstance(answer, Crash):
             raise Unsupported(f"{self.name} does not say how it resolves contact: {answer.reason}")
-        scales: ContactScales = answer
-        return scales
+        return answer
 
     def load(self, scene: Scene, settings: Settings) -> Run:
         return made(self.point).load(scene, settings)
@@ -313,8 +308,7 @@ def _stand_in(point: EntryPoint) -> Adapter:
     if isinstance(answer, Crash):
         why = f"{point.value} of the package {_owner(point)}: {answer.reason}"
         raise EngineFaulty(f"the engine {point.name} cannot be used: {why}; repair or uninstall it")
-    adapter: Adapter = type(point.name, (_StandIn,), answer | {"point": point})()
-    return adapter
+    return type(point.name, (_StandIn,), answer | {"point": point})()
 
 
 @functools.cache  # a package's metadata is otherwise read each time
