@@ -172,12 +172,12 @@ class Dynamics:
         (d² − R²) / 2R, with d the distance of the centres and R its value at a touch. Near a touch
         this is the gap, and it is a parabola in time if spheres pass at constant velocity.
         """
-        top = self.topology
-        carrier = state[:, top.sphere_body]
+        mechanism, top = self.mechanism, self.topology
+        carrier = state[:, mechanism.sphere_body]
         arm = rotation.rotate(carrier[..., _Q], top.sphere)
-        place, radius = carrier[..., _X] + arm, top.sphere_radius
+        place, radius = carrier[..., _X] + arm, mechanism.sphere_radius
         speed = carrier[..., _V] + rotation.cross(carrier[..., _W], arm)
-        one, other = top.sphere_pairs.T
+        one, other = mechanism.sphere_pairs.T
         reach = radius[one] + radius[other]
         apart, parting = place[:, one] - place[:, other], speed[:, one] - speed[:, other]
         between = (rotation.dot(apart, apart) - reach**2) / (2.0 * reach)

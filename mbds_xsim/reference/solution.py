@@ -122,7 +122,7 @@ def _check_apart(mechanism: Mechanism, start: Array) -> None:
     gap, _ = dynamics.gaps(start)
     if not (gap.size and gap.min() < -_SUNK):
         return
-    grounded, pairs = dynamics.topology.grounded, dynamics.topology.sphere_pairs.tolist()
+    grounded, pairs = dynamics.topology.grounded, mechanism.sphere_pairs.tolist()
     lowest, names = int(gap.min(axis=0).argmin()), [body.name for body in mechanism.scene.bodies]
     on = [f"contacts[{k}] on {names[body]!r}" for k, body in enumerate(mechanism.sphere_body)]
     if lowest < len(grounded):

@@ -95,7 +95,7 @@ def _through_frame(
 
 def _impact(rate: _Rate, solver: Radau) -> float | None:
     """Time in the frame at which a contact sphere touched something in the last step, or None."""
-    if not len(rate.dynamics.topology.sphere_body):
+    if not rate.dynamics.mechanism.scene.contacts:
         return None
     path, begin, span = solver.dense_output(), solver.t_old, solver.t - solver.t_old
 

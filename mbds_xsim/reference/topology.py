@@ -42,14 +42,10 @@ class Topology:
     """One incidence matrix for each end, shape (2, body + world, spring)."""
     spring: Array
     """Rest length, stiffness and damping, shape (spring, 3)."""
-    sphere_body: Indices
     sphere: Array
     """Centres of the contact spheres in principal frames, shape (sphere, 3)."""
-    sphere_radius: Array
     grounded: Indices
     """Spheres that may touch the ground."""
-    sphere_pairs: Indices
-    """Spheres that may touch each other, shape (pair, 2)."""
 
 
 @functools.lru_cache(maxsize=64)
@@ -79,11 +75,8 @@ def topology_of(mechanism: Mechanism) -> Topology:
             [_incidence([spring.bodies[end] for spring in springs], count) for end in (0, 1)]
         ),
         spring=np.array([(s.length, s.stiffness, s.damping) for s in springs]).reshape(-1, 3),
-        sphere_body=mechanism.sphere_body.astype(np.intp),
         sphere=rotation.rotate(back[mechanism.sphere_body], mechanism.sphere_offset),
-        sphere_radius=mechanism.sphere_radius,
         grounded=np.arange(len(mechanism.scene.contacts) if mechanism.scene.ground else 0),
-        sphere_pairs=mechanism.sphere_pairs.astype(np.intp),
     )
 
 
