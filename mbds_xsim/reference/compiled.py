@@ -51,7 +51,6 @@ _NO_TASK = Problems(
     frame=0.0,
     states=np.zeros((0, 0, 0, 13)),
     status=np.zeros(0, dtype=np.int64),
-    grip=np.zeros((0, 0)),
 )
 
 
@@ -68,7 +67,6 @@ def march_compiled(problem: Problem) -> Marched:
         problem.frame,
         marched.states,
         np.zeros(len(start), dtype=np.int64),
-        np.zeros((0, 0)),
     )
     Kernel(tree).run(march_kernel.MARCH, task, _scheme(problem, near))
     _keep_signs(tree, marched.states, start)

@@ -91,7 +91,7 @@ class Problems(NamedTuple):
     """Results, as states, shape (trajectory, frame + 1, body + world, 13), or as accelerations,
     shape (state, 1, body, 6)."""
     status: Index
-    grip: Array
+    grip: Array = np.zeros((0, 0))
     """Dry friction of states whose accelerations are evaluated, shape (state, law)."""
 
 

@@ -214,17 +214,12 @@ def _acting(mechanism: Mechanism, inwards: Array, link_of: Index, first: int) ->
         hinge_ends=_ends([(h.parent, h.child) for h in hinges], link_of),
         hinge_axis=_turned(inwards, [(h.parent, h.axis) for h in hinges]),
         spring_ends=_ends([spring.bodies for spring in springs], link_of),
-        spring_points=np.stack(
-            [_turned(inwards, [(s.bodies[end], s.in_body[end]) for s in springs]) for end in (0, 1)]
-        ),
+        spring_points=_points(inwards, [[*zip(s.bodies, s.in_body, strict=True)] for s in springs]),
         law_kind=np.array([_KINDS[joint.kind] for joint in laws], dtype=np.int64),
         law_ends=_ends([(joint.parent, joint.child) for joint in laws], link_of),
         law_axis=_turned(inwards, [(joint.parent, joint.axis) for joint in laws]),
-        law_points=np.stack(
-            [
-                _turned(inwards, [(joint.parent, joint.in_parent) for joint in laws]),
-                _turned(inwards, [(joint.child, joint.in_child) for joint in laws]),
-            ]
+        law_points=_points(
+            inwards, [[(j.parent, j.in_parent), (j.child, j.in_child)] for j in laws]
         ),
         law=np.array(
             [(j.rest, j.stiffness, j.damping) for j in counted]
@@ -252,6 +247,11 @@ def _joint_matrices(joint: PlacedJoint | None) -> tuple[Array, Array, Array]:
 
 def _ends(pairs: list[tuple[int, int]], link_of: Index) -> Index:
     return np.ascontiguousarray(link_of[np.array(pairs, dtype=np.int64).reshape(-1, 2).T])
+
+
+def _points(inwards: Array, pairs: list[list[tuple[int, Array]]]) -> Array:
+    """Turn pairs of vectors from native into principal frames, shape (2, pair, 3)."""
+    return np.stack([_turned(inwards, [pair[end] for pair in pairs]) for end in (0, 1)])
 
 
 def _turned(inwards: Array, vectors: list[tuple[int, Array]]) -> Array:
