@@ -13,17 +13,15 @@ from mbds_xsim.reference.compiling import compiled, entered
 from mbds_xsim.reference.lane_algebra import (
     add,
     add_to,
-    add_to3,
     cross,
     dot,
     load3,
     rotated,
-    store3,
     sub,
     times,
 )
-from mbds_xsim.reference.lanes import LANES, put_eight, root, spread
-from mbds_xsim.reference.traced import load, store
+from mbds_xsim.reference.lanes import LANES, root, spread
+from mbds_xsim.reference.traced import load, put_eight, store
 
 
 class Masses(NamedTuple):
@@ -118,7 +116,7 @@ def find_momenta(m: FlatMotion, masses: Masses, group: Spinning, work: Array, su
             _add_body(m, masses, group, work, t, group.bodies[k])
         for f in range(m.frames):
             fall = cross(load3(work, FRAME * f + WEIGHT), spread3(g[0], g[1], g[2]))
-            store3(work, FRAME * f + WEIGHT, fall)
+            store(work, FRAME * f + WEIGHT, fall)
             for k in range(SUMS):
                 put_eight(sums, (k * m.frames + f) * m.rows + t, load(work, FRAME * f + k))
 
@@ -132,14 +130,14 @@ def _place(m, masses, group, work, t):
     for f in range(m.frames):
         if group.fixed:
             point = spread3(group.about[0], group.about[1], group.about[2])
-            store3(work, FRAME * f + _CENTRE, point)
+            store(work, FRAME * f + _CENTRE, point)
     for k in range(0 if group.fixed else len(group.bodies)):
         b = group.bodies[k]
         share = masses.mass[b] / total
         for f in range(m.frames):
             at = FRAME * f
-            add_to3(work, at + _CENTRE, times(share, vector(m, m.position, b, f, t)))
-            add_to3(work, at + _DRIFT, times(share, vector(m, m.velocity, b, f, t)))
+            add_to(work, at + _CENTRE, times(share, vector(m, m.position, b, f, t)))
+            add_to(work, at + _DRIFT, times(share, vector(m, m.velocity, b, f, t)))
 
 
 @compiled
@@ -152,13 +150,13 @@ def _add_body(m, masses, group, work, t, b):
         arm = sub(vector(m, m.position, b, f, t), load3(work, at + _CENTRE))
         speed = sub(vector(m, m.velocity, b, f, t), load3(work, at + _DRIFT))
         momentum = add(_spinning(m, masses, b, f, t), cross(arm, times(mass, speed)))
-        add_to3(work, at + MOMENTUM, momentum)
+        add_to(work, at + MOMENTUM, momentum)
         add_to(work, at + SIZE, root(dot(momentum, momentum)))
         if f > 0:
             swept, bend = _swept(group, (before, begin), (arm, speed))
             push = force_on(m, b, f - 1, t)
-            add_to3(work, at + INPUT, cross(swept, push))
-            add_to3(work, at + WEIGHT, times(mass, swept))
+            add_to(work, at + INPUT, cross(swept, push))
+            add_to(work, at + WEIGHT, times(mass, swept))
             change = sub(bend, previous)
             off = h * root(dot(change, change))
             if f > 1 or m.frames == 2:

@@ -19,7 +19,6 @@ from mbds_xsim.reference.lane_algebra import (
     hamilton,
     load3,
     rotated,
-    store3,
     sub,
     times,
 )
@@ -29,13 +28,12 @@ from mbds_xsim.reference.lanes import (
     cosine,
     larger,
     positive,
-    put_eight,
     root,
     sine,
     size,
     spread,
 )
-from mbds_xsim.reference.traced import load, store
+from mbds_xsim.reference.traced import load, put_eight, store
 
 _TINY = 2.2250738585072014e-308
 _SMALL = 1e-12
@@ -128,11 +126,11 @@ def _store_residuals(m, rule, work, t, turns, b):
         moved = size(step[0]) + size(step[1]) + size(step[2])
         moved = moved + size(then[0] - turn[0]) + size(then[1] - turn[1])
         moved = moved + size(then[2] - turn[2]) + size(then[3] - turn[3])
-        store3(work, at + RESIDUAL, residual)
-        store3(work, at + GAIN, gain)
+        store(work, at + RESIDUAL, residual)
+        store(work, at + GAIN, gain)
         store(work, at + MOVED, moved)
         if turns:
-            store3(work, at + OWN, rotated(conjugate(turn), residual))
+            store(work, at + OWN, rotated(conjugate(turn), residual))
         place, turn, before = there, then, after
 
 

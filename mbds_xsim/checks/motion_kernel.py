@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.reference.compiling import compiled
-from mbds_xsim.reference.lanes import eight, spread
+from mbds_xsim.reference.lanes import spread
+from mbds_xsim.reference.traced import eight
 
 
 class FlatMotion(NamedTuple):

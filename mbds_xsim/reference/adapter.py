@@ -159,7 +159,7 @@ class ReferenceRun(Run):
 
     def _contact(self) -> Array | None:
         ground = self._mechanism.scene.ground
-        radii = dynamics_of(self._mechanism).topology.sphere_radius
+        radii = self._mechanism.sphere_radius
         law = (ground.friction, ground.restitution) if ground else (np.nan, np.nan)
         return np.array([(radius, *law) for radius in radii]) if len(radii) else None
 

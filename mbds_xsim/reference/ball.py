@@ -254,9 +254,7 @@ class EvenBall:
         """Remove some slip by a tangential impulse."""
         share = self.contact.mass * self.yielding
         return dataclasses.replace(
-            motion,
-            velocity=motion.velocity - slip / share,
-            spin=motion.spin + self._lever() * slip,
+            motion, velocity=motion.velocity - slip / share, spin=motion.spin + self._lever() * slip
         )
 
     def _lever(self) -> complex:

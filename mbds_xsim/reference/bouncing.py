@@ -71,8 +71,7 @@ def through_frame(ball: Ball, motion: BallState, load: Load, duration: float) ->
         remaining -= used
         if remaining <= 0.0:
             return motion
-    msg = f"more than {_MOST_EVENTS} impacts in a frame"
-    raise ArithmeticError(msg)
+    raise ArithmeticError(f"more than {_MOST_EVENTS} impacts in a frame")
 
 
 def _settled(motion: BallState, load: Load, ball: Ball) -> BallState:

@@ -16,7 +16,7 @@ from mbds_xsim.reference.compiling import compiled
 from mbds_xsim.reference.elimination import BOTH, SECOND
 from mbds_xsim.reference.lane_algebra import (
     add,
-    add_to3,
+    add_to,
     apply,
     apply_even,
     cross,
@@ -24,9 +24,10 @@ from mbds_xsim.reference.lane_algebra import (
     load3,
     load6,
     load9,
-    store3,
+    outer,
     sub,
     times,
+    upper,
 )
 from mbds_xsim.reference.lanes import larger, positive, root, size, spread
 from mbds_xsim.reference.load_kernel import act, still, weigh
@@ -72,13 +73,13 @@ def accelerate(t, work, y, rate, first):
     move(t, work, y)
     act(t, work, y)
     weigh(t, work)
-    if len(t.row_kind):
+    if len(t.row.kind):
         put_rows(t, work, y)
         for k in range(t.loaded):
             store(work.goals, k, load(work.rows, ROW * k + 12))
     _inwards(t, work)
     _outwards(t, work)
-    if len(t.row_kind):
+    if len(t.row.kind):
         contradiction(t, work, y)
     rates(t, work, y, rate, first)
 
@@ -86,7 +87,7 @@ def accelerate(t, work, y, rate, first):
 @compiled
 def project(t, work, y):
     """Project states onto the closures by least mass-weighted changes; normalise quaternions."""
-    if len(t.row_kind):
+    if len(t.row.kind):
         for step in range(2):
             resist(t, work, y, step)
             _outwards(t, work)
@@ -106,8 +107,8 @@ def resist(t, work, y, step):
         store(work.goals, k, off)
     still(t, work)
     for i in range(len(t.kind)):
-        store3(work.link, i * PLACES + BEND, zero())
-        store3(work.link, i * PLACES + TWIST, zero())
+        store(work.link, i * PLACES + BEND, zero())
+        store(work.link, i * PLACES + TWIST, zero())
     _inwards(t, work)
 
 
@@ -117,7 +118,7 @@ def _inwards(t, work):
     plan, world = t.plan, len(t.kind)
     for k in range(t.loaded):
         for at in range(0, 12, 3):
-            store3(work.loads, 12 * k + at, load3(work.rows, ROW * k + at))
+            store(work.loads, 12 * k + at, load3(work.rows, ROW * k + at))
     for k in range(len(plan.pair_row)):
         store(work.couplings, k, spread(0.0))
     store(work.share, 0, spread(1.0))
@@ -146,10 +147,8 @@ def _eliminate(t, work, i):
 @compiled
 def _take_out(plan, work, d):
     loads, m, k = work.loads, work.couplings, plan.drop_row[d]
-    f = add(load3(loads, 12 * k), load3(loads, 12 * k + 6))
-    n = add(load3(loads, 12 * k + 3), load3(loads, 12 * k + 9))
-    store3(loads, 12 * k, f)
-    store3(loads, 12 * k + 3, n)
+    whole = add(load6(loads, 12 * k), load6(loads, 12 * k + 6))
+    store(loads, 12 * k, whole)
     pivot, least, goal = load(m, k), load(work.share, 0), load(work.goals, k)
     share = pivot / load(work.rows, ROW * k + 14)
     store(work.share, 0, positive(least - share, share, least))
@@ -161,9 +160,7 @@ def _take_out(plan, work, d):
         weight = inverse * load(m, plan.near_pair[q])
         store(work.goals, o, load(work.goals, o) - weight * goal)
         o = 12 * o + (6 if plan.near_end[q] == SECOND else 0)
-        less = times(-1.0 * weight, f)
-        add_to3(loads, o, less)
-        add_to3(loads, o + 3, times(-1.0 * weight, n))
+        add_to(loads, o, times(-1.0 * weight, whole))
         for r in range(first, q + 1):
             pair = plan.fill_pair[at]
             store(m, pair, load(m, pair) - weight * load(m, plan.near_pair[r]))
@@ -176,14 +173,11 @@ def _stiffen(work, b, k):
     a, loads, goal = work.link, work.loads, load(work.goals, k)
     f, n, inverse = load3(loads, 12 * k), load3(loads, 12 * k + 3), load(work.couplings, k)
     x, y = times(inverse, f), times(inverse, n)
-    add_to3(a, b + M, (x[0] * f[0], x[1] * f[1], x[2] * f[2]))
-    add_to3(a, b + M + 3, (x[0] * f[1], x[0] * f[2], x[1] * f[2]))
-    for row in range(3):
-        add_to3(a, b + H + 3 * row, times(load(loads, 12 * k + row), y))
-    add_to3(a, b + J, (y[0] * n[0], y[1] * n[1], y[2] * n[2]))
-    add_to3(a, b + J + 3, (y[0] * n[1], y[0] * n[2], y[1] * n[2]))
-    add_to3(a, b + F, times(goal, x))
-    add_to3(a, b + N, times(goal, y))
+    add_to(a, b + M, upper(outer(x, f)))
+    add_to(a, b + H, outer(f, y))
+    add_to(a, b + J, upper(outer(y, n)))
+    add_to(a, b + F, times(goal, x))
+    add_to(a, b + N, times(goal, y))
 
 
 @compiled
@@ -199,19 +193,19 @@ def _pass_on(t, work, i):
         f, n = load3(work.loads, at), load3(work.loads, at + 3)
         if end == BOTH:
             f, n = add(f, load3(work.loads, at + 6)), add(n, load3(work.loads, at + 9))
-            store3(work.loads, at + 6, zero())
-            store3(work.loads, at + 9, zero())
+            store(work.loads, at + 6, zero())
+            store(work.loads, at + 9, zero())
         goal, w = load(work.goals, k) + dot(f, bend), 6 * (q - first)
         if t.kind[i] == HINGE:
             goal = goal + dot(sub(n, cross(load3(a, b + ARM), f)), twist)
         f, n = _respond_at(work, b, t.kind[i], w, plan.on_speed[q], f, n)
-        if t.row_kind[k] == COUPLED:
+        if t.row.kind[k] == COUPLED:
             f, n = _drive(t, work, i, k, w, plan.on_speed[q], f, n)
         for s in range(speeds):
             goal = goal - load(work.through, w + s) * load(work.own, fast + s)
         store(work.goals, k, goal)
-        store3(work.loads, at, f)
-        store3(work.loads, at + 3, n)
+        store(work.loads, at, f)
+        store(work.loads, at + 3, n)
         for r in range(first, q + 1):
             total = load(work.couplings, plan.on_pair[pair])
             z = plan.on_speed[r]
@@ -219,7 +213,7 @@ def _pass_on(t, work, i):
                 total = total + load(work.through, w + s) * load(work.response, z + s)
             store(work.couplings, plan.on_pair[pair], total)
             pair += 1
-        if t.row_kind[k] == COUPLED:
+        if t.row.kind[k] == COUPLED:
             own, z = load(work.rows, ROW * k + 14), plan.on_speed[q]
             for s in range(speeds):  # a fixed joint has none
                 own = own + load(work.through, w + s) * load(work.response, z + s)
@@ -232,18 +226,18 @@ def _respond_at(work, b, kind, w, z, f, n):
     a, out, response = work.link, work.through, work.response
     if kind == FREE:
         turn = apply_even(load6(a, b + JI), n)
-        store3(out, w + 3, n)
-        store3(response, z + 3, turn)
+        store(out, w + 3, n)
+        store(response, z + 3, turn)
         f = sub(f, apply(load9(a, b + HJ), turn))
-        store3(out, w, f)
-        store3(response, z, apply_even(load6(a, b + MI), f))
+        store(out, w, f)
+        store(response, z, apply_even(load6(a, b + MI), f))
         return zero(), zero()
     n = sub(n, cross(load3(a, b + ARM), f))
     reach = load3(a, b + REACH)
     if kind == BALL:
         turn = apply_even(load6(a, b + JI), n)
-        store3(out, w, n)
-        store3(response, z, turn)
+        store(out, w, n)
+        store(response, z, turn)
         f = sub(f, apply(load9(a, b + HJ), turn))
         return f, cross(reach, f)
     if kind != FIXED:
@@ -260,8 +254,8 @@ def _respond_at(work, b, kind, w, z, f, n):
 def _drive(t, work, i, k, w, z, f, n):
     """Let a coupling's load act on a link's coordinate if it is one of the coupling's two."""
     for end in range(2):
-        if t.row_ends[end, k] == i:
-            a, b, more = work.link, i * PLACES, -t.row_way[k, end]
+        if t.row.ends[k, end] == i:
+            a, b, more = work.link, i * PLACES, -t.row.way[k, end]
             effect = more * load(a, b + DI)
             store(work.through, w, load(work.through, w) + more)
             store(work.response, z, load(work.response, z) + effect)
@@ -319,14 +313,14 @@ def _change(t, work, y, speeds):
             turn = load3(a, b + ALPHA)
             if kind == FREE:
                 place = fast if speeds else at
-                add_to3(y, place, load3(a, b + A))
+                add_to(y, place, load3(a, b + A))
                 at, fast = at + 3, fast + 3
             if speeds:
-                add_to3(y, fast, turn)
+                add_to(y, fast, turn)
             else:
                 w, v, half = load(y, at), load3(y, at + 1), times(0.5, turn)
                 store(y, at, w - dot(half, v))
-                store3(y, at + 1, add(v, add(times(w, half), cross(half, v))))
+                store(y, at + 1, add(v, add(times(w, half), cross(half, v))))
             continue
         change = load(a, b + MI)
         if speeds:

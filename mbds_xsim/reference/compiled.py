@@ -17,18 +17,7 @@ from mbds_xsim.reference import dop853, march_kernel, marching
 from mbds_xsim.reference.dynamics import maximal_of, pose_of
 from mbds_xsim.reference.elimination import with_short_loops
 from mbds_xsim.reference.lanes import LANES
-from mbds_xsim.reference.march_kernel import (
-    BLOCK,
-    EVALUATE,
-    MARCH,
-    MOVE,
-    PROJECT,
-    REACHED,
-    RESIST,
-    Lane,
-    Problems,
-    Scheme,
-)
+from mbds_xsim.reference.march_kernel import BLOCK, Lane, Problems, Scheme
 from mbds_xsim.reference.marching import Marched, Problem
 from mbds_xsim.reference.multipliers import POOR
 from mbds_xsim.reference.row_kernel import ROW
@@ -54,13 +43,6 @@ _NO_SCHEME = Scheme(
     begin=np.searchsorted(np.nonzero(_ROWS)[0], np.arange(len(_ROWS) + 1)),
     stage=np.nonzero(_ROWS)[1],
     weight=_ROWS[np.nonzero(_ROWS)],
-    rtol=0.0,
-    first=0.0,
-    smallest=0.0,
-    most=0,
-    companions=1,
-    near=0.0,
-    follows=1e-4,
 )
 _NO_TASK = Problems(
     start=np.zeros((0, 0)),
@@ -69,7 +51,6 @@ _NO_TASK = Problems(
     frame=0.0,
     states=np.zeros((0, 0, 0, 13)),
     status=np.zeros(0, dtype=np.int64),
-    grip=np.zeros((0, 0)),
 )
 
 
@@ -86,11 +67,10 @@ def march_compiled(problem: Problem) -> Marched:
         problem.frame,
         marched.states,
         np.zeros(len(start), dtype=np.int64),
-        np.zeros((0, 0)),
     )
-    Kernel(tree).run(MARCH, task, _scheme(problem, near))
+    Kernel(tree).run(march_kernel.MARCH, task, _scheme(problem, near))
     _keep_signs(tree, marched.states, start)
-    lost = np.flatnonzero(task.status != REACHED)
+    lost = np.flatnonzero(task.status != march_kernel.REACHED)
     if len(lost):
         slow = marching.march(problem.part(lost)).within_half_turns(problem.dynamics)
         marched.states[lost] = slow.states
@@ -117,7 +97,7 @@ def body_accelerations(mechanism: Mechanism, states: Array, force: Array, torque
         grip[:, spanned.counted.index(joint)] = joint.friction * np.sign(rate)
     force, torque = (np.require(load[:, None], float, ["C", "W"]) for load in (force, torque))
     task = Problems(y, force, torque, 0.0, accelerations, np.zeros(0, dtype=np.int64), grip)
-    Kernel(tree).run(EVALUATE, task)
+    Kernel(tree).run(march_kernel.EVALUATE, task)
     return accelerations[:, 0]
 
 
@@ -127,12 +107,12 @@ def projected(mechanism: Mechanism, states: Array) -> Array:
     kernel, projections = Kernel(tree), states.copy()
     coordinates = to_tree(spanned, maximal_of(mechanism).unpack(states), states)
     for rows, y in _in_lanes(coordinates):
-        for k, place in enumerate(tree.row_place[0]):
-            if tree.row_kind[k] == COUPLED and place in tree.angle_at:
-                wanted = tree.row_length[k] - tree.row_way[k, 1] * y[tree.row_place[1, k]]
+        for k, place in enumerate(tree.row.place[:, 0]):
+            if tree.row.kind[k] == COUPLED and place in tree.angle_at:
+                wanted = tree.row.length[k] - tree.row.way[k, 1] * y[tree.row.place[k, 1]]
                 y[place] += 2 * np.pi * np.round((wanted - y[place]) / (2 * np.pi))
         kernel.y[:] = y
-        kernel.run(PROJECT)
+        kernel.run(march_kernel.PROJECT)
         projections[rows] = kernel.body_states()
     return with_signs_of(projections, states)
 
@@ -152,7 +132,7 @@ class Kernel:
 
     def body_states(self) -> Array:
         """Return the lanes' states in the reference's layout, shape (lane, body + world, 13)."""
-        self.run(MOVE)
+        self.run(march_kernel.MOVE)
         link = np.moveaxis(self.work.link.reshape(-1, PLACES, LANES)[:-1], -1, 0)
         turn = rotation.from_matrix(link[..., R : R + 9].reshape(*link.shape[:-1], 3, 3))
         parts = (link[..., X : X + 3], turn, link[..., V : V + 3], link[..., W : W + 3])
@@ -180,7 +160,7 @@ def _resisting(tree: Tree, y: Array) -> Iterator[tuple[Index, Workspace]]:
     """Eliminate the rows, eight states at a time; yield the states' numbers and the workspace."""
     kernel = Kernel(tree)
     for rows, kernel.y[:] in _in_lanes(y):
-        kernel.run(RESIST)
+        kernel.run(march_kernel.RESIST)
         yield rows, kernel.work
 
 
@@ -232,7 +212,7 @@ def _keep_signs(tree: Tree, states: Array, start: Array) -> None:
 
 def _workspace(tree: Tree) -> Workspace:
     """Create the arrays that the kernels of a tree need."""
-    links, rows, loaded, plan = len(tree.kind) + 1, len(tree.row_kind), tree.loaded, tree.plan
+    links, rows, loaded, plan = len(tree.kind) + 1, len(tree.row.kind), tree.loaded, tree.plan
     work = Workspace(
         link=lines(links * PLACES),
         own=lines(tree.size),

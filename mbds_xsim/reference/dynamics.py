@@ -10,7 +10,6 @@ orientation of the principal frame (wxyz), velocity, angular velocity in W.
 from __future__ import annotations
 
 import functools
-from typing import Protocol
 
 import numpy as np
 
@@ -47,18 +46,6 @@ def _turn_map() -> Array:
 _TURN = _turn_map()
 
 
-class TreeEquations(Protocol):
-    """Equations with rotors, dry friction and couplings, which act on coordinates of a tree."""
-
-    def accelerations(self, states: Array, force: Array, torque: Array) -> Array:
-        """Return accelerations of centres of mass and angular ones in W, shape (batch, body, 6)."""
-        ...
-
-    def projected(self, states: Array) -> Array:
-        """Project states onto the closures by least mass-weighted changes."""
-        ...
-
-
 @functools.lru_cache(maxsize=64)
 def maximal_of(mechanism: Mechanism) -> Dynamics:
     """Prepare equations of a mechanism (once each) without effects on its tree's coordinates."""
@@ -66,21 +53,16 @@ def maximal_of(mechanism: Mechanism) -> Dynamics:
 
 
 class Dynamics:
-    """Equations of motion of one mechanism, vectorised over a batch.
+    """Equations of motion of one mechanism, vectorised over a batch."""
 
-    Args:
-        mechanism: Mechanism that moves.
-        tree: Equations to use instead if something acts on coordinates; they close couplings, too.
-    """
-
-    def __init__(self, mechanism: Mechanism, tree: TreeEquations | None = None) -> None:
-        self.mechanism, self._tree = mechanism, tree
+    def __init__(self, mechanism: Mechanism) -> None:
+        self.mechanism = mechanism
         self.topology = topology_of(mechanism)
         self.length = mechanism.scene.length
         self._multipliers = Multipliers(self.topology)
         damping = [joint.damping for joint in mechanism.compliant]
         damping += [drive.servo.damping for drive in mechanism.drives]
-        self.damped = bool(np.any(self.topology.damping) or any(damping))
+        self.damped = bool(np.any(self.topology.spring[:, 2]) or any(damping))
         self._constrains = bool(self.topology.layout.row_count)
         self._inverse_mass_root = self.topology.weight / self.topology.mass_root[:, None]
         self._inverse_inertia_root = self.topology.weight / self.topology.inertia_root
@@ -131,16 +113,17 @@ class Dynamics:
         rate[..., _X] = state[..., _V]
         rate[..., 3] = -0.5 * np.einsum("bni,bni->bn", w, q[..., 1:])
         rate[..., 4:7] = 0.5 * (w * q[..., :1] + rotation.cross(w, q[..., 1:]))
-        if self._tree is not None:
-            rate[:, -1, 7:] = 0.0
-            rate[:, :-1, 7:] = self._tree.accelerations(state, force, torque)
-            return rate, np.ones(len(state))
+        rate[..., _V], rate[..., _W], share = self.accelerations(state, force, torque)
+        return rate, share
+
+    def accelerations(
+        self, state: Array, force: Array, torque: Array
+    ) -> tuple[Array, Array, Array]:
+        """Accelerations, angular accelerations in W, and independent shares, as in `rate`."""
         motion = self._motion(state)
         applied = self._applied(motion, state, force, torque)
         acceleration, share = self._constrained(motion, applied)
-        rate[..., _V] = acceleration[..., :3] * self._inverse_mass_root
-        rate[..., _W] = _times(motion.turn, acceleration[..., 3:] * self._inverse_inertia_root)
-        return rate, share
+        return *self._unscaled(motion, acceleration), share
 
     def project(self, state: Array) -> Array:
         """Project states onto the constraints by least mass-weighted changes; unit quaternions.
@@ -149,8 +132,6 @@ class Dynamics:
         """
         if not self._constrains:
             return _normalised(state)
-        if self._tree is not None and self.mechanism.couplings:
-            return self._tree.projected(state)
         projected, share = self.closest(state)
         for k in np.flatnonzero(share < self.near):
             projected[k] = projected_onto_branch(self, state[k], projected[k], float(share[k]))
@@ -162,12 +143,18 @@ class Dynamics:
         Returns:
             The states, and the independent share of the rows, squared, shape (batch,).
         """
-        state, share = self._closed(state)
+        motion, state = self._motion(state), state.copy()
+        residual, _, jacobian = self._rows(motion)
+        change, share = self._least(jacobian, residual)
+        shift, turn = self._unscaled(motion, change)
+        state[..., _X] -= shift
+        state[..., _Q] = rotation.multiply(rotation.from_vector(-turn), state[..., _Q])
         motion = self._motion(state)
         jacobian = self._rows(motion)[2]
         change, _ = self._least(jacobian, self._rates(jacobian, motion, state))
-        state[..., _V] -= change[..., :3] * self._inverse_mass_root
-        state[..., _W] -= _times(motion.turn, change[..., 3:] * self._inverse_inertia_root)
+        slowing, spin = self._unscaled(motion, change)
+        state[..., _V] -= slowing
+        state[..., _W] -= spin
         return _normalised(state), share if self._closes else np.ones(len(state))
 
     def residual(self, state: Array) -> Array:
@@ -185,28 +172,18 @@ class Dynamics:
         (d² − R²) / 2R, with d the distance of the centres and R its value at a touch. Near a touch
         this is the gap, and it is a parabola in time if spheres pass at constant velocity.
         """
-        top = self.topology
-        carrier = state[:, top.sphere_body]
+        mechanism, top = self.mechanism, self.topology
+        carrier = state[:, mechanism.sphere_body]
         arm = rotation.rotate(carrier[..., _Q], top.sphere)
-        place, radius = carrier[..., _X] + arm, top.sphere_radius
+        place, radius = carrier[..., _X] + arm, mechanism.sphere_radius
         speed = carrier[..., _V] + rotation.cross(carrier[..., _W], arm)
-        one, other = top.sphere_pairs.T
+        one, other = mechanism.sphere_pairs.T
         reach = radius[one] + radius[other]
         apart, parting = place[:, one] - place[:, other], speed[:, one] - speed[:, other]
         between = (rotation.dot(apart, apart) - reach**2) / (2.0 * reach)
         height = (place[..., 2] - radius)[:, top.grounded]
         rates = [speed[:, top.grounded, 2], rotation.dot(apart, parting) / reach]
         return np.concatenate([height, between], axis=1), np.concatenate(rates, axis=1)
-
-    def _closed(self, state: Array) -> tuple[Array, Array]:
-        motion = self._motion(state)
-        residual, _, jacobian = self._rows(motion)
-        change, share = self._least(jacobian, residual)
-        moved = state.copy()
-        moved[..., _X] -= change[..., :3] * self._inverse_mass_root
-        turn = _times(motion.turn, change[..., 3:] * self._inverse_inertia_root)
-        moved[..., _Q] = rotation.multiply(rotation.from_vector(-turn), state[..., _Q])
-        return moved, share
 
     def _motion(self, state: Array) -> Moving:
         q = state[..., _Q]
@@ -229,7 +206,7 @@ class Dynamics:
             twist += top.hinge_incidence @ (
                 motion.vector[0][:, top.layout.hinge] * torque[..., None]
             )
-        if len(top.stiffness):
+        if len(top.spring):
             self._add_springs(motion, push, twist)
         if self.mechanism.compliant or self.mechanism.drives:
             loads = joint_loads(self.mechanism, self.unpack(state), pushes)
@@ -250,12 +227,13 @@ class Dynamics:
         distance = np.sqrt(np.einsum("bsi,bsi->bs", d, d))
         along = d / distance[..., None]
         stretch = np.einsum("bsi,bsi->bs", along, d_rate)
-        tension = top.stiffness * (distance - top.rest_length) + top.damping * stretch
+        rest_length, stiffness, damping = top.spring.T
+        tension = stiffness * (distance - rest_length) + damping * stretch
         pull = tension[..., None] * along
         spans = top.layout.span_body.shape[1]
         for end, sign in ((0, 1.0), (1, -1.0)):
             first = end * spans + top.layout.springs.start
-            arm = motion.vector[0][:, first : first + len(top.stiffness)]
+            arm = motion.vector[0][:, first : first + len(top.spring)]
             push += top.spring_incidence[end] @ (sign * pull)
             twist += top.spring_incidence[end] @ rotation.cross(arm, sign * pull)
 
@@ -295,6 +273,11 @@ class Dynamics:
         values = np.matmul(jacobian, scaled[..., None]).reshape(len(jacobian), -1)
         first, second = self._multipliers.row_slot
         return values[:, first] + values[:, second]
+
+    def _unscaled(self, motion: Moving, scaled: Array) -> tuple[Array, Array]:
+        """Linear and angular parts in W of scaled changes or accelerations."""
+        turn = _times(motion.turn, scaled[..., 3:] * self._inverse_inertia_root)
+        return scaled[..., :3] * self._inverse_mass_root, turn
 
     def _rates(self, jacobian: Array, motion: Moving, state: Array) -> Array:
         top = self.topology

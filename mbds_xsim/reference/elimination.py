@@ -69,11 +69,11 @@ def plan_of(
     Args:
         parent: Parent of each link; children have the larger numbers.
         speeds: Number of each link's speeds.
-        ends: Links of the rows' two ends, shape (2, row).
+        ends: Links of the rows' two ends, shape (row, 2).
         coupled: Mask of the rows that act on coordinates of these links, shape (row,).
         keep_all: Whether no row is eliminated; the couplings are then those at the world.
     """
-    world, couplings = len(parent), _Couplings(ends.shape[1])
+    world, couplings = len(parent), _Couplings(len(ends))
     on, leaving = _ways(parent, ends, coupled, keep_all)
     pairs: list[list[int]] = [[] for _ in range(world)]
     drop = np.zeros((world + 1, 2), dtype=np.int64)
@@ -92,23 +92,24 @@ def plan_of(
         drop[link, 1] = len(dropped)
         if link < world:
             pairs[link] = couplings.join([row for row, _ in on[link]])
-    ways = [way for link in range(world) for way in on[link]]
     width = [int(speeds[link]) for link in range(world) for _ in on[link]]
+    on_row, on_end = _columns(on[:world], 2)
+    near_row, near_end, near_pair = _columns(near, 3)
     return Elimination(
         on_start=_starts(on[:world]),
-        on_row=_column(ways, 0),
-        on_end=_column(ways, 1),
+        on_row=on_row,
+        on_end=on_end,
         on_speed=np.cumsum([0, *width])[:-1],
-        on_pair=_flat(pairs),
+        on_pair=_columns(pairs, 1)[0],
         pair_start=_starts(pairs),
         drop=drop,
         drop_row=np.array(dropped, dtype=np.int64),
         near_start=_starts(near),
-        near_row=_column([each for rows in near for each in rows], 0),
-        near_end=_column([each for rows in near for each in rows], 1),
-        near_pair=_column([each for rows in near for each in rows], 2),
+        near_row=near_row,
+        near_end=near_end,
+        near_pair=near_pair,
         fill_start=_starts(fill),
-        fill_pair=_flat(fill),
+        fill_pair=_columns(fill, 1)[0],
         pair_row=np.array([*couplings.number], dtype=np.int64).reshape(-1, 2),
         speed_count=sum(width),
     )
@@ -145,7 +146,7 @@ def _ways(
     world = len(parent)
     on: list[list[tuple[int, int]]] = [[] for _ in range(world + 1)]
     leaving: list[list[int]] = [[] for _ in range(world + 1)]
-    for row, pair in enumerate(ends.T.tolist()):
+    for row, pair in enumerate(ends.tolist()):
         first, second = (_path(parent, end) for end in pair)
         inner = [path[1:] if coupled[row] else path for path in (first, second)]
         meet = next((link for link in inner[0] if link in inner[1]), world)
@@ -171,12 +172,10 @@ def _starts(lists: Sequence[Sequence[object]]) -> Index:
     return np.cumsum([0, *map(len, lists)])
 
 
-def _flat(lists: list[list[int]]) -> Index:
-    return np.array([each for one in lists for each in one], dtype=np.int64)
-
-
-def _column(rows: Sequence[tuple[int, ...]], k: int) -> Index:
-    return np.array([row[k] for row in rows], dtype=np.int64)
+def _columns(lists: Sequence[Sequence[object]], count: int) -> Index:
+    """Join lists of numbers, or of as many in a tuple; return what stands in each place."""
+    table = np.array([each for one in lists for each in one], dtype=np.int64)
+    return np.ascontiguousarray(table.reshape(-1, count).T)
 
 
 def with_short_loops(mechanism: Mechanism) -> Mechanism:
@@ -228,7 +227,7 @@ def _work(mechanism: Mechanism) -> int:
     ends = [((j.parent, j.child), _CLOSES[j.kind]) for j in mechanism.loops]
     ends += [(pair.bodies, _DISTANCE) for pair in mechanism.distances]
     each = [number.get(body, world) for pair, _ in ends for body in pair]
-    pairs = np.array(each, dtype=np.int64).reshape(-1, 2).T
+    pairs = np.array(each, dtype=np.int64).reshape(-1, 2)
     on, _ = _ways(parent, pairs, np.zeros(len(ends), dtype=bool))
     rows = [sum(ends[row][1] for row, _ in here) for here in on]
     return sum(count * (count + _PASSING) for count in rows)

@@ -7,7 +7,6 @@ coordinates of joints: then they use those of the mechanism's tree (`compiled`).
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,25 +23,32 @@ _HOLLOW = 1e-12  # of mass · length²: constraints at that distance lose four d
 def dynamics_of(mechanism: Mechanism) -> Dynamics:
     """Prepare the equations of motion of a mechanism (once each)."""
     if mechanism.rotors or mechanism.couplings or mechanism.braked:
-        return Dynamics(mechanism, _Compiled(mechanism))
+        return _TreeDynamics(mechanism)
     return maximal_of(mechanism)
 
 
-@dataclass(frozen=True, eq=False)
-class _Compiled:
-    """The compiled equations of a mechanism; a compiler is imported when they are used."""
+class _TreeDynamics(Dynamics):
+    """Equations with effects on coordinates of a tree; their use imports a compiler."""
 
-    mechanism: Mechanism
+    def accelerations(
+        self, state: Array, force: Array, torque: Array
+    ) -> tuple[Array, Array, Array]:
+        twist_rates = _on_tree(self.mechanism, state, force, torque)
+        whole = np.pad(twist_rates, ((0, 0), (0, 1), (0, 0)))
+        return whole[..., :3], whole[..., 3:], np.ones(len(state))
 
-    def accelerations(self, states: Array, force: Array, torque: Array) -> Array:
-        from mbds_xsim.reference.compiled import body_accelerations
-
-        return body_accelerations(self.mechanism, states, force, torque)
-
-    def projected(self, states: Array) -> Array:
+    def project(self, state: Array) -> Array:
+        if not self.mechanism.couplings:
+            return super().project(state)
         from mbds_xsim.reference.compiled import projected
 
-        return projected(self.mechanism, states)
+        return projected(self.mechanism, state)
+
+
+def _on_tree(mechanism: Mechanism, states: Array, force: Array, torque: Array) -> Array:
+    from mbds_xsim.reference.compiled import body_accelerations
+
+    return body_accelerations(mechanism, states, force, torque)
 
 
 def accelerations(
@@ -69,7 +75,7 @@ def accelerations(
     inputs = len(mechanism.hinges) + len(mechanism.drives)
     torque = np.broadcast_to(torque, (*shape[:-2], inputs)).reshape(len(state), inputs)
     if _hollow(mechanism) or (many and _turns_bodies_alone(mechanism)):
-        twist_rates = _Compiled(mechanism).accelerations(state, force, torque)
+        twist_rates = _on_tree(mechanism, state, force, torque)
         return twist_rates[..., :3].reshape(shape), twist_rates[..., 3:].reshape(shape)
     parts = [slice(k, k + _AT_ONCE) for k in range(0, len(state), _AT_ONCE)]
     rates = [dynamics.derivative(state[part], force[part], torque[part]) for part in parts]

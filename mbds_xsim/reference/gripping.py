@@ -150,26 +150,25 @@ class _Motion:
 
     def _event_within(self, rate: Array, h: float, new: Array) -> float | None:
         """Find the share of a step after which its first event occurs; None if there is none."""
-        low, high = 0.0, 1.0
-        if not self._has_turned(new):
-            places = self._dips(h, new)
-            crossed = (p for p in places.tolist() if self._has_turned(self._tried(rate, p * h)[0]))
-            if (place := next(crossed, None)) is None:
-                return None
-            high = place
-        return self._narrowed(rate, h, low, high)
+        if self._has_turned(new):
+            return self._narrowed(rate, h, 1.0)
+        places = self._dips(h, new).tolist()
+        crossed = (p for p in places if self._has_turned(self._tried(rate, p * h)[0]))
+        place = next(crossed, None)
+        return None if place is None else self._narrowed(rate, h, place)
 
-    def _narrowed(self, rate: Array, h: float, low: float, high: float) -> float:
+    def _narrowed(self, rate: Array, h: float, high: float) -> float:
         """Find the least share of a step at which an event has occurred, as it has at `high`."""
         from scipy.optimize import brentq  # takes long to import
 
         after = self._margins(self._tried(rate, high * h)[0])
         for brake in np.flatnonzero((self._margins(self._y) > 0.0) & (after < 0.0)).tolist():
             if self._margin_at(high, rate, h, brake) < 0.0:
-                root = brentq(self._margin_at, low, high, (rate, h, brake), xtol=_NARROW)
+                root = brentq(self._margin_at, 0.0, high, (rate, h, brake), xtol=_NARROW)
                 high = min(high, root + 2.0 * _NARROW)
         if not self._has_turned(self._tried(rate, high * (1.0 - _APART) * h)[0]):
             return high  # no event occurs before
+        low = 0.0
         while high - low > _NARROW:
             middle = (low + high) / 2
             turned = self._has_turned(self._tried(rate, middle * h)[0])

@@ -52,10 +52,7 @@ REFERENCE = Kernels("reference", _solve_once, 10)
 
 
 def compile_once(
-    notice: Callable[[str], None],
-    *,
-    workers: int | None,
-    kernels: Sequence[Kernels] = (REFERENCE,),
+    notice: Callable[[str], None], *, workers: int | None, kernels: Sequence[Kernels] = (REFERENCE,)
 ) -> None:
     """Compile the kernels that are not compiled yet, each in a process of its own.
 

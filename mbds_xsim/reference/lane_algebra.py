@@ -1,7 +1,7 @@
 """Vectors and matrices in space for compiled kernels; each element is eight trajectories' numbers.
 
 Vectors are tuples of three, symmetric matrices of six (xx, yy, zz, xy, xz, yz), other matrices of
-nine, row by row, quaternions of four (wxyz).
+nine, row by row, quaternions of four (wxyz). `store` writes any of them.
 """
 
 from __future__ import annotations
@@ -16,78 +16,54 @@ def load3(a, k):
 
 
 @traced
-def store3(a, k, v):
-    """Write a vector."""
-    store(a, k, v[0])
-    store(a, k + 1, v[1])
-    store(a, k + 2, v[2])
-
-
-@traced
 def load6(a, k):
     """Read a symmetric matrix."""
-    x, y = load3(a, k), load3(a, k + 3)
-    return x[0], x[1], x[2], y[0], y[1], y[2]
-
-
-@traced
-def store6(a, k, m):
-    """Write a symmetric matrix."""
-    store3(a, k, (m[0], m[1], m[2]))
-    store3(a, k + 3, (m[3], m[4], m[5]))
+    return (*load3(a, k), *load3(a, k + 3))
 
 
 @traced
 def load9(a, k):
     """Read a matrix."""
-    return (
-        load(a, k), load(a, k + 1), load(a, k + 2), load(a, k + 3), load(a, k + 4), load(a, k + 5),
-        load(a, k + 6), load(a, k + 7), load(a, k + 8),
-    )  # fmt: skip
-
-
-@traced
-def store9(a, k, m):
-    """Write a matrix."""
-    store3(a, k, (m[0], m[1], m[2]))
-    store3(a, k + 3, (m[3], m[4], m[5]))
-    store3(a, k + 6, (m[6], m[7], m[8]))
+    return (*load6(a, k), *load3(a, k + 6))
 
 
 @traced
 def number3(a, k):
-    """Read three numbers that are the same in all lanes."""
+    """Read a vector that is the same in all lanes."""
     return a[k, 0], a[k, 1], a[k, 2]
 
 
 @traced
+def number9(a, k):
+    """Read a matrix that is the same in all lanes."""
+    return tuple(a[k, column] for column in range(9))
+
+
+@traced
 def add(a, b):
-    """Add vectors."""
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
-
-
-@traced
-def add_to3(a, k, v):
-    """Add a vector to one in an array."""
-    store3(a, k, add(load3(a, k), v))
-
-
-@traced
-def add_to(a, k, more):
-    """Add a number to one in an array."""
-    store(a, k, load(a, k) + more)
+    """Add vectors or matrices."""
+    return tuple(x + y for x, y in zip(a, b, strict=True))
 
 
 @traced
 def sub(a, b):
-    """Subtract vectors."""
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+    """Subtract vectors or matrices."""
+    return tuple(x - y for x, y in zip(a, b, strict=True))
 
 
 @traced
 def times(f, v):
-    """Multiply a vector by a number."""
-    return f * v[0], f * v[1], f * v[2]
+    """Multiply a vector or matrix by a number."""
+    return tuple(f * x for x in v)
+
+
+@traced
+def add_to(a, k, more):
+    """Add a number, vector or matrix to one in an array."""
+    if isinstance(more, tuple):
+        store(a, k, tuple(load(a, k + q) + each for q, each in enumerate(more)))
+    else:
+        store(a, k, load(a, k) + more)
 
 
 @traced
@@ -105,31 +81,31 @@ def cross(a, b):
 @traced
 def apply(m, v):
     """Multiply a matrix and a vector."""
-    return (
-        m[0] * v[0] + m[1] * v[1] + m[2] * v[2],
-        m[3] * v[0] + m[4] * v[1] + m[5] * v[2],
-        m[6] * v[0] + m[7] * v[1] + m[8] * v[2],
-    )
-
-
-@traced
-def apply_turned(m, v):
-    """Multiply a transposed matrix and a vector."""
-    return (
-        m[0] * v[0] + m[3] * v[1] + m[6] * v[2],
-        m[1] * v[0] + m[4] * v[1] + m[7] * v[2],
-        m[2] * v[0] + m[5] * v[1] + m[8] * v[2],
-    )
+    return tuple(dot(row, v) for row in _rows(m))
 
 
 @traced
 def apply_even(m, v):
     """Multiply a symmetric matrix and a vector."""
-    return (
-        m[0] * v[0] + m[3] * v[1] + m[4] * v[2],
-        m[3] * v[0] + m[1] * v[1] + m[5] * v[2],
-        m[4] * v[0] + m[5] * v[1] + m[2] * v[2],
-    )
+    return apply(whole(m), v)
+
+
+@traced
+def outer(a, b):
+    """Return the matrix a bᵀ."""
+    return tuple(x * y for x in a for y in b)
+
+
+@traced
+def whole(m):
+    """Return all nine elements of a symmetric matrix."""
+    return m[0], m[3], m[4], m[3], m[1], m[5], m[4], m[5], m[2]
+
+
+@traced
+def upper(m):
+    """Return a matrix that is symmetric as such, by its upper half."""
+    return m[0], m[4], m[8], m[1], m[2], m[5]
 
 
 @traced
@@ -148,31 +124,28 @@ def inverse_even(m):
 @traced
 def product(a, b):
     """Multiply matrices."""
-    x, y, z = (b[0], b[3], b[6]), (b[1], b[4], b[7]), (b[2], b[5], b[8])
-    return _columns(apply(a, x), apply(a, y), apply(a, z))
+    return transposed([x for column in _columns(b) for x in apply(a, column)])
 
 
 @traced
-def even_product(a, b):
-    """Multiply a symmetric matrix and another one."""
-    x, y, z = (b[0], b[3], b[6]), (b[1], b[4], b[7]), (b[2], b[5], b[8])
-    return _columns(apply_even(a, x), apply_even(a, y), apply_even(a, z))
+def less_product(m, a, b):
+    """Subtract a product of matrices that is symmetric from a symmetric matrix."""
+    for column, row in zip(_columns(a), _rows(b), strict=True):
+        m = sub(m, upper(outer(column, row)))
+    return m
 
 
 @traced
-def crossed_even(m, r):
-    """Multiply a symmetric matrix M and [r]× from the right."""
-    x, y, z = (m[0], m[3], m[4]), (m[3], m[1], m[5]), (m[4], m[5], m[2])
+def crossed(m, r):
+    """Multiply a matrix M and [r]× from the right."""
     # Each row v of M becomes v × r, which is vᵀ [r]×.
-    a, b, c = cross(x, r), cross(y, r), cross(z, r)
-    return a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]
+    return tuple(x for row in _rows(m) for x in cross(row, r))
 
 
 @traced
 def cross_matrix(r, m):
     """Multiply [r]× and a matrix."""
-    x, y, z = (m[0], m[3], m[6]), (m[1], m[4], m[7]), (m[2], m[5], m[8])
-    return _columns(cross(r, x), cross(r, y), cross(r, z))
+    return transposed([x for column in _columns(m) for x in cross(r, column)])
 
 
 @traced
@@ -181,9 +154,12 @@ def transposed(m):
     return m[0], m[3], m[6], m[1], m[4], m[7], m[2], m[5], m[8]
 
 
-@traced
-def _columns(x, y, z):
-    return x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]
+def _rows(m):
+    return m[:3], m[3:6], m[6:]
+
+
+def _columns(m):
+    return m[::3], m[1::3], m[2::3]
 
 
 @traced

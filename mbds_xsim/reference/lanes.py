@@ -6,6 +6,7 @@ compiler can prove about arrays. Such values are kept in arrays of shape (number
 
 from __future__ import annotations
 
+import itertools
 import math
 import operator
 from collections.abc import Callable
@@ -51,7 +52,7 @@ def spread_over(builder: Any, value: Any) -> Any:
 _INDEX = ir.IntType(32)
 
 
-def _arithmetic(operation: Any, instruction: str) -> None:
+def _arithmetic(operation: Any, instruction: str, count: int = 2) -> None:
     """Let an operator take lanes, and lanes with a number."""
 
     @infer_global(operation)
@@ -59,73 +60,34 @@ def _arithmetic(operation: Any, instruction: str) -> None:
         metadata = FIRST
 
         def generic(self, args: Any, kws: Any) -> Any:  # noqa: ARG002
-            allowed = len(args) == 2 and lanes in args and set(args) <= {lanes, types.float64}
+            allowed = len(args) == count and lanes in args and set(args) <= {lanes, types.float64}
             return signature(lanes, *args) if allowed else None
 
-    for left, right in ((lanes, lanes), (types.float64, lanes), (lanes, types.float64)):
+    for kinds in itertools.product((lanes, types.float64), repeat=count):
+        if lanes not in kinds:
+            continue
 
-        @lower_builtin(operation, left, right)
-        def _lowered(
-            context: Any,  # noqa: ARG001
-            builder: Any,
-            sig: Any,
-            args: Any,
-        ) -> Any:
-            a, b = (
+        @lower_builtin(operation, *kinds)
+        def _lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
+            whole = (
                 value if kind is lanes else spread_over(builder, value)
                 for kind, value in zip(sig.args, args, strict=True)
             )
-            return getattr(builder, instruction)(a, b)
+            return getattr(builder, instruction)(*whole)
 
 
-for _operation, _instruction in (
-    (operator.add, "fadd"),
-    (operator.sub, "fsub"),
-    (operator.mul, "fmul"),
-    (operator.truediv, "fdiv"),
-):
-    _arithmetic(_operation, _instruction)
+_arithmetic(operator.add, "fadd")
+_arithmetic(operator.sub, "fsub")
+_arithmetic(operator.mul, "fmul")
+_arithmetic(operator.truediv, "fdiv")
+_arithmetic(operator.neg, "fneg", count=1)
 
 
-@infer_global(operator.neg)
-class _Negated(AbstractTemplate):
-    metadata = FIRST
-
-    def generic(self, args: Any, kws: Any) -> Any:  # noqa: ARG002
-        return signature(lanes, lanes) if args == (lanes,) else None
-
-
-@lower_builtin(operator.neg, lanes)
-def _negated(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
-    return builder.fneg(args[0])
-
-
-def address(context: Any, builder: Any, kind: Any, array: Any, row: Any, width: int = LANES) -> Any:
-    """Point to a row of an array of lanes."""
+def address(context: Any, builder: Any, kind: Any, array: Any, row: Any, width: int) -> Any:
+    """Point to eight numbers of an array, by their row and its width."""
     array = context.make_array(kind)(context, builder, array)
     row = builder.mul(row, context.get_constant(types.intp, width))
     return builder.bitcast(builder.gep(array.data, [row]), _VECTOR.as_pointer())
-
-
-@intrinsic
-def eight(typing: Any, array: Any, at: Any) -> Any:  # noqa: ARG001
-    """Read eight numbers that follow each other in an array of one axis."""
-
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return builder.load(address(context, builder, sig.args[0], args[0], args[1], 1), align=8)
-
-    return lanes(array, types.intp), generate
-
-
-@intrinsic
-def put_eight(typing: Any, array: Any, at: Any, value: Any) -> Any:  # noqa: ARG001
-    """Write eight numbers that follow each other in an array of one axis."""
-
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        builder.store(args[2], address(context, builder, sig.args[0], args[0], args[1], 1), align=8)
-        return context.get_dummy_value()
-
-    return types.void(array, types.intp, lanes), generate
 
 
 @intrinsic

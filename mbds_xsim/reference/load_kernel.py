@@ -5,7 +5,7 @@ from __future__ import annotations
 from mbds_xsim.reference.compiling import compiled
 from mbds_xsim.reference.lane_algebra import (
     add,
-    add_to3,
+    add_to,
     apply,
     apply_even,
     cross,
@@ -13,14 +13,14 @@ from mbds_xsim.reference.lane_algebra import (
     load3,
     load9,
     number3,
-    store3,
-    store6,
-    store9,
+    product,
     sub,
     times,
+    transposed,
+    upper,
 )
 from mbds_xsim.reference.lanes import larger, root, spread
-from mbds_xsim.reference.traced import load, traced
+from mbds_xsim.reference.traced import load, store, traced
 from mbds_xsim.reference.tree import SLIDER, Tree
 from mbds_xsim.reference.tree_kernel import PLACES, F, H, J, M, N, R, V, W, Workspace, X, zero
 
@@ -29,8 +29,8 @@ from mbds_xsim.reference.tree_kernel import PLACES, F, H, J, M, N, R, V, W, Work
 def still(t: Tree, work: Workspace):
     """Set all loads on bodies to zero."""
     for i in range(len(t.kind) + 1):
-        store3(work.link, i * PLACES + F, zero())
-        store3(work.link, i * PLACES + N, zero())
+        store(work.link, i * PLACES + F, zero())
+        store(work.link, i * PLACES + N, zero())
 
 
 @compiled
@@ -104,17 +104,17 @@ def _between(a, p, c, first, second):
 def _pull(a, p, c, first, second, pull):
     """Pull a point of the first body by a force, and a point of the second by its opposite."""
     back = times(-1.0, pull)
-    add_to3(a, p + F, pull)
-    add_to3(a, c + F, back)
-    add_to3(a, p + N, cross(first, pull))
-    add_to3(a, c + N, cross(second, back))
+    add_to(a, p + F, pull)
+    add_to(a, c + F, back)
+    add_to(a, p + N, cross(first, pull))
+    add_to(a, c + N, cross(second, back))
 
 
 @traced
 def _turn(a, p, c, moment):
     """Apply a moment to the second body, and its opposite to the first."""
-    add_to3(a, c + N, moment)
-    add_to3(a, p + N, times(-1.0, moment))
+    add_to(a, c + N, moment)
+    add_to(a, p + N, times(-1.0, moment))
 
 
 @compiled
@@ -124,28 +124,20 @@ def weigh(t: Tree, work: Workspace):
     for i in range(len(t.kind)):
         b = i * PLACES
         turn, spin, mass = load9(a, b + R), load3(a, b + W), t.mass[i]
-        c = (t.moment[i, 0], t.moment[i, 1], t.moment[i, 2])
-        x, y, z = (
-            (turn[0], turn[1], turn[2]),
-            (turn[3], turn[4], turn[5]),
-            (turn[6], turn[7], turn[8]),
-        )
-        cx = (c[0] * x[0], c[1] * x[1], c[2] * x[2])
-        cy = (c[0] * y[0], c[1] * y[1], c[2] * y[2])
-        inertia = (
-            dot(cx, x), dot(cy, y), c[0] * z[0] * z[0] + c[1] * z[1] * z[1] + c[2] * z[2] * z[2],
-            dot(cx, y), dot(cx, z), dot(cy, z),
-        )  # fmt: skip
+        inertia = _turned(turn, number3(t.moment, i))
         m, o = spread(mass), spread(0.0)
-        store6(a, b + M, (m, m, m, o, o, o))
-        store9(a, b + H, (o, o, o, o, o, o, o, o, o))
-        store6(a, b + J, inertia)
+        store(a, b + M, (m, m, m, o, o, o))
+        store(a, b + H, (o, o, o, o, o, o, o, o, o))
+        store(a, b + J, inertia)
         force, moment = load3(work.load, 6 * i), load3(work.load, 6 * i + 3)
-        force = (
-            force[0] + mass * t.gravity[0],
-            force[1] + mass * t.gravity[1],
-            force[2] + mass * t.gravity[2],
-        )
-        store3(a, b + F, times(-1.0, add(force, load3(a, b + F))))
+        force = add(force, times(mass, (t.gravity[0], t.gravity[1], t.gravity[2])))
+        store(a, b + F, times(-1.0, add(force, load3(a, b + F))))
         bias = sub(cross(spin, apply_even(inertia, spin)), add(moment, load3(a, b + N)))
-        store3(a, b + N, bias)
+        store(a, b + N, bias)
+
+
+@traced
+def _turned(turn, moments):
+    """Return the inertia of a body by its rotation matrix and principal moments."""
+    scaled = tuple(moment * x for x, moment in zip(turn, 3 * moments, strict=True))
+    return upper(product(scaled, transposed(turn)))

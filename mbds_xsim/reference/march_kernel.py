@@ -17,11 +17,11 @@ import numpy as np
 from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.reference.closure_kernel import accelerate, project, resist
 from mbds_xsim.reference.compiling import compiled, entered
-from mbds_xsim.reference.lane_algebra import hamilton
+from mbds_xsim.reference.lane_algebra import add, hamilton, times
 from mbds_xsim.reference.lanes import LANES, larger, positive, size, spread
 from mbds_xsim.reference.load_kernel import hold
 from mbds_xsim.reference.noted import noted
-from mbds_xsim.reference.traced import load, store
+from mbds_xsim.reference.traced import load, store, traced
 from mbds_xsim.reference.tree import BALL, FREE, HINGE, Tree
 from mbds_xsim.reference.tree_kernel import PLACES, A, V, W, Workspace, X, move
 
@@ -49,13 +49,13 @@ class Scheme(NamedTuple):
     stage: Index
     """Stage of each weight; weights of zero are left out."""
     weight: Array
-    rtol: float
-    first: float
-    smallest: float
-    most: int
-    companions: int
-    near: float
-    follows: float
+    rtol: float = 0.0
+    first: float = 0.0
+    smallest: float = 0.0
+    most: int = 0
+    companions: int = 1
+    near: float = 0.0
+    follows: float = 1e-4
 
 
 class Lane(NamedTuple):
@@ -91,7 +91,7 @@ class Problems(NamedTuple):
     """Results, as states, shape (trajectory, frame + 1, body + world, 13), or as accelerations,
     shape (state, 1, body, 6)."""
     status: Index
-    grip: Array
+    grip: Array = np.zeros((0, 0))
     """Dry friction of states whose accelerations are evaluated, shape (state, law)."""
 
 
@@ -243,11 +243,8 @@ def _try_step(t, work, method, lane):
     h, count = load(lane.h, 0), len(lane.y)
     for stage in range(1, _STAGES + 1):
         for j in range(0, count, BLOCK):
-            a, b, c, d = _combined(method, stage, lane.stages, count, j)
-            store(lane.new, j, load(lane.y, j) + h * a)
-            store(lane.new, j + 1, load(lane.y, j + 1) + h * b)
-            store(lane.new, j + 2, load(lane.y, j + 2) + h * c)
-            store(lane.new, j + 3, load(lane.y, j + 3) + h * d)
+            change = times(h, _combined(method, stage, lane.stages, count, j))
+            store(lane.new, j, add(_block(lane.y, j), change))
         if stage < _STAGES:
             accelerate(t, work, lane.new, lane.stages, stage * count)
             share, off = load(work.share, 0), load(work.share, 1)
@@ -259,14 +256,17 @@ def _try_step(t, work, method, lane):
 @compiled
 def _combined(method, row, stages, count, j):
     """Sum up the stages with the weights of a row, for a block of numbers at once."""
-    a, b, c, d = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+    o = spread(0.0)
+    total = o, o, o, o
     for k in range(method.begin[row], method.begin[row + 1]):
-        weight, at = method.weight[k], method.stage[k] * count + j
-        a = a + weight * load(stages, at)
-        b = b + weight * load(stages, at + 1)
-        c = c + weight * load(stages, at + 2)
-        d = d + weight * load(stages, at + 3)
-    return a, b, c, d
+        stage = _block(stages, method.stage[k] * count + j)
+        total = add(total, times(method.weight[k], stage))
+    return total
+
+
+@traced
+def _block(a, k):
+    return tuple(load(a, k + q) for q in range(BLOCK))
 
 
 @compiled

@@ -195,11 +195,11 @@ class _March:
         self.tries = np.zeros(batch, dtype=np.intp)
         self.singular = np.zeros(batch, dtype=np.intp)
         self.rate = np.empty_like(self.y)
-        self._end_together(branchless(problem), lambda _: Failure(1, BIFURCATION))
+        self._end(branchless(problem), lambda _: Failure(1, BIFURCATION))
         if not len(self.row):
             return
         self.y = self.dynamics.project(self.y)
-        self.rate = self._derivative(self.y, self._forces(slice(None)))
+        self.rate = self.dynamics.derivative(self.y, *self._forces(slice(None)))
         self._end_at_impact(np.where(resting(*self.dynamics.gaps(self.y)), 0.0, np.nan))
 
     def run(self) -> Marched:
@@ -212,15 +212,12 @@ class _March:
         row, at = self.row[pick], self.at[pick]
         return self.problem.force[row, at], self.problem.torque[row, at]
 
-    def _derivative(self, y: Array, forces: tuple[Array, Array]) -> Array:
-        return self.dynamics.derivative(y, *forces)
-
     def _advance(self) -> None:
         """Try a step with every state; those whose error is too large stay where they are."""
         # Equal steps to the end of the frame, so that the last one is not too short.
         h = self.remaining / np.ceil(self.remaining / self.step)
         forces = self._forces(slice(None))
-        new, stages = try_step(lambda y: self._derivative(y, forces), self.y, self.rate, h)
+        new, stages = try_step(lambda y: self.dynamics.derivative(y, *forces), self.y, self.rate, h)
         allowed = self.rtol * (1.0 + np.maximum(np.abs(self.y), np.abs(new)))
         ratio = error_ratio(stages, h, allowed).reshape(-1, self.companions).max(axis=1)
         ratio = np.repeat(ratio, self.companions)
@@ -234,18 +231,18 @@ class _March:
         smallest = SMALLEST_STEP * self.frame
         self._end(self.step < smallest, self._stuck(f"a step below {smallest:.1e} s is needed"))
         why = f"{MOST_STEPS} steps do not reach the end of a frame"
-        self._end_together(self.tries > MOST_STEPS, self._stuck(why))
+        self._end(self.tries > MOST_STEPS, self._stuck(why))
         late = np.flatnonzero(self.tries > _USUAL_STEPS)
         if len(late):
             _, share = self.dynamics.rate(self.y[late], *self._forces(late))
             self.singular[late] += share < self.dynamics.near
         why = f"{_SINGULAR_STEPS} steps begin at nearly dependent constraints: check axes in loops"
-        self._end_together(self.singular > _SINGULAR_STEPS, self._stuck(why))
+        self._end(self.singular > _SINGULAR_STEPS, self._stuck(why))
 
     def _impacts(self, new: Array, forces: tuple[Array, Array], h: Array, good: Mask) -> Array:
         """Return when contact spheres touch something in good steps [s]; NaN where they do not."""
         times = np.full(len(new), np.nan)
-        if not len(self.dynamics.topology.sphere_body):
+        if not self.dynamics.mechanism.scene.contacts:
             return times
         places = dips(self.dynamics.gaps(self.y), self.dynamics.gaps(new), h)
         for row in np.flatnonzero(good & np.isfinite(places).any(axis=1)).tolist():
@@ -283,7 +280,7 @@ class _March:
         under_way = self.at < self.frames
         done = done[under_way[done]]
         if len(done):
-            self.rate[done] = self._derivative(self.y[done], self._forces(done))
+            self.rate[done] = self.dynamics.derivative(self.y[done], *self._forces(done))
         if not under_way.all():
             self._keep(under_way)
 
@@ -294,16 +291,13 @@ class _March:
         self._end(np.isfinite(time), lambda k: FirstImpact.at(int(self.at[k]) + 1, float(time[k])))
 
     def _end(self, ended: Mask, failure: Callable[[int], Failure]) -> None:
-        """Stop some states before the end of the frame they are in."""
+        """Stop some states, and their companions, before the end of the frame they are in."""
+        together = np.any(ended.reshape(-1, self.companions), axis=1)
+        ended = np.repeat(together, self.companions)
         if ended.any():
             for k in np.flatnonzero(ended).tolist():
                 self.marched.failures[self.row[k]] = failure(k)
             self._keep(~ended)
-
-    def _end_together(self, ended: Mask, failure: Callable[[int], Failure]) -> None:
-        """Stop some states, and their companions."""
-        together = np.any(ended.reshape(-1, self.companions), axis=1)
-        self._end(np.repeat(together, self.companions), failure)
 
     def _stuck(self, why: str) -> Callable[[int], Failure]:
         def failure(k: int) -> Failure:

@@ -8,12 +8,15 @@ poses lie along the velocity, and each is projected onto the constraints.
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
+
+if TYPE_CHECKING:
+    from mbds_xsim.reference.dynamics import Dynamics
 
 BIFURCATION = (
     "the start is a bifurcation: the mechanism is in a singular pose, and its velocities (or, at "
@@ -38,34 +41,13 @@ _BESIDE, _WAY, _SEED = 2, 0.1, 20240911
 _TOLERANCE = 1e-9  # largest residual after Newton's method, over the scene's length
 
 
-class Equations(Protocol):
-    """Equations of motion that can be evaluated without regard to singular poses."""
-
-    length: float
-    """Length of the scene [m]."""
-    near: float
-    """Independent share of the rows below which a pose may be singular."""
-
-    def rate(self, state: Array, force: Array, torque: Array) -> tuple[Array, Array]:
-        """Return time derivatives and independent shares."""
-        ...
-
-    def closest(self, state: Array) -> tuple[Array, Array]:
-        """Project states onto the constraints; also return independent shares."""
-        ...
-
-    def residual(self, state: Array) -> Array:
-        """Return constraint residuals."""
-        ...
-
-
 def interpolated(
-    dynamics: Equations, state: Array, force: Array, torque: Array, rate: Array, share: float
+    dynamics: Dynamics, state: Array, force: Array, torque: Array, rate: Array, share: float
 ) -> Array:
     """Time derivative of a state near a singular pose, on the branch that its velocity follows.
 
     Args:
-        dynamics: Equations of motion.
+        dynamics: Dynamics of motion.
         state: State, shape (body + world, 13).
         force: Forces, shape (body, 3).
         torque: Torques about hinges, followed by the pushes of drives, shape (hinge + drive,).
@@ -81,12 +63,12 @@ def interpolated(
 
 
 def projected_onto_branch(
-    dynamics: Equations, state: Array, projected: Array, share: float
+    dynamics: Dynamics, state: Array, projected: Array, share: float
 ) -> Array:
     """Project one state onto the branch that its velocity follows.
 
     Args:
-        dynamics: Equations of motion.
+        dynamics: Dynamics of motion.
         state: State, shape (body + world, 13).
         projected: The state projected onto the well-conditioned constraints; returned if the pose
             turns out to be regular, or if nothing moves.
@@ -97,7 +79,7 @@ def projected_onto_branch(
 
 
 def _neighbours(
-    dynamics: Equations, state: Array, acceleration: Array, share: float
+    dynamics: Dynamics, state: Array, acceleration: Array, share: float
 ) -> Array | None:
     """States on the constraints at `_PLACES` before and after a state.
 
@@ -113,7 +95,7 @@ def _neighbours(
     return near if shares[np.abs(_PLACES) == 1].min() > _CLEARER * share else None
 
 
-def has_branch(dynamics: Equations, state: Array, force: Array, torque: Array) -> bool:
+def has_branch(dynamics: Dynamics, state: Array, force: Array, torque: Array) -> bool:
     """Whether a state is at a regular pose, or at a singular one and on one of its branches."""
     rates, shares = dynamics.rate(state[None], force[None], torque[None])
     if not shares[0] < dynamics.near:
@@ -126,7 +108,7 @@ def has_branch(dynamics: Equations, state: Array, force: Array, torque: Array) -
     return bool(np.abs(branch - motion).max() <= _SAME * max(np.abs(motion).max(), moving))
 
 
-def typical_states(dynamics: Equations, pose: Array) -> Array:
+def typical_states(dynamics: Dynamics, pose: Array) -> Array:
     """Return a pose, shape (1, body + world, 13), and some near it, few of which are singular.
 
     At nearly all poses the largest possible number of constraints is independent.
@@ -143,7 +125,7 @@ def typical_states(dynamics: Equations, pose: Array) -> Array:
     return np.concatenate([pose, moved[met]])
 
 
-def _direction(dynamics: Equations, twist: Array, acceleration: Array) -> Array | None:
+def _direction(dynamics: Dynamics, twist: Array, acceleration: Array) -> Array | None:
     """Twists of the motion, or at rest its accelerations, of `_size` 1, (body + world, 6)."""
     speed, change = _size(dynamics, twist), _size(dynamics, acceleration)
     if not 0.0 < speed + change < np.inf:
@@ -151,7 +133,7 @@ def _direction(dynamics: Equations, twist: Array, acceleration: Array) -> Array 
     return twist / speed if speed > _STILL * np.sqrt(change) else acceleration / change
 
 
-def _size(dynamics: Equations, twist: Array) -> float:
+def _size(dynamics: Dynamics, twist: Array) -> float:
     """Largest rotation, or displacement over the scene's length."""
     return float(max(np.abs(twist[:, :3]).max() / dynamics.length, np.abs(twist[:, 3:]).max()))
 

@@ -36,13 +36,7 @@ _CONFIRMED = 1e-13
 _ALONE = 1e-11
 
 
-def solve(
-    scene: Scene,
-    batch: Batch,
-    *,
-    rtol: float = 1e-11,
-    cache: bool = True,
-) -> Trajectory:
+def solve(scene: Scene, batch: Batch, *, rtol: float = 1e-11, cache: bool = True) -> Trajectory:
     """Integrate every trajectory of a batch to high accuracy.
 
     Most scenes are integrated by compiled kernels, in coordinates of a spanning tree; loops are
@@ -119,8 +113,7 @@ def _marched(problem: Problem) -> Marched:
 def checked_tolerance(rtol: float) -> float:
     """Return the tolerance, or raise InputError if it is out of range."""
     if not TIGHTEST <= rtol <= LOOSEST:
-        msg = f"rtol: got {rtol}, allowed is {TIGHTEST:.0e} to {LOOSEST:.0e}"
-        raise InputError(msg)
+        raise InputError(f"rtol: got {rtol}, allowed is {TIGHTEST:.0e} to {LOOSEST:.0e}")
     return rtol
 
 
@@ -129,7 +122,7 @@ def _check_apart(mechanism: Mechanism, start: Array) -> None:
     gap, _ = dynamics.gaps(start)
     if not (gap.size and gap.min() < -_SUNK):
         return
-    grounded, pairs = dynamics.topology.grounded, dynamics.topology.sphere_pairs.tolist()
+    grounded, pairs = dynamics.topology.grounded, mechanism.sphere_pairs.tolist()
     lowest, names = int(gap.min(axis=0).argmin()), [body.name for body in mechanism.scene.bodies]
     on = [f"contacts[{k}] on {names[body]!r}" for k, body in enumerate(mechanism.sphere_body)]
     if lowest < len(grounded):
@@ -152,7 +145,11 @@ def integrate(problem: Problem) -> Marched:
     if has_known_impacts(mechanism):
         return march_balls(problem) if mechanism.scene.ground else march_colliding(problem)
     if mechanism.braked:
-        return _gripping(problem)
+        from mbds_xsim.reference.gripping import march_gripping  # imports a compiler
+
+        # Companions stop and start at different times, so that their errors do not cancel.
+        rtol = min(problem.rtol, _ALONE) if problem.companions > 1 else problem.rtol
+        return march_gripping(dataclasses.replace(problem, rtol=rtol))
     stiff = is_stiff(problem)
     if stiff or mechanism.scene.contacts:
         marched = march_stiff(problem) if stiff else march(problem)
@@ -160,14 +157,6 @@ def integrate(problem: Problem) -> Marched:
     from mbds_xsim.reference.compiled import march_compiled  # imports a compiler
 
     return march_compiled(problem)
-
-
-def _gripping(problem: Problem) -> Marched:
-    from mbds_xsim.reference.gripping import march_gripping  # imports a compiler
-
-    # Companions stop and start at different times, so that their errors do not cancel.
-    rtol = min(problem.rtol, _ALONE) if problem.companions > 1 else problem.rtol
-    return march_gripping(dataclasses.replace(problem, rtol=rtol))
 
 
 def _trajectory(
@@ -209,13 +198,7 @@ _SEED = 20240607
 _PAIRS_TOGETHER = 32
 
 
-def sensitivity(
-    scene: Scene,
-    batch: Batch,
-    *,
-    rtol: float = 1e-7,
-    cache: bool = True,
-) -> Array:
+def sensitivity(scene: Scene, batch: Batch, *, rtol: float = 1e-7, cache: bool = True) -> Array:
     """Measure the growth factor G: RMS particle distance of two runs over that at the start.
 
     The second start is displaced by 1e-8 m, and its velocities are changed by 1e-8 m/s, in random
@@ -256,9 +239,7 @@ def _growth(scene: Scene, batch: Batch, rtol: float) -> Array:
     once = _problem(scene, batch, rtol)
     mechanism, dynamics = once.mechanism, once.dynamics
     start = dynamics.project(once.start)
-    other = np.array(
-        [_perturbed(mechanism, *pair) for pair in zip(start, batch.index, strict=True)]
-    )
+    other = np.array([_perturbed(dynamics, *pair) for pair in zip(start, batch.index, strict=True)])
     pairs = np.stack([start, other], axis=1).reshape(-1, *start.shape[1:])
     twice = once.part(np.repeat(np.arange(len(batch)), 2))
     marched = integrate(dataclasses.replace(twice, start=pairs, companions=2))
@@ -268,12 +249,11 @@ def _growth(scene: Scene, batch: Batch, rtol: float) -> Array:
     return np.asarray(distance / distance[:, :1])
 
 
-def _perturbed(mechanism: Mechanism, state: Array, index: int) -> Array:
+def _perturbed(dynamics: Dynamics, state: Array, index: int) -> Array:
     """Perturb one state, shape (body + world, 13), as its joints allow."""
-    dynamics = dynamics_of(mechanism)
     rng = np.random.default_rng(np.random.SeedSequence([_SEED, index]))
-    free = _free_components(mechanism, dynamics, state)
-    shift, rate = (_allowed_twist(mechanism, dynamics, state, free, rng) for _ in range(2))
+    free = _free_components(dynamics, state)
+    shift, rate = (_allowed_twist(dynamics, state, free, rng) for _ in range(2))
     moved = state.copy()
     moved[:, :3] += shift[:, :3]
     moved[:, 3:7] = rotation.multiply(rotation.from_vector(shift[:, 3:]), state[:, 3:7])
@@ -281,8 +261,9 @@ def _perturbed(mechanism: Mechanism, state: Array, index: int) -> Array:
     return np.asarray(dynamics.project(moved[None])[0])
 
 
-def _free_components(mechanism: Mechanism, dynamics: Dynamics, state: Array) -> Array:
+def _free_components(dynamics: Dynamics, state: Array) -> Array:
     """1 where a body may move or turn, else 0, shape (body, 6)."""
+    mechanism = dynamics.mechanism
     free = np.ones((mechanism.body_count, 6))
     if mechanism.scene.dimension < 3:
         free[:, [1, 3, 5]] = 0.0
@@ -295,18 +276,14 @@ def _free_components(mechanism: Mechanism, dynamics: Dynamics, state: Array) -> 
 
 
 def _allowed_twist(
-    mechanism: Mechanism,
-    dynamics: Dynamics,
-    state: Array,
-    free: Array,
-    rng: np.random.Generator,
+    dynamics: Dynamics, state: Array, free: Array, rng: np.random.Generator
 ) -> Array:
     """Random twists, shape (body + world, 6), under which the markers move by 1e-8 m (RMS)."""
     trial = state.copy()
     trial[:-1, 7:] = free * rng.standard_normal(free.shape)
-    trial[:-1, 10:] /= mechanism.scene.length
+    trial[:-1, 10:] /= dynamics.length
     trial = dynamics.project(trial[None])[0]
-    rate = dynamics.unpack(trial).speeds(*markers(mechanism))
+    rate = dynamics.unpack(trial).speeds(*markers(dynamics.mechanism))
     return np.asarray(trial[:, 7:] * (_SIZE / _rms(rate)))
 
 

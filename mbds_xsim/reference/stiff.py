@@ -73,16 +73,8 @@ def _through_frame(
     # Radau's estimate is of order 3 only, so its tolerance is looser (Hairer and Wanner, Solving
     # Ordinary Differential Equations II, 1996, section IV.8: the transformation of radau5).
     loose = 0.1 * rtol ** (2.0 / 3.0)
-    solver = Radau(
-        rate,
-        0.0,
-        state.reshape(-1),
-        frame,
-        rtol=loose,
-        atol=loose,
-        jac=rate.jacobian,
-        first_step=step,
-    )
+    y, jacobian = state.reshape(-1), rate.jacobian
+    solver = Radau(rate, 0.0, y, frame, rtol=loose, atol=loose, jac=jacobian, first_step=step)
     why = "the implicit method fails"
     for _ in range(MOST_STEPS):
         if solver.status != "running":
@@ -103,7 +95,7 @@ def _through_frame(
 
 def _impact(rate: _Rate, solver: Radau) -> float | None:
     """Time in the frame at which a contact sphere touched something in the last step, or None."""
-    if not len(rate.dynamics.topology.sphere_body):
+    if not rate.dynamics.mechanism.scene.contacts:
         return None
     path, begin, span = solver.dense_output(), solver.t_old, solver.t - solver.t_old
 

@@ -40,17 +40,12 @@ class Topology:
     """+1 at the child, −1 at the parent, shape (body + world, hinge)."""
     spring_incidence: Array
     """One incidence matrix for each end, shape (2, body + world, spring)."""
-    rest_length: Array
-    stiffness: Array
-    damping: Array
-    sphere_body: Indices
+    spring: Array
+    """Rest length, stiffness and damping, shape (spring, 3)."""
     sphere: Array
     """Centres of the contact spheres in principal frames, shape (sphere, 3)."""
-    sphere_radius: Array
     grounded: Indices
     """Spheres that may touch the ground."""
-    sphere_pairs: Indices
-    """Spheres that may touch each other, shape (pair, 2)."""
 
 
 @functools.lru_cache(maxsize=64)
@@ -79,14 +74,9 @@ def topology_of(mechanism: Mechanism) -> Topology:
         spring_incidence=np.array(
             [_incidence([spring.bodies[end] for spring in springs], count) for end in (0, 1)]
         ),
-        rest_length=np.array([spring.length for spring in springs]),
-        stiffness=np.array([spring.stiffness for spring in springs]),
-        damping=np.array([spring.damping for spring in springs]),
-        sphere_body=mechanism.sphere_body.astype(np.intp),
+        spring=np.array([(s.length, s.stiffness, s.damping) for s in springs]).reshape(-1, 3),
         sphere=rotation.rotate(back[mechanism.sphere_body], mechanism.sphere_offset),
-        sphere_radius=mechanism.sphere_radius,
         grounded=np.arange(len(mechanism.scene.contacts) if mechanism.scene.ground else 0),
-        sphere_pairs=mechanism.sphere_pairs.astype(np.intp),
     )
 
 

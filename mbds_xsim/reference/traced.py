@@ -19,7 +19,7 @@ from numba.core import cgutils
 from numba.core.typing.templates import signature
 from numba.extending import intrinsic
 
-from mbds_xsim.reference.lanes import address, lanes, spread_over
+from mbds_xsim.reference.lanes import LANES, address, lanes, spread_over
 
 
 @dataclass(frozen=True)
@@ -82,17 +82,17 @@ class RowArray:
     builder: Any = None
     value: Any = None
 
-    def row(self, at: Number) -> Number:
-        """Read a row of an array of lanes."""
+    def row(self, at: Number, width: int = LANES) -> Number:
+        """Read eight numbers, which are a row of an array of lanes, or start at any number."""
         if self.builder is None:
             return Number(lanes)
-        place = address(self.context, self.builder, self.kind, self.value, at.value)
+        place = address(self.context, self.builder, self.kind, self.value, at.value, width)
         return Number(lanes, self.builder, self.builder.load(place, align=8))
 
-    def put(self, at: Number, number: Number) -> None:
-        """Write a row of an array of lanes."""
+    def put(self, at: Number, number: Number, width: int = LANES) -> None:
+        """Write eight numbers, as `row` reads them."""
         if self.builder is not None:
-            place = address(self.context, self.builder, self.kind, self.value, at.value)
+            place = address(self.context, self.builder, self.kind, self.value, at.value, width)
             self.builder.store(number.value, place, align=8)
 
     def __getitem__(self, at: tuple[Number, int]) -> Number:
@@ -108,7 +108,7 @@ class RowArray:
 def traced(function: Callable[..., Any]) -> Any:
     """Let kernels call a function of numbers, tuples of numbers, and arrays."""
 
-    def typed(*arguments: Any) -> Any:
+    def typed(typing: Any, *arguments: Any) -> Any:  # noqa: ARG001
         kinds = [types.intp if isinstance(kind, types.Integer) else kind for kind in arguments]
         result = _kind_of(function(*(_traceable(kind) for kind in kinds)))
 
@@ -119,17 +119,11 @@ def traced(function: Callable[..., Any]) -> Any:
 
         return signature(result, *kinds), generate
 
-    shapes: tuple[Callable[..., Any], ...] = (
-        lambda _: typed(),
-        lambda _, a: typed(a),
-        lambda _, a, b: typed(a, b),
-        lambda _, a, b, c: typed(a, b, c),
-        lambda _, a, b, c, d: typed(a, b, c, d),
-        lambda _, a, b, c, d, e: typed(a, b, c, d, e),
-        lambda _, a, b, c, d, e, f: typed(a, b, c, d, e, f),
-        lambda _, a, b, c, d, e, f, g: typed(a, b, c, d, e, f, g),
-    )
-    wrapper = intrinsic(shapes[len(inspect.signature(function).parameters)])
+    # numba matches arguments to parameters by their names.
+    first, _ = inspect.signature(typed).parameters.values()
+    named = inspect.Signature([first, *inspect.signature(function).parameters.values()])
+    typed.__signature__ = named  # type: ignore[attr-defined]
+    wrapper = intrinsic(typed)
     # Traced functions call each other.
     own = {"__call__": lambda _, *arguments: function(*arguments)}
     wrapper.__class__ = type("Traced", (type(wrapper),), own)
@@ -167,6 +161,19 @@ def load(a, k):
 
 
 @traced
-def store(a, k, number):
-    """Write a row of an array of shape (number, 8)."""
-    a.put(k, number)
+def store(a, k, value):
+    """Write a row of an array of shape (number, 8), or as many as a tuple has numbers."""
+    for q, number in enumerate(value if isinstance(value, tuple) else (value,)):
+        a.put(k + q, number)
+
+
+@traced
+def eight(a, at):
+    """Read eight numbers that follow each other in an array of one axis."""
+    return a.row(at, 1)
+
+
+@traced
+def put_eight(a, at, value):
+    """Write eight numbers that follow each other in an array of one axis."""
+    a.put(at, value, 1)

@@ -21,7 +21,22 @@ _PLACES, _SPEEDS = (0, 2, 1, 4, 7), (0, 1, 1, 3, 6)
 
 ALONG, NORMAL, DISTANCE, COUPLED = range(4)
 
-_Rows = tuple[Index, Index, Array, Array, Array, Index]
+
+class ClosureRows(NamedTuple):
+    """Rows that close loops or couple joints."""
+
+    kind: Index
+    ends: Index
+    """Links of the two ends of each row, shape (row, 2)."""
+    points: Array
+    """Vectors fixed in the first and in the second link of each row, shape (row, 2, 3)."""
+    way: Array
+    """Direction of the row, fixed in the first link, or zeros, shape (row, 3). For a coupling,
+    whose ends are the follower's and the leader's link: 1, −ratio and 0."""
+    length: Array
+    """Length of a distance link [m], or offset of a coupling."""
+    place: Index
+    """Indices in a state of the coordinates of a coupling, shape (row, 2); 0 for other rows."""
 
 
 class Tree(NamedTuple):
@@ -86,17 +101,7 @@ class Tree(NamedTuple):
     turns, and follow the links' coordinates."""
     angle_link: Index
     """Links of coupled hinges; −1 for other laws, shape (law,)."""
-    row_kind: Index
-    row_ends: Index
-    row_points: Array
-    """Vectors fixed in the first and in the second link of each row, shape (2, row, 3)."""
-    row_way: Array
-    """Direction of the row, fixed in the first link, or zeros, shape (row, 3). For a coupling,
-    whose ends are the follower's and the leader's link: 1, −ratio and 0."""
-    row_length: Array
-    """Length of a distance link [m], or offset of a coupling."""
-    row_place: Index
-    """Indices in a state of the coordinates of a coupling, shape (2, row); 0 for other rows."""
+    row: ClosureRows
     loaded: int
     """Number of rows that carry loads; the rows after them follow from them."""
     plan: Elimination
@@ -129,11 +134,8 @@ def tree_of(mechanism: Mechanism) -> Tree:
     at = np.cumsum(places) - places
     acting = _acting(mechanism, inwards, link_of, int(places.sum()))
     rows, more = _rows(mechanism, inwards, link_of), _coupled(mechanism, at, acting["angle_at"])
-    row_kind, row_ends, row_points, row_way, row_length, row_place = (
-        np.concatenate(pair, axis)
-        for *pair, axis in zip(rows, more, (0, 1, 1, 0, 0, 1), strict=True)
-    )
-    bare = Tree(
+    row = ClosureRows._make(map(np.concatenate, zip(rows, more, strict=True)))
+    return Tree(
         kind=kind,
         parent=link_of[parent_body],
         body=body,
@@ -153,33 +155,19 @@ def tree_of(mechanism: Mechanism) -> Tree:
         moment=top.inertia_root[body] ** 2,
         yielding=np.array([*zip(1.0 / mechanism.mass[body], yielding, strict=True), (0.0, 0.0)]),
         gravity=top.gravity,
+        spring=top.spring,
         **acting,
-        row_kind=row_kind,
-        row_ends=row_ends,
-        row_points=row_points,
-        row_way=row_way,
-        row_length=row_length,
-        row_place=row_place,
-        loaded=0,
-        plan=plan_of(body, speeds, row_ends[:, :0], np.zeros(0, dtype=bool)),
+        row=row,
+        loaded=len(row.kind),
+        plan=plan_of(link_of[parent_body], speeds, row.ends, row.kind == COUPLED, keep_all=True),
     )
-    return with_rows(bare, np.arange(len(bare.row_kind)), len(bare.row_kind), keep_all=True)
 
 
-def with_rows(tree: Tree, order: Index, loaded: int, *, keep_all: bool = False) -> Tree:
-    """Order the closure rows; the first `loaded` carry loads; `keep_all` as in `plan_of`."""
-    ends, own = np.ascontiguousarray(tree.row_ends[:, order]), tree.row_kind[order] == COUPLED
-    speeds = np.diff(tree.speed_at)
-    return tree._replace(
-        row_kind=tree.row_kind[order],
-        row_ends=ends,
-        row_points=np.ascontiguousarray(tree.row_points[:, order]),
-        row_way=tree.row_way[order],
-        row_length=tree.row_length[order],
-        row_place=np.ascontiguousarray(tree.row_place[:, order]),
-        loaded=loaded,
-        plan=plan_of(tree.parent, speeds, ends[:, :loaded], own[:loaded], keep_all=keep_all),
-    )
+def with_rows(tree: Tree, order: Index, loaded: int) -> Tree:
+    """Order the closure rows; the first `loaded` carry loads and are eliminated."""
+    row, speeds = ClosureRows._make(each[order] for each in tree.row), np.diff(tree.speed_at)
+    plan = plan_of(tree.parent, speeds, row.ends[:loaded], row.kind[:loaded] == COUPLED)
+    return tree._replace(row=row, loaded=loaded, plan=plan)
 
 
 def to_tree(mechanism: Mechanism, bodies: BodyStates, states: Array) -> Array:
@@ -226,18 +214,12 @@ def _acting(mechanism: Mechanism, inwards: Array, link_of: Index, first: int) ->
         hinge_ends=_ends([(h.parent, h.child) for h in hinges], link_of),
         hinge_axis=_turned(inwards, [(h.parent, h.axis) for h in hinges]),
         spring_ends=_ends([spring.bodies for spring in springs], link_of),
-        spring_points=np.stack(
-            [_turned(inwards, [(s.bodies[end], s.in_body[end]) for s in springs]) for end in (0, 1)]
-        ),
-        spring=np.array([(s.length, s.stiffness, s.damping) for s in springs]).reshape(-1, 3),
+        spring_points=_points(inwards, [[*zip(s.bodies, s.in_body, strict=True)] for s in springs]),
         law_kind=np.array([_KINDS[joint.kind] for joint in laws], dtype=np.int64),
         law_ends=_ends([(joint.parent, joint.child) for joint in laws], link_of),
         law_axis=_turned(inwards, [(joint.parent, joint.axis) for joint in laws]),
-        law_points=np.stack(
-            [
-                _turned(inwards, [(joint.parent, joint.in_parent) for joint in laws]),
-                _turned(inwards, [(joint.child, joint.in_child) for joint in laws]),
-            ]
+        law_points=_points(
+            inwards, [[(j.parent, j.in_parent), (j.child, j.in_child)] for j in laws]
         ),
         law=np.array(
             [(j.rest, j.stiffness, j.damping) for j in counted]
@@ -267,6 +249,11 @@ def _ends(pairs: list[tuple[int, int]], link_of: Index) -> Index:
     return np.ascontiguousarray(link_of[np.array(pairs, dtype=np.int64).reshape(-1, 2).T])
 
 
+def _points(inwards: Array, pairs: list[list[tuple[int, Array]]]) -> Array:
+    """Turn pairs of vectors from native into principal frames, shape (2, pair, 3)."""
+    return np.stack([_turned(inwards, [pair[end] for pair in pairs]) for end in (0, 1)])
+
+
 def _turned(inwards: Array, vectors: list[tuple[int, Array]]) -> Array:
     """Turn vectors from native into principal frames."""
     body = np.array([body for body, _ in vectors], dtype=np.int64)
@@ -274,7 +261,7 @@ def _turned(inwards: Array, vectors: list[tuple[int, Array]]) -> Array:
     return rotation.rotate(inwards[body], native)
 
 
-def _rows(mechanism: Mechanism, inwards: Array, link_of: Index) -> _Rows:
+def _rows(mechanism: Mechanism, inwards: Array, link_of: Index) -> ClosureRows:
     """Rows of the joints and links that close loops, as in `mbds_xsim.scene.constraints`.
 
     Rows that hold points together lie along axes of the first body and not of W, so that the choice
@@ -283,46 +270,29 @@ def _rows(mechanism: Mechanism, inwards: Array, link_of: Index) -> _Rows:
     layout = layout_of(mechanism)
     spans = layout.span_body.shape[1]
     turned = rotation.rotate(inwards[layout.vector_body], layout.vector)
-    points = np.stack([turned[:spans], turned[spans : 2 * spans]])
-    count = [
-        3 * layout.points.stop,
-        layout.along.stop - layout.along.start,
-        layout.normal.stop - layout.normal.start,
-        layout.distances.stop - layout.distances.start,
+    arms = np.stack([turned[:spans], turned[spans : 2 * spans]], axis=1)
+    joined, lever, far = arms[layout.points], turned[layout.lever], arms[layout.distances]
+    blocks: list[tuple[int, Array, Array]] = [
+        (ALONG, np.repeat(joined, 3, axis=0), np.tile(np.eye(3), (len(joined), 1))),
+        (ALONG, arms[layout.along], turned[layout.along_normal]),
+        (NORMAL, np.stack([np.zeros_like(lever), lever], axis=1), turned[layout.normal]),
+        (DISTANCE, far, np.zeros((len(far), 3))),
     ]
-    kind = np.repeat([ALONG, ALONG, NORMAL, DISTANCE], count)
-    none = np.zeros((count[2], 3))
-    arms = np.concatenate(
-        [
-            np.repeat(points[:, layout.points], 3, axis=1),
-            points[:, layout.along],
-            np.stack([none, turned[layout.lever]]),
-            points[:, layout.distances],
-        ],
-        axis=1,
-    )
-    way = np.concatenate(
-        [
-            np.tile(np.eye(3), (layout.points.stop, 1)),
-            turned[layout.along_normal],
-            turned[layout.normal],
-            np.zeros((count[3], 3)),
-        ]
+    count = layout.row_count
+    whole = ClosureRows(
+        kind=np.repeat([kind for kind, *_ in blocks], [len(points) for _, points, _ in blocks]),
+        ends=np.ascontiguousarray(link_of[layout.row_body].T),
+        points=np.concatenate([points for _, points, _ in blocks]),
+        way=np.concatenate([way for *_, way in blocks]),
+        length=np.append(np.zeros(count - len(far)), layout.length),
+        place=np.zeros((count, 2), dtype=np.int64),
     )
     tree = [link.joint.index for link in mechanism.links if link.joint is not None]
     closing = ~np.isin(layout.owner, tree)
-    length = np.concatenate([np.zeros(sum(count[:3])), layout.length])
-    return (
-        kind[closing],
-        np.ascontiguousarray(link_of[layout.row_body[:, closing]]),
-        np.ascontiguousarray(arms[:, closing]),
-        way[closing],
-        length[closing],
-        np.zeros((2, np.count_nonzero(closing)), dtype=np.int64),
-    )
+    return ClosureRows._make(each[closing] for each in whole)
 
 
-def _coupled(mechanism: Mechanism, at: Index, angle_at: Index) -> _Rows:
+def _coupled(mechanism: Mechanism, at: Index, angle_at: Index) -> ClosureRows:
     """Return the rows of couplings, whose points are zero."""
     count, places = len(mechanism.couplings), {}
     for joint, angle in zip(mechanism.counted, angle_at.tolist(), strict=False):
@@ -330,13 +300,13 @@ def _coupled(mechanism: Mechanism, at: Index, angle_at: Index) -> _Rows:
     pairs = [(each.follower, each.leader) for each in mechanism.couplings]
     ends = [[link_number(mechanism, joint) for joint in pair] for pair in pairs]
     indices = [[places[joint.name] for joint in pair] for pair in pairs]
-    return (
-        np.full(count, COUPLED),
-        np.array(ends, dtype=np.int64).reshape(-1, 2).T,
-        np.zeros((2, count, 3)),
-        np.array([(1.0, -each.ratio, 0.0) for each in mechanism.couplings]).reshape(-1, 3),
-        np.array([each.offset for each in mechanism.couplings]),
-        np.array(indices, dtype=np.int64).reshape(-1, 2).T,
+    return ClosureRows(
+        kind=np.full(count, COUPLED),
+        ends=np.array(ends, dtype=np.int64).reshape(-1, 2),
+        points=np.zeros((count, 2, 3)),
+        way=np.array([(1.0, -each.ratio, 0.0) for each in mechanism.couplings]).reshape(-1, 3),
+        length=np.array([each.offset for each in mechanism.couplings]),
+        place=np.array(indices, dtype=np.int64).reshape(-1, 2),
     )
 
 

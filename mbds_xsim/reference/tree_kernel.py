@@ -21,28 +21,28 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.reference.compiling import compiled
 from mbds_xsim.reference.lane_algebra import (
     add,
-    add_to3,
+    add_to,
     apply,
     apply_even,
-    apply_turned,
     cross,
     cross_matrix,
-    crossed_even,
+    crossed,
     dot,
-    even_product,
     inverse_even,
+    less_product,
     load3,
     load6,
     load9,
     number3,
+    number9,
+    outer,
     product,
     rotation_of,
-    store3,
-    store6,
-    store9,
     sub,
     times,
     transposed,
+    upper,
+    whole,
 )
 from mbds_xsim.reference.lanes import spread
 from mbds_xsim.reference.traced import load, store, traced
@@ -102,8 +102,8 @@ def move(t: Tree, work: Workspace, y):
         turn, spin = load9(a, p + R), load3(a, p + W)
         if kind == FREE:
             _turn_freely(a, b, y, at + 3, fast + 3)
-            store3(a, b + X, load3(y, at))
-            store3(a, b + V, load3(y, fast))
+            store(a, b + X, load3(y, at))
+            store(a, b + V, load3(y, fast))
             continue
         reach, slide, bend = apply(turn, number3(t.in_parent, i)), zero(), zero()
         own = spin
@@ -111,26 +111,26 @@ def move(t: Tree, work: Workspace, y):
             own = _turn_freely(a, b, y, at, fast)
         else:
             axis = apply(turn, number3(t.axis, i))
-            store3(a, b + AXIS, axis)
+            store(a, b + AXIS, axis)
             if kind == HINGE:
                 rate = times(load(y, fast), axis)
                 own = add(spin, rate)
-                store3(a, b + TWIST, cross(spin, rate))
-                store9(a, b + R, product(turn, _hinged(t, i, load(y, at), load(y, at + 1))))
+                store(a, b + TWIST, cross(spin, rate))
+                store(a, b + R, product(turn, _hinged(t, i, load(y, at), load(y, at + 1))))
             else:
-                store9(a, b + R, product(turn, _constant(t.fixed, i)))
+                store(a, b + R, product(turn, _constant(t.fixed, i)))
             if kind == SLIDER:
                 reach = add(reach, times(load(y, at), axis))
                 slide = times(load(y, fast), axis)
                 bend = times(2.0, cross(spin, slide))
-            store3(a, b + W, own)
+            store(a, b + W, own)
         arm = apply(load9(a, b + R), number3(t.in_child, i))
         swing, roll = cross(spin, reach), cross(own, arm)
-        store3(a, b + ARM, arm)
-        store3(a, b + REACH, reach)
-        store3(a, b + X, sub(add(load3(a, p + X), reach), arm))
-        store3(a, b + V, add(sub(add(load3(a, p + V), swing), roll), slide))
-        store3(a, b + BEND, add(bend, sub(cross(spin, swing), cross(own, roll))))
+        store(a, b + ARM, arm)
+        store(a, b + REACH, reach)
+        store(a, b + X, sub(add(load3(a, p + X), reach), arm))
+        store(a, b + V, add(sub(add(load3(a, p + V), swing), roll), slide))
+        store(a, b + BEND, add(bend, sub(cross(spin, swing), cross(own, roll))))
 
 
 @compiled
@@ -147,22 +147,11 @@ def _at_joint(a, b):
     """Return H', J', f' and n' of a link at its joint."""
     m, h, arm = load6(a, b + M), load9(a, b + H), load3(a, b + ARM)
     bend = load3(a, b + BEND)
-    part = crossed_even(m, arm)
-    hj = (
-        h[0] + part[0], h[1] + part[1], h[2] + part[2], h[3] + part[3], h[4] + part[4],
-        h[5] + part[5], h[6] + part[6], h[7] + part[7], h[8] + part[8],
-    )  # fmt: skip
-    # Rows v of Hᵀ become v × r.
-    p, q = cross((h[0], h[3], h[6]), arm), cross((h[1], h[4], h[7]), arm)
-    s = cross((h[2], h[5], h[8]), arm)
-    xh = cross_matrix(arm, hj)
-    j = load6(a, b + J)
-    jj = (
-        j[0] + p[0] - xh[0], j[1] + q[1] - xh[4], j[2] + s[2] - xh[8],
-        j[3] + p[1] - xh[1], j[4] + p[2] - xh[2], j[5] + q[2] - xh[5],
-    )  # fmt: skip
+    hj = add(h, crossed(whole(m), arm))
+    jj = add(load6(a, b + J), upper(crossed(transposed(h), arm)))
+    jj = sub(jj, upper(cross_matrix(arm, hj)))
     f = add(load3(a, b + F), apply_even(m, bend))
-    n = sub(add(load3(a, b + N), apply_turned(h, bend)), cross(arm, f))
+    n = sub(add(load3(a, b + N), apply(transposed(h), bend)), cross(arm, f))
     return hj, jj, f, n
 
 
@@ -174,33 +163,24 @@ def _gather_ball(a, speeds, b, p, fast, kind, root):
     else:
         hj, jj, f, n = _at_joint(a, b)
     inverse = inverse_even(jj)
-    g = even_product(inverse, transposed(hj))
-    store9(a, b + HJ, hj)
-    store6(a, b + JI, inverse)
-    store9(a, b + G, g)
+    g = product(whole(inverse), transposed(hj))
+    store(a, b + HJ, hj)
+    store(a, b + JI, inverse)
+    store(a, b + G, g)
     own = apply_even(inverse, n)
-    store3(speeds, fast, own)
+    store(speeds, fast, own)
     if root and kind == BALL:
         return  # the world takes no inertia
-    m = load6(a, b + M)
-    m = (
-        m[0] - hj[0] * g[0] - hj[1] * g[3] - hj[2] * g[6],
-        m[1] - hj[3] * g[1] - hj[4] * g[4] - hj[5] * g[7],
-        m[2] - hj[6] * g[2] - hj[7] * g[5] - hj[8] * g[8],
-        m[3] - hj[0] * g[1] - hj[1] * g[4] - hj[2] * g[7],
-        m[4] - hj[0] * g[2] - hj[1] * g[5] - hj[2] * g[8],
-        m[5] - hj[3] * g[2] - hj[4] * g[5] - hj[5] * g[8],
-    )
-    f = sub(f, apply(hj, own))
+    m, f = less_product(load6(a, b + M), hj, g), sub(f, apply(hj, own))
     if kind == FREE:
         inverse_mass = inverse_even(m)
-        store6(a, b + MI, inverse_mass)
-        store3(speeds, fast - 3, apply_even(inverse_mass, f))
+        store(a, b + MI, inverse_mass)
+        store(speeds, fast - 3, apply_even(inverse_mass, f))
         return
     reach = load3(a, b + REACH)
-    mine = crossed_even(m, reach)
+    mine = crossed(whole(m), reach)
     turned = cross_matrix(reach, mine)
-    _give(a, p, m, times9(-1.0, mine), times9(-1.0, turned), f, cross(reach, f))
+    _give(a, p, m, times(-1.0, mine), times(-1.0, upper(turned)), f, cross(reach, f))
 
 
 @compiled
@@ -213,62 +193,37 @@ def _gather_axis(a, speeds, b, p, fast, kind, armature, root):
         inverse = 1.0 / (dot(axis, un) + armature)
         own = -inverse * dot(axis, n)
     elif kind == SLIDER:
-        uf, un = apply_even(m, axis), apply_turned(hj, axis)
+        uf, un = apply_even(m, axis), apply(transposed(hj), axis)
         inverse = 1.0 / (dot(axis, uf) + armature)
         own = -inverse * dot(axis, f)
     else:
         uf, un, inverse, own = zero(), zero(), spread(0.0), spread(0.0)
     if kind != FIXED:
-        store3(a, b + UF, uf)
-        store3(a, b + UN, un)
+        store(a, b + UF, uf)
+        store(a, b + UN, un)
         store(a, b + DI, inverse)
         store(speeds, fast, own)
     if root:
         return
     kf, kn = times(inverse, uf), times(inverse, un)
-    m = (
-        m[0] - kf[0] * uf[0], m[1] - kf[1] * uf[1], m[2] - kf[2] * uf[2],
-        m[3] - kf[0] * uf[1], m[4] - kf[0] * uf[2], m[5] - kf[1] * uf[2],
-    )  # fmt: skip
-    h = (
-        hj[0] - kf[0] * un[0], hj[1] - kf[0] * un[1], hj[2] - kf[0] * un[2],
-        hj[3] - kf[1] * un[0], hj[4] - kf[1] * un[1], hj[5] - kf[1] * un[2],
-        hj[6] - kf[2] * un[0], hj[7] - kf[2] * un[1], hj[8] - kf[2] * un[2],
-    )  # fmt: skip
-    j = (
-        jj[0] - kn[0] * un[0], jj[1] - kn[1] * un[1], jj[2] - kn[2] * un[2],
-        jj[3] - kn[0] * un[1], jj[4] - kn[0] * un[2], jj[5] - kn[1] * un[2],
-    )  # fmt: skip
+    m, j = sub(m, upper(outer(kf, uf))), sub(jj, upper(outer(kn, un)))
+    h = sub(hj, outer(kf, un))
     f, n, reach = add(f, times(own, uf)), add(n, times(own, un)), load3(a, b + REACH)
-    mine = crossed_even(m, reach)
-    out = (
-        h[0] - mine[0], h[1] - mine[1], h[2] - mine[2], h[3] - mine[3], h[4] - mine[4],
-        h[5] - mine[5], h[6] - mine[6], h[7] - mine[7], h[8] - mine[8],
-    )  # fmt: skip
+    out = sub(h, crossed(whole(m), reach))
     # J + Y H − Hᵀ Y − Y M Y, of which the first two terms and the last are J + Y (H − M Y).
-    turned = cross_matrix(reach, out)
-    c0, c1 = cross((h[0], h[3], h[6]), reach), cross((h[1], h[4], h[7]), reach)
-    c2 = cross((h[2], h[5], h[8]), reach)
-    whole = (
-        j[0] + turned[0] - c0[0], j[3] + turned[1] - c0[1], j[4] + turned[2] - c0[2],
-        j[3], j[1] + turned[4] - c1[1], j[5] + turned[5] - c1[2],
-        j[4], j[5], j[2] + turned[8] - c2[2],
-    )  # fmt: skip
-    _give(a, p, m, out, whole, f, add(n, cross(reach, f)))
+    j = add(j, upper(cross_matrix(reach, out)))
+    j = sub(j, upper(crossed(transposed(h), reach)))
+    _give(a, p, m, out, j, f, add(n, cross(reach, f)))
 
 
 @traced
 def _give(a, p, m, h, j, f, n):
-    """Add inertia and bias to those of the parent; only the upper half of `j` is read."""
-    add_to3(a, p + M, (m[0], m[1], m[2]))
-    add_to3(a, p + M + 3, (m[3], m[4], m[5]))
-    add_to3(a, p + H, (h[0], h[1], h[2]))
-    add_to3(a, p + H + 3, (h[3], h[4], h[5]))
-    add_to3(a, p + H + 6, (h[6], h[7], h[8]))
-    add_to3(a, p + J, (j[0], j[4], j[8]))
-    add_to3(a, p + J + 3, (j[1], j[2], j[5]))
-    add_to3(a, p + F, f)
-    add_to3(a, p + N, n)
+    """Add inertia and bias to those of the parent."""
+    add_to(a, p + M, m)
+    add_to(a, p + H, h)
+    add_to(a, p + J, j)
+    add_to(a, p + F, f)
+    add_to(a, p + N, n)
 
 
 @compiled
@@ -277,8 +232,8 @@ def spread_out(a, speeds, b, p, fast, kind):
     if kind == FREE:
         linear = times(-1.0, load3(speeds, fast))
         turning = apply(load9(a, b + G), linear)
-        store3(a, b + A, linear)
-        store3(a, b + ALPHA, times(-1.0, add(turning, load3(speeds, fast + 3))))
+        store(a, b + A, linear)
+        store(a, b + ALPHA, times(-1.0, add(turning, load3(speeds, fast + 3))))
         return
     beside = load3(a, p + ALPHA)
     linear = add(load3(a, p + A), cross(beside, load3(a, b + REACH)))
@@ -298,8 +253,8 @@ def spread_out(a, speeds, b, p, fast, kind):
             else:
                 linear = add(linear, moved)
     linear = add(linear, load3(a, b + BEND))
-    store3(a, b + ALPHA, turning)
-    store3(a, b + A, add(linear, cross(load3(a, b + ARM), turning)))
+    store(a, b + ALPHA, turning)
+    store(a, b + A, add(linear, cross(load3(a, b + ARM), turning)))
 
 
 @compiled
@@ -317,13 +272,13 @@ def rates(t: Tree, work: Workspace, y, rate, first):
             store(rate, first + at, load(y, fast))
             store(rate, first + fast, load(a, b + MI))
         elif kind == FREE:
-            store3(rate, first + at, load3(y, fast))
-            store3(rate, first + fast, load3(a, b + A))
+            store(rate, first + at, load3(y, fast))
+            store(rate, first + fast, load3(a, b + A))
             _turning_rate(y, at + 3, fast + 3, rate, first)
-            store3(rate, first + fast + 3, load3(a, b + ALPHA))
+            store(rate, first + fast + 3, load3(a, b + ALPHA))
         elif kind == BALL:
             _turning_rate(y, at, fast, rate, first)
-            store3(rate, first + fast, load3(a, b + ALPHA))
+            store(rate, first + fast, load3(a, b + ALPHA))
     for k in range(len(t.law)):
         if t.law_kind[k] == HINGE:
             p, c = t.law_ends[0, k] * PLACES, t.law_ends[1, k] * PLACES
@@ -335,15 +290,15 @@ def rates(t: Tree, work: Workspace, y, rate, first):
 def _turning_rate(y, at, fast, rate, first):
     w, v, spin = load(y, at), load3(y, at + 1), times(0.5, load3(y, fast))
     store(rate, first + at, -dot(spin, v))
-    store3(rate, first + at + 1, add(times(w, spin), cross(spin, v)))
+    store(rate, first + at + 1, add(times(w, spin), cross(spin, v)))
 
 
 @traced
 def _turn_freely(a, b, y, at, fast):
     turn = load(y, at), load(y, at + 1), load(y, at + 2), load(y, at + 3)
-    store9(a, b + R, rotation_of(turn))
+    store(a, b + R, rotation_of(turn))
     spin = load3(y, fast)
-    store3(a, b + W, spin)
+    store(a, b + W, spin)
     return spin
 
 
@@ -368,7 +323,8 @@ def _hinged(t, i, c, s):
 
 @compiled
 def _constant(m, i):
-    return (m[i, 0], m[i, 1], m[i, 2], m[i, 3], m[i, 4], m[i, 5], m[i, 6], m[i, 7], m[i, 8])
+    # As a part of `move`, this changes which of its products are fused with sums: last bits.
+    return number9(m, i)
 
 
 @compiled
@@ -376,11 +332,3 @@ def zero():
     """Return the vector of zeros."""
     o = spread(0.0)
     return o, o, o
-
-
-@traced
-def times9(f, m):
-    """Multiply a matrix by a number."""
-    return (
-        f * m[0], f * m[1], f * m[2], f * m[3], f * m[4], f * m[5], f * m[6], f * m[7], f * m[8],
-    )  # fmt: skip

@@ -58,11 +58,10 @@ class Settings:
         number = isinstance(self.step, SupportsFloat) and math.isfinite(self.step)
         count = round(frame / self.step) if number and self.step > frame / _MOST_STEPS else 0
         if count < 1 or abs(count * self.step - frame) > 1e-9 * frame:
-            msg = (
+            raise InputError(
                 f"step: got {self.step!r} s, allowed is the frame interval {frame} s divided by a "
                 f"whole number below {_MOST_STEPS:.0e}"
             )
-            raise InputError(msg)
         return count
 
 
@@ -221,8 +220,7 @@ class Adapter(ABC):
         refusals = self.refusals(scene, settings.method)
         if refusals:
             feature, reason = next(iter(refusals.items()))
-            msg = f"{self.name} {settings.method} cannot do {feature.value}: {reason}"
-            raise Unsupported(msg)
+            raise Unsupported(f"{self.name} {settings.method} cannot do {feature.value}: {reason}")
         value = self.cannot_hold(scene)
         if value:
             raise Unsupported(f"{self.name} cannot hold a value of the scene: {value}")

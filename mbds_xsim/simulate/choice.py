@@ -85,9 +85,8 @@ class Choice:
             registry.load_adapter(name)
         named = bool(names)
         words, settings = _profiles(words_of(profiles), names)
-        if not names:
-            names = tuple(dict.fromkeys(name for table in settings.values() for name in table))
-        names = names or (*registry.installed_engines(), *also)
+        listed = dict.fromkeys(name for table in settings.values() for name in table)
+        names = names or tuple(listed) or (*registry.installed_engines(), *also)
         if not names:
             msg = "no engine is installed; install them with: pip install 'mbds-xsim[engines]'"
             raise InputError(msg)
@@ -135,8 +134,7 @@ class Choice:
         preset = preset or settings_for(scene, adapter, as_profile(profile))
         method = self.method or preset.method
         if self.step is not None and method in adapter.methods and adapter.methods[method].adaptive:
-            msg = f"--step: {adapter.name} {method} chooses its steps; leave it out"
-            raise InputError(msg)
+            raise InputError(f"--step: {adapter.name} {method} chooses its steps; leave it out")
         return Settings(
             method,
             preset.step if self.step is None else self.step,
@@ -177,11 +175,10 @@ def _profiles(
         profiles.append(name)
         by_profile[name] = settings
     if not profiles or len(set(profiles)) < len(profiles):
-        msg = (
+        raise InputError(
             f"--settings: got {','.join(words) or 'none'}, allowed is each name once; a file "
             "without a `name` is called matched"
         )
-        raise InputError(msg)
     return tuple(profiles), by_profile
 
 
@@ -199,8 +196,7 @@ def words_of(names: str | Iterable[str]) -> tuple[str, ...]:
     """
     words = names.split(",") if isinstance(names, str) else names
     if not isinstance(words, Iterable) or not all(isinstance(word, str) for word in words):
-        msg = f"got {names!r}, allowed are names, as 'one,other' or ['one', 'other']"
-        raise InputError(msg)
+        raise InputError(f"got {names!r}, allowed are names, as 'one,other' or ['one', 'other']")
     return tuple(dict.fromkeys(word.strip() for word in words))
 
 
@@ -258,30 +254,25 @@ def _read(path: Path) -> tuple[str, dict[str, Matched]]:
     try:
         name, settings = _tables(read_file(path).decode("utf-8-sig"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        msg = f"--settings {path}: cannot be read: {error}"
-        raise InputError(msg) from error
+        raise InputError(f"--settings {path}: cannot be read: {error}") from error
     except msgspec.ValidationError as error:
-        msg = (
+        raise InputError(
             f"--settings {path}: {error}; each engine needs a table with `method`, "
             "`steps_per_frame` and, if any, `options`, as written by `mbds-xsim match --out`"
-        )
-        raise InputError(msg) from error
+        ) from error
     if not isinstance(name, str) or not _NAME.fullmatch(name) or name == _NATIVE:
-        msg = (
+        raise InputError(
             f"--settings {path}: name: got {name!r}, allowed are up to 40 small letters, digits "
             f"and _, a letter first, and not {_NATIVE}"
         )
-        raise InputError(msg)
     for engine, entry in settings.items():
         if entry.steps_per_frame < 1:
-            msg = (
+            raise InputError(
                 f"--settings {path}: {engine}.steps_per_frame: got {entry.steps_per_frame}, "
                 "allowed is 1 or more"
             )
-            raise InputError(msg)
     if not settings:
-        msg = f"--settings {path}: got no settings for any engine"
-        raise InputError(msg)
+        raise InputError(f"--settings {path}: got no settings for any engine")
     return name, settings
 
 

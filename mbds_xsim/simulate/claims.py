@@ -168,8 +168,8 @@ class Method:
         mechanism = Mechanism.of(scene)
         if mechanism.braked and not self.adaptive:
             return 1
-        constrained = self.loop_order is not None and _constrained(scene)
-        order = self.loop_order if constrained and self.loop_order is not None else self.order
+        loop_order = self.loop_order if _constrained(scene) else None
+        order = self.order if loop_order is None else loop_order
         return min(order, _KINKED) if mechanism.saturates and not self.adaptive else order
 
     def velocity_order_for(self, scene: Scene) -> int:

@@ -108,15 +108,12 @@ def load_adapter(name: str) -> Adapter:
     """
     if name == REFERENCE:
         return made(_TRUTH)
-    points = registered("mbds_xsim.adapters")
     check_name("engine", name, simulator_names())
-    other = stand_in(points[name])
-    if isinstance(other, str):
-        raise EngineFaulty(f"the engine {name} cannot be used: {other}; repair or uninstall it")
-    if other is not None:
-        return other
+    point = registered("mbds_xsim.adapters")[name]
+    if is_foreign(name) and not in_worker():  # a task already has a process of its own
+        return _stand_in(point)
     try:
-        adapter = made(points[name])
+        adapter = made(point)
         if not is_foreign(name):  # a foreign one may lack a package
             version_of(adapter.package)  # adapters import their engine late
         return adapter
@@ -147,15 +144,13 @@ def load_scene(name: str) -> Scene:
         return read_scene(Path(name))
     singles = registered("mbds_xsim.single_scenes")
     if name in singles:
-        single: Callable[[], Scene] = singles[name].load()
-        return single()
+        return singles[name].load()()
     if name in _scene_files():
         return read_scene(_scene_files()[name])
     match = re.fullmatch(r"([1-9][0-9]{0,3})([a-z]\w*)", name)
     families = registered("mbds_xsim.families")
     if match and match[2] in families:
-        family: Callable[[int], Scene] = families[match[2]].load()
-        return family(int(match[1]))
+        return families[match[2]].load()(int(match[1]))
     digits = re.match(r"[0-9]*", name)[0]  # type: ignore[index]  # matches any text
     if name[len(digits) :] in families:
         msg = f"no scene is called {name!r}: N of N{name[len(digits) :]} is a number from 1 to 9999"
@@ -197,8 +192,7 @@ def read_model(
     (answer,) = run_tasks([Task(_read, arguments, _READING)], workers=1)
     if isinstance(answer, Crash):
         raise SceneError(f"{path}: {answer.reason}")
-    imported: Imported = answer
-    return imported
+    return answer
 
 
 def _read(point: EntryPoint, path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
@@ -278,8 +272,7 @@ class _StandIn(Adapter):
         if isinstance(answer, Crash):
             reason = answer.reason if answer.refused else f"gives no settings: {answer.reason}"
             raise Unsupported(f"{self.name} {profile}: {reason}")
-        settings: Settings = answer
-        return settings
+        return answer
 
     def cannot_hold(self, scene: Scene) -> str:
         answer = _ask(_cannot_hold, self.point, scene)
@@ -289,22 +282,10 @@ class _StandIn(Adapter):
         answer = _ask(_scales, self.point, settings)
         if isinstance(answer, Crash):
             raise Unsupported(f"{self.name} does not say how it resolves contact: {answer.reason}")
-        scales: ContactScales = answer
-        return scales
+        return answer
 
     def load(self, scene: Scene, settings: Settings) -> Run:
         return made(self.point).load(scene, settings)
-
-
-def stand_in(point: EntryPoint) -> Adapter | str | None:
-    """Return the stand-in for another package's adapter, or why there is none.
-
-    Returns:
-        None for the toolkit's own adapters, and in a process that carries out a task, which is
-        already a separate one.
-    """
-    foreign = not in_worker() and _owner(point) != _OURS
-    return _tried(point) if foreign else None
 
 
 def made(point: EntryPoint) -> Adapter:
@@ -321,12 +302,13 @@ def made(point: EntryPoint) -> Adapter:
     return adapter
 
 
-def _tried(point: EntryPoint) -> Adapter | str:
+def _stand_in(point: EntryPoint) -> Adapter:
+    """Make the stand-in for another package's adapter."""
     answer = _ask(_claims, point)
     if isinstance(answer, Crash):
-        return f"{point.value} of the package {_owner(point)}: {answer.reason}"
-    adapter: Adapter = type(point.name, (_StandIn,), answer | {"point": point})()
-    return adapter
+        why = f"{point.value} of the package {_owner(point)}: {answer.reason}"
+        raise EngineFaulty(f"the engine {point.name} cannot be used: {why}; repair or uninstall it")
+    return type(point.name, (_StandIn,), answer | {"point": point})()
 
 
 @functools.cache  # a package's metadata is otherwise read each time

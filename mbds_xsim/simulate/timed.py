@@ -160,15 +160,13 @@ def _check_array(verb: str, source: object, name: str, shape: tuple[int, ...] | 
     array = value if isinstance(value, np.ndarray) else None
     if array is None or array.dtype != float or shape not in (None, array.shape):
         got = type(value) if array is None else f"{array.dtype} {array.shape}"
-        msg = f"the adapter {verb} {name} as {got}, not as float64 {shape or ''}"
-        raise ValueError(msg)
+        raise ValueError(f"the adapter {verb} {name} as {got}, not as float64 {shape or ''}")
 
 
 def _size(run: Run) -> ModelSize:
     size: object = run.size
     if not isinstance(size, ModelSize):
-        msg = f"the adapter gave its size as {size!r:.60}, not as a ModelSize"
-        raise TypeError(msg)
+        raise TypeError(f"the adapter gave its size as {size!r:.60}, not as a ModelSize")
     return size
 
 
