@@ -153,8 +153,7 @@ def _split(
     for where, law in (("ground", ground), ("collisions", collisions)):
         for name in ("friction", "restitution") if law else ():
             if 0.0 < (value := getattr(law, name)) <= _NONE:
-                msg = f"{where}.{name}: got {value}, DART treats {_NONE} and less as 0"
-                raise Unsupported(msg)
+                raise Unsupported(f"{where}.{name}: got {value}, DART treats {_NONE} and less as 0")
     if collisions is None:
         assert ground is not None
         return (ground.friction, ground.friction), (1.0, ground.restitution)
@@ -162,13 +161,12 @@ def _split(
     if ground is None:
         return (0.0, collisions.friction), (0.0, root)
     if ground.friction > collisions.friction or ground.restitution > root:
-        msg = (
+        raise Unsupported(
             f"dart: collisions: got friction {collisions.friction:g} and restitution "
             f"{collisions.restitution:g}, allowed is a friction of at least the "
             f"ground's, {ground.friction:g}, since the smaller of two counts, and a restitution of "
             f"at least the ground's squared, {ground.restitution**2:g}, since the product counts"
         )
-        raise Unsupported(msg)
     return (ground.friction, collisions.friction), (ground.restitution / (root or 1.0), root)
 
 

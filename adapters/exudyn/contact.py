@@ -170,11 +170,10 @@ def _law(
     """Yield the lines with the coefficients of a contact of one sphere or two."""
     law = getattr(mechanism.scene, where)
     if 0.0 < law.restitution < _LEAST:
-        msg = (
+        raise Unsupported(
             f"exudyn: {where}.restitution: got {law.restitution:g}, allowed is 0, or {_LEAST} to "
             "1: close to 0 its impact law is too stiff to integrate"
         )
-        raise Unsupported(msg)
     # On this spring the spheres' bodies alone bounce within `duration`. Joints only add to a body's
     # effective mass, so impacts last longer with them.
     yielding = sum(_inverse_mass(mechanism, sphere) for sphere in spheres)

@@ -76,8 +76,7 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     mujoco = optional("mujoco", "reading MJCF and URDF", "mujoco")
     root = read_source(path, folder)
     if root.tag not in _LABELS:
-        msg = f"its outermost element is <{root.tag}>, allowed are <mujoco> and <robot>"
-        raise InputError(msg)
+        raise InputError(f"its outermost element is <{root.tag}>, allowed are <mujoco> and <robot>")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -112,8 +111,7 @@ def load(path: Path, floating: bool) -> ModelFacts:
     import mujoco
 
     if path.suffix.lower() not in (".xml", ".urdf"):
-        msg = "MuJoCo reads MJCF and URDF alone"
-        raise InputError(msg)
+        raise InputError("MuJoCo reads MJCF and URDF alone")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -162,11 +160,10 @@ def _mechanics(mujoco: Any, root: Element, path: Path, tags: set[str]) -> Any:
         axis = joint.find("axis")
         normal = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
         if joint.get("type") == "planar" and [float(x) for x in normal.split()] != [0, 0, 1]:
-            msg = (
+            raise InputError(
                 f"joint {joint.get('name')!r} is planar with the normal {normal}, but MuJoCo "
                 "assumes 0 0 1; turn its origin so that this is the normal"
             )
-            raise InputError(msg)
     reduced = copy.deepcopy(root)
     for parent in list(reduced.iter()):
         for child in [child for child in parent if child.tag not in tags]:

@@ -50,8 +50,7 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     """Read an SDF file; see `mbds_xsim.simulate.registry`."""
     dartpy = optional("dartpy", "reading SDF", "dart")
     if floating:
-        msg = "--floating is for URDF; SDF says itself which of its models are fixed"
-        raise InputError(msg)
+        raise InputError("--floating is for URDF; SDF says itself which of its models are fixed")
     root = read_source(path, folder)
     _refuse(root)
     models = list(root.iter("model"))
@@ -63,8 +62,7 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     except (RuntimeError, ValueError) as error:  # ValueError: malformed numbers
         raise InputError(f"DART's parser refuses it: {error}") from error
     if len(models) != len(skeletons):
-        msg = f"DART's parser returns {len(skeletons)} of its {len(models)} models"
-        raise InputError(msg)
+        raise InputError(f"DART's parser returns {len(skeletons)} of its {len(models)} models")
     parts: list[Part] = []
     shapes: list[Solid] = []
     skipped: list[str] = []
@@ -123,8 +121,7 @@ def _skeletons(parser: Any, root: Element) -> tuple[list[Any], Array]:
             skeletons = [world.getSkeleton(k) for k in range(count)]
             gravity = np.array(world.getGravity()) if world is not None else gravity
     if not skeletons or None in skeletons:
-        msg = "DART's parser returns no model"
-        raise InputError(msg)
+        raise InputError("DART's parser returns no model")
     return skeletons, gravity
 
 
@@ -137,8 +134,7 @@ def _gravity(root: Element, parsed: Array) -> Array:
 def _refuse(root: Element) -> None:
     """Raise InputError if DART's parser would ignore something that affects the motion."""
     if root.tag != "sdf":
-        msg = f"its outermost element is <{root.tag}>, allowed is <sdf>"
-        raise InputError(msg)
+        raise InputError(f"its outermost element is <{root.tag}>, allowed is <sdf>")
     if (number := root.get("version", "")) not in _VERSIONS:
         msg = f"it is of version {number or 'unsaid'}; DART's parser reads {', '.join(_VERSIONS)}"
         raise InputError(msg)
@@ -169,11 +165,10 @@ def _skipped_joints(skeleton: Any, model: Element) -> list[str]:
     links, joints = {n.getName() for n in nodes}, {n.getParentJoint().getName() for n in nodes}
     for link in model.findall("link"):
         if (name := link.get("name", "")) not in links:
-            msg = (
+            raise InputError(
                 f"DART's parser leaves out the link {name!r}; it takes joints that are revolute, "
                 "revolute2, continuous, prismatic, ball, universal, screw or fixed"
             )
-            raise InputError(msg)
     return [n for joint in model.findall("joint") if (n := joint.get("name", "")) not in joints]
 
 
@@ -217,8 +212,7 @@ def _freedoms(node: Any) -> Iterator[Freedom]:
         for k, axis in enumerate((joint.getAxis1(), joint.getAxis2())):
             yield Freedom(f"{name} {k + 1}", "hinge", anchor, axes @ axis, _properties(joint, k))
     elif kind != "WeldJoint":
-        msg = f"the joint {name!r} is a {kind}, which is not in the scene description"
-        raise InputError(msg)
+        raise InputError(f"the joint {name!r} is a {kind}, which is not in the scene description")
 
 
 def _properties(joint: Any, k: int) -> dict[str, Property]:

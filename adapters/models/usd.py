@@ -35,8 +35,7 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     """Read a USD file; see `mbds_xsim.simulate.registry`."""
     sdf, tf, usd = (optional(f"pxr.{name}", "reading USD", "usd") for name in ("Sdf", "Tf", "Usd"))
     if floating:
-        msg = "--floating is for URDF; USD says itself which of its bodies are free"
-        raise InputError(msg)
+        raise InputError("--floating is for URDF; USD says itself which of its bodies are free")
     try:
         _check_layers(sdf, path, folder.resolve())
         stage = usd.Stage.Open(str(path))
@@ -65,17 +64,14 @@ def _check_layers(sdf: Any, path: Path, folder: Path) -> None:
             continue
         visited.add(file)
         if not file.is_relative_to(folder):
-            msg = (
+            raise InputError(
                 f"refers to {str(file)!r}, which is not in {folder}; if that is intended, "
                 "give `mbds-xsim import` a --folder with all files of the model"
             )
-            raise InputError(msg)
         if not file.is_file():
-            msg = f"refers to {file.name!r}, which is not there"
-            raise InputError(msg)
+            raise InputError(f"refers to {file.name!r}, which is not there")
         if file.stat().st_size > _LARGEST_FILE:
-            msg = f"{file.name} is larger than {_LARGEST_FILE // 10**6} MB"
-            raise InputError(msg)
+            raise InputError(f"{file.name} is larger than {_LARGEST_FILE // 10**6} MB")
         layer = sdf.Layer.FindOrOpen(str(file))
         for name in filter(None, layer.GetCompositionAssetDependencies()):
             asset = Path(layer.ComputeAbsolutePath(name))
@@ -202,11 +198,10 @@ class _Reading:
             first, second = axes[:, column - 2], other_axes[:, column - 2]
             start = math.atan2(float(np.cross(first, second) @ axis), float(first @ second))
         if (apart := np.linalg.norm(gap)) > _GAP * extent or tilt > _GAP:
-            msg = (
+            raise InputError(
                 f"the frames of the joint {name!r} differ as bodies are placed: got {apart:.3g} "
                 f"m between origins and {tilt:.3g} between axes, allowed is 0"
             )
-            raise InputError(msg)
         if kind == "fixed":
             return Tie(name, ends, (), point)
         limits = self._limits(getattr(desc, "limit", None), kind, start)

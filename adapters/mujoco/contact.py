@@ -136,11 +136,10 @@ def _check_friction(where: str, law: Ground | Collisions, yields: float, impact:
     """Refuse friction that the noslip solver treats as none: a determinant below 1e-10."""
     least = math.sqrt(_FRICTIONLESS / yields)
     if impact.step and 0.0 < law.friction < least:
-        msg = (
+        raise Unsupported(
             f"mujoco: {where}.friction: got {law.friction:g}, allowed is 0, or at least "
             f"{least:.3g} for bodies this heavy: its friction solver treats less as none"
         )
-        raise Unsupported(msg)
 
 
 def _add_pair(

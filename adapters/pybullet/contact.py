@@ -114,11 +114,10 @@ class BulletContact:
     def _set_solver(self, options: Mapping[str, Any], step: float) -> None:
         recovery = float(options["contact_recovery"])
         if recovery < step:
-            msg = (
+            raise InputError(
                 f"option contact_recovery of pybullet: got {recovery:g} s, allowed is the step "
                 f"{step:g} s or longer"
             )
-            raise InputError(msg)
         fastest = _FALLS * math.hypot(*self._mechanism.scene.gravity) * step  # at rest
         threshold = float(options["bounce_threshold"]) or fastest
         self._client.build(
@@ -287,19 +286,17 @@ def _split(name: str, ground: float | None, collisions: float | None) -> tuple[f
     """
     for where, value in (("ground", ground), ("collisions", collisions)):
         if name == "friction" and value is not None and value > _FRICTION_CAP:
-            msg = (
+            raise Unsupported(
                 f"pybullet: {where}.friction: got {value:g}, allowed is up to {_FRICTION_CAP:g}, "
                 "to which Bullet silently cuts it"
             )
-            raise Unsupported(msg)
     if collisions is None:
         return 1.0, ground or 0.0
     if ground and not collisions:
-        msg = (
+        raise Unsupported(
             f"pybullet: collisions.{name}: got 0, but the ground has {ground:g}, which would be "
             "0 too, since Bullet multiplies those of two bodies"
         )
-        raise Unsupported(msg)
     root = math.sqrt(collisions)
     return (ground or 0.0) / (root or 1.0), root
 

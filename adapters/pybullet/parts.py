@@ -100,12 +100,11 @@ def _best_cut(mechanism: Mechanism, link: Link, children: list[Link], load: dict
     ]
     if not choices:
         name = mechanism.scene.bodies[link.body].name
-        msg = (
+        raise Unsupported(
             f"pybullet: body {name!r} carries more sliders, or joints with springs, dampers or "
             f"couplings, than the {COORDINATE_LIMIT} coordinates that a multibody can hold, and "
             "Bullet has no constraint to replace one"
         )
-        raise Unsupported(msg)
     return min(
         choices,
         key=lambda child: (_CUT_ORDER[child.joint.kind] if child.joint else 0, -load[child.body]),
