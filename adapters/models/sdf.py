@@ -36,6 +36,7 @@ _LABELS = {
 }
 _KINDS = {"RevoluteJoint": "hinge", "PrismaticJoint": "slider", "BallJoint": "ball",
           "FreeJoint": "free"}  # fmt: skip
+_WITHOUT_AXIS = ("BallJoint", "FreeJoint")
 _FAR = 1e10  # [rad or m]: a limit beyond this means no limit
 _VERSIONS = ("1.5", "1.6", "1.7", "1.8", "1.9", "1.10", "1.11")
 """Accepted versions. Up to 1.4, axes were in the model's frame, a difference that DART ignores."""
@@ -75,8 +76,7 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     name = models[0].get("name") or path.stem
     solids = Solids("collision", tuple(shapes), pair) if ground else None
     model = Parts(name, tuple(parts), _gravity(root, gravity), labels=_LABELS, solids=solids)
-    keys = {key for part in parts for freedom in part.freedoms for key in freedom.properties}
-    reported = {label: key in keys for key, label in _LABELS.items()}
+    reported = {label: key in model.stated for key, label in _LABELS.items()}
     reported["upper", ""] = reported["lower", ""]
     reported |= dict.fromkeys(REPORTED if ground else (), True)
     _mark(root)
@@ -204,10 +204,9 @@ def _freedoms(node: Any) -> Iterator[Freedom]:
     place = node.getTransform().multiply(joint.getTransformFromChildBodyNode())
     anchor, axes = np.array(place.translation()), np.array(place.rotation())
     name = joint.getName()
-    if kind in ("BallJoint", "FreeJoint"):
-        yield Freedom(name, _KINDS[kind], anchor, np.zeros(3), _properties(joint, 0))  # type: ignore[arg-type]
-    elif kind in _KINDS:
-        yield Freedom(name, _KINDS[kind], anchor, axes @ joint.getAxis(), _properties(joint, 0))  # type: ignore[arg-type]
+    if kind in _KINDS:
+        axis = np.zeros(3) if kind in _WITHOUT_AXIS else axes @ joint.getAxis()
+        yield Freedom(name, _KINDS[kind], anchor, axis, _properties(joint, 0))  # type: ignore[arg-type]
     elif kind == "UniversalJoint":
         for k, axis in enumerate((joint.getAxis1(), joint.getAxis2())):
             yield Freedom(f"{name} {k + 1}", "hinge", anchor, axes @ axis, _properties(joint, k))

@@ -17,8 +17,8 @@ from mbds_xsim.base.frame import optional
 from mbds_xsim.scene.imported import Fate, Imported
 
 from .assembling import assemble
-from .graph import Node, Tie, tree_of
-from .parts import Drive, Freedom, Line, Mass, Parts, Solids
+from .graph import Tie, tree_of
+from .parts import Drive, Freedom, Line, Mass, Part, Parts, Solids
 from .usd_drives import drive_of
 from .usd_fates import fates_of
 from .usd_masses import mass_of
@@ -43,8 +43,8 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
         parts = reading.model(path.stem, ground=ground)
     except tf.ErrorException as error:
         raise InputError(f"OpenUSD does not read it: {_reason(str(error))}") from error
-    keys = {key for part in parts.parts for freedom in part.freedoms for key in freedom.properties}
-    fates = [*fates_of(stage, limited="limits" in keys, touching=ground), *reading.fates]
+    limited = "limits" in parts.stated
+    fates = [*fates_of(stage, limited=limited, touching=ground), *reading.fates]
     version = ".".join(map(str, usd.GetVersion()))
     return assemble(parts, file=path.name, kind="USD", reader=f"OpenUSD {version}", fates=fates)
 
@@ -102,7 +102,7 @@ class _Reading:
         bodies = [desc for desc in self._all("RigidBody") if desc.rigidBodyEnabled]
         moving = [desc for desc in bodies if not desc.kinematicBody]
         index = {desc.primPath: k for k, desc in enumerate(moving)}
-        nodes = [self._node(desc) for desc in moving]
+        nodes = [self._part(desc) for desc in moving]
         places = np.array([node.position for node in nodes] or [np.zeros(3)])
         extent = float(np.linalg.norm(np.ptp(places, axis=0))) or 1.0
         joints = [(key, desc) for key in _KINDS for desc in self._all(key) if desc.jointEnabled]
@@ -140,12 +140,12 @@ class _Reading:
             )
         return np.zeros(3)
 
-    def _node(self, desc: Any) -> Node:
+    def _part(self, desc: Any) -> Part:
         prim = self._stage.GetPrimAtPath(desc.primPath)
         place, turn = self._frame(desc.primPath)
         local = mass_of(prim, self._all, desc, self._metre, self._kilogram)
         mass = Mass(local.mass, place + turn @ local.com, turn @ local.inertia @ turn.T)
-        return Node(self._name(desc.primPath), place, rotation.from_matrix(turn), mass)
+        return Part(self._name(desc.primPath), -1, place, rotation.from_matrix(turn), mass, ())
 
     def _name(self, path: Any) -> str:
         """Return the last part of a path if it is unique, or else the whole path."""
