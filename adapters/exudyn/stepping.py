@@ -33,14 +33,14 @@ _KINK = 0.0
 # Rounding error of positions some metres off. A damper turns it into a force within a step, and
 # Newton's method cannot get below that force: it would try for ever where all is at rest.
 _ROUNDING = 1e-15
-_NEAR_GROUND = """\
-near_ground = steps_of_a_frame({count})
+_NEAR_GROUND = f"""\
+near_ground = steps_of_a_frame({{count}})
 stepping = near_ground.timeIntegration
 stepping.adaptiveStep = True
 stiffness = max(mbs.GetObject(number)["contactStiffness"] for number in contacts)
-stepping.discontinuous.iterationTolerance = {fastest} * stiffness * stepping.minimumStepSize
+stepping.discontinuous.iterationTolerance = {_FASTEST_IMPACT} * stiffness * stepping.minimumStepSize
 damping = max(mbs.GetObject(number)["contactDamping"] for number in contacts)
-noise = {rounding} * damping * stepping.numberOfSteps / stepping.endTime
+noise = {_ROUNDING} * damping * stepping.numberOfSteps / stepping.endTime
 stepping.newton.absoluteTolerance = max(stepping.newton.absoluteTolerance, noise)
 """
 _NEXT_FRAME = """
@@ -77,7 +77,7 @@ class Stepping:
 
     def listing(self, mechanism: Mechanism) -> str:
         """Return the program that defines `settings`, and `next_frame` to call once per frame."""
-        redundant = has_redundant_constraints(mechanism)
+        redundant, count = has_redundant_constraints(mechanism), self.substeps * self.division
         return f"""
 
 
@@ -105,7 +105,7 @@ def steps_of_a_frame(count):
 
 
 settings = steps_of_a_frame({self.substeps})
-{self._near_ground()}
+{_NEAR_GROUND.format(count=count) if count else ""}
 
 def step_frame(settings=settings):
     mbs.SolveDynamic(
@@ -114,18 +114,6 @@ def step_frame(settings=settings):
 
 {_NEXT_FRAME if self.division else "next_frame = step_frame"}
 """
-
-    def _near_ground(self) -> str:
-        """Return the program for `near_ground`, settings of frames in which a sphere may touch."""
-        return (
-            _NEAR_GROUND.format(
-                count=self.substeps * self.division,
-                fastest=_FASTEST_IMPACT,
-                rounding=_ROUNDING,
-            )
-            if self.division
-            else ""
-        )
 
     def _linear_solver(self, mechanism: Mechanism, redundant: bool) -> str:
         if redundant:
