@@ -19,11 +19,11 @@ from mbds_xsim.scene.imported import Fate, Imported
 from .assembling import assemble
 from .graph import Tie, tree_of
 from .parts import Drive, Freedom, Line, Mass, Part, Parts, Solids
-from .usd_drives import drive_of
 from .usd_fates import fates_of
 from .usd_masses import mass_of
 from .usd_shapes import Shapes
 
+_UNLIMITED = 3e38  # limit of a drive; single precision has no larger number
 _LARGEST_FILE = 64 * 10**6  # bytes
 _GAP = 1e-5  # largest gap of a joint's frames over the extent: positions are in single precision
 _LABELS = {"limits": ("Physics…Joint", "physics:lowerLimit"), "drive": ("drive", "")}
@@ -229,14 +229,41 @@ class _Reading:
             self.fates.append(Fate("drive", (freedom,), "dropped", reason, False, (name,)))
 
     def _lead(self, drive: Any, joint: str, kind: str, start: float) -> None:
-        """Convert a drive on a freedom if it is enabled; drop it if it cannot be a servo."""
+        """Make a servo of an enabled drive, or report why it cannot be one.
+
+        Args:
+            drive: Drive as the library of OpenUSD parses it.
+            joint: Name of the freedom that it drives.
+            kind: Kind of the freedom, hinge or slider.
+            start: Coordinate in the file at the reference pose [rad or m].
+        """
         if not drive.enabled:
             return
-        drive_or_text = drive_of(drive, joint, kind, start, (self._metre, self._kilogram))
-        if isinstance(drive_or_text, Drive):
-            self._drives.append(drive_or_text)
-        else:
-            self.fates.append(Fate("drive", (), "dropped", drive_or_text, True, (joint,)))
+        reason = ""
+        if drive.acceleration:
+            reason = "its gains are of accelerations, and those of servos are of torques and forces"
+        elif drive.stiffness < 0 or drive.damping < 0 or not (drive.stiffness or drive.damping):
+            reason = "it has a negative gain, or none"
+        if reason:
+            self.fates.append(Fate("drive", (), "dropped", reason, True, (joint,)))
+            return
+        turns = kind == "hinge"
+        unit = math.pi / 180 if turns else self._metre
+        force = self._kilogram * self._metre * (self._metre if turns else 1.0)
+        limit = force * drive.forceLimit if drive.forceLimit < _UNLIMITED else None
+        self._drives.append(
+            Drive(
+                name=joint,
+                joint=joint,
+                stiffness=drive.stiffness * force / unit,
+                damping=drive.damping * force / unit,
+                position=drive.targetPosition * unit - start if drive.stiffness else 0.0,
+                velocity=drive.targetVelocity * unit,
+                limit=limit or None,
+                limit_loss="" if limit != 0.0 else "it is 0",
+                target="to the target of the file",
+            )
+        )
 
     def _limits(self, limit: Any, kind: str, start: float) -> dict[str, tuple[float, float]]:
         if limit is None or not limit.enabled or kind == "ball":
