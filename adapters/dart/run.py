@@ -149,13 +149,9 @@ class DartRun(Run):
             spring=self._loads.springs(),
             law=joint_laws(self._mechanism, self._law),
             drive=np.array([drive.as_read() for drive in self._mechanism.drives]),
-            armature=np.array(
-                list(map(self._rotor, self._mechanism.rotors, self._joints("rotors")))
-            ),
+            armature=np.array([*map(self._rotor, self._mechanism.rotors, self._joints("rotors"))]),
             friction=np.array([j.getCoulombFriction(0) for j in self._joints("frictional")]),
-            limits=np.array([self._limits(joint) for joint in self._joints("limited")]).reshape(
-                -1, 2
-            ),
+            limits=np.array([self._limits(j) for j in self._joints("limited")]).reshape(-1, 2),
         )
 
     def _axis(self, link: Link) -> Array:
