@@ -170,22 +170,19 @@ def _split(
     return (ground.friction, collisions.friction), (ground.restitution / (root or 1.0), root)
 
 
-def contacts(shapes: list[Any], floor: Any) -> Array | None:
-    """Return radius, friction and restitution of each sphere on the ground, (sphere, 3).
+def contact_readback(shapes: list[Any], floor: Any, mechanism: Mechanism) -> dict[str, Array]:
+    """Return the fields of `Readback` on contact, with coefficients as DART's rules mix them.
 
-    DART's rules mix the coefficients; they are NaN without ground (`floor` is None).
+    Those with the ground are NaN without one (`floor` is None).
     """
-    if not shapes:
-        return None
-    laws = [_law(shape, floor) if floor else (np.nan, np.nan) for shape in shapes]
-    radii = [shape.getShape().getRadius() for shape in shapes]
-    return np.column_stack([radii, laws])
-
-
-def collisions(shapes: list[Any], mechanism: Mechanism) -> Array:
-    """Return friction and restitution of each pair of spheres by DART's rules, (pair, 2)."""
-    laws = [_law(shapes[one], shapes[other]) for one, other in mechanism.sphere_pairs.tolist()]
-    return np.array(laws).reshape(-1, 2)
+    between = [_law(shapes[one], shapes[other]) for one, other in mechanism.sphere_pairs.tolist()]
+    fields = {"collision": np.array(between).reshape(-1, 2)}
+    if shapes:
+        laws = [_law(shape, floor) if floor else (np.nan, np.nan) for shape in shapes]
+        radii = [shape.getShape().getRadius() for shape in shapes]
+        places = [shape.getWorldTransform().translation() for shape in shapes]
+        fields |= {"contact": np.column_stack([radii, laws]), "sphere": np.array(places)}
+    return fields
 
 
 def _law(*shapes: Any) -> tuple[float, float]:
@@ -194,13 +191,6 @@ def _law(*shapes: Any) -> tuple[float, float]:
         min(one.getFrictionCoeff(), other.getFrictionCoeff()),
         one.getRestitutionCoeff() * other.getRestitutionCoeff(),
     )
-
-
-def centers(shapes: list[Any]) -> Array | None:
-    """Return the centres of the spheres in W in the present state [m], shape (sphere, 3)."""
-    if not shapes:
-        return None
-    return np.array([shape.getWorldTransform().translation() for shape in shapes])
 
 
 class ContactSolver:

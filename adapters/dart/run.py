@@ -26,7 +26,7 @@ from mbds_xsim.scene.state import Batch, Failure, Trajectory
 from mbds_xsim.simulate.adapter import ModelSize, Readback, Run, Settings, earlier, recorded
 from mbds_xsim.simulate.readback import joint_anchors, joint_axes, joint_laws
 
-from .contact import ContactSolver, centers, collisions, contact_failures, contacts
+from .contact import ContactSolver, contact_failures, contact_readback
 from .model import SkeletonModel
 from .script import build_listing, script
 from .stepping import DartStepper, FrameLoads
@@ -142,9 +142,7 @@ class DartRun(Run):
             step=float(model.world.getTimeStep()),
             joint_axis=joint_axes(self._mechanism, self._axis),
             damping=self._damping(),
-            contact=contacts(model.shapes, model.floor),
-            collision=collisions(model.shapes, self._mechanism),
-            sphere=centers(model.shapes),
+            **contact_readback(model.shapes, model.floor, self._mechanism),
             anchor=joint_anchors(self._mechanism, self._link_anchor),
             spring=self._loads.springs(),
             law=joint_laws(self._mechanism, self._law),

@@ -220,7 +220,7 @@ class TouchingSpheres:
         velocity, spin = self._outputs("Velocity"), self._outputs("AngularVelocity")
         slip_x = velocity[:, 0] - spin[:, 1] * self._radius
         slip_y = velocity[:, 1] + spin[:, 0] * self._radius
-        place, (one, other) = self.centers(), self._pairs.T
+        place, (one, other) = self._outputs("Position"), self._pairs.T
         normal = place[one] - place[other]
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         turning = spin * self._radius[:, None]
@@ -231,22 +231,20 @@ class TouchingSpheres:
         zeros = np.zeros_like(slips)
         return np.stack([self._gaps(), slips, zeros, zeros], axis=-1).ravel()
 
-    def centers(self) -> Array:
-        """Return the spheres' centres in W in the present state [m], shape (sphere, 3)."""
-        return np.asarray(self._outputs("Position"))
-
-    def coefficients(self) -> Array:
-        """Return radius, friction and delivered restitution on the ground, shape (sphere, 3)."""
-        contacts = [self._mbs.GetObject(number) for number in self._contacts[: self._grounded]]
-        if not contacts:
-            return np.column_stack([self._radius, np.full((len(self._radius), 2), np.nan)])
-        radii = [contact["sphereRadius"] for contact in contacts]
-        return np.column_stack([radii, [_coefficients(contact) for contact in contacts]])
-
-    def collisions(self) -> Array:
-        """Return friction and delivered restitution of pairs of spheres, shape (pair, 2)."""
-        contacts = [self._mbs.GetObject(number) for number in self._contacts[self._grounded :]]
-        return np.array([_coefficients(contact) for contact in contacts]).reshape(-1, 2)
+    def readback(self) -> dict[str, Array]:
+        """Return the fields of `Readback` on contact, with the restitution that is delivered."""
+        contacts = [self._mbs.GetObject(number) for number in self._contacts]
+        laws = np.array([_coefficients(contact) for contact in contacts]).reshape(-1, 2)
+        count, radii = self._grounded, self._radius
+        on_ground = np.full((len(radii), 2), np.nan)
+        if count:
+            radii = np.array([contact["sphereRadius"] for contact in contacts[:count]])
+            on_ground = laws[:count]
+        return {
+            "contact": np.column_stack([radii, on_ground]),
+            "collision": laws[count:],
+            "sphere": np.asarray(self._outputs("Position")),
+        }
 
 
 def _coefficients(contact: Mapping[str, Any]) -> tuple[float, float]:

@@ -251,12 +251,13 @@ def _body(mechanism: Mechanism, k: int) -> Iterator[str]:
 
 
 def _joint(joint: PlacedJoint) -> str:
+    return f"joints.append(mbs.{_CALLS[joint.kind]}({_ends(joint)}))"
+
+
+def _ends(joint: PlacedJoint) -> str:
+    """Return the arguments that give the bodies, the anchor and the axis, if any, of a joint."""
     axis = f", axis={joint.axis.tolist()!r}" if joint.axis.any() else ""
-    return (
-        f"joints.append(mbs.{_CALLS[joint.kind]}("
-        f"itemNumbers=[{joined_items(joint)}], "
-        f"position={joint.anchor.tolist()!r}{axis}))"
-    )
+    return f"itemNumbers=[{joined_items(joint)}], position={joint.anchor.tolist()!r}{axis}"
 
 
 def _ball(joint: PlacedJoint, nil: float) -> str:
@@ -273,9 +274,7 @@ def _ball(joint: PlacedJoint, nil: float) -> str:
 
 def _turning_law(joint: PlacedJoint) -> str:
     return (
-        f"laws.append(mbs.CreateTorsionalSpringDamper("
-        f"itemNumbers=[{joined_items(joint)}], "
-        f"position={joint.anchor.tolist()!r}, axis={joint.axis.tolist()!r}, "
+        f"laws.append(mbs.CreateTorsionalSpringDamper({_ends(joint)}, "
         f"stiffness={joint.stiffness!r}, damping={joint.damping!r}, offset={joint.rest!r}))"
     )
 
