@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -91,9 +92,8 @@ class KinematicTree(Formulation):
         return links.coordinate, links.rate
 
     def to_bodies(self, coordinates: Array, velocities: Array) -> BodyStates:
-        still = np.zeros((*coordinates.shape, 3))
-        turn = np.broadcast_to(rotation.IDENTITY, (*coordinates.shape, 4))
-        links = LinkStates(turn, still, coordinates, velocities, still, still)
+        still = LinkStates.still(coordinates.shape)
+        links = dataclasses.replace(still, coordinate=coordinates, rate=velocities)
         return to_bodies(self.mechanism, links)
 
     def mass_properties(self) -> tuple[Array, Array, Array, Array]:

@@ -335,9 +335,8 @@ def _motors(actuators: Element, bodies: dict[int, Element], mechanism: Mechanism
     On a hinge that closes a loop it acts between two sites, about an axis fixed in the parent's:
     equal and opposite torques that turn with the bodies.
     """
-    in_tree = {link.joint.index for link in mechanism.links if link.joint is not None}
     for hinge in mechanism.hinges:
-        if hinge.index in in_tree:
+        if hinge.index in mechanism.carried:
             SubElement(actuators, "motor", name=hinge.name, joint=hinge.name)
             continue
         parent, child = _sites(bodies, hinge, np.zeros(3), f"{hinge.name} motor")
