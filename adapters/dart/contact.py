@@ -101,13 +101,8 @@ def contact_statements(
         gravity = float(np.linalg.norm(mechanism.scene.gravity)) or _EARTH
         yield _SOLVER.format(tolerance=_TOLERANCE * gravity * step, sweeps=_SWEEPS)
     yield "shapes = []"
-    for body, centre, radius in zip(
-        mechanism.sphere_body.tolist(),
-        mechanism.sphere_offset.tolist(),
-        mechanism.sphere_radius.tolist(),
-        strict=True,
-    ):
-        x, y, z = centre
+    columns = mechanism.sphere_body, mechanism.sphere_offset, mechanism.sphere_radius
+    for body, (x, y, z), radius in zip(*(each.tolist() for each in columns), strict=True):
         yield f"shapes += [bodies[{body}].createShapeNode(dart.dynamics.SphereShape({radius!r}))]"
         yield f"shapes[-1].setRelativeTransform(at({x!r}, {y!r}, {z!r}))"
     yield "for shape in shapes:"

@@ -146,12 +146,8 @@ def contact_listing(mechanism: Mechanism, contact: PenaltyContact, marker: Marke
         pairs=mechanism.sphere_pairs.tolist(),
         grounded=len(radius) if scene.ground else 0,
         arms=np.linalg.norm(mechanism.sphere_offset, axis=-1).tolist(),
-        gravity=float(np.linalg.norm(mechanism.scene.gravity)),
-        sprung=bool(
-            mechanism.springs
-            or mechanism.scene.servos
-            or any(joint.complies for joint in mechanism.joints)
-        ),
+        gravity=float(np.linalg.norm(scene.gravity)),
+        sprung=bool(mechanism.springs or scene.servos or mechanism.compliant),
         reach=_REACH,
     )
 

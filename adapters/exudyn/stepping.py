@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mbds_xsim.scene.constraints import degrees_of_freedom
+from mbds_xsim.scene.constraints import degrees_of_freedom, layout_of
 from mbds_xsim.scene.mechanism import Mechanism
 
 SOLVERS = {
@@ -16,7 +16,6 @@ SOLVERS = {
 }
 LINEAR_SOLVERS = ("auto", "EXUdense", "EigenDense", "EigenSparse")
 
-_ROWS = {"fixed": 6, "hinge": 5, "slider": 5, "ball": 3}
 # Tolerances of Newton's method: Exudyn's default, and one for the finer steps near the ground, with
 # which the default would leave a larger error in a flight than the steps do.
 _USUAL, _TIGHT = 1e-8, 1e-10
@@ -130,5 +129,5 @@ def has_redundant_constraints(mechanism: Mechanism) -> bool:
     """
     if not (mechanism.loops or mechanism.distances):
         return False
-    rows = sum(_ROWS[joint.kind] for joint in mechanism.joints) + len(mechanism.distances)
+    rows = layout_of(mechanism).row_count
     return 6 * mechanism.body_count - rows != degrees_of_freedom(mechanism)
