@@ -17,7 +17,7 @@ from mbds_xsim.simulate.claims import (
     Sweep,
 )
 
-from .contact import CONTACT_LAW, PenaltyContact
+from .contact import CONTACT_LAW
 from .model import RigidBodies
 from .run import ExudynRun
 from .stepping import LINEAR_SOLVERS, Stepping, has_redundant_constraints
@@ -146,26 +146,20 @@ class Exudyn(Adapter):
         return Settings(method, careful_step(frame, longest, _CAREFUL_COUNT), options)
 
     def contact_scales(self, settings: Settings) -> ContactScales:
-        contact = self._contact(settings)
-        return ContactScales(contact.duration, contact.slip_speed)
+        finest = settings.step / self.option(settings, "contact_substeps")
+        duration = finest * self.option(settings, "impact_steps")
+        return ContactScales(duration, self.option(settings, "slip_speed"))
 
     def load(self, scene: Scene, settings: Settings) -> Run:
         mechanism = Mechanism.of(scene)
         stepping = Stepping(
             method=settings.method,
-            frame=scene.clock.frame,
             substeps=settings.substeps(scene.clock.frame),
             linear_solver=self.option(settings, "linear_solver"),
             spectral_radius=float(self.option(settings, "spectral_radius")),
             modified_newton=self.option(settings, "modified_newton"),
             division=self.option(settings, "contact_substeps") if scene.contacts else 0,
-            braked=mechanism.braked,
         )
         formulation = KinematicTree if settings.method == _TREE else RigidBodies
         model = formulation(mechanism, settings.step)
-        return ExudynRun(mechanism, model, stepping, self._contact(settings))
-
-    def _contact(self, settings: Settings) -> PenaltyContact:
-        finest = settings.step / self.option(settings, "contact_substeps")
-        duration = finest * self.option(settings, "impact_steps")
-        return PenaltyContact(duration, self.option(settings, "slip_speed"))
+        return ExudynRun(mechanism, model, stepping, self.contact_scales(settings))

@@ -33,7 +33,6 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -41,7 +40,7 @@ import numpy as np
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.scene.mechanism import Mechanism
-from mbds_xsim.simulate.claims import ContactLaw
+from mbds_xsim.simulate.claims import ContactLaw, ContactScales
 
 CONTACT_LAW = ContactLaw(
     normal="penalty: a spring, and a damper that grows with depth (Gonthier)",
@@ -107,22 +106,12 @@ def may_touch(duration):  # whether a sphere can get to the ground or another wi
 """
 
 
-@dataclass(frozen=True)
-class PenaltyContact:
-    """Parameters of the penalty contacts."""
-
-    duration: float
-    """Shortest duration of an impact [s]."""
-    slip_speed: float
-    """Slip above which friction is Coulomb's [m/s]."""
-
-
-def contact_listing(mechanism: Mechanism, contact: PenaltyContact, marker: Marker) -> Iterator[str]:
+def contact_listing(mechanism: Mechanism, scales: ContactScales, marker: Marker) -> Iterator[str]:
     """Yield lines that make `spheres`, markers at centres, and `contacts`, in the order of `gaps`.
 
     Args:
         mechanism: A mechanism with contact spheres.
-        contact: Parameters of the contacts.
+        scales: Shortest duration of an impact, and slip above which friction is Coulomb's.
         marker: Function that writes a marker at a point of a body's native frame.
     """
     scene, radius = mechanism.scene, mechanism.sphere_radius.tolist()
@@ -136,11 +125,11 @@ def contact_listing(mechanism: Mechanism, contact: PenaltyContact, marker: Marke
     for k in range(len(radius)) if scene.ground else ():
         yield from _contact("Triangle", f"spheres[{k}], plane")
         yield f"    sphereRadius={radius[k]!r}, trianglePoints=corners, includeEdges=0,"
-        yield from _law("ground", mechanism, [k], contact)
+        yield from _law("ground", mechanism, [k], scales)
     for pair in mechanism.sphere_pairs.tolist():
         yield from _contact("Sphere", ", ".join(f"spheres[{k}]" for k in pair))
         yield f"    spheresRadii={[radius[k] for k in pair]!r},"
-        yield from _law("collisions", mechanism, pair, contact)
+        yield from _law("collisions", mechanism, pair, scales)
     yield _TOUCH_TEST.format(
         radii=radius,
         pairs=mechanism.sphere_pairs.tolist(),
@@ -161,7 +150,7 @@ def _contact(kind: str, markers: str) -> Iterator[str]:
 
 
 def _law(
-    where: str, mechanism: Mechanism, spheres: list[int], contact: PenaltyContact
+    where: str, mechanism: Mechanism, spheres: list[int], scales: ContactScales
 ) -> Iterator[str]:
     """Yield the lines with the coefficients of a contact of one sphere or two."""
     law = getattr(mechanism.scene, where)
@@ -173,18 +162,18 @@ def _law(
     # On this spring the spheres' bodies alone bounce within `duration`. Joints only add to a body's
     # effective mass, so impacts last longer with them.
     yielding = sum(_inverse_mass(mechanism, sphere) for sphere in spheres)
-    stiffness = (math.pi / contact.duration) ** 2 / yielding
+    stiffness = (math.pi / scales.time) ** 2 / yielding
     yield f"    contactStiffness={stiffness!r},"
     if law.restitution:
         # `impactModel=1` would miss the restitution.
         yield f"    impactModel=2, restitutionCoefficient={coefficient(law.restitution)!r},"
-        slowest = min(_SLOWEST_IMPACT, _SLOWEST_GAIN * contact.duration)
+        slowest = min(_SLOWEST_IMPACT, _SLOWEST_GAIN * scales.time)
         yield f"    minimumImpactVelocity={slowest!r},"
     else:
         damping = 2.0 * math.sqrt(stiffness * float(mechanism.mass.sum()))
         yield f"    impactModel=0, contactDamping={damping!r},"
     yield f"    dynamicFriction={law.friction!r},"
-    yield f"    frictionProportionalZone={contact.slip_speed!r})))"
+    yield f"    frictionProportionalZone={scales.slip!r})))"
 
 
 def _inverse_mass(mechanism: Mechanism, sphere: int) -> float:

@@ -23,9 +23,10 @@ from mbds_xsim.simulate.adapter import (
     recorded,
     too_fast,
 )
+from mbds_xsim.simulate.claims import ContactScales
 
 from .brakes import LIMITS
-from .contact import PenaltyContact, TouchingSpheres, contact_listing
+from .contact import TouchingSpheres, contact_listing
 from .model import HEAD, Formulation
 from .older import in_its_words, silence
 from .stepping import Stepping
@@ -52,11 +53,11 @@ class ExudynRun(Run):
     """A run that executes the listing, then the solver once per frame."""
 
     def __init__(
-        self, mechanism: Mechanism, model: Formulation, stepping: Stepping, contact: PenaltyContact
+        self, mechanism: Mechanism, model: Formulation, stepping: Stepping, scales: ContactScales
     ) -> None:
         self._mechanism = mechanism
         self._model = model
-        listing = _listing(mechanism, model, contact) + stepping.listing(mechanism)
+        listing = _listing(mechanism, model, scales) + stepping.listing(mechanism)
         self._listing = in_its_words(listing)
         silence()
         # The listing is the model: it shows every call that builds the model.
@@ -213,10 +214,10 @@ class ExudynRun(Run):
         self._mbs = None
 
 
-def _listing(mechanism: Mechanism, model: Formulation, contact: PenaltyContact) -> str:
+def _listing(mechanism: Mechanism, model: Formulation, scales: ContactScales) -> str:
     lines = [HEAD, *model.statements()]
     if mechanism.scene.contacts:
-        lines += contact_listing(mechanism, contact, model.marker)
+        lines += contact_listing(mechanism, scales, model.marker)
     return "\n".join([*lines, "mbs.Assemble()", ""])
 
 

@@ -63,19 +63,19 @@ class Stepping:
     """All settings of the solver."""
 
     method: str
-    frame: float
     substeps: int
     linear_solver: str
     spectral_radius: float
     modified_newton: bool
     division: int = 0
     """Number of finer steps in a step near the ground; 0 if the scene has no contact."""
-    braked: bool = False
-    """Whether joints have friction or limits. Newton's method may go back and forth between the
-    kinks of their laws; a step on which it does not converge is divided into shorter ones."""
 
     def listing(self, mechanism: Mechanism) -> str:
-        """Return the program that defines `settings`, and `next_frame` to call once per frame."""
+        """Return the program that defines `settings`, and `next_frame` to call once per frame.
+
+        Where joints have friction or limits, Newton's method may go back and forth between the
+        kinks of their laws; a step on which it does not converge is divided into shorter ones.
+        """
         redundant, count = has_redundant_constraints(mechanism), self.substeps * self.division
         return f"""
 
@@ -85,9 +85,9 @@ def steps_of_a_frame(count):
     settings.solution.file.write = False
     settings.solution.sensors.active = False
     stepping = settings.timeIntegration
-    stepping.endTime = {self.frame!r}
+    stepping.endTime = {mechanism.scene.clock.frame!r}
     stepping.numberOfSteps = count
-    stepping.adaptiveStep = {self.braked}
+    stepping.adaptiveStep = {mechanism.braked}
     stepping.adaptiveStepRecoverySteps = 1
     stepping.adaptiveStepRecoveryIterations = 1000
     stepping.minimumStepSize = {_SHORTEST_SHARE} * stepping.endTime / count
