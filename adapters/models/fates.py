@@ -8,7 +8,7 @@ that a compiled model describes better are reported from there.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from xml.etree.ElementTree import Element
 
 from mbds_xsim.scene.imported import Fate, Outcome
@@ -114,7 +114,7 @@ _NONE_AT_ZERO = {"density", "viscosity", "wind", "magnetic", "gravcomp"}
 def fates_of(
     root: Element, reported: Mapping[tuple[str, str], bool], *, touching: bool = False
 ) -> Iterator[Fate]:
-    """Walk a document and yield the fates of its elements and attributes.
+    """Walk a document and return the fates of its elements and attributes.
 
     Args:
         root: Root element of the document.
@@ -122,26 +122,32 @@ def fates_of(
             true leaves one out here, false reports it as none or zero.
         touching: Whether elements in collision shapes have fates of their own.
     """
-    by_fate: dict[tuple[str, Entry], list[tuple[str, Element]]] = defaultdict(list)
     whole = _WHOLE - _OPEN[root.tag] - ({"collision"} if touching else set())
+    found = []
     for element in _walk(root, whole):
         for attribute in element.attrib or ("",):
             is_reported = reported.get((element.tag, attribute))
             if not is_reported:
-                fate = _NONE if is_reported is False else _look_up(root.tag, element, attribute)
-                by_fate[element.tag, fate].append((attribute, element))
-    for (tag, fate), pairs in by_fate.items():
-        outcome, moves, reason = fate
-        elements = {id(element): element for _, element in pairs}
-        yield Fate(
-            tag,
-            tuple(dict.fromkeys(attribute for attribute, _ in pairs if attribute)),
-            outcome,
-            reason,
-            moves,
-            tuple(filter(None, (e.get("name", "") for e in elements.values()))),
-            len(elements),
-        )
+                entry = _NONE if is_reported is False else _look_up(root.tag, element, attribute)
+                found.append((element.tag, entry, attribute, id(element), element.get("name", "")))
+    return grouped(found)
+
+
+def grouped(found: Iterable[tuple[str, Entry, str, Hashable, str]]) -> Iterator[Fate]:
+    """Yield a fate for all attributes of a kind of element that have the same entry.
+
+    Args:
+        found: Kind of element, entry, attribute ("" for the element as a whole), the element, and
+            its name ("" if it has none).
+    """
+    by_fate: dict[tuple[str, Entry], list[tuple[str, Hashable, str]]] = defaultdict(list)
+    for kind, entry, attribute, element, name in found:
+        by_fate[kind, entry].append((attribute, element, name))
+    for (kind, (outcome, moves, reason)), rows in by_fate.items():
+        attributes = dict.fromkeys(attribute for attribute, _, _ in rows if attribute)
+        names = {element: name for _, element, name in rows}
+        places = tuple(filter(None, names.values()))
+        yield Fate(kind, tuple(attributes), outcome, reason, moves, places, len(names))
 
 
 def _walk(root: Element, whole: set[str]) -> Iterator[Element]:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 from mbds_xsim.scene.imported import Fate
 
-from .fates import COLLISION, Entry, by_key
+from .fates import COLLISION, Entry, by_key, grouped
 
 _TABLE = by_key((
     ("kept", True, "as the library of OpenUSD parses it",
@@ -50,7 +49,7 @@ _SIMULATORS = ("physx", "mjc", "newton", "isaac")
 
 
 def fates_of(stage: Any, *, limited: bool, touching: bool) -> Iterator[Fate]:
-    """Walk a stage and yield the fates of all authored properties.
+    """Walk a stage and return the fates of all authored properties.
 
     Args:
         stage: The stage.
@@ -58,21 +57,16 @@ def fates_of(stage: Any, *, limited: bool, touching: bool) -> Iterator[Fate]:
         touching: Whether shapes touch the ground, and are reported one by one.
     """
     table = _TABLE | _TOUCHING if touching else _TABLE
-    by_fate: dict[tuple[str, Entry], list[tuple[str, str]]] = defaultdict(list)
+    found = []
     for prim in stage.Traverse():
-        kind = str(prim.GetTypeName()) or "Prim"
+        kind, place = str(prim.GetTypeName()) or "Prim", prim.GetName()
         solid = touching and "PhysicsCollisionAPI" in prim.GetAppliedSchemas()
         for attribute in prim.GetAuthoredProperties():
             name = attribute.GetName()
-            if (name in _LIMITS and limited) or _is_of_drive(prim, name):
-                continue
-            by_fate[kind, _fate(table | _SHAPE if solid else table, name)].append(
-                (name, prim.GetName())
-            )
-    for (kind, (outcome, moves, reason)), pairs in by_fate.items():
-        names = tuple(dict.fromkeys(name for name, _ in pairs))
-        places = tuple(dict.fromkeys(place for _, place in pairs))
-        yield Fate(kind, names, outcome, reason, moves, places, len(places))
+            if not ((name in _LIMITS and limited) or _is_of_drive(prim, name)):
+                entry = _fate(table | _SHAPE if solid else table, name)
+                found.append((kind, entry, name, place, place))
+    return grouped(found)
 
 
 def _is_of_drive(prim: Any, name: str) -> bool:
