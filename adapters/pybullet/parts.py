@@ -56,18 +56,13 @@ def split(mechanism: Mechanism) -> tuple[tuple[Multibody, ...], tuple[PlacedJoin
         starts = link.parent == WORLD_INDEX or link.body in cut
         root[link.body] = link.body if starts else root[link.parent]
     parts = []
-    for first in (link for link in mechanism.links if root[link.body] == link.body):
+    for first in mechanism.links:
+        if root[first.body] != first.body:
+            continue
+        links = tuple(link for link in mechanism.links if root[link.body] == first.body)
+        # A body that is free or cut off is the base, without a link of its own.
         fixed = first.joint is not None and first.body not in cut
-        parts.append(
-            Multibody(
-                base=WORLD_INDEX if fixed else first.body,
-                links=tuple(
-                    link
-                    for link in mechanism.links
-                    if root[link.body] == first.body and (fixed or link is not first)
-                ),
-            )
-        )
+        parts.append(Multibody(WORLD_INDEX, links) if fixed else Multibody(first.body, links[1:]))
     joints = [link.joint for link in mechanism.links if link.body in cut and link.joint is not None]
     return tuple(parts), tuple(joints)
 
