@@ -7,15 +7,7 @@ from typing import ClassVar
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings, careful_step, nearest_step
-from mbds_xsim.simulate.claims import (
-    CONTACTS,
-    LOOPS,
-    ContactScales,
-    Feature,
-    Method,
-    Option,
-    Sweep,
-)
+from mbds_xsim.simulate.claims import CONTACTS, LOOPS, ContactScales, Feature, Method, Option, Sweep
 
 from .contact import CONTACT_LAW
 from .model import RigidBodies

@@ -91,11 +91,8 @@ class ExudynRun(Run):
 
     def _put(self, coordinates: Array, velocities: Array) -> None:
         """Set a start without the solver's memory of an earlier trajectory."""
-        data = self._mbs.systemData
-        for configuration in (
-            exudyn.ConfigurationType.Initial,
-            exudyn.ConfigurationType.Current,
-        ):
+        data, kinds = self._mbs.systemData, exudyn.ConfigurationType
+        for configuration in (kinds.Initial, kinds.Current):
             data.SetSystemState(self._rest, configuration)
             data.SetODE2Coordinates(coordinates, configuration)
             data.SetODE2Coordinates_t(velocities, configuration)
@@ -103,8 +100,8 @@ class ExudynRun(Run):
         if self._spheres is not None:
             self._names["before"][0] = None
             memory = self._memory()
-            data.SetDataCoordinates(memory, exudyn.ConfigurationType.Initial)
-            data.SetDataCoordinates(memory, exudyn.ConfigurationType.Current)
+            data.SetDataCoordinates(memory, kinds.Initial)
+            data.SetDataCoordinates(memory, kinds.Current)
 
     def _memory(self) -> Array:
         """Return the data coordinates of a start: zeros for joints, then those of contacts."""
