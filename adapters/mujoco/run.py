@@ -254,11 +254,11 @@ class ModelRun(Bending):
 
     def _law(self, _link: Link, joint: PlacedJoint) -> tuple[float, float, float]:
         model, number = self.model, self.model.joint(joint.name).id
-        damping = model.dof_damping[self._dof(joint)]
+        damping = model.dof_damping[model.jnt_dofadr[number]]
         return model.jnt_stiffness[number], damping, model.qpos_spring[model.jnt_qposadr[number]]
 
     def _limits(self) -> Array:
-        numbers = [self.model.joint(joint.name).id for joint in self._mechanism.limited]
+        numbers = self._numbers(self._mechanism.limited)
         limited = self.model.jnt_limited[numbers].astype(bool)
         return np.where(limited[:, None], self.model.jnt_range[numbers], np.inf)
 
@@ -268,11 +268,11 @@ class ModelRun(Bending):
         limit = np.where(limited, model.actuator_forcerange[first:, 1], 0.0)
         return np.column_stack([-model.actuator_biasprm[first:, 1:3], limit])
 
-    def _dof(self, joint: PlacedJoint) -> int:
-        return int(self.model.jnt_dofadr[self.model.joint(joint.name).id])
+    def _numbers(self, joints: tuple[PlacedJoint, ...]) -> list[int]:
+        return [self.model.joint(joint.name).id for joint in joints]
 
-    def _dofs(self, joints: tuple[PlacedJoint, ...]) -> list[int]:
-        return [self._dof(joint) for joint in joints]
+    def _dofs(self, joints: tuple[PlacedJoint, ...]) -> Index:
+        return np.asarray(self.model.jnt_dofadr[self._numbers(joints)])
 
     def _place(self, body: int, point: Array) -> Array:
         """Return a point of a body of MuJoCo in W."""
@@ -283,9 +283,8 @@ class ModelRun(Bending):
         model = self.model
         nominal = [0.0] * len(self._mechanism.distances)
         nominal += [spring.damping for spring in self._mechanism.springs]
-        damping = model.dof_damping.copy()
-        for joint in self._mechanism.compliant:
-            damping[self._dof(joint)] -= joint.damping
+        damping, compliant = model.dof_damping.copy(), self._mechanism.compliant
+        damping[self._dofs(compliant)] -= [joint.damping for joint in compliant]
         friction = model.dof_frictionloss.copy()
         friction[self._dofs(self._mechanism.frictional)] = 0.0
         unwanted = [getattr(model, name).ravel() for name in _UNWANTED]
