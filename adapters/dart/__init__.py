@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
@@ -38,9 +37,9 @@ class Dart(Adapter):
     name = "dart"
     revision = 3
     package = "dartpy"
-    coordinates: ClassVar[Literal["reduced", "maximal"]] = "reduced"
+    coordinates = "reduced"
     contact_law = CONTACT_LAW
-    methods: ClassVar[Mapping[str, Method]] = {
+    methods: ClassVar = {
         "semi-implicit-euler": Method(
             "semi-implicit-euler", "semi-implicit Euler", 1, velocity_lag=-0.5
         ),
@@ -59,7 +58,7 @@ class Dart(Adapter):
             own=False,
         ),
     }
-    options: ClassVar[Mapping[str, Option]] = {
+    options: ClassVar = {
         _ERROR_REDUCTION: Option(
             0.01,
             "share of a loop's gap that DART closes in a step (its error reduction parameter)",
@@ -74,11 +73,11 @@ class Dart(Adapter):
             names=SOLVERS,
         ),
     }
-    sweeps: ClassVar[Mapping[str, Sweep]] = {
+    sweeps: ClassVar = {
         _ERROR_REDUCTION: Sweep((0.01, 0.2, 0.8), needs=LOOPS),
         _FRICTION: Sweep(SOLVERS, needs=frozenset({Feature.CONTACT})),
     }
-    limits: ClassVar[Mapping[Feature, str]] = {
+    limits: ClassVar = {
         Feature.LOOP_SLIDER: "DART has no constraint that keeps a point on a line",
         Feature.DISTANCE_LINK: "DART has no constraint that keeps a distance",
         Feature.HELD_ARMATURE: "DART has rotors as implicit dampers only, and its impulses, which "

@@ -101,13 +101,8 @@ def contact_statements(
         gravity = float(np.linalg.norm(mechanism.scene.gravity)) or _EARTH
         yield _SOLVER.format(tolerance=_TOLERANCE * gravity * step, sweeps=_SWEEPS)
     yield "shapes = []"
-    for body, centre, radius in zip(
-        mechanism.sphere_body.tolist(),
-        mechanism.sphere_offset.tolist(),
-        mechanism.sphere_radius.tolist(),
-        strict=True,
-    ):
-        x, y, z = centre
+    columns = mechanism.sphere_body, mechanism.sphere_offset, mechanism.sphere_radius
+    for body, (x, y, z), radius in zip(*(each.tolist() for each in columns), strict=True):
         yield f"shapes += [bodies[{body}].createShapeNode(dart.dynamics.SphereShape({radius!r}))]"
         yield f"shapes[-1].setRelativeTransform(at({x!r}, {y!r}, {z!r}))"
     yield "for shape in shapes:"
@@ -153,8 +148,7 @@ def _split(
     for where, law in (("ground", ground), ("collisions", collisions)):
         for name in ("friction", "restitution") if law else ():
             if 0.0 < (value := getattr(law, name)) <= _NONE:
-                msg = f"{where}.{name}: got {value}, DART treats {_NONE} and less as 0"
-                raise Unsupported(msg)
+                raise Unsupported(f"{where}.{name}: got {value}, DART treats {_NONE} and less as 0")
     if collisions is None:
         assert ground is not None
         return (ground.friction, ground.friction), (1.0, ground.restitution)
@@ -162,32 +156,28 @@ def _split(
     if ground is None:
         return (0.0, collisions.friction), (0.0, root)
     if ground.friction > collisions.friction or ground.restitution > root:
-        msg = (
+        raise Unsupported(
             f"dart: collisions: got friction {collisions.friction:g} and restitution "
             f"{collisions.restitution:g}, allowed is a friction of at least the "
             f"ground's, {ground.friction:g}, since the smaller of two counts, and a restitution of "
             f"at least the ground's squared, {ground.restitution**2:g}, since the product counts"
         )
-        raise Unsupported(msg)
     return (ground.friction, collisions.friction), (ground.restitution / (root or 1.0), root)
 
 
-def contacts(shapes: list[Any], floor: Any) -> Array | None:
-    """Return radius, friction and restitution of each sphere on the ground, (sphere, 3).
+def contact_readback(shapes: list[Any], floor: Any, mechanism: Mechanism) -> dict[str, Array]:
+    """Return the fields of `Readback` on contact, with coefficients as DART's rules mix them.
 
-    DART's rules mix the coefficients; they are NaN without ground (`floor` is None).
+    Those with the ground are NaN without one (`floor` is None).
     """
-    if not shapes:
-        return None
-    laws = [_law(shape, floor) if floor else (np.nan, np.nan) for shape in shapes]
-    radii = [shape.getShape().getRadius() for shape in shapes]
-    return np.column_stack([radii, laws])
-
-
-def collisions(shapes: list[Any], mechanism: Mechanism) -> Array:
-    """Return friction and restitution of each pair of spheres by DART's rules, (pair, 2)."""
-    laws = [_law(shapes[one], shapes[other]) for one, other in mechanism.sphere_pairs.tolist()]
-    return np.array(laws).reshape(-1, 2)
+    between = [_law(shapes[one], shapes[other]) for one, other in mechanism.sphere_pairs.tolist()]
+    fields = {"collision": np.array(between).reshape(-1, 2)}
+    if shapes:
+        laws = [_law(shape, floor) if floor else (np.nan, np.nan) for shape in shapes]
+        radii = [shape.getShape().getRadius() for shape in shapes]
+        places = [shape.getWorldTransform().translation() for shape in shapes]
+        fields |= {"contact": np.column_stack([radii, laws]), "sphere": np.array(places)}
+    return fields
 
 
 def _law(*shapes: Any) -> tuple[float, float]:
@@ -196,13 +186,6 @@ def _law(*shapes: Any) -> tuple[float, float]:
         min(one.getFrictionCoeff(), other.getFrictionCoeff()),
         one.getRestitutionCoeff() * other.getRestitutionCoeff(),
     )
-
-
-def centers(shapes: list[Any]) -> Array | None:
-    """Return the centres of the spheres in W in the present state [m], shape (sphere, 3)."""
-    if not shapes:
-        return None
-    return np.array([shape.getWorldTransform().translation() for shape in shapes])
 
 
 class ContactSolver:

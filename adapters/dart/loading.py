@@ -50,8 +50,7 @@ def load(path: Path, floating: bool) -> ModelFacts:
         count = world.getNumSkeletons() if world is not None else 0
         skeletons = [world.getSkeleton(k) for k in range(count)]
     if not skeletons or None in skeletons:
-        msg = "it gives no skeleton"
-        raise InputError(msg)
+        raise InputError("it gives no skeleton")
     for skeleton in skeletons:  # DART starts it inside the limits, even if 0 lies outside
         skeleton.setPositions(np.zeros(skeleton.getNumDofs()))
     nodes = [node for skeleton in skeletons for node in skeleton.getBodyNodes()]

@@ -26,7 +26,7 @@ from mbds_xsim.scene.state import Batch, Failure, Trajectory
 from mbds_xsim.simulate.adapter import ModelSize, Readback, Run, Settings, earlier, recorded
 from mbds_xsim.simulate.readback import joint_anchors, joint_axes, joint_laws
 
-from .contact import ContactSolver, centers, collisions, contact_failures, contacts
+from .contact import ContactSolver, contact_failures, contact_readback
 from .model import SkeletonModel
 from .script import build_listing, script
 from .stepping import DartStepper, FrameLoads
@@ -102,10 +102,10 @@ class DartRun(Run):
         start_u: Array,
         q: Array,
         u: Array,
-        warnings: _Warnings,
+        warnings: int,
     ) -> Failure | None:
         """Fill q and u (frame, coordinate) with one trajectory; return its failure, if any."""
-        skeleton, size = self._model.skeleton, warnings.size()
+        skeleton, size = self._model.skeleton, os.fstat(warnings).st_size
         self._model.set_state(start_q, start_u)
         self._contact.restart()
         q[0], u[0] = start_q, start_u
@@ -113,8 +113,8 @@ class DartRun(Run):
             self._loads.hold(*loads)
             self._stepper.advance(self._step_count)
             here, rate = skeleton.getPositions(), skeleton.getVelocities()
-            if warnings.size() > size:
-                return Failure(k + 1, f"DART: {warnings.first_since(size)}")
+            if os.fstat(warnings).st_size > size:
+                return Failure(k + 1, f"DART: {_first_line(warnings, size)}")
             fastest = float(np.abs(rate).max())
             if not (fastest < _BLOW_UP and np.isfinite(here).all()):
                 return Failure(k + 1, f"blow-up: a joint rate of {fastest:.3g} rad/s or m/s")
@@ -142,20 +142,14 @@ class DartRun(Run):
             step=float(model.world.getTimeStep()),
             joint_axis=joint_axes(self._mechanism, self._axis),
             damping=self._damping(),
-            contact=contacts(model.shapes, model.floor),
-            collision=collisions(model.shapes, self._mechanism),
-            sphere=centers(model.shapes),
+            **contact_readback(model.shapes, model.floor, self._mechanism),
             anchor=joint_anchors(self._mechanism, self._link_anchor),
             spring=self._loads.springs(),
             law=joint_laws(self._mechanism, self._law),
             drive=np.array([drive.as_read() for drive in self._mechanism.drives]),
-            armature=np.array(
-                list(map(self._rotor, self._mechanism.rotors, self._joints("rotors")))
-            ),
+            armature=np.array([*map(self._rotor, self._mechanism.rotors, self._joints("rotors"))]),
             friction=np.array([j.getCoulombFriction(0) for j in self._joints("frictional")]),
-            limits=np.array([self._limits(joint) for joint in self._joints("limited")]).reshape(
-                -1, 2
-            ),
+            limits=np.array([self._limits(j) for j in self._joints("limited")]).reshape(-1, 2),
         )
 
     def _axis(self, link: Link) -> Array:
@@ -216,26 +210,17 @@ class DartRun(Run):
 
 
 @contextlib.contextmanager
-def _capture_warnings() -> Iterator[_Warnings]:
+def _capture_warnings() -> Iterator[int]:
+    """Collect DART's printed warnings in a file, whose descriptor is the value."""
     sys.stderr.flush()
     with tempfile.TemporaryFile() as file, redirected((2,), file.fileno()):
-        yield _Warnings(file.fileno())
+        yield file.fileno()
 
 
-class _Warnings:
-    """DART's printed warnings, read from the descriptor of the file that collects them."""
-
-    def __init__(self, file: int) -> None:
-        self._file = file
-
-    def size(self) -> int:
-        """Number of bytes printed so far."""
-        return os.fstat(self._file).st_size
-
-    def first_since(self, size: int) -> str:
-        """Return the first line printed after the first `size` bytes, without its colours."""
-        line = os.pread(self._file, 400, size).decode(errors="replace").partition("\n")[0]
-        return re.sub(r"\x1b\[[0-9;]*m", "", line).strip()
+def _first_line(warnings: int, start: int) -> str:
+    """Return the first line printed after the first `start` bytes, without its colours."""
+    line = os.pread(warnings, 400, start).decode(errors="replace").partition("\n")[0]
+    return re.sub(r"\x1b\[[0-9;]*m", "", line).strip()
 
 
 @contextlib.contextmanager

@@ -14,12 +14,7 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
 from mbds_xsim.scene.shapes import TENSION, pull_call, shapes
 
-_PAIR = {
-    "fixed": "Weld",
-    "hinge": "Revolute",
-    "slider": "Prismatic",
-    "ball": "Ball",
-}
+_PAIR = {"fixed": "Weld", "hinge": "Revolute", "slider": "Prismatic", "ball": "Ball"}
 _HEAD = """\
 import dartpy as dart
 import numpy as np

@@ -2,30 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import ClassVar
 
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings, careful_step, nearest_step
-from mbds_xsim.simulate.claims import (
-    CONTACTS,
-    LOOPS,
-    ContactScales,
-    Feature,
-    Method,
-    Option,
-    Sweep,
-)
+from mbds_xsim.simulate.claims import CONTACTS, LOOPS, ContactScales, Feature, Method, Option, Sweep
 
-from .contact import CONTACT_LAW, PenaltyContact
-from .model import Formulation, RigidBodies
+from .contact import CONTACT_LAW
+from .model import RigidBodies
 from .run import ExudynRun
 from .stepping import LINEAR_SOLVERS, Stepping, has_redundant_constraints
 from .tree import KinematicTree
 
 __all__ = ["Exudyn"]
 
+_TREE = "tree-RK44"
 _USUAL_STEP = 1e-3
 # Step that keeps the pendulums' budgets [s], and fewest steps in a frame for faster scenes.
 _CAREFUL_STEP, _CAREFUL_COUNT = 6.25e-4, 20
@@ -85,7 +77,7 @@ class Exudyn(Adapter):
         "generalised-alpha": Method("generalised-alpha", "generalised-alpha", 2),
         "RK44": Method("RK44", "RK4", 4, _NO_JOINTS),
         "RK67": Method("RK67", "Runge-Kutta 6(7)", 6, _NO_JOINTS),
-        "tree-RK44": Method("tree-RK44", "RK4", 4, _ONLY_A_TREE),
+        _TREE: Method(_TREE, "RK4", 4, _ONLY_A_TREE),
     }
     options: ClassVar = {
         "spectral_radius": Option(
@@ -146,28 +138,20 @@ class Exudyn(Adapter):
         return Settings(method, careful_step(frame, longest, _CAREFUL_COUNT), options)
 
     def contact_scales(self, settings: Settings) -> ContactScales:
-        contact = self._contact(settings)
-        return ContactScales(contact.duration, contact.slip_speed)
+        finest = settings.step / self.option(settings, "contact_substeps")
+        duration = finest * self.option(settings, "impact_steps")
+        return ContactScales(duration, self.option(settings, "slip_speed"))
 
     def load(self, scene: Scene, settings: Settings) -> Run:
         mechanism = Mechanism.of(scene)
         stepping = Stepping(
             method=settings.method,
-            frame=scene.clock.frame,
             substeps=settings.substeps(scene.clock.frame),
             linear_solver=self.option(settings, "linear_solver"),
             spectral_radius=float(self.option(settings, "spectral_radius")),
             modified_newton=self.option(settings, "modified_newton"),
             division=self.option(settings, "contact_substeps") if scene.contacts else 0,
-            braked=mechanism.braked,
         )
-        model = _MODELS.get(settings.method, RigidBodies)(mechanism, settings.step)
-        return ExudynRun(mechanism, model, stepping, self._contact(settings))
-
-    def _contact(self, settings: Settings) -> PenaltyContact:
-        finest = settings.step / self.option(settings, "contact_substeps")
-        duration = finest * self.option(settings, "impact_steps")
-        return PenaltyContact(duration, self.option(settings, "slip_speed"))
-
-
-_MODELS: dict[str, Callable[[Mechanism, float], Formulation]] = {"tree-RK44": KinematicTree}
+        formulation = KinematicTree if settings.method == _TREE else RigidBodies
+        model = formulation(mechanism, settings.step)
+        return ExudynRun(mechanism, model, stepping, self.contact_scales(settings))

@@ -11,12 +11,10 @@ joint in one step.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Iterator
 
 import numpy as np
 
-from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.joint_inertia import moved_inertias, poses
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 
@@ -33,7 +31,8 @@ def saturated(limit):
     return force
 
 """
-_LIMITS = ("limitStopsLower", "limitStopsUpper")
+LIMITS = ("limitStopsLower", "limitStopsUpper")
+"""Parameters of Exudyn's stops that are limits."""
 _KINDS = {"hinge": "Rotation", "slider": "Translation"}
 
 
@@ -109,24 +108,21 @@ def rotors_listing(mechanism: Mechanism) -> Iterator[str]:
         )
 
 
-def read_brakes(names: Mapping[str, Any], mechanism: Mechanism) -> tuple[Array, Array]:
-    """Read back the brakes' friction, shape (joint,), and limits, shape (joint, 2)."""
-    brakes, count = names["brakes"], len(mechanism.frictional)
-    objects = [names["mbs"].GetObject(number) for number in brakes]
-    friction = np.array([each["dynamicFrictionForce"] for each in objects[:count]])
-    limits = [[each[key] for key in _LIMITS] for each in objects[count:]]
-    return friction, np.array(limits).reshape(-1, len(_LIMITS))
+def item(body: int) -> str:
+    """Return the listing's name of a body or the world."""
+    return "ground" if body == WORLD_INDEX else f"bodies[{body}]"
+
+
+def joined_items(joint: PlacedJoint) -> str:
+    """Return the listing's names of the two bodies of a joint."""
+    return f"{item(joint.parent)}, {item(joint.child)}"
 
 
 def _coordinate(joint: PlacedJoint) -> str:
-    bodies = ", ".join(
-        "ground" if body == WORLD_INDEX else f"bodies[{body}]"
-        for body in (joint.parent, joint.child)
-    )
     turns = f"nodeNumber={_data(1)}, " if joint.kind == "hinge" else ""
     return (
         f"mbs.AddMarker(items.MarkerBodiesRelative{_KINDS[joint.kind]}Coordinate("
-        f"bodyNumbers=[{bodies}], {turns}localPosition0={joint.in_parent.tolist()!r}, "
+        f"bodyNumbers=[{joined_items(joint)}], {turns}localPosition0={joint.in_parent.tolist()!r}, "
         f"localPosition1={joint.in_child.tolist()!r}, axis0={joint.axis.tolist()!r}))"
     )
 
@@ -147,4 +143,4 @@ def _stops(joint: PlacedJoint, least: float, most: float, step: float) -> dict[s
     assert joint.limits is not None
     damping = 2.0 * least / step
     law = {"limitStopsDamping": damping, "limitStopsStiffness": damping**2 / (4.0 * most)}
-    return {"useLimitStops": True} | law | dict(zip(_LIMITS, joint.limits, strict=True))
+    return {"useLimitStops": True} | law | dict(zip(LIMITS, joint.limits, strict=True))

@@ -33,7 +33,6 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -41,7 +40,7 @@ import numpy as np
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.scene.mechanism import Mechanism
-from mbds_xsim.simulate.claims import ContactLaw
+from mbds_xsim.simulate.claims import ContactLaw, ContactScales
 
 CONTACT_LAW = ContactLaw(
     normal="penalty: a spring, and a damper that grows with depth (Gonthier)",
@@ -107,22 +106,12 @@ def may_touch(duration):  # whether a sphere can get to the ground or another wi
 """
 
 
-@dataclass(frozen=True)
-class PenaltyContact:
-    """Parameters of the penalty contacts."""
-
-    duration: float
-    """Shortest duration of an impact [s]."""
-    slip_speed: float
-    """Slip above which friction is Coulomb's [m/s]."""
-
-
-def contact_listing(mechanism: Mechanism, contact: PenaltyContact, marker: Marker) -> Iterator[str]:
+def contact_listing(mechanism: Mechanism, scales: ContactScales, marker: Marker) -> Iterator[str]:
     """Yield lines that make `spheres`, markers at centres, and `contacts`, in the order of `gaps`.
 
     Args:
         mechanism: A mechanism with contact spheres.
-        contact: Parameters of the contacts.
+        scales: Shortest duration of an impact, and slip above which friction is Coulomb's.
         marker: Function that writes a marker at a point of a body's native frame.
     """
     scene, radius = mechanism.scene, mechanism.sphere_radius.tolist()
@@ -136,22 +125,18 @@ def contact_listing(mechanism: Mechanism, contact: PenaltyContact, marker: Marke
     for k in range(len(radius)) if scene.ground else ():
         yield from _contact("Triangle", f"spheres[{k}], plane")
         yield f"    sphereRadius={radius[k]!r}, trianglePoints=corners, includeEdges=0,"
-        yield from _law("ground", mechanism, [k], contact)
+        yield from _law("ground", mechanism, [k], scales)
     for pair in mechanism.sphere_pairs.tolist():
         yield from _contact("Sphere", ", ".join(f"spheres[{k}]" for k in pair))
         yield f"    spheresRadii={[radius[k] for k in pair]!r},"
-        yield from _law("collisions", mechanism, pair, contact)
+        yield from _law("collisions", mechanism, pair, scales)
     yield _TOUCH_TEST.format(
         radii=radius,
         pairs=mechanism.sphere_pairs.tolist(),
         grounded=len(radius) if scene.ground else 0,
         arms=np.linalg.norm(mechanism.sphere_offset, axis=-1).tolist(),
-        gravity=float(np.linalg.norm(mechanism.scene.gravity)),
-        sprung=bool(
-            mechanism.springs
-            or mechanism.scene.servos
-            or any(joint.complies for joint in mechanism.joints)
-        ),
+        gravity=float(np.linalg.norm(scene.gravity)),
+        sprung=bool(mechanism.springs or scene.servos or mechanism.compliant),
         reach=_REACH,
     )
 
@@ -165,31 +150,30 @@ def _contact(kind: str, markers: str) -> Iterator[str]:
 
 
 def _law(
-    where: str, mechanism: Mechanism, spheres: list[int], contact: PenaltyContact
+    where: str, mechanism: Mechanism, spheres: list[int], scales: ContactScales
 ) -> Iterator[str]:
     """Yield the lines with the coefficients of a contact of one sphere or two."""
     law = getattr(mechanism.scene, where)
     if 0.0 < law.restitution < _LEAST:
-        msg = (
+        raise Unsupported(
             f"exudyn: {where}.restitution: got {law.restitution:g}, allowed is 0, or {_LEAST} to "
             "1: close to 0 its impact law is too stiff to integrate"
         )
-        raise Unsupported(msg)
     # On this spring the spheres' bodies alone bounce within `duration`. Joints only add to a body's
     # effective mass, so impacts last longer with them.
     yielding = sum(_inverse_mass(mechanism, sphere) for sphere in spheres)
-    stiffness = (math.pi / contact.duration) ** 2 / yielding
+    stiffness = (math.pi / scales.time) ** 2 / yielding
     yield f"    contactStiffness={stiffness!r},"
     if law.restitution:
         # `impactModel=1` would miss the restitution.
         yield f"    impactModel=2, restitutionCoefficient={coefficient(law.restitution)!r},"
-        slowest = min(_SLOWEST_IMPACT, _SLOWEST_GAIN * contact.duration)
+        slowest = min(_SLOWEST_IMPACT, _SLOWEST_GAIN * scales.time)
         yield f"    minimumImpactVelocity={slowest!r},"
     else:
         damping = 2.0 * math.sqrt(stiffness * float(mechanism.mass.sum()))
         yield f"    impactModel=0, contactDamping={damping!r},"
     yield f"    dynamicFriction={law.friction!r},"
-    yield f"    frictionProportionalZone={contact.slip_speed!r})))"
+    yield f"    frictionProportionalZone={scales.slip!r})))"
 
 
 def _inverse_mass(mechanism: Mechanism, sphere: int) -> float:
@@ -221,7 +205,7 @@ class TouchingSpheres:
         velocity, spin = self._outputs("Velocity"), self._outputs("AngularVelocity")
         slip_x = velocity[:, 0] - spin[:, 1] * self._radius
         slip_y = velocity[:, 1] + spin[:, 0] * self._radius
-        place, (one, other) = self.centers(), self._pairs.T
+        place, (one, other) = self._outputs("Position"), self._pairs.T
         normal = place[one] - place[other]
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         turning = spin * self._radius[:, None]
@@ -232,22 +216,20 @@ class TouchingSpheres:
         zeros = np.zeros_like(slips)
         return np.stack([self._gaps(), slips, zeros, zeros], axis=-1).ravel()
 
-    def centers(self) -> Array:
-        """Return the spheres' centres in W in the present state [m], shape (sphere, 3)."""
-        return np.asarray(self._outputs("Position"))
-
-    def coefficients(self) -> Array:
-        """Return radius, friction and delivered restitution on the ground, shape (sphere, 3)."""
-        contacts = [self._mbs.GetObject(number) for number in self._contacts[: self._grounded]]
-        if not contacts:
-            return np.column_stack([self._radius, np.full((len(self._radius), 2), np.nan)])
-        radii = [contact["sphereRadius"] for contact in contacts]
-        return np.column_stack([radii, [_coefficients(contact) for contact in contacts]])
-
-    def collisions(self) -> Array:
-        """Return friction and delivered restitution of pairs of spheres, shape (pair, 2)."""
-        contacts = [self._mbs.GetObject(number) for number in self._contacts[self._grounded :]]
-        return np.array([_coefficients(contact) for contact in contacts]).reshape(-1, 2)
+    def readback(self) -> dict[str, Array]:
+        """Return the fields of `Readback` on contact, with the restitution that is delivered."""
+        contacts = [self._mbs.GetObject(number) for number in self._contacts]
+        laws = np.array([_coefficients(contact) for contact in contacts]).reshape(-1, 2)
+        count, radii = self._grounded, self._radius
+        on_ground = np.full((len(radii), 2), np.nan)
+        if count:
+            radii = np.array([contact["sphereRadius"] for contact in contacts[:count]])
+            on_ground = laws[:count]
+        return {
+            "contact": np.column_stack([radii, on_ground]),
+            "collision": laws[count:],
+            "sphere": np.asarray(self._outputs("Position")),
+        }
 
 
 def _coefficients(contact: Mapping[str, Any]) -> tuple[float, float]:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any, final
 
 import exudyn
@@ -19,7 +18,14 @@ from mbds_xsim.scene.joint_space import BodyStates, joint_rate
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
 from mbds_xsim.scene.shapes import THIN, shapes
 
-from .brakes import brakes_listing, couplings_listing, drives_listing, rotors_listing
+from .brakes import (
+    brakes_listing,
+    couplings_listing,
+    drives_listing,
+    item,
+    joined_items,
+    rotors_listing,
+)
 
 # Exudyn requires unique names of items, so the scene's names are comments.
 HEAD = """\
@@ -44,31 +50,24 @@ _AXIS_COLUMN = {"JointRevoluteZ": 2, "JointPrismaticX": 0}
 _VOIGT = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
 
 
-@dataclass(frozen=True, eq=False)
-class MassProperties:
-    """Mass properties of the Exudyn model, in native frames, body by body."""
-
-    mass: Array
-    """Mass [kg], shape (body,)."""
-    inertia: Array
-    """Inertia about the centre of mass [kg·m²], shape (body, 3, 3)."""
-    com: Array
-    """Centre of mass relative to the body's marker in `frames` [m], shape (body, 3); 0 if right."""
-    gravity: Array
-    """Gravity on each body [m/s²], shape (body, 3)."""
-
-
 class Formulation(ABC):
     """A mechanism in Exudyn's terms.
 
-    `names` are the variables that the listing defines. Among them are `mbs` and, body by body,
-    `frames`: markers at centres of mass, parallel to native frames. `centres` suffice for forces.
+    `names` are the variables of the listing once it has run. Among them are `mbs` and, body by
+    body, `frames`: markers at centres of mass, parallel to native frames. `centres` suffice for
+    forces.
     """
 
     def __init__(self, mechanism: Mechanism, step: float) -> None:
         self.mechanism = mechanism
         self.step = step
         """Step of the solver [s]."""
+        self.names: dict[str, Any] = {}
+
+    @final
+    def objects(self, name: str) -> list[Mapping[str, Any]]:
+        """Return what the engine has for the objects in one of the listing's lists."""
+        return [self.names["mbs"].GetObject(number) for number in self.names[name]]
 
     @final
     def statements(self) -> Iterator[str]:
@@ -107,23 +106,29 @@ class Formulation(ABC):
         """Convert coordinates and velocities to body states."""
 
     @abstractmethod
-    def mass_properties(self, names: Mapping[str, Any]) -> MassProperties:
-        """Read mass properties back."""
+    def mass_properties(self) -> tuple[Array, Array, Array, Array]:
+        """Read back what belongs to each body's mass, in native frames.
+
+        Returns:
+            Mass [kg], shape (body,); inertia about the centre of mass [kg·m²], (body, 3, 3); centre
+            of mass relative to the marker in `frames` [m], (body, 3), 0 if right; and gravity
+            [m/s²], (body, 3).
+        """
 
     @abstractmethod
-    def anchors(self, names: Mapping[str, Any], com: Array, turn: Array) -> Array:
+    def anchors(self, com: Array, turn: Array) -> Array:
         """Return anchors fixed in parent and child, in W at the present state, (joint, 2, 3)."""
 
     @abstractmethod
-    def laws(self, names: Mapping[str, Any]) -> Array:
+    def laws(self) -> Array:
         """Read back `Readback.law`."""
 
     @abstractmethod
-    def armature(self, names: Mapping[str, Any]) -> Array:
+    def armature(self) -> Array:
         """Read back `Readback.armature`."""
 
     @abstractmethod
-    def joint_axes(self, names: Mapping[str, Any], turn: Array) -> Array:
+    def joint_axes(self, turn: Array) -> Array:
         """Return the axes of hinges and sliders in W, given the bodies' rotations (body, 3, 3)."""
 
 
@@ -154,7 +159,7 @@ class RigidBodies(Formulation):
     def ends(self, pair: PointPair) -> str:
         first, second = (point.tolist() for point in pair.in_body)
         return (
-            f"itemNumbers=[{', '.join(map(_item, pair.bodies))}], "
+            f"itemNumbers=[{', '.join(map(item, pair.bodies))}], "
             f"localPosition0={first!r}, localPosition1={second!r}"
         )
 
@@ -176,10 +181,7 @@ class RigidBodies(Formulation):
             yield f"mbs.SetObjectParameter(bodies[{body}], 'VgraphicsData', [{text}])"
 
     def marker(self, body: int, point: Array) -> str:
-        return (
-            f"mbs.AddMarker(items.MarkerBodyRigid(bodyNumber=bodies[{body}], "
-            f"localPosition={point.tolist()!r}))"
-        )
+        return body_marker("Rigid", body, point)
 
     def from_bodies(self, bodies: BodyStates) -> tuple[Array, Array]:
         shift = bodies.position - self.mechanism.com
@@ -200,37 +202,33 @@ class RigidBodies(Formulation):
         position = self.mechanism.com + shift
         return BodyStates(position, native, velocity, rotation.rotate(native, spin))
 
-    def mass_properties(self, names: Mapping[str, Any]) -> MassProperties:
-        bodies = [names["mbs"].GetObject(number) for number in names["bodies"]]
-        return MassProperties(
-            mass=np.array([body["mass"] for body in bodies]),
-            inertia=np.array([body["inertia"] for body in bodies])[:, _VOIGT],
-            com=np.array([body["centerOfMass"] for body in bodies]),
-            gravity=_gravity(names),
+    def mass_properties(self) -> tuple[Array, Array, Array, Array]:
+        bodies = self.objects("bodies")
+        mass, inertia, com = (
+            np.array([body[key] for body in bodies]) for key in ("mass", "inertia", "centerOfMass")
         )
+        return mass, inertia[:, _VOIGT], com, _gravity(self.names)
 
-    def anchors(self, names: Mapping[str, Any], com: Array, turn: Array) -> Array:
+    def anchors(self, com: Array, turn: Array) -> Array:
         del com, turn  # the engine computes its markers' places itself
-        mbs, place = names["mbs"], exudyn.OutputVariableType.Position
-        joints = [mbs.GetObject(number)["markerNumbers"] for number in names["joints"]]
-        ends = [[mbs.GetMarkerOutput(end, place) for end in pair] for pair in joints]
-        return np.array(ends).reshape(-1, 2, 3)
+        place = exudyn.OutputVariableType.Position
+        joints = [joint["markerNumbers"] for joint in self.objects("joints")]
+        output = self.names["mbs"].GetMarkerOutput
+        return np.array([[output(end, place) for end in pair] for pair in joints]).reshape(-1, 2, 3)
 
-    def laws(self, names: Mapping[str, Any]) -> Array:
-        objects = [names["mbs"].GetObject(number) for number in names["laws"]]
+    def laws(self) -> Array:
         keys = ("stiffness", "damping", "offset")
-        laws = [[np.ravel(each[key])[0] for key in keys] for each in objects]
+        laws = [[np.ravel(each[key])[0] for key in keys] for each in self.objects("laws")]
         return np.array(laws).reshape(-1, len(keys))
 
-    def armature(self, names: Mapping[str, Any]) -> Array:
-        return np.array([names["mbs"].GetObject(number)["mass"] for number in names["rotors"]])
+    def armature(self) -> Array:
+        return np.array([rotor["mass"] for rotor in self.objects("rotors")])
 
-    def joint_axes(self, names: Mapping[str, Any], turn: Array) -> Array:
-        mbs, axes = names["mbs"], []
-        for placed, number in zip(self.mechanism.joints, names["joints"], strict=True):
-            joint = mbs.GetObject(number)
+    def joint_axes(self, turn: Array) -> Array:
+        axes = []
+        for placed, joint in zip(self.mechanism.joints, self.objects("joints"), strict=True):
             if joint["objectType"] in _AXIS_COLUMN:
-                marker = mbs.GetMarker(joint["markerNumbers"][0])
+                marker = self.names["mbs"].GetMarker(joint["markerNumbers"][0])
                 local = marker["localHT"][:3, :3] @ joint["rotationMarker0"]
                 axis = local[:, _AXIS_COLUMN[joint["objectType"]]]
                 axes.append(axis if placed.parent == WORLD_INDEX else turn[placed.parent] @ axis)
@@ -253,12 +251,13 @@ def _body(mechanism: Mechanism, k: int) -> Iterator[str]:
 
 
 def _joint(joint: PlacedJoint) -> str:
+    return f"joints.append(mbs.{_CALLS[joint.kind]}({_ends(joint)}))"
+
+
+def _ends(joint: PlacedJoint) -> str:
+    """Return the arguments that give the bodies, the anchor and the axis, if any, of a joint."""
     axis = f", axis={joint.axis.tolist()!r}" if joint.axis.any() else ""
-    return (
-        f"joints.append(mbs.{_CALLS[joint.kind]}("
-        f"itemNumbers=[{_item(joint.parent)}, {_item(joint.child)}], "
-        f"position={joint.anchor.tolist()!r}{axis}))"
-    )
+    return f"itemNumbers=[{joined_items(joint)}], position={joint.anchor.tolist()!r}{axis}"
 
 
 def _ball(joint: PlacedJoint, nil: float) -> str:
@@ -267,8 +266,7 @@ def _ball(joint: PlacedJoint, nil: float) -> str:
     markers = ", ".join(
         f"centres[{body}]"
         if body != WORLD_INDEX and np.abs(point).max() < nil
-        else f"mbs.AddMarker(items.MarkerBodyPosition(bodyNumber={_item(body)}, "
-        f"localPosition={point.tolist()!r}))"
+        else body_marker("Position", body, point)
         for body, point in ends
     )
     return f"joints.append(mbs.AddObject(items.ObjectJointSpherical(markerNumbers=[{markers}])))"
@@ -276,20 +274,15 @@ def _ball(joint: PlacedJoint, nil: float) -> str:
 
 def _turning_law(joint: PlacedJoint) -> str:
     return (
-        f"laws.append(mbs.CreateTorsionalSpringDamper("
-        f"itemNumbers=[{_item(joint.parent)}, {_item(joint.child)}], "
-        f"position={joint.anchor.tolist()!r}, axis={joint.axis.tolist()!r}, "
+        f"laws.append(mbs.CreateTorsionalSpringDamper({_ends(joint)}, "
         f"stiffness={joint.stiffness!r}, damping={joint.damping!r}, offset={joint.rest!r}))"
     )
 
 
 def _sliding_law(joint: PlacedJoint) -> str:
     frame = np.column_stack([joint.axis, *rotation.normal_to(joint.axis)]).tolist()
-    markers = ", ".join(
-        f"mbs.AddMarker(items.MarkerBodyRigid(bodyNumber={_item(body)}, "
-        f"localPosition={point.tolist()!r}))"
-        for body, point in ((joint.parent, joint.in_parent), (joint.child, joint.in_child))
-    )
+    ends = ((joint.parent, joint.in_parent), (joint.child, joint.in_child))
+    markers = ", ".join(body_marker("Rigid", body, point) for body, point in ends)
     return (
         f"laws.append(mbs.AddObject(items.ObjectConnectorRigidBodySpringDamper("
         f"markerNumbers=[{markers}], rotationMarker0={frame}, rotationMarker1={frame}, "
@@ -299,8 +292,10 @@ def _sliding_law(joint: PlacedJoint) -> str:
     )
 
 
-def _item(body: int) -> str:
-    return "ground" if body == WORLD_INDEX else f"bodies[{body}]"
+def body_marker(kind: str, body: int, point: Array) -> str:
+    """Return the call for a marker at a point of a rigid body's native frame, or of the world."""
+    place = f"bodyNumber={item(body)}, localPosition={point.tolist()!r}"
+    return f"mbs.AddMarker(items.MarkerBody{kind}({place}))"
 
 
 def _gravity(names: Mapping[str, Any]) -> Array:

@@ -23,9 +23,10 @@ from mbds_xsim.simulate.adapter import (
     recorded,
     too_fast,
 )
+from mbds_xsim.simulate.claims import ContactScales
 
-from .brakes import read_brakes
-from .contact import PenaltyContact, TouchingSpheres, contact_listing
+from .brakes import LIMITS
+from .contact import TouchingSpheres, contact_listing
 from .model import HEAD, Formulation
 from .older import in_its_words, silence
 from .stepping import Stepping
@@ -52,15 +53,15 @@ class ExudynRun(Run):
     """A run that executes the listing, then the solver once per frame."""
 
     def __init__(
-        self, mechanism: Mechanism, model: Formulation, stepping: Stepping, contact: PenaltyContact
+        self, mechanism: Mechanism, model: Formulation, stepping: Stepping, scales: ContactScales
     ) -> None:
         self._mechanism = mechanism
         self._model = model
-        listing = _listing(mechanism, model, contact) + stepping.listing(mechanism)
+        listing = _listing(mechanism, model, scales) + stepping.listing(mechanism)
         self._listing = in_its_words(listing)
         silence()
         # The listing is the model: it shows every call that builds the model.
-        self._names: dict[str, Any] = {}
+        self._names = model.names
         exec(compile(self._listing, "<exudyn model>", "exec"), self._names)
         self._mbs = self._names["mbs"]
         data = self._mbs.systemData
@@ -90,11 +91,8 @@ class ExudynRun(Run):
 
     def _put(self, coordinates: Array, velocities: Array) -> None:
         """Set a start without the solver's memory of an earlier trajectory."""
-        data = self._mbs.systemData
-        for configuration in (
-            exudyn.ConfigurationType.Initial,
-            exudyn.ConfigurationType.Current,
-        ):
+        data, kinds = self._mbs.systemData, exudyn.ConfigurationType
+        for configuration in (kinds.Initial, kinds.Current):
             data.SetSystemState(self._rest, configuration)
             data.SetODE2Coordinates(coordinates, configuration)
             data.SetODE2Coordinates_t(velocities, configuration)
@@ -102,8 +100,8 @@ class ExudynRun(Run):
         if self._spheres is not None:
             self._names["before"][0] = None
             memory = self._memory()
-            data.SetDataCoordinates(memory, exudyn.ConfigurationType.Initial)
-            data.SetDataCoordinates(memory, exudyn.ConfigurationType.Current)
+            data.SetDataCoordinates(memory, kinds.Initial)
+            data.SetDataCoordinates(memory, kinds.Current)
 
     def _memory(self) -> Array:
         """Return the data coordinates of a start: zeros for joints, then those of contacts."""
@@ -151,52 +149,45 @@ class ExudynRun(Run):
     def readback(self, batch: Batch) -> Readback:
         coordinates, velocities = self._start(batch[:1])
         self._put(coordinates[0], velocities[0])
-        properties = self._model.mass_properties(self._names)
+        model = self._model
+        mass, inertia, off, gravity = model.mass_properties()
         turn = self._output("RotationMatrix").reshape(-1, 3, 3)
         spin = self._output("AngularVelocity")
-        arm = np.einsum("kij,kj->ki", turn, properties.com)
+        arm = np.einsum("kij,kj->ki", turn, off)
         com = self._output("Position") + arm
-        uniform = not np.ptp(properties.gravity, axis=0).any()
+        uniform = not np.ptp(gravity, axis=0).any()
         stepping = self._names["settings"].timeIntegration
-        friction, limits = read_brakes(self._names, self._mechanism)
+        brakes, count = model.objects("brakes"), len(self._mechanism.frictional)
+        ties = model.objects("couplings")
+        # Exudyn cannot report the limit of a drive's force function.
+        drives = [(law["stiffness"], law["damping"], np.nan) for law in model.objects("drives")]
         return Readback(
-            mass=properties.mass,
-            inertia=properties.inertia,
+            mass=mass,
+            inertia=inertia,
             com=com,
             orientation=self._mechanism.body_orientation(rotation.from_matrix(turn)),
             velocity=self._output("Velocity") + np.cross(spin, arm),
             angular_velocity=spin,
-            gravity=properties.gravity[0] if uniform else np.full(3, np.nan),
+            gravity=gravity[0] if uniform else np.full(3, np.nan),
             step=(stepping.endTime - stepping.startTime) / stepping.numberOfSteps,
-            joint_axis=self._model.joint_axes(self._names, turn),
+            joint_axis=model.joint_axes(turn),
             damping=None,
-            contact=self._spheres.coefficients() if self._spheres is not None else None,
-            collision=self._spheres.collisions() if self._spheres is not None else None,
-            sphere=self._spheres.centers() if self._spheres is not None else None,
-            anchor=self._model.anchors(self._names, com, turn),
+            **(self._spheres.readback() if self._spheres is not None else {}),
+            anchor=model.anchors(com, turn),
             spring=self._springs(),
-            law=self._model.laws(self._names),
-            armature=self._model.armature(self._names),
-            drive=np.array([self._drive(number) for number in self._names["drives"]]),
-            coupling=np.array([self._coupling(number) for number in self._names["couplings"]]),
-            friction=friction,
-            limits=limits,
+            law=model.laws(),
+            armature=model.armature(),
+            drive=np.array(drives),
+            coupling=np.array([(1.0 / t["factor1"], t["offset"] / t["factor1"]) for t in ties]),
+            friction=np.array([brake["dynamicFrictionForce"] for brake in brakes[:count]]),
+            limits=np.array([[b[key] for key in LIMITS] for b in brakes[count:]]).reshape(-1, 2),
         )
 
-    def _coupling(self, number: Any) -> tuple[float, float]:
-        tie = self._mbs.GetObject(number)
-        return 1.0 / tie["factor1"], tie["offset"] / tie["factor1"]
-
-    def _drive(self, number: Any) -> tuple[float, float, float]:
-        """Return stiffness, damping and NaN: Exudyn cannot report the force function's limit."""
-        law = self._mbs.GetObject(number)
-        return law["stiffness"], law["damping"], np.nan
-
     def _springs(self) -> Array:
-        mbs, length = self._mbs, exudyn.OutputVariableType.Distance
-        springs = [mbs.GetObject(number) for number in self._names["springs"]]
+        springs, length = self._model.objects("springs"), exudyn.OutputVariableType.Distance
         columns = [[s[key] for s in springs] for key in ("stiffness", "damping", "referenceLength")]
-        columns += [[mbs.GetObjectOutput(number, length) for number in self._names["springs"]]]
+        numbers = self._names["springs"]
+        columns += [[self._mbs.GetObjectOutput(number, length) for number in numbers]]
         return np.column_stack(columns)
 
     def _output(self, name: str) -> Array:
@@ -220,10 +211,10 @@ class ExudynRun(Run):
         self._mbs = None
 
 
-def _listing(mechanism: Mechanism, model: Formulation, contact: PenaltyContact) -> str:
+def _listing(mechanism: Mechanism, model: Formulation, scales: ContactScales) -> str:
     lines = [HEAD, *model.statements()]
     if mechanism.scene.contacts:
-        lines += contact_listing(mechanism, contact, model.marker)
+        lines += contact_listing(mechanism, scales, model.marker)
     return "\n".join([*lines, "mbs.Assemble()", ""])
 
 

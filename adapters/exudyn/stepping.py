@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mbds_xsim.scene.constraints import degrees_of_freedom
+from mbds_xsim.scene.constraints import degrees_of_freedom, layout_of
 from mbds_xsim.scene.mechanism import Mechanism
 
 SOLVERS = {
@@ -16,7 +16,6 @@ SOLVERS = {
 }
 LINEAR_SOLVERS = ("auto", "EXUdense", "EigenDense", "EigenSparse")
 
-_ROWS = {"fixed": 6, "hinge": 5, "slider": 5, "ball": 3}
 # Tolerances of Newton's method: Exudyn's default, and one for the finer steps near the ground, with
 # which the default would leave a larger error in a flight than the steps do.
 _USUAL, _TIGHT = 1e-8, 1e-10
@@ -33,14 +32,14 @@ _KINK = 0.0
 # Rounding error of positions some metres off. A damper turns it into a force within a step, and
 # Newton's method cannot get below that force: it would try for ever where all is at rest.
 _ROUNDING = 1e-15
-_NEAR_GROUND = """\
-near_ground = steps_of_a_frame({count})
+_NEAR_GROUND = f"""\
+near_ground = steps_of_a_frame({{count}})
 stepping = near_ground.timeIntegration
 stepping.adaptiveStep = True
 stiffness = max(mbs.GetObject(number)["contactStiffness"] for number in contacts)
-stepping.discontinuous.iterationTolerance = {fastest} * stiffness * stepping.minimumStepSize
+stepping.discontinuous.iterationTolerance = {_FASTEST_IMPACT} * stiffness * stepping.minimumStepSize
 damping = max(mbs.GetObject(number)["contactDamping"] for number in contacts)
-noise = {rounding} * damping * stepping.numberOfSteps / stepping.endTime
+noise = {_ROUNDING} * damping * stepping.numberOfSteps / stepping.endTime
 stepping.newton.absoluteTolerance = max(stepping.newton.absoluteTolerance, noise)
 """
 _NEXT_FRAME = """
@@ -64,20 +63,20 @@ class Stepping:
     """All settings of the solver."""
 
     method: str
-    frame: float
     substeps: int
     linear_solver: str
     spectral_radius: float
     modified_newton: bool
     division: int = 0
     """Number of finer steps in a step near the ground; 0 if the scene has no contact."""
-    braked: bool = False
-    """Whether joints have friction or limits. Newton's method may go back and forth between the
-    kinks of their laws; a step on which it does not converge is divided into shorter ones."""
 
     def listing(self, mechanism: Mechanism) -> str:
-        """Return the program that defines `settings`, and `next_frame` to call once per frame."""
-        redundant = has_redundant_constraints(mechanism)
+        """Return the program that defines `settings`, and `next_frame` to call once per frame.
+
+        Where joints have friction or limits, Newton's method may go back and forth between the
+        kinks of their laws; a step on which it does not converge is divided into shorter ones.
+        """
+        redundant, count = has_redundant_constraints(mechanism), self.substeps * self.division
         return f"""
 
 
@@ -86,9 +85,9 @@ def steps_of_a_frame(count):
     settings.solution.file.write = False
     settings.solution.sensors.active = False
     stepping = settings.timeIntegration
-    stepping.endTime = {self.frame!r}
+    stepping.endTime = {mechanism.scene.clock.frame!r}
     stepping.numberOfSteps = count
-    stepping.adaptiveStep = {self.braked}
+    stepping.adaptiveStep = {mechanism.braked}
     stepping.adaptiveStepRecoverySteps = 1
     stepping.adaptiveStepRecoveryIterations = 1000
     stepping.minimumStepSize = {_SHORTEST_SHARE} * stepping.endTime / count
@@ -105,7 +104,7 @@ def steps_of_a_frame(count):
 
 
 settings = steps_of_a_frame({self.substeps})
-{self._near_ground()}
+{_NEAR_GROUND.format(count=count) if count else ""}
 
 def step_frame(settings=settings):
     mbs.SolveDynamic(
@@ -114,18 +113,6 @@ def step_frame(settings=settings):
 
 {_NEXT_FRAME if self.division else "next_frame = step_frame"}
 """
-
-    def _near_ground(self) -> str:
-        """Return the program for `near_ground`, settings of frames in which a sphere may touch."""
-        return (
-            _NEAR_GROUND.format(
-                count=self.substeps * self.division,
-                fastest=_FASTEST_IMPACT,
-                rounding=_ROUNDING,
-            )
-            if self.division
-            else ""
-        )
 
     def _linear_solver(self, mechanism: Mechanism, redundant: bool) -> str:
         if redundant:
@@ -142,5 +129,5 @@ def has_redundant_constraints(mechanism: Mechanism) -> bool:
     """
     if not (mechanism.loops or mechanism.distances):
         return False
-    rows = sum(_ROWS[joint.kind] for joint in mechanism.joints) + len(mechanism.distances)
+    rows = layout_of(mechanism).row_count
     return 6 * mechanism.body_count - rows != degrees_of_freedom(mechanism)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -13,7 +14,7 @@ from mbds_xsim.scene.joint_space import BodyStates, LinkStates, to_bodies, to_li
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint, PointPair
 from mbds_xsim.simulate.readback import joint_anchors, joint_axes, joint_laws
 
-from .model import Formulation, MassProperties, inertia_text
+from .model import Formulation, body_marker, inertia_text
 
 _TYPES = {"hinge": "RevoluteZ", "slider": "PrismaticZ"}
 
@@ -81,9 +82,7 @@ class KinematicTree(Formulation):
 
     def ends(self, pair: PointPair) -> str:
         markers = ", ".join(
-            f"mbs.AddMarker(items.MarkerBodyRigid(bodyNumber=ground, localPosition={at.tolist()}))"
-            if body == WORLD_INDEX
-            else self.marker(body, at)
+            body_marker("Rigid", body, at) if body == WORLD_INDEX else self.marker(body, at)
             for body, at in zip(pair.bodies, pair.in_body, strict=True)
         )
         return f"itemNumbers=[{markers}]"
@@ -93,28 +92,25 @@ class KinematicTree(Formulation):
         return links.coordinate, links.rate
 
     def to_bodies(self, coordinates: Array, velocities: Array) -> BodyStates:
-        still = np.zeros((*coordinates.shape, 3))
-        turn = np.broadcast_to(rotation.IDENTITY, (*coordinates.shape, 4))
-        links = LinkStates(turn, still, coordinates, velocities, still, still)
+        still = LinkStates.still(coordinates.shape)
+        links = dataclasses.replace(still, coordinate=coordinates, rate=velocities)
         return to_bodies(self.mechanism, links)
 
-    def mass_properties(self, names: Mapping[str, Any]) -> MassProperties:
-        tree = names["mbs"].GetObject(names["tree"])
-        back = self._back(names)
+    def mass_properties(self) -> tuple[Array, Array, Array, Array]:
+        tree, back = self._tree(), self._back()
         link = [self._order.index(body) for body in range(self.mechanism.body_count)]
         inertia = np.array([np.array(tree["linkInertiasCOM"][k]) for k in link])
-        markers = [names["mbs"].GetMarker(frame) for frame in names["frames"]]
-        off = np.array([tree["linkCOMs"][k] for k in link]) - [m["localPosition"] for m in markers]
-        return MassProperties(
-            mass=np.array(tree["linkMasses"])[link],
-            inertia=np.swapaxes(back, -1, -2) @ inertia @ back,
-            com=np.einsum("kji,kj->ki", back, off),
-            gravity=np.tile(tree["gravity"], (len(link), 1)),
+        places = [marker["localPosition"] for marker in self._markers()]
+        off = np.array([tree["linkCOMs"][k] for k in link]) - places
+        return (
+            np.array(tree["linkMasses"])[link],
+            np.swapaxes(back, -1, -2) @ inertia @ back,
+            np.einsum("kji,kj->ki", back, off),
+            np.tile(tree["gravity"], (len(link), 1)),
         )
 
-    def anchors(self, names: Mapping[str, Any], com: Array, turn: Array) -> Array:
-        tree = names["mbs"].GetObject(names["tree"])
-        frames = turn @ np.swapaxes(self._back(names), -1, -2)
+    def anchors(self, com: Array, turn: Array) -> Array:
+        tree, frames = self._tree(), turn @ np.swapaxes(self._back(), -1, -2)
         origin = {
             link.body: com[link.body] - frames[link.body] @ tree["linkCOMs"][k]
             for k, link in enumerate(self.mechanism.links)
@@ -128,8 +124,8 @@ class KinematicTree(Formulation):
 
         return joint_anchors(self.mechanism, ends)
 
-    def laws(self, names: Mapping[str, Any]) -> Array:
-        tree = names["mbs"].GetObject(names["tree"])
+    def laws(self) -> Array:
+        tree = self._tree()
 
         def law(link: Link, _joint: PlacedJoint) -> tuple[float, float, float]:
             k = self._order.index(link.body)
@@ -138,20 +134,25 @@ class KinematicTree(Formulation):
 
         return joint_laws(self.mechanism, law)
 
-    def armature(self, names: Mapping[str, Any]) -> Array:
+    def armature(self) -> Array:
         places = {_joint(link).index: k for k, link in enumerate(self.mechanism.links)}
         rotors = [places[joint.index] for joint in self.mechanism.rotors]
-        matrices = [names["mbs"].GetObject(number)["massMatrix"] for number in names["rotors"]]
+        matrices = [rotor["massMatrix"] for rotor in self.objects("rotors")]
         return np.array([np.diag(mass.Convert2DenseMatrix())[rotors] for mass in matrices]).ravel()
 
-    def joint_axes(self, names: Mapping[str, Any], turn: Array) -> Array:
-        link_frames = turn @ np.swapaxes(self._back(names), -1, -2)
+    def joint_axes(self, turn: Array) -> Array:
+        link_frames = turn @ np.swapaxes(self._back(), -1, -2)
         return joint_axes(self.mechanism, lambda link: link_frames[link.body][:, 2])
 
-    def _back(self, names: Mapping[str, Any]) -> Array:
+    def _tree(self) -> Mapping[str, Any]:
+        return self.names["mbs"].GetObject(self.names["tree"])
+
+    def _markers(self) -> list[Mapping[str, Any]]:
+        return [self.names["mbs"].GetMarker(frame) for frame in self.names["frames"]]
+
+    def _back(self) -> Array:
         """Read rotations from native frames to link frames off the markers, shape (body, 3, 3)."""
-        markers = [names["mbs"].GetMarker(frame) for frame in names["frames"]]
-        return np.array([marker["localHT"][:3, :3] for marker in markers])
+        return np.array([marker["localHT"][:3, :3] for marker in self._markers()])
 
 
 def _joint(link: Link) -> PlacedJoint:

@@ -238,8 +238,8 @@ class _Builder:
                 properties[key] = value
             element, attribute = self._model.labels[key]
             place = f"{freedom.name}: {_format(value)}"
-            outcome, note = ("dropped", reason) if reason else ("kept", _NOTES.get(key, _AS_IS))
-            self.fates.append(Fate(element, (attribute,), outcome, note, True, (place,)))  # type: ignore[arg-type]
+            outcome, note = _outcome(reason, _NOTES.get(key, _AS_IS))
+            self.fates.append(Fate(element, (attribute,), outcome, note, True, (place,)))
         if freedom.kind == "free":
             return
         name = _unique(freedom.name, {joint.name for joint in self.joints})
@@ -298,15 +298,14 @@ class _Builder:
         joints = [self._joint_names.get(each) for each in (coupling.joint, coupling.follows)]
         offset, ratio, *higher = coupling.polynomial
         follower, leader = joints
+        reason = ""
         if follower is None or leader is None:
             reason = _TIES_NOTHING
         elif any(higher) or not ratio:
             reason = "not in proportion to the other's coordinate"
         else:
             self.couplings.append(Coupling(follower, leader, ratio, offset))
-            reason = ""
-        note = reason or "a rigid coupling"
-        outcome: Outcome = "dropped" if reason else "kept"
+        outcome, note = _outcome(reason, "a rigid coupling")
         self.fates.append(Fate(element, (attribute,), outcome, note, True, (place,)))
 
     def _ends(self, parts: tuple[int, int]) -> tuple[str, str] | None:
@@ -336,6 +335,11 @@ def _reach(parts: tuple[Part, ...], masses: list[Mass]) -> float:
     sizes = [math.sqrt(max(np.trace(m.inertia), 0.0) / m.mass) for m in masses if m.mass > 0]
     extent = float(np.linalg.norm(np.ptp(points, axis=0))) if points else 0.0
     return max([extent, *sizes]) or 1.0
+
+
+def _outcome(reason: str, note: str) -> tuple[Outcome, str]:
+    """Return what is reported: something is kept, with a note, unless there is a reason to not."""
+    return ("dropped", reason) if reason else ("kept", note)
 
 
 def _span(freedoms: tuple[Freedom, ...]) -> bool:

@@ -7,6 +7,7 @@ inertia, or none if none is stated, and meshes are not read.
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import math
 import warnings
@@ -18,7 +19,6 @@ from xml.etree.ElementTree import Element, tostring
 import numpy as np
 
 from mbds_xsim.base import rotation
-from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.frame import optional
 from mbds_xsim.scene.imported import Fate, Imported, ModelFacts
@@ -28,7 +28,7 @@ from .contacts import NO_SPHERES
 from .drives import drives
 from .facts import facts_of
 from .fates import COLLISION, fates_of
-from .geoms import PAIRING, Geoms
+from .geoms import PAIRING, Geoms, touching
 from .mending import mend_mjcf, mend_urdf, remove_unknown
 from .parts import Drive, Freedom, Mass, Part, Parts, Property
 from .source import read_source
@@ -64,6 +64,8 @@ _TOUCHING = {
     "collision": [("collision", ""), ("collision", "name")],
 }
 """Elements and attributes reported for each shape on the ground, by the format's word for it."""
+_NAMING_NOTHING = ("Element name ''", "Element name '', id 0")
+"""Lines of the compiler's messages that say nothing."""
 _ALIASES = {
     ("joint", "limited"): "limits",
     ("joint", "springdamper"): "damping",
@@ -76,30 +78,24 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     mujoco = optional("mujoco", "reading MJCF and URDF", "mujoco")
     root = read_source(path, folder)
     if root.tag not in _LABELS:
-        msg = f"its outermost element is <{root.tag}>, allowed are <mujoco> and <robot>"
-        raise InputError(msg)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            masses = {}
-            if root.tag == "mujoco":
-                spec, model, mends = _compile(mujoco, root, path)
-            else:
-                mends = [*mend_urdf(root), *(_without_meshes(root) if ground else ())]
-                spec = _mechanics(mujoco, root, path, _MECHANICAL | (_SOLID if ground else set()))
-                masses = _replace_masses(spec, floating)
-                model = spec.compile()
-        except (ValueError, mujoco.FatalError) as error:
-            raise InputError(_line(str(error))) from error
+        raise InputError(f"its outermost element is <{root.tag}>, allowed are <mujoco> and <robot>")
+    masses = {}
+    with _refusals(mujoco):
+        if root.tag == "mujoco":
+            spec, model, mends = _compile(mujoco, root, path)
+        else:
+            mends = [*mend_urdf(root), *(_without_meshes(root) if ground else ())]
+            spec = _mechanics(mujoco, root, path, _MECHANICAL | (_SOLID if ground else set()))
+            masses = _replace_masses(spec, floating)
+            model = spec.compile()
     if root.tag == "mujoco" and floating:
         msg = "--floating is for URDF; an MJCF file says itself which of its bodies are free"
         raise InputError(msg)
     shape = "" if not ground else "geom" if root.tag == "mujoco" else "collision"
     reading = Reading(mujoco, model, masses, shape)
     parts = reading.model(str(spec.modelname).strip() or path.stem, _LABELS[root.tag])
-    keys = {key for part in parts.parts for freedom in part.freedoms for key in freedom.properties}
-    reported = {label: key in keys for key, label in _LABELS[root.tag].items()}
-    reported |= {label: key in keys for label, key in _ALIASES.items()}
+    reported = {label: key in parts.stated for key, label in _LABELS[root.tag].items()}
+    reported |= {label: key in parts.stated for label, key in _ALIASES.items()}
     reported |= dict.fromkeys(_TOUCHING.get(shape, ()), True)
     fates = [*mends, *fates_of(root, reported), *reading.fates()]
     kind = "MJCF" if root.tag == "mujoco" else "URDF"
@@ -112,19 +108,28 @@ def load(path: Path, floating: bool) -> ModelFacts:
     import mujoco
 
     if path.suffix.lower() not in (".xml", ".urdf"):
-        msg = "MuJoCo reads MJCF and URDF alone"
-        raise InputError(msg)
+        raise InputError("MuJoCo reads MJCF and URDF alone")
+    with _refusals(mujoco):
+        spec = mujoco.MjSpec.from_file(str(path))
+        spec.compiler.fusestatic = False  # keeps the links' names; the motion stays the same
+        if floating:
+            spec.worldbody.first_body().add_freejoint()
+        reading = Reading(mujoco, spec.compile(), {})
+    return facts_of(reading.model("", {}), f"MuJoCo {mujoco.__version__}")
+
+
+@contextlib.contextmanager
+def _refusals(mujoco: Any) -> Iterator[None]:
+    """Raise the compiler's errors as InputError, in one line, and ignore its warnings."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            spec = mujoco.MjSpec.from_file(str(path))
-            spec.compiler.fusestatic = False  # keeps the links' names; the motion stays the same
-            if floating:
-                spec.worldbody.first_body().add_freejoint()
-            reading = Reading(mujoco, spec.compile(), {})
+            yield
         except (ValueError, mujoco.FatalError) as error:
-            raise InputError(_line(str(error))) from error
-    return facts_of(reading.model("", {}), f"MuJoCo {mujoco.__version__}")
+            lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+            kept = [line for line in lines if line not in _NAMING_NOTHING]
+            text = "; ".join(kept).replace("XML Error: ", "").replace("Error: ", "")
+            raise InputError(text) from error
 
 
 def _compile(mujoco: Any, root: Element, path: Path) -> tuple[Any, Any, list[Fate]]:
@@ -162,11 +167,10 @@ def _mechanics(mujoco: Any, root: Element, path: Path, tags: set[str]) -> Any:
         axis = joint.find("axis")
         normal = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
         if joint.get("type") == "planar" and [float(x) for x in normal.split()] != [0, 0, 1]:
-            msg = (
+            raise InputError(
                 f"joint {joint.get('name')!r} is planar with the normal {normal}, but MuJoCo "
                 "assumes 0 0 1; turn its origin so that this is the normal"
             )
-            raise InputError(msg)
     reduced = copy.deepcopy(root)
     for parent in list(reduced.iter()):
         for child in [child for child in parent if child.tag not in tags]:
@@ -205,13 +209,6 @@ def _replace_masses(spec: Any, floating: bool) -> dict[str, Any]:
     return masses
 
 
-def _line(text: str) -> str:
-    """Return a compiler message as one line, without parts that name nothing."""
-    lines = [line.strip() for line in text.splitlines() if line.strip()]
-    kept = [line for line in lines if line not in ("Element name ''", "Element name '', id 0")]
-    return "; ".join(kept).replace("XML Error: ", "").replace("Error: ", "")
-
-
 class Reading:
     """A compiled model at its reference pose.
 
@@ -243,7 +240,7 @@ class Reading:
         return Parts(
             name=name,
             parts=tuple(self._parts()),
-            gravity=self._gravity(),
+            gravity=np.zeros(3) if self._off["GRAVITY"] else np.array(self._model.opt.gravity),
             closings=tuple(self._ties.closings()),
             couplings=tuple(self._ties.couplings()),
             lines=tuple(self._ties.lines()),
@@ -251,9 +248,6 @@ class Reading:
             solids=self._geoms.solids() if self._geoms is not None else None,
             labels=labels,
         )
-
-    def _gravity(self) -> Array:
-        return np.zeros(3) if self._off["GRAVITY"] else np.array(self._model.opt.gravity)
 
     def _parts(self) -> Iterator[Part]:
         model, data = self._model, self._data
@@ -316,7 +310,7 @@ class Reading:
     def fates(self) -> Iterator[Fate]:
         """Report the fates of contact, equalities, tendons and actuators that are not servos."""
         model = self._model
-        geoms = [g for g in range(model.ngeom) if model.geom_contype[g] | model.geom_conaffinity[g]]
+        geoms = touching(model)
         if self._geoms is not None:
             yield from self._geoms.fates()
         elif (len(geoms) > 1 or model.npair) and not self._off["CONTACT"]:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 
 from mbds_xsim.base import bounds
 from mbds_xsim.base.errors import InputError, located
-from mbds_xsim.scene.imported import Fate
+from mbds_xsim.scene.imported import Fate, Outcome
 from mbds_xsim.scene.scene import WORLD, ContactSphere, Ground
 
 from .balls import BALLS
@@ -52,12 +52,9 @@ def contacts_of(
             bounds.share("restitution on the ground", pair.restitution or 0.0)
             spheres += [ContactSphere(str(body), p.tolist(), balls.radius) for p in places]
         pairs.append((shape.name, pair))
-        fates.append(
-            Fate(element, (), "approximated", balls.how, True,
-                 (f"{shape.name}: {balls.short:.2g} m",))
-            if balls.short
-            else Fate(element, (), "kept", balls.how, True, (shape.name,))
-        )  # fmt: skip
+        outcome: Outcome = "approximated" if balls.short else "kept"
+        place = f"{shape.name}: {balls.short:.2g} m" if balls.short else shape.name
+        fates.append(Fate(element, (), outcome, balls.how, True, (place,)))
     if not spheres:
         reasons = (fate.reason for fate in fates if not fate.properties)
         cause = "; ".join(dict.fromkeys(reasons)) or "it has none"

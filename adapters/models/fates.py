@@ -8,66 +8,47 @@ that a compiled model describes better are reported from there.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from xml.etree.ElementTree import Element
 
 from mbds_xsim.scene.imported import Fate, Outcome
 
-_Row = tuple[Outcome, bool, str, str]
-"""Outcome, whether the motion depends on it, reason, and keys separated by spaces."""
+Entry = tuple[Outcome, bool, str]
+"""Outcome, whether the motion depends on it, and reason."""
+Row = tuple[Outcome, bool, str, str]
+"""An entry, then its keys separated by spaces."""
 
 _APART = "no collisions of bodies are made of a model"
 COLLISION = f"{_APART}; with --ground they meet a plane"
 _SOLVER = "a setting of an engine, not of the mechanism"
 _VISUAL = "drawn only"
-_Entry = tuple[Outcome, bool, str]
-_UNKNOWN: _Entry = ("dropped", True, "unknown to this reader")
-_NONE: _Entry = ("kept", True, "none, or zero")
+_UNKNOWN: Entry = ("dropped", True, "unknown to this reader")
+_NONE: Entry = ("kept", True, "none, or zero")
 
-_MJCF: tuple[_Row, ...] = (
-    (
-        "kept",
-        True,
-        "as the compiler resolves it",
-        "mujoco compiler default model attach body inertial frame replicate joint freejoint "
-        "option@gravity joint@ref",
-    ),
-    (
-        "kept",
-        True,
-        "what it switches off in MuJoCo is not in the scene either",
-        "flag@gravity flag@spring flag@damper flag@passive flag@limit flag@frictionloss "
-        "flag@equality flag@constraint flag@contact flag@actuation",
-    ),
+_MJCF: tuple[Row, ...] = (
+    ("kept", True, "as the compiler resolves it",
+     "mujoco compiler default model attach body inertial frame replicate joint freejoint "
+     "option@gravity joint@ref"),
+    ("kept", True, "what it switches off in MuJoCo is not in the scene either",
+     "flag@gravity flag@spring flag@damper flag@passive flag@limit flag@frictionloss "
+     "flag@equality flag@constraint flag@contact flag@actuation"),
     ("kept", True, "its mass and inertia, where its body states none", "geom mesh hfield"),
-    (
-        "dropped",
-        False,
-        COLLISION,
-        "geom@contype geom@conaffinity geom@condim geom@priority geom@friction exclude",
-    ),
+    ("dropped", False, COLLISION,
+     "geom@contype geom@conaffinity geom@condim geom@priority geom@friction exclude"),
     ("dropped", True, _APART, "pair"),
-    (
-        "dropped",
-        False,
-        _SOLVER,
-        "geom@solmix geom@solref geom@solimp geom@margin geom@gap "
-        "option flag size statistic joint@solreflimit joint@solimplimit joint@solreffriction "
-        "joint@solimpfriction joint@margin body@sleep",
-    ),
+    ("dropped", False, _SOLVER,
+     "geom@solmix geom@solref geom@solimp geom@margin geom@gap option flag size statistic "
+     "joint@solreflimit joint@solimplimit joint@solreffriction joint@solimpfriction joint@margin "
+     "body@sleep"),
     ("dropped", True, "there is no fluid", "option@density option@viscosity option@wind "
      "geom@fluidshape geom@fluidcoef"),
     ("dropped", True, "there are no magnetic fields", "option@magnetic"),
     ("dropped", True, "gravity acts on all bodies alike", "body@gravcomp"),
     ("dropped", False, "for actuators only", "joint@actuatorfrcrange joint@actuatorfrclimited "
      "joint@actuatorgravcomp"),
-    (
-        "dropped",
-        False,
-        _VISUAL,
-        "visual site camera light texture material skin geom@material geom@rgba geom@group "
-        "joint@group mesh@material bone layer",
-    ),
+    ("dropped", False, _VISUAL,
+     "visual site camera light texture material skin geom@material geom@rgba geom@group "
+     "joint@group mesh@material bone layer"),
     ("dropped", False, "data for other programs", "custom sensor user numeric text tuple"),
     ("dropped", False, "a pose beside the reference pose, at which the scene starts", "keyframe"),
     ("kept", True, "as the compiler resolves it for each actuator",
@@ -75,37 +56,24 @@ _MJCF: tuple[_Row, ...] = (
     ("dropped", True, "a plugin may exert anything", "extension plugin"),
     ("dropped", True, "bodies are rigid", "deformable flex flexcomp composite"),
 )  # fmt: skip
-
-_URDF: tuple[_Row, ...] = (
-    (
-        "kept",
-        True,
-        "as the format says",
-        "robot@name link@name link inertial mass@value origin@xyz origin@rpy inertia@ixx "
-        "inertia@ixy inertia@ixz inertia@iyy inertia@iyz inertia@izz joint@name joint@type "
-        "parent@link child@link axis@xyz",
-    ),
+_URDF: tuple[Row, ...] = (
+    ("kept", True, "as the format says",
+     "robot@name link@name link inertial mass@value origin@xyz origin@rpy inertia@ixx inertia@ixy "
+     "inertia@ixz inertia@iyy inertia@iyz inertia@izz joint@name joint@type parent@link "
+     "child@link axis@xyz"),
     ("dropped", False, "names of other formats", "robot@xmlns:xacro robot@version"),
     ("dropped", False, _VISUAL, "visual material"),
     ("dropped", True, COLLISION, "collision"),
     ("dropped", False, "a limit of the drive", "limit@effort limit@velocity"),
-    (
-        "dropped",
-        False,
-        "for controllers",
-        "safety_controller calibration transmission ros2_control",
-    ),
+    ("dropped", False, "for controllers",
+     "safety_controller calibration transmission ros2_control"),
     ("dropped", True, "an extension of one simulator", "gazebo contact self_collision_checking"),
     ("dropped", False, "read by MuJoCo's compiler alone", "mujoco"),
-)
-_SDF: tuple[_Row, ...] = (
-    (
-        "kept",
-        True,
-        "as DART's parser reads it",
-        "sdf@version world@name model@name link@name link pose joint@name joint@type parent child "
-        "xyz use_parent_model_frame static",
-    ),
+)  # fmt: skip
+_SDF: tuple[Row, ...] = (
+    ("kept", True, "as DART's parser reads it",
+     "sdf@version world@name model@name link@name link pose joint@name joint@type parent child "
+     "xyz use_parent_model_frame static gravity"),
     ("kept", True, "as the format says", "inertial mass inertia ixx ixy ixz iyy iyz izz"),
     ("kept", True, "it names no frame", "pose@frame"),
     ("dropped", False, _VISUAL, "visual light scene gui material"),
@@ -114,19 +82,24 @@ _SDF: tuple[_Row, ...] = (
     ("dropped", True, "a restitution counts at all speeds", "threshold"),
     ("dropped", True, "the ground has the same friction along all directions",
      "mu2 fdir1 slip1 slip2"),
-    ("dropped", False, _SOLVER, "max_contacts kp kd max_vel min_depth soft_cfm soft_erp"),
+    ("dropped", False, _SOLVER,
+     "max_contacts kp kd max_vel min_depth soft_cfm soft_erp physics"),
     ("dropped", False, _APART, "self_collide"),
     ("dropped", False, "a limit of the drive", "effort velocity"),
-    ("dropped", False, _SOLVER, "physics"),
     ("dropped", True, "an extension of one simulator", "plugin"),
     ("dropped", False, "data for other programs", "sensor audio laser_retro"),
     ("dropped", True, "there is no such damping of bodies", "velocity_decay"),
     ("dropped", True, "gravity acts on all bodies alike", "link/gravity"),
-    ("kept", True, "as DART's parser reads it", "gravity"),
-    ("dropped", True, "DART's parser passes it over",
-     "gearbox_ratio gearbox_reference_body"),
+    ("dropped", True, "DART's parser passes it over", "gearbox_ratio gearbox_reference_body"),
 )  # fmt: skip
-_TABLES = {"mujoco": _MJCF, "robot": _URDF, "sdf": _SDF}
+
+
+def by_key(rows: Iterable[Row]) -> dict[str, Entry]:
+    """Return the entry of each key."""
+    return {key: row[:3] for row in rows for key in row[3].split()}
+
+
+_TABLES = {"mujoco": by_key(_MJCF), "robot": by_key(_URDF), "sdf": by_key(_SDF)}
 _REPORTED = {"mujoco": {"equality", "tendon", "actuator"}, "robot": {"mimic"}, "sdf": set()}
 """Elements that are reported from the compiled model instead."""
 _WHOLE = {"visual", "custom", "sensor", "keyframe", "collision", "gazebo", "transmission",
@@ -141,7 +114,7 @@ _NONE_AT_ZERO = {"density", "viscosity", "wind", "magnetic", "gravcomp"}
 def fates_of(
     root: Element, reported: Mapping[tuple[str, str], bool], *, touching: bool = False
 ) -> Iterator[Fate]:
-    """Walk a document and yield the fates of its elements and attributes.
+    """Walk a document and return the fates of its elements and attributes.
 
     Args:
         root: Root element of the document.
@@ -149,30 +122,32 @@ def fates_of(
             true leaves one out here, false reports it as none or zero.
         touching: Whether elements in collision shapes have fates of their own.
     """
-    table = {key: row[:3] for row in _TABLES[root.tag] for key in row[3].split()}
-    by_fate: dict[tuple[str, _Entry], list[tuple[str, Element]]] = defaultdict(list)
     whole = _WHOLE - _OPEN[root.tag] - ({"collision"} if touching else set())
+    found = []
     for element in _walk(root, whole):
         for attribute in element.attrib or ("",):
-            if (is_reported := reported.get((element.tag, attribute))) is None:
-                fate = _look_up(table, element, attribute, exact=root.tag != "mujoco")
-            elif is_reported:
-                continue
-            else:
-                fate = _NONE
-            by_fate[element.tag, fate].append((attribute, element))
-    for (tag, fate), pairs in by_fate.items():
-        outcome, moves, reason = fate
-        elements = {id(element): element for _, element in pairs}
-        yield Fate(
-            tag,
-            tuple(dict.fromkeys(attribute for attribute, _ in pairs if attribute)),
-            outcome,
-            reason,
-            moves,
-            tuple(filter(None, (e.get("name", "") for e in elements.values()))),
-            len(elements),
-        )
+            is_reported = reported.get((element.tag, attribute))
+            if not is_reported:
+                entry = _NONE if is_reported is False else _look_up(root.tag, element, attribute)
+                found.append((element.tag, entry, attribute, id(element), element.get("name", "")))
+    return grouped(found)
+
+
+def grouped(found: Iterable[tuple[str, Entry, str, Hashable, str]]) -> Iterator[Fate]:
+    """Yield a fate for all attributes of a kind of element that have the same entry.
+
+    Args:
+        found: Kind of element, entry, attribute ("" for the element as a whole), the element, and
+            its name ("" if it has none).
+    """
+    by_fate: dict[tuple[str, Entry], list[tuple[str, Hashable, str]]] = defaultdict(list)
+    for kind, entry, attribute, element, name in found:
+        by_fate[kind, entry].append((attribute, element, name))
+    for (kind, (outcome, moves, reason)), rows in by_fate.items():
+        attributes = dict.fromkeys(attribute for attribute, _, _ in rows if attribute)
+        names = {element: name for _, element, name in rows}
+        places = tuple(filter(None, names.values()))
+        yield Fate(kind, tuple(attributes), outcome, reason, moves, places, len(names))
 
 
 def _walk(root: Element, whole: set[str]) -> Iterator[Element]:
@@ -188,18 +163,16 @@ def _walk(root: Element, whole: set[str]) -> Iterator[Element]:
             stack += reversed(element)
 
 
-def _look_up(
-    table: Mapping[str, _Entry], element: Element, attribute: str, *, exact: bool
-) -> _Entry:
-    """Return the fate of an attribute, or of its element if the table does not name it.
+def _look_up(kind: str, element: Element, attribute: str) -> Entry:
+    """Return the fate of an attribute, or of its element if the format's table does not name it.
 
-    With `exact`, only attributes that the table names are kept: the readers of such formats ignore
-    any other.
+    Of URDF and SDF only attributes that the table names are kept: their readers ignore any other.
     """
+    table = _TABLES[kind]
     fate = table.get(f"{element.tag}@{attribute}")
     if fate is None:
         fate = table.get(element.tag, _UNKNOWN)
-        if exact and attribute and fate[0] == "kept":
+        if kind != "mujoco" and attribute and fate[0] == "kept":
             fate = _UNKNOWN
     if attribute in _NONE_AT_ZERO and not element.get(attribute, "").strip("0. "):
         return _NONE

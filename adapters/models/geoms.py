@@ -34,7 +34,7 @@ class Geoms:
 
     def solids(self) -> Solids:
         """Return all shapes but those that are only drawn."""
-        return Solids(self._element, tuple(map(self._solid, self._touching())), self._pair)
+        return Solids(self._element, tuple(map(self._solid, touching(self._model))), self._pair)
 
     def _solid(self, g: int) -> Solid:
         model, data = self._model, self._data
@@ -56,21 +56,25 @@ class Geoms:
         if self._model.nexclude:
             yield Fate("exclude", (), "kept", reason, True)
 
-    def _touching(self) -> Iterator[int]:
-        model = self._model
-        for g in range(model.ngeom):
-            if model.geom_contype[g] | model.geom_conaffinity[g]:
-                yield g
-
     def _name(self, g: int) -> str:
         geom = self._model.geom(g)
         return geom.name or f"of {self._model.body(geom.bodyid[0]).name or geom.bodyid[0]}"
 
     def _pair(self, shape: Solid, floor: Solid | None) -> Pair:
-        g, plane = shape.own, floor.own if floor is not None else None
-        friction = self._friction(g, plane) if self._element == "geom" else None
-        rolls = self._dimension(g, plane) > 3
-        return Pair(friction, None, self._apart(g, plane), rolls)
+        """Return a shape's contact with the ground, by MuJoCo's rules.
+
+        Of the geoms of the highest priority, the largest values count.
+        """
+        model, g, plane = self._model, shape.own, floor.own if floor is not None else None
+        geoms = [g] if plane is None else [g, plane]
+        highest = max(model.geom_priority[k] for k in geoms)
+        deciding = [k for k in geoms if model.geom_priority[k] == highest]
+        dimension = int(max(model.geom_condim[k] for k in deciding))
+        friction = None
+        if self._element == "geom":
+            slippery = dimension == 1
+            friction = 0.0 if slippery else float(max(model.geom_friction[k, 0] for k in deciding))
+        return Pair(friction, None, self._apart(g, plane), dimension > 3)
 
     def _apart(self, g: int, plane: int | None) -> str:
         """Return why a shape passes through the ground, or "" if it does not."""
@@ -87,17 +91,7 @@ class Geoms:
         meets = own[0] & other[1] or other[0] & own[1]
         return "" if meets else "by contype and conaffinity it passes through the ground"
 
-    def _dimension(self, g: int, plane: int | None) -> int:
-        return int(max(self._model.geom_condim[k] for k in self._deciding(g, plane)))
 
-    def _friction(self, g: int, plane: int | None) -> float:
-        """Return a shape's friction coefficient with the ground, by MuJoCo's rule."""
-        if self._dimension(g, plane) == 1:
-            return 0.0
-        return float(max(self._model.geom_friction[k, 0] for k in self._deciding(g, plane)))
-
-    def _deciding(self, g: int, plane: int | None) -> list[int]:
-        """Return the geoms of the highest priority; the largest of their values counts."""
-        geoms = [g] if plane is None else [g, plane]
-        highest = max(self._model.geom_priority[k] for k in geoms)
-        return [k for k in geoms if self._model.geom_priority[k] == highest]
+def touching(model: Any) -> list[int]:
+    """Return the geoms that are not only drawn."""
+    return [g for g in range(model.ngeom) if model.geom_contype[g] | model.geom_conaffinity[g]]

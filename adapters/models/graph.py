@@ -10,17 +10,7 @@ import numpy as np
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 
-from .parts import Closing, Freedom, Mass, Part
-
-
-@dataclass(frozen=True, eq=False)
-class Node:
-    """A body; see `Part`."""
-
-    name: str
-    position: Array
-    orientation: Array
-    mass: Mass
+from .parts import Closing, Freedom, Part
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,8 +24,12 @@ class Tie:
     anchor: Array
 
 
-def tree_of(nodes: list[Node], ties: list[Tie]) -> tuple[tuple[Part, ...], tuple[Closing, ...]]:
+def tree_of(bodies: list[Part], ties: list[Tie]) -> tuple[tuple[Part, ...], tuple[Closing, ...]]:
     """Grow a tree of joints from the world, in their given order; the remaining ones close loops.
+
+    Args:
+        bodies: Parts without parents and freedoms.
+        ties: Joints between any two of them, or one and the world.
 
     Raises:
         InputError: A joint that closes a loop has several freedoms.
@@ -43,23 +37,20 @@ def tree_of(nodes: list[Node], ties: list[Tie]) -> tuple[tuple[Part, ...], tuple
     parts: list[Part] = []
     remaining = list(ties)
     reached = {-1: -1}
-    while len(parts) < len(nodes):
+    while len(parts) < len(bodies):
         tie = next((t for t in remaining if (t.ends[0] in reached) != (t.ends[1] in reached)), None)
         if tie is None:  # no joint leads to the next body
-            body = next(k for k in range(len(nodes)) if k not in reached)
-            free = Freedom(f"{nodes[body].name} floats", "free", nodes[body].position, np.zeros(3))
-            parent = -1
-            freedoms: tuple[Freedom, ...] = (free,)
+            parent, body = -1, next(k for k in range(len(bodies)) if k not in reached)
+            name, place = f"{bodies[body].name} floats", bodies[body].position
+            freedoms: tuple[Freedom, ...] = (Freedom(name, "free", place, np.zeros(3)),)
         else:
             remaining.remove(tie)
             forward = tie.ends[0] in reached
             parent, body = tie.ends if forward else tie.ends[::-1]
             freedoms = tie.freedoms if forward else tuple(map(_reverse, tie.freedoms[::-1]))
-        node = nodes[body]
         reached[body] = len(parts)
-        parts.append(
-            Part(node.name, reached[parent], node.position, node.orientation, node.mass, freedoms)
-        )
+        above = reached[parent]
+        parts.append(dataclasses.replace(bodies[body], parent=above, freedoms=freedoms))
     return tuple(parts), tuple(_closing(tie, reached) for tie in remaining)
 
 

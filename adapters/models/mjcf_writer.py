@@ -13,7 +13,6 @@ from mbds_xsim.base.xml import indented, numbers
 from mbds_xsim.scene.imported import Fate, Written, gathered
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
-from mbds_xsim.scene.servo import Servo
 
 from .writing import dropped_fate, first_targets, lacking, no_model, without_servos
 
@@ -28,7 +27,7 @@ def write(scene: Scene) -> Written:
         InputError: A slider closes a loop, or MuJoCo is not installed.
     """
     optional("mujoco", "writing MJCF", "mujoco")
-    from ..mujoco.model import CLOSING_POINTS, mechanics
+    from ..mujoco.model import CLOSING_POINTS, add_servo, mechanics
 
     mechanism = without_servos(scene)
     for joint in mechanism.loops:
@@ -43,8 +42,9 @@ def write(scene: Scene) -> Written:
     servos = [servo for servo in scene.servos if servo.joint not in loops]
     if servos:
         actuators = SubElement(root, "actuator")
-        for servo in servos:
-            _servo(actuators, servo)
+        for servo in servos:  # command 0 keeps its first target, other commands move it
+            push = servo.stiffness * servo.position[0] + servo.damping * servo.velocity[0]
+            add_servo(actuators, servo, push, gainprm=repr(servo.stiffness or servo.damping))
     fates = [*no_model(scene), *lacking(scene, _LACKS), *_loops(mechanism), *first_targets(scene)]
     fates += [dropped_fate("servos", _NO_LAW, [s.joint]) for s in scene.servos if s.joint in loops]
     return Written(indented(root), gathered(fates))
@@ -62,20 +62,3 @@ def _loops(mechanism: Mechanism) -> Iterator[Fate]:
     for tie in mechanism.couplings:
         reason = "an equality of two joints, held by a soft solver"
         yield Fate("couplings", (), "approximated", reason, True, (tie.name,))
-
-
-def _servo(actuators: Element, servo: Servo) -> None:
-    """Write a servo as an actuator: command 0 keeps its first target, other commands move it."""
-    from ..mujoco.model import limit_force
-
-    push = servo.stiffness * servo.position[0] + servo.damping * servo.velocity[0]
-    gain, bias = servo.stiffness or servo.damping, (push, -servo.stiffness, -servo.damping)
-    element = SubElement(
-        actuators,
-        "general",
-        joint=servo.joint,
-        gainprm=repr(gain),
-        biastype="affine",
-        biasprm=numbers(bias),
-    )
-    limit_force(element, servo.limit)

@@ -188,3 +188,9 @@ class Parts:
     drives: tuple[Drive, ...] = ()
     solids: Solids | None = None
     """Collision shapes; None if there is no ground."""
+
+    @property
+    def stated(self) -> frozenset[str]:
+        """Properties that some freedom has."""
+        freedoms = (freedom for part in self.parts for freedom in part.freedoms)
+        return frozenset(key for freedom in freedoms for key in freedom.properties)

@@ -36,6 +36,7 @@ _LABELS = {
 }
 _KINDS = {"RevoluteJoint": "hinge", "PrismaticJoint": "slider", "BallJoint": "ball",
           "FreeJoint": "free"}  # fmt: skip
+_WITHOUT_AXIS = ("BallJoint", "FreeJoint")
 _FAR = 1e10  # [rad or m]: a limit beyond this means no limit
 _VERSIONS = ("1.5", "1.6", "1.7", "1.8", "1.9", "1.10", "1.11")
 """Accepted versions. Up to 1.4, axes were in the model's frame, a difference that DART ignores."""
@@ -50,8 +51,7 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     """Read an SDF file; see `mbds_xsim.simulate.registry`."""
     dartpy = optional("dartpy", "reading SDF", "dart")
     if floating:
-        msg = "--floating is for URDF; SDF says itself which of its models are fixed"
-        raise InputError(msg)
+        raise InputError("--floating is for URDF; SDF says itself which of its models are fixed")
     root = read_source(path, folder)
     _refuse(root)
     models = list(root.iter("model"))
@@ -63,8 +63,7 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     except (RuntimeError, ValueError) as error:  # ValueError: malformed numbers
         raise InputError(f"DART's parser refuses it: {error}") from error
     if len(models) != len(skeletons):
-        msg = f"DART's parser returns {len(skeletons)} of its {len(models)} models"
-        raise InputError(msg)
+        raise InputError(f"DART's parser returns {len(skeletons)} of its {len(models)} models")
     parts: list[Part] = []
     shapes: list[Solid] = []
     skipped: list[str] = []
@@ -77,8 +76,7 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     name = models[0].get("name") or path.stem
     solids = Solids("collision", tuple(shapes), pair) if ground else None
     model = Parts(name, tuple(parts), _gravity(root, gravity), labels=_LABELS, solids=solids)
-    keys = {key for part in parts for freedom in part.freedoms for key in freedom.properties}
-    reported = {label: key in keys for key, label in _LABELS.items()}
+    reported = {label: key in model.stated for key, label in _LABELS.items()}
     reported["upper", ""] = reported["lower", ""]
     reported |= dict.fromkeys(REPORTED if ground else (), True)
     _mark(root)
@@ -123,8 +121,7 @@ def _skeletons(parser: Any, root: Element) -> tuple[list[Any], Array]:
             skeletons = [world.getSkeleton(k) for k in range(count)]
             gravity = np.array(world.getGravity()) if world is not None else gravity
     if not skeletons or None in skeletons:
-        msg = "DART's parser returns no model"
-        raise InputError(msg)
+        raise InputError("DART's parser returns no model")
     return skeletons, gravity
 
 
@@ -137,8 +134,7 @@ def _gravity(root: Element, parsed: Array) -> Array:
 def _refuse(root: Element) -> None:
     """Raise InputError if DART's parser would ignore something that affects the motion."""
     if root.tag != "sdf":
-        msg = f"its outermost element is <{root.tag}>, allowed is <sdf>"
-        raise InputError(msg)
+        raise InputError(f"its outermost element is <{root.tag}>, allowed is <sdf>")
     if (number := root.get("version", "")) not in _VERSIONS:
         msg = f"it is of version {number or 'unsaid'}; DART's parser reads {', '.join(_VERSIONS)}"
         raise InputError(msg)
@@ -169,11 +165,10 @@ def _skipped_joints(skeleton: Any, model: Element) -> list[str]:
     links, joints = {n.getName() for n in nodes}, {n.getParentJoint().getName() for n in nodes}
     for link in model.findall("link"):
         if (name := link.get("name", "")) not in links:
-            msg = (
+            raise InputError(
                 f"DART's parser leaves out the link {name!r}; it takes joints that are revolute, "
                 "revolute2, continuous, prismatic, ball, universal, screw or fixed"
             )
-            raise InputError(msg)
     return [n for joint in model.findall("joint") if (n := joint.get("name", "")) not in joints]
 
 
@@ -209,16 +204,14 @@ def _freedoms(node: Any) -> Iterator[Freedom]:
     place = node.getTransform().multiply(joint.getTransformFromChildBodyNode())
     anchor, axes = np.array(place.translation()), np.array(place.rotation())
     name = joint.getName()
-    if kind in ("BallJoint", "FreeJoint"):
-        yield Freedom(name, _KINDS[kind], anchor, np.zeros(3), _properties(joint, 0))  # type: ignore[arg-type]
-    elif kind in _KINDS:
-        yield Freedom(name, _KINDS[kind], anchor, axes @ joint.getAxis(), _properties(joint, 0))  # type: ignore[arg-type]
+    if kind in _KINDS:
+        axis = np.zeros(3) if kind in _WITHOUT_AXIS else axes @ joint.getAxis()
+        yield Freedom(name, _KINDS[kind], anchor, axis, _properties(joint, 0))  # type: ignore[arg-type]
     elif kind == "UniversalJoint":
         for k, axis in enumerate((joint.getAxis1(), joint.getAxis2())):
             yield Freedom(f"{name} {k + 1}", "hinge", anchor, axes @ axis, _properties(joint, k))
     elif kind != "WeldJoint":
-        msg = f"the joint {name!r} is a {kind}, which is not in the scene description"
-        raise InputError(msg)
+        raise InputError(f"the joint {name!r} is a {kind}, which is not in the scene description")
 
 
 def _properties(joint: Any, k: int) -> dict[str, Property]:

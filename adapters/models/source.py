@@ -49,12 +49,10 @@ class _Reader:
     def document(self, path: Path, above: tuple[Path, ...]) -> Element:
         """Read a file and everything it includes."""
         if path in above:
-            msg = f"{path.name} includes itself, by way of {above[-1].name}"
-            raise InputError(msg)
+            raise InputError(f"{path.name} includes itself, by way of {above[-1].name}")
         self._read += 1
         if self._read > _MOST_FILES:
-            msg = f"includes more than {_MOST_FILES} files"
-            raise InputError(msg)
+            raise InputError(f"includes more than {_MOST_FILES} files")
         root = _parse(path)
         for element in list(root.iter()):
             for k, child in reversed(list(enumerate(element))):
@@ -69,8 +67,7 @@ class _Reader:
         places = [self._base / name, path.parent / name]
         file = next((place for place in places if place.is_file()), None)
         if file is None:
-            msg = f"{path.name} includes {name!r}, which is not there"
-            raise InputError(msg)
+            raise InputError(f"{path.name} includes {name!r}, which is not there")
         self.check(file, name)
         return self.document(file, (*above, path))
 
@@ -87,19 +84,17 @@ class _Reader:
     def check(self, path: Path, name: str) -> None:
         """Raise InputError if a path leads out of the folder."""
         if not path.resolve().is_relative_to(self._folder):
-            msg = (
+            raise InputError(
                 f"names {name!r}, which is not in {self._folder}; if that is intended, "
                 "give `mbds-xsim import` a --folder with all files of the model"
             )
-            raise InputError(msg)
 
 
 def _parse(path: Path) -> Element:
     try:
         content = read_file(path, _LARGEST_FILE + 1).strip(b"\0 \t\r\n")
     except OSError as error:
-        msg = f"{path.name} cannot be read ({error.strerror})"
-        raise InputError(msg) from error
+        raise InputError(f"{path.name} cannot be read ({error.strerror})") from error
     if len(content) > _LARGEST_FILE:
         msg = f"{path.name} is larger than {_LARGEST_FILE // 10**6} MB, which no model's XML needs"
         raise InputError(msg)
@@ -110,8 +105,7 @@ def _parse(path: Path) -> Element:
         nonlocal depth
         depth += 1
         if depth > _DEEPEST:
-            msg = f"{path.name} nests elements deeper than {_DEEPEST} levels"
-            raise InputError(msg)
+            raise InputError(f"{path.name} nests elements deeper than {_DEEPEST} levels")
         builder.start(tag, attributes)
 
     def end(tag: str) -> None:

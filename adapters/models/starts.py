@@ -114,12 +114,11 @@ def check_above_ground(scene: Scene) -> None:
     gaps = mechanism.sphere_heights(states.position, states.native) - mechanism.sphere_radius
     if gaps.min() < 0.0:
         body = scene.contacts[int(gaps.min(axis=0).argmin())].body
-        msg = (
+        raise InputError(
             f"--ground: {np.count_nonzero(gaps.min(axis=1) < 0)} of {_STARTS} drawn starts are in "
             f"the ground, {body!r} by {-gaps.min():.3g} m: it cannot be lifted, as it is neither "
             "free nor on an upright slider; leave --ground out"
         )
-        raise InputError(msg)
 
 
 _PAST = "its start, which a loop or a coupling decides, is past them"

@@ -52,8 +52,7 @@ def _link(root: Element, mechanism: Mechanism, link: Link, frames: dict[int, Arr
     joint, body = link.joint, link.body
     kind = None if joint is None else joint.kind
     if kind not in _KINDS:
-        msg = f"the joint {joint.name if joint else ''!r} is a {kind} joint; {_TREE}"
-        raise InputError(msg)
+        raise InputError(f"the joint {joint.name if joint else ''!r} is a {kind} joint; {_TREE}")
     name = name_of(mechanism, body)
     com = mechanism.com[body]
     frames[body] = com if joint is None else com + joint.in_child

@@ -17,13 +17,13 @@ from mbds_xsim.base.frame import optional
 from mbds_xsim.scene.imported import Fate, Imported
 
 from .assembling import assemble
-from .graph import Node, Tie, tree_of
-from .parts import Drive, Freedom, Line, Mass, Parts, Solids
-from .usd_drives import drive_of
+from .graph import Tie, tree_of
+from .parts import Drive, Freedom, Line, Mass, Part, Parts, Solids
 from .usd_fates import fates_of
 from .usd_masses import mass_of
 from .usd_shapes import Shapes
 
+_UNLIMITED = 3e38  # limit of a drive; single precision has no larger number
 _LARGEST_FILE = 64 * 10**6  # bytes
 _GAP = 1e-5  # largest gap of a joint's frames over the extent: positions are in single precision
 _LABELS = {"limits": ("Physics…Joint", "physics:lowerLimit"), "drive": ("drive", "")}
@@ -35,8 +35,7 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     """Read a USD file; see `mbds_xsim.simulate.registry`."""
     sdf, tf, usd = (optional(f"pxr.{name}", "reading USD", "usd") for name in ("Sdf", "Tf", "Usd"))
     if floating:
-        msg = "--floating is for URDF; USD says itself which of its bodies are free"
-        raise InputError(msg)
+        raise InputError("--floating is for URDF; USD says itself which of its bodies are free")
     try:
         _check_layers(sdf, path, folder.resolve())
         stage = usd.Stage.Open(str(path))
@@ -44,8 +43,8 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
         parts = reading.model(path.stem, ground=ground)
     except tf.ErrorException as error:
         raise InputError(f"OpenUSD does not read it: {_reason(str(error))}") from error
-    keys = {key for part in parts.parts for freedom in part.freedoms for key in freedom.properties}
-    fates = [*fates_of(stage, limited="limits" in keys, touching=ground), *reading.fates]
+    limited = "limits" in parts.stated
+    fates = [*fates_of(stage, limited=limited, touching=ground), *reading.fates]
     version = ".".join(map(str, usd.GetVersion()))
     return assemble(parts, file=path.name, kind="USD", reader=f"OpenUSD {version}", fates=fates)
 
@@ -65,17 +64,14 @@ def _check_layers(sdf: Any, path: Path, folder: Path) -> None:
             continue
         visited.add(file)
         if not file.is_relative_to(folder):
-            msg = (
+            raise InputError(
                 f"refers to {str(file)!r}, which is not in {folder}; if that is intended, "
                 "give `mbds-xsim import` a --folder with all files of the model"
             )
-            raise InputError(msg)
         if not file.is_file():
-            msg = f"refers to {file.name!r}, which is not there"
-            raise InputError(msg)
+            raise InputError(f"refers to {file.name!r}, which is not there")
         if file.stat().st_size > _LARGEST_FILE:
-            msg = f"{file.name} is larger than {_LARGEST_FILE // 10**6} MB"
-            raise InputError(msg)
+            raise InputError(f"{file.name} is larger than {_LARGEST_FILE // 10**6} MB")
         layer = sdf.Layer.FindOrOpen(str(file))
         for name in filter(None, layer.GetCompositionAssetDependencies()):
             asset = Path(layer.ComputeAbsolutePath(name))
@@ -106,7 +102,7 @@ class _Reading:
         bodies = [desc for desc in self._all("RigidBody") if desc.rigidBodyEnabled]
         moving = [desc for desc in bodies if not desc.kinematicBody]
         index = {desc.primPath: k for k, desc in enumerate(moving)}
-        nodes = [self._node(desc) for desc in moving]
+        nodes = [self._part(desc) for desc in moving]
         places = np.array([node.position for node in nodes] or [np.zeros(3)])
         extent = float(np.linalg.norm(np.ptp(places, axis=0))) or 1.0
         joints = [(key, desc) for key in _KINDS for desc in self._all(key) if desc.jointEnabled]
@@ -144,12 +140,12 @@ class _Reading:
             )
         return np.zeros(3)
 
-    def _node(self, desc: Any) -> Node:
+    def _part(self, desc: Any) -> Part:
         prim = self._stage.GetPrimAtPath(desc.primPath)
         place, turn = self._frame(desc.primPath)
         local = mass_of(prim, self._all, desc, self._metre, self._kilogram)
         mass = Mass(local.mass, place + turn @ local.com, turn @ local.inertia @ turn.T)
-        return Node(self._name(desc.primPath), place, rotation.from_matrix(turn), mass)
+        return Part(self._name(desc.primPath), -1, place, rotation.from_matrix(turn), mass, ())
 
     def _name(self, path: Any) -> str:
         """Return the last part of a path if it is unique, or else the whole path."""
@@ -202,11 +198,10 @@ class _Reading:
             first, second = axes[:, column - 2], other_axes[:, column - 2]
             start = math.atan2(float(np.cross(first, second) @ axis), float(first @ second))
         if (apart := np.linalg.norm(gap)) > _GAP * extent or tilt > _GAP:
-            msg = (
+            raise InputError(
                 f"the frames of the joint {name!r} differ as bodies are placed: got {apart:.3g} "
                 f"m between origins and {tilt:.3g} between axes, allowed is 0"
             )
-            raise InputError(msg)
         if kind == "fixed":
             return Tie(name, ends, (), point)
         limits = self._limits(getattr(desc, "limit", None), kind, start)
@@ -234,14 +229,41 @@ class _Reading:
             self.fates.append(Fate("drive", (freedom,), "dropped", reason, False, (name,)))
 
     def _lead(self, drive: Any, joint: str, kind: str, start: float) -> None:
-        """Convert a drive on a freedom if it is enabled; drop it if it cannot be a servo."""
+        """Make a servo of an enabled drive, or report why it cannot be one.
+
+        Args:
+            drive: Drive as the library of OpenUSD parses it.
+            joint: Name of the freedom that it drives.
+            kind: Kind of the freedom, hinge or slider.
+            start: Coordinate in the file at the reference pose [rad or m].
+        """
         if not drive.enabled:
             return
-        drive_or_text = drive_of(drive, joint, kind, start, (self._metre, self._kilogram))
-        if isinstance(drive_or_text, Drive):
-            self._drives.append(drive_or_text)
-        else:
-            self.fates.append(Fate("drive", (), "dropped", drive_or_text, True, (joint,)))
+        reason = ""
+        if drive.acceleration:
+            reason = "its gains are of accelerations, and those of servos are of torques and forces"
+        elif drive.stiffness < 0 or drive.damping < 0 or not (drive.stiffness or drive.damping):
+            reason = "it has a negative gain, or none"
+        if reason:
+            self.fates.append(Fate("drive", (), "dropped", reason, True, (joint,)))
+            return
+        turns = kind == "hinge"
+        unit = math.pi / 180 if turns else self._metre
+        force = self._kilogram * self._metre * (self._metre if turns else 1.0)
+        limit = force * drive.forceLimit if drive.forceLimit < _UNLIMITED else None
+        self._drives.append(
+            Drive(
+                name=joint,
+                joint=joint,
+                stiffness=drive.stiffness * force / unit,
+                damping=drive.damping * force / unit,
+                position=drive.targetPosition * unit - start if drive.stiffness else 0.0,
+                velocity=drive.targetVelocity * unit,
+                limit=limit or None,
+                limit_loss="" if limit != 0.0 else "it is 0",
+                target="to the target of the file",
+            )
+        )
 
     def _limits(self, limit: Any, kind: str, start: float) -> dict[str, tuple[float, float]]:
         if limit is None or not limit.enabled or kind == "ball":

@@ -2,38 +2,27 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from mbds_xsim.scene.imported import Fate, Outcome
+from mbds_xsim.scene.imported import Fate
 
-from .fates import COLLISION
+from .fates import COLLISION, Entry, by_key, grouped
 
-_Row = tuple[Outcome, bool, str]
-_TABLE: dict[str, _Row] = {}
-for _outcome, _moves, _reason, _names in (
-    (
-        "kept",
-        True,
-        "as the library of OpenUSD parses it",
-        "physics:mass physics:density physics:centerOfMass physics:diagonalInertia "
-        "physics:principalAxes physics:gravityDirection physics:gravityMagnitude physics:axis "
-        "physics:localPos0 physics:localRot0 physics:localPos1 physics:localRot1 physics:body0 "
-        "physics:body1 physics:rigidBodyEnabled physics:jointEnabled physics:kinematicEnabled "
-        "physics:excludeFromArticulation physics:minDistance physics:maxDistance "
-        "limit:physics:low limit:physics:high",
-    ),
-    (
-        "dropped",
-        True,
-        COLLISION,
-        "physics:collisionEnabled physics:staticFriction physics:dynamicFriction "
-        "physics:restitution",
-    ),
+_TABLE = by_key((
+    ("kept", True, "as the library of OpenUSD parses it",
+     "physics:mass physics:density physics:centerOfMass physics:diagonalInertia "
+     "physics:principalAxes physics:gravityDirection physics:gravityMagnitude physics:axis "
+     "physics:localPos0 physics:localRot0 physics:localPos1 physics:localRot1 physics:body0 "
+     "physics:body1 physics:rigidBodyEnabled physics:jointEnabled physics:kinematicEnabled "
+     "physics:excludeFromArticulation physics:minDistance physics:maxDistance "
+     "limit:physics:low limit:physics:high"),
+    ("dropped", True, COLLISION,
+     "physics:collisionEnabled physics:staticFriction physics:dynamicFriction "
+     "physics:restitution"),
     ("dropped", False, COLLISION, "physics:filteredPairs physics:filteredGroups "
-     "physics:invertFilteredGroups physics:mergeGroup collection"),
-    ("dropped", False, COLLISION, "physics:approximation physics:simulationOwner"),
+     "physics:invertFilteredGroups physics:mergeGroup collection physics:approximation "
+     "physics:simulationOwner"),
     ("dropped", True, "the model starts in the reference pose, at rest",
      "physics:velocity physics:angularVelocity"),
     ("dropped", True, "it is not of a hinge or slider, or PhysicsDriveAPI is not applied", "drive"),
@@ -41,18 +30,17 @@ for _outcome, _moves, _reason, _names in (
     ("dropped", False, "a setting of an engine, not of the mechanism", "physics:startsAsleep"),
     ("dropped", True, "not yet in the scene description",
      "physics:coneAngle0Limit physics:coneAngle1Limit"),
-):  # fmt: skip
-    _TABLE |= dict.fromkeys(_names.split(), (_outcome, _moves, _reason))  # type: ignore[arg-type]
-_CONTACT: _Row = ("kept", True, "decides how shapes meet the ground")
-_TOUCHING: dict[str, _Row] = dict.fromkeys(
-    ("physics:collisionEnabled", "physics:dynamicFriction", "physics:restitution", "collection",
-     "physics:filteredPairs", "physics:filteredGroups", "physics:invertFilteredGroups",
+))  # fmt: skip
+_CONTACT = "decides how shapes meet the ground"
+_TOUCHING = by_key((
+    ("kept", True, _CONTACT,
+     "physics:collisionEnabled physics:dynamicFriction physics:restitution collection "
+     "physics:filteredPairs physics:filteredGroups physics:invertFilteredGroups "
      "physics:mergeGroup"),
-    _CONTACT,
-)  # fmt: skip
-_TOUCHING["physics:staticFriction"] = ("dropped", True, "the ground has the dynamic one alone")
+    ("dropped", True, "the ground has the dynamic one alone", "physics:staticFriction"),
+))  # fmt: skip
 """Rows that replace those above if shapes touch the ground."""
-_SHAPE = dict.fromkeys(("material", "radius", "height", "size", "axis"), _CONTACT)
+_SHAPE = by_key([("kept", True, _CONTACT, "material radius height size axis")])
 """Attributes of collision shapes that touch the ground."""
 _LIMITS = ("physics:lowerLimit", "physics:upperLimit")
 _DRIVE_JOINTS = ("PhysicsRevoluteJoint", "PhysicsPrismaticJoint", "PhysicsJoint")
@@ -61,7 +49,7 @@ _SIMULATORS = ("physx", "mjc", "newton", "isaac")
 
 
 def fates_of(stage: Any, *, limited: bool, touching: bool) -> Iterator[Fate]:
-    """Walk a stage and yield the fates of all authored properties.
+    """Walk a stage and return the fates of all authored properties.
 
     Args:
         stage: The stage.
@@ -69,21 +57,16 @@ def fates_of(stage: Any, *, limited: bool, touching: bool) -> Iterator[Fate]:
         touching: Whether shapes touch the ground, and are reported one by one.
     """
     table = _TABLE | _TOUCHING if touching else _TABLE
-    by_fate: dict[tuple[str, _Row], list[tuple[str, str]]] = defaultdict(list)
+    found = []
     for prim in stage.Traverse():
-        kind = str(prim.GetTypeName()) or "Prim"
+        kind, place = str(prim.GetTypeName()) or "Prim", prim.GetName()
         solid = touching and "PhysicsCollisionAPI" in prim.GetAppliedSchemas()
         for attribute in prim.GetAuthoredProperties():
             name = attribute.GetName()
-            if (name in _LIMITS and limited) or _is_of_drive(prim, name):
-                continue
-            by_fate[kind, _fate(table | _SHAPE if solid else table, name)].append(
-                (name, prim.GetName())
-            )
-    for (kind, (outcome, moves, reason)), pairs in by_fate.items():
-        names = tuple(dict.fromkeys(name for name, _ in pairs))
-        places = tuple(dict.fromkeys(place for _, place in pairs))
-        yield Fate(kind, names, outcome, reason, moves, places, len(places))
+            if not ((name in _LIMITS and limited) or _is_of_drive(prim, name)):
+                entry = _fate(table | _SHAPE if solid else table, name)
+                found.append((kind, entry, name, place, place))
+    return grouped(found)
 
 
 def _is_of_drive(prim: Any, name: str) -> bool:
@@ -93,7 +76,7 @@ def _is_of_drive(prim: Any, name: str) -> bool:
     return first == "drive" and applied and prim.GetTypeName() in _DRIVE_JOINTS
 
 
-def _fate(table: Mapping[str, _Row], name: str) -> _Row:
+def _fate(table: Mapping[str, Entry], name: str) -> Entry:
     first, _, rest = name.partition(":")
     general = f"{first}:{rest.partition(':')[2]}"  # limit:rotX:physics:low
     for key in (name, general, first):

@@ -46,11 +46,10 @@ def mass_of(
 
     def solid(shape_prim: Any) -> Any:
         if shape_prim.GetPath() not in shapes:
-            msg = (
+            raise InputError(
                 f"the mass of {body.primPath} depends on the mesh {shape_prim.GetPath()}; state "
                 "its mass and diagonalInertia"
             )
-            raise InputError(msg)
         return _information(UsdPhysics, *shapes[shape_prim.GetPath()])
 
     total_mass, moments, centre, axes = UsdPhysics.RigidBodyAPI(prim).ComputeMassProperties(solid)

@@ -195,8 +195,7 @@ class MuJoCo(Adapter):
             raise InputError(msg)
         division = option("contact_substeps") if scene.contacts else 0
         if division and solver == "PGS":
-            msg = "solver: PGS does not converge on contacts, allowed is Newton or CG"
-            raise InputError(msg)
+            raise InputError("solver: PGS does not converge on contacts, allowed is Newton or CG")
         substeps = settings.substeps(scene.clock.frame)
         step = scene.clock.frame / substeps
         finer = step / division if division else 0.0

@@ -136,11 +136,10 @@ def _check_friction(where: str, law: Ground | Collisions, yields: float, impact:
     """Refuse friction that the noslip solver treats as none: a determinant below 1e-10."""
     least = math.sqrt(_FRICTIONLESS / yields)
     if impact.step and 0.0 < law.friction < least:
-        msg = (
+        raise Unsupported(
             f"mujoco: {where}.friction: got {law.friction:g}, allowed is 0, or at least "
             f"{least:.3g} for bodies this heavy: its friction solver treats less as none"
         )
-        raise Unsupported(msg)
 
 
 def _add_pair(
@@ -278,24 +277,19 @@ class SphereGeoms:
         x, y, z = x - a, y - b, z - c
         return math.hypot(u + q * z - r * y, v + r * x - p * z, w + p * y - q * x)
 
-    def centers(self, data: Any) -> Array:
-        """Return the spheres' centres in W in the present state [m], shape (sphere, 3)."""
-        return np.array(data.geom_xpos[self._geoms])
-
-    def coefficients(self, model: Any) -> Array:
-        """Return radius and friction of spheres on the ground, NaN for restitution, (sphere, 3)."""
-        friction, _ = self._frictions(model)
-        return np.stack([self._radius, friction, np.full(len(friction), np.nan)], axis=-1)
-
-    def collisions(self, model: Any) -> Array:
-        """Return friction of each pair of spheres, NaN for restitution, shape (pair, 2)."""
-        _, friction = self._frictions(model)
-        return np.stack([friction, np.full(len(friction), np.nan)], axis=-1)
-
-    def _frictions(self, model: Any) -> tuple[Array, Array]:
+    def readback(self, model: Any, data: Any) -> dict[str, Array]:
+        """Return the fields of `Readback` on contact; restitution, which MuJoCo lacks, is NaN."""
         friction = np.where(model.pair_dim == 1, 0.0, model.pair_friction[:, 0])
         count = len(friction) - len(self._one)
-        return friction[:count] if count else np.full(len(self._radius), np.nan), friction[count:]
+        on_ground = friction[:count] if count else np.full(len(self._radius), np.nan)
+        between = friction[count:]
+        return {
+            "contact": np.stack(
+                [self._radius, on_ground, np.full_like(on_ground, np.nan)], axis=-1
+            ),
+            "collision": np.stack([between, np.full_like(between, np.nan)], axis=-1),
+            "sphere": np.array(data.geom_xpos[self._geoms]),
+        }
 
 
 def _law(restitution: float, impact: Impact) -> dict[str, str]:

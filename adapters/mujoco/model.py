@@ -17,7 +17,7 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.xml import indented, numbers
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint, PointPair
-from mbds_xsim.scene.servo import PlacedDrive
+from mbds_xsim.scene.servo import Servo
 
 from .contact import Impact, add_contacts, cone_options, stop_law
 from .state import slim
@@ -86,7 +86,8 @@ def mjcf(mechanism: Mechanism, stepping: StepOptions, idle: Array) -> Element:
     if mechanism.hinges or mechanism.drives:
         actuators = SubElement(root, "actuator")
         _motors(actuators, bodies, mechanism)
-        _drives(actuators, mechanism.drives)
+        for drive in mechanism.drives:  # their commands are the pushes of their targets
+            add_servo(actuators, drive.servo)
     return root
 
 
@@ -313,20 +314,20 @@ def _tendon(tendons: Element, bodies: dict[int, Element], pair: PointPair, name:
     return tendon
 
 
-def _drives(actuators: Element, drives: tuple[PlacedDrive, ...]) -> None:
-    """Add servos that may saturate; their commands are the pushes of their targets."""
-    for drive in drives:
-        law = (0.0, -drive.servo.stiffness, -drive.servo.damping)
-        element = SubElement(
-            actuators, "general", joint=drive.joint.name, biastype="affine", biasprm=numbers(law)
-        )
-        limit_force(element, drive.servo.limit)
+def add_servo(actuators: Element, servo: Servo, push: float = 0.0, **gain: str) -> None:
+    """Add a servo that may saturate: what it exerts at a command of 0.
 
-
-def limit_force(actuator: Element, limit: float | None) -> None:
-    """Limit the force of an actuator."""
-    if limit is not None:
-        actuator.attrib.update(forcelimited="true", forcerange=numbers((-limit, limit)))
+    Args:
+        actuators: Element to add to.
+        servo: The servo.
+        push: What it exerts at a coordinate and a rate of 0 [N·m or N].
+        gain: Attributes of the gain by which a command counts; 1 without any.
+    """
+    bias = numbers((push, -servo.stiffness, -servo.damping))
+    law = {"joint": servo.joint, **gain, "biastype": "affine", "biasprm": bias}
+    actuator = SubElement(actuators, "general", law)
+    if servo.limit is not None:
+        actuator.attrib.update(forcelimited="true", forcerange=numbers((-servo.limit, servo.limit)))
 
 
 def _motors(actuators: Element, bodies: dict[int, Element], mechanism: Mechanism) -> None:
@@ -335,9 +336,8 @@ def _motors(actuators: Element, bodies: dict[int, Element], mechanism: Mechanism
     On a hinge that closes a loop it acts between two sites, about an axis fixed in the parent's:
     equal and opposite torques that turn with the bodies.
     """
-    in_tree = {link.joint.index for link in mechanism.links if link.joint is not None}
     for hinge in mechanism.hinges:
-        if hinge.index in in_tree:
+        if hinge.index in mechanism.carried:
             SubElement(actuators, "motor", name=hinge.name, joint=hinge.name)
             continue
         parent, child = _sites(bodies, hinge, np.zeros(3), f"{hinge.name} motor")

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from mbds_xsim.base import rotation
-from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.xml import indented
 from mbds_xsim.scene.collisions import passed
 from mbds_xsim.scene.joint_space import BodyStates, to_links
@@ -34,6 +34,9 @@ from .spinless import Bending
 from .state import Coordinates, Frames, Hanger
 from .steps import FinerNearGround, FinerWhereFast, OneCall, turning_rates
 
+_UNWANTED = ("dof_dampingpoly", "tendon_dampingpoly", "tendon_frictionloss", "actuator_damping",
+             "actuator_dampingpoly")  # fmt: skip
+"""Arrays of a model with losses that no scene has."""
 _STATES = 16_000  # body states that are simulated at a time
 
 
@@ -45,6 +48,8 @@ class ModelRun(Bending):
     data: Any
     """MjData."""
     coordinates: Coordinates
+    bodies: Index
+    """MuJoCo's numbers of the scene's bodies."""
 
     def __init__(
         self,
@@ -66,8 +71,8 @@ class ModelRun(Bending):
         self.coordinates = Coordinates(self.model, mechanism, self._idle)
         # MuJoCo numbers bodies depth first, so only names match.
         names = [body.name for body in mechanism.scene.bodies]
-        self._bodies = np.array([self.model.body(name).id for name in names])
-        self._order = np.argsort(self._bodies)
+        self.bodies = np.array([self.model.body(name).id for name in names])
+        self._order = np.argsort(self.bodies)
         self._spheres = SphereGeoms(self.model, mechanism)
         self._stepper: OneCall | FinerNearGround | FinerWhereFast = OneCall(count)
         if division:
@@ -104,7 +109,7 @@ class ModelRun(Bending):
 
     def frames(self, count: int, length: int) -> Frames:
         """Return an empty record for `count` trajectories of `length` frames."""
-        return Frames(self.model, self.data, self._bodies, count, length)
+        return Frames(self.model, self.data, self.bodies, count, length)
 
     def start(self, batch: Batch) -> tuple[Array, Array]:
         """Return qpos and qvel of the batch's starts, shapes (trajectory, nq) and (…, nv)."""
@@ -174,24 +179,22 @@ class ModelRun(Bending):
     def read(self) -> Readback:
         """Read back the model, and the bodies in its present state."""
         model, data = self.model, self.data
-        principal = rotation.matrix(model.body_iquat[self._bodies])
-        twists = np.array([self._twist(body) for body in self._bodies])
+        principal = rotation.matrix(model.body_iquat[self.bodies])
+        twists = np.array([self._twist(body) for body in self.bodies])
         return Readback(
-            mass=model.body_mass[self._bodies].copy(),
+            mass=model.body_mass[self.bodies].copy(),
             inertia=np.einsum(
-                "kij,kj,klj->kil", principal, model.body_inertia[self._bodies], principal
+                "kij,kj,klj->kil", principal, model.body_inertia[self.bodies], principal
             ),
-            com=data.xipos[self._bodies].copy(),
-            orientation=self._mechanism.body_orientation(data.xquat[self._bodies]),
+            com=data.xipos[self.bodies].copy(),
+            orientation=self._mechanism.body_orientation(data.xquat[self.bodies]),
             velocity=twists[:, 3:],
             angular_velocity=twists[:, :3],
             gravity=model.opt.gravity.copy(),
             step=float(model.opt.timestep) * (self._division or 1),
             joint_axis=joint_axes(self._mechanism, self._axis, self._loop_axis),
             damping=self._undue_damping(),
-            contact=self._spheres.coefficients(model),
-            collision=self._spheres.collisions(model),
-            sphere=self._spheres.centers(data),
+            **self._spheres.readback(model, data),
             anchor=self._anchors(),
             spring=self._springs(),
             law=joint_laws(self._mechanism, self._law),
@@ -219,7 +222,7 @@ class ModelRun(Bending):
 
     def _link_anchor(self, link: Link) -> tuple[Array, Array] | None:
         """Return the anchor of a link's first native joint; None if it is welded to its parent."""
-        model, body = self.model, self._bodies[link.body]
+        model, body = self.model, self.bodies[link.body]
         if not model.body_jntnum[body]:
             return None
         point = model.jnt_pos[model.body_jntadr[body]]
@@ -238,12 +241,11 @@ class ModelRun(Bending):
 
     def _springs(self) -> Array:
         """Read back the spring tendons, which follow the links'; a slack range has rest NaN."""
-        model, first = self.model, len(self._mechanism.distances)
-        shortest, longest = model.tendon_lengthspring[first:].T
+        model = self.model
+        shortest, longest = model.tendon_lengthspring.T
         rest = np.where(shortest == longest, longest, np.nan)
-        length = self.data.ten_length[first:]
-        constants = (model.tendon_stiffness[first:], model.tendon_damping[first:], rest, length)
-        return np.stack(constants, axis=1)
+        constants = (model.tendon_stiffness, model.tendon_damping, rest, self.data.ten_length)
+        return np.stack(constants, axis=1)[len(self._mechanism.distances) :]
 
     def _couplings(self) -> Array:
         model, kind = self.model, mujoco.mjtEq.mjEQ_JOINT
@@ -252,11 +254,11 @@ class ModelRun(Bending):
 
     def _law(self, _link: Link, joint: PlacedJoint) -> tuple[float, float, float]:
         model, number = self.model, self.model.joint(joint.name).id
-        damping = model.dof_damping[self._dof(joint)]
+        damping = model.dof_damping[model.jnt_dofadr[number]]
         return model.jnt_stiffness[number], damping, model.qpos_spring[model.jnt_qposadr[number]]
 
     def _limits(self) -> Array:
-        numbers = [self.model.joint(joint.name).id for joint in self._mechanism.limited]
+        numbers = self._numbers(self._mechanism.limited)
         limited = self.model.jnt_limited[numbers].astype(bool)
         return np.where(limited[:, None], self.model.jnt_range[numbers], np.inf)
 
@@ -266,11 +268,11 @@ class ModelRun(Bending):
         limit = np.where(limited, model.actuator_forcerange[first:, 1], 0.0)
         return np.column_stack([-model.actuator_biasprm[first:, 1:3], limit])
 
-    def _dof(self, joint: PlacedJoint) -> int:
-        return int(self.model.jnt_dofadr[self.model.joint(joint.name).id])
+    def _numbers(self, joints: tuple[PlacedJoint, ...]) -> list[int]:
+        return [self.model.joint(joint.name).id for joint in joints]
 
-    def _dofs(self, joints: tuple[PlacedJoint, ...]) -> list[int]:
-        return [self._dof(joint) for joint in joints]
+    def _dofs(self, joints: tuple[PlacedJoint, ...]) -> Index:
+        return np.asarray(self.model.jnt_dofadr[self._numbers(joints)])
 
     def _place(self, body: int, point: Array) -> Array:
         """Return a point of a body of MuJoCo in W."""
@@ -281,30 +283,15 @@ class ModelRun(Bending):
         model = self.model
         nominal = [0.0] * len(self._mechanism.distances)
         nominal += [spring.damping for spring in self._mechanism.springs]
-        damping = model.dof_damping.copy()
-        for joint in self._mechanism.compliant:
-            damping[self._dof(joint)] -= joint.damping
+        damping, compliant = model.dof_damping.copy(), self._mechanism.compliant
+        damping[self._dofs(compliant)] -= [joint.damping for joint in compliant]
         friction = model.dof_frictionloss.copy()
         friction[self._dofs(self._mechanism.frictional)] = 0.0
-        return np.concatenate(
-            [
-                model.tendon_damping - nominal,
-                damping,
-                friction,
-                *(
-                    getattr(model, name).ravel()
-                    for name in (
-                        "dof_dampingpoly",
-                        "tendon_dampingpoly",
-                        "tendon_frictionloss",
-                        "actuator_damping",
-                        "actuator_dampingpoly",
-                    )
-                ),
-                [model.opt.density, model.opt.viscosity],
-                [model.jnt_limited.sum() - len(self._mechanism.limited)],
-            ]
-        )
+        unwanted = [getattr(model, name).ravel() for name in _UNWANTED]
+        fluid = [model.opt.density, model.opt.viscosity]
+        limits = [model.jnt_limited.sum() - len(self._mechanism.limited)]
+        tendons = model.tendon_damping - nominal
+        return np.concatenate([tendons, damping, friction, *unwanted, fluid, limits])
 
     def native(self, batch: Batch) -> str:
         qpos, qvel = self.start(batch)

@@ -79,23 +79,22 @@ class Coordinates:
 
     def to_links(self, qpos: Array, qvel: Array) -> LinkStates:
         """Convert coordinates (…, nq) and (…, nv) to links, with unit quaternions."""
-        lead, scalar, free = qpos.shape[:-1], self._scalar, self._free
-        turn, spin, place, speed = (np.zeros((*lead, self._count, size)) for size in (4, 3, 3, 3))
-        coordinate, rate = (np.zeros((*lead, self._count)) for _ in range(2))
-        coordinate[..., scalar] = qpos[..., self._scalar_at[0]]
-        rate[..., scalar] = qvel[..., self._scalar_at[1]]
-        turn[..., self._ball, :], spin[..., self._ball, :] = (
-            values[..., at] for values, at in zip((qpos, qvel), self._ball_at, strict=True)
-        )
-        place[..., free, :], turn[..., free, :] = np.split(qpos[..., self._free_at[0]], [3], -1)
-        speed[..., free, :], spin[..., free, :] = np.split(qvel[..., self._free_at[1]], [3], -1)
+        scalar, free = self._scalar, self._free
+        links = LinkStates.still((*qpos.shape[:-1], self._count))
+        turn, spin = links.rotation, links.angular_velocity
+        links.coordinate[..., scalar] = qpos[..., self._scalar_at[0]]
+        links.rate[..., scalar] = qvel[..., self._scalar_at[1]]
+        turn[..., self._ball, :] = qpos[..., self._ball_at[0]]
+        spin[..., self._ball, :] = qvel[..., self._ball_at[1]]
+        place, turn[..., free, :] = np.split(qpos[..., self._free_at[0]], [3], -1)
+        speed, spin[..., free, :] = np.split(qvel[..., self._free_at[1]], [3], -1)
+        links.position[..., free, :], links.velocity[..., free, :] = place, speed
         turn[..., self._cardan, :], spin[..., self._cardan, :] = _rotations(
             qpos[..., self._cardan_at[0]], qvel[..., self._cardan_at[1]], self._cross
         )
         size = rotation.norm(turn)[..., None]
-        return LinkStates(
-            np.divide(turn, size, out=turn, where=size > 0.0), spin, coordinate, rate, place, speed
-        )
+        np.divide(turn, size, out=turn, where=size > 0.0)
+        return links
 
 
 class Frames:

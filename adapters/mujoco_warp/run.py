@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 
 from mbds_xsim.base.arrays import Array
@@ -32,8 +30,8 @@ def stepping(step: float, loop: float, link: float) -> StepOptions:
         link: Time constant of distance links, in steps.
     """
     impact = Impact(0.0, 1, HARDEST)
-    options = StepOptions("RK4", step, "CG", step * loop, step * link, impact, hard_limits=True)
-    return dataclasses.replace(options, jacobian="sparse", resets=False)
+    times = step * loop, step * link
+    return StepOptions("RK4", step, "CG", *times, impact, True, jacobian="sparse", resets=False)
 
 
 class WarpRun(Bending):
@@ -60,17 +58,15 @@ class WarpRun(Bending):
         model, data = self._host.model, self._host.data
         rows = data.ne + data.nf + len(mechanism.limited)
         self._worlds = Worlds(model, rows, device)
-        self._bodies = np.array([model.body(body.name).id for body in mechanism.scene.bodies])
         self.size = self._host.size
 
     def simulate(self, batch: Batch) -> tuple[Trajectory, Array]:
         host, torque = self._host, with_pushes(self._mechanism.drives, batch.torque)
-        q, u = self._worlds.step_frames(
-            host.start(batch), batch.force, torque, self._bodies, self._count
-        )
-        bodies = to_bodies(self._mechanism, host.coordinates.to_links(q, u))
+        start, bodies = host.start(batch), host.bodies
+        q, u = self._worlds.step_frames(start, batch.force, torque, bodies, self._count)
+        states = to_bodies(self._mechanism, host.coordinates.to_links(q, u))
         bend = np.abs(q[..., host.coordinates.second]).max(axis=(1, 2), initial=0.0)
-        return host.truncate(batch, bodies, [None] * len(batch)), bend
+        return host.truncate(batch, states, [None] * len(batch)), bend
 
     def readback(self, batch: Batch) -> Readback:
         self._worlds.read(self._host.start(batch[:1]), self._host.data)

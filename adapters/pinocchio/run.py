@@ -52,16 +52,16 @@ class PinocchioRun(Run):
         places, speeds = list(model.idx_qs), list(model.idx_vs)
         self._coordinates = PinocchioCoordinates(mechanism, layout, places, speeds)
         native = layout.native
-        laws = [(j, (j.stiffness, j.damping, j.rest, np.inf)) for j in mechanism.compliant]
+        at = {index: (places[joint], speeds[joint]) for index, joint in native.items()}
+        laws = [(*at[j.index], j.stiffness, j.damping, j.rest, np.inf) for j in mechanism.compliant]
         laws += [
-            (drive.joint, (drive.servo.stiffness, drive.servo.damping, 0.0, drive.limit))
+            (*at[drive.joint.index], drive.servo.stiffness, drive.servo.damping, 0.0, drive.limit)
             for drive in mechanism.drives
         ]
-        at = [(places[native[joint.index]], speeds[native[joint.index]]) for joint, _ in laws]
-        self._laws = np.array(
-            [(*place, *law) for place, (_, law) in zip(at, laws, strict=True)]
-        ).reshape(-1, 6)
-        self._pushes = self._target_pushes(scene.clock.steps)
+        self._laws = np.array(laws).reshape(-1, 6)
+        # The targets' pushes by every law of a joint, 0 for springs.
+        pushes = with_pushes(mechanism.drives, np.zeros((scene.clock.steps, 0)))
+        self._pushes = np.pad(pushes, ((0, 0), (len(mechanism.compliant), 0)))
         self._ends = [tuple(zip(s.bodies, s.in_body, strict=True)) for s in mechanism.springs]
         self._softness = softness
         more = mechanism.springs, self._ends, self._laws, softness
@@ -70,16 +70,10 @@ class PinocchioRun(Run):
         self._rk4 = turning_rk4.TurningRK4(model.nv, turns, np.ones(len(turns)))
         hinges = list(enumerate(mechanism.hinges))
         self._driven = [k for k, hinge in hinges if hinge.index in native]
-        self._driven_at = [speeds[native[mechanism.hinges[k].index]] for k in self._driven]
+        self._driven_at = [at[mechanism.hinges[k].index][1] for k in self._driven]
         self._looped = [(k, hinge) for k, hinge in hinges if hinge.index not in native]
         rows = sum(constraint.residualSize() for constraint in names["constraints"])
         self.size = ModelSize(model.nv, rows)
-
-    def _target_pushes(self, steps: int) -> Array:
-        """Return the targets' pushes by every law of a joint, 0 for springs, shape (step, law)."""
-        springs = np.zeros((steps, len(self._mechanism.compliant)))
-        inputs = np.zeros((steps, 0))
-        return np.concatenate([springs, with_pushes(self._mechanism.drives, inputs)], axis=1)
 
     def rollout(self, batch: Batch) -> Trajectory:
         start_q, start_u = self._start(batch)
@@ -162,9 +156,8 @@ class PinocchioRun(Run):
         if joint is None:
             return None
         above = data.oMi[self._model.parents[joint]]
-        return above.act(self._model.jointPlacements[joint].translation), data.oMi[
-            joint
-        ].translation
+        point = self._model.jointPlacements[joint].translation
+        return above.act(point), data.oMi[joint].translation
 
     def _springs(self) -> Array:
         data, springs = self._dynamics.data, self._mechanism.springs

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 
@@ -52,12 +51,12 @@ class PyBullet(Adapter):
     name = "pybullet"
     package = "pybullet"
     revision = 2
-    methods: ClassVar[Mapping[str, Method]] = {
+    methods: ClassVar = {
         "semi-implicit-euler": Method(
             "semi-implicit-euler", "semi-implicit Euler", 1, velocity_lag=-0.5
         ),
     }
-    options: ClassVar[Mapping[str, Option]] = {
+    options: ClassVar = {
         "solver_iterations": Option(
             10, "sweeps over loops, rotors and contacts in each step", 1, _MOST_SWEEPS
         ),
@@ -79,21 +78,21 @@ class PyBullet(Adapter):
             "it is turned towards the axis, x or y, along which a body yields less",
         ),
     }
-    sweeps: ClassVar[Mapping[str, Sweep]] = {
+    sweeps: ClassVar = {
         "solver_iterations": Sweep(
             (3, 10, 50, 200), needs=LOOPS | {Feature.ARMATURE, Feature.CONTACT}
         ),
         "erp": Sweep((0.2, 1.0), needs=LOOPS),
         "contact_recovery": Sweep((0.1, 10.0), needs=frozenset({Feature.CONTACT})),
     }
-    limits: ClassVar[Mapping[Feature, str]] = {
+    limits: ClassVar = {
         Feature.LOOP_SLIDER: "its constraint JOINT_PRISMATIC is not reliable between multibodies",
         Feature.DISTANCE_LINK: "it has no constraint that keeps a distance",
         Feature.JOINT_REBOUND: "its limits of joints take velocities and give none back",
         Feature.CLOSING_LOAD: "its damping acts on coordinates, and a joint that closes a loop has "
         "none",
     }
-    coordinates: ClassVar[Literal["reduced", "maximal"]] = "reduced"
+    coordinates = "reduced"
     contact_law = CONTACT_LAW
     smallest = (
         f"masses of {_LEAST:.3g} kg where a body is free or on a slider, moments about a hinge of "

@@ -114,11 +114,10 @@ class BulletContact:
     def _set_solver(self, options: Mapping[str, Any], step: float) -> None:
         recovery = float(options["contact_recovery"])
         if recovery < step:
-            msg = (
+            raise InputError(
                 f"option contact_recovery of pybullet: got {recovery:g} s, allowed is the step "
                 f"{step:g} s or longer"
             )
-            raise InputError(msg)
         fastest = _FALLS * math.hypot(*self._mechanism.scene.gravity) * step  # at rest
         threshold = float(options["bounce_threshold"]) or fastest
         self._client.build(
@@ -236,37 +235,31 @@ class BulletContact:
             f"{self._radius[sphere] - height[sphere]:.3g} m in the ground, deeper than its radius"
         )
 
-    def centers(self, address: Callable[[int], tuple[int, int]], reading: Array) -> Array:
-        """Return the spheres' centres in W [m] at a reading of `Multibodies.read`, (sphere, 3)."""
-        shapes = self._client.function("getCollisionShapeData")
-        places = np.empty((len(self._body), 3))
-        for body in np.unique(self._body).tolist():
-            # Bullet reports them in the inertial frame.
-            local = np.array([shape[5] for shape in shapes(*address(body))])
-            offset = rotation.rotate(reading[body, [6, 3, 4, 5]], local)
-            places[self._body == body] = reading[body, :3] + offset
-        return places
+    def readback(
+        self, address: Callable[[int], tuple[int, int]], reading: Array
+    ) -> dict[str, Array]:
+        """Return the fields of `Readback` on contact, with the coefficients that Bullet combines.
 
-    def readback(self, address: Callable[[int], tuple[int, int]]) -> Array:
-        """Return radius [m] and the friction and restitution that Bullet combines, (sphere, 3)."""
-        pairs = np.empty((len(self._body), 3))
+        Args:
+            address: Function that returns the numbers of a body and its link in Bullet.
+            reading: The present state, from `Multibodies.read`.
+        """
         dynamics = self._client.function("getDynamicsInfo")
-        shapes = self._client.function("getCollisionShapeData")
-        unknown = (np.nan,) * 6
-        plane = dynamics(self._planes[0], -1) if self._planes else unknown
+        shapes_of = self._client.function("getCollisionShapeData")
+        plane = dynamics(self._planes[0], -1) if self._planes else (np.nan,) * 6
+        pairs, places = np.empty((len(self._body), 3)), np.empty((len(self._body), 3))
+        infos = {}
         for body in np.unique(self._body).tolist():
-            rows = np.flatnonzero(self._body == body)
-            info = dynamics(*address(body))
-            pairs[rows, 0] = [shape[3][0] for shape in shapes(*address(body))]
+            rows, shapes = self._body == body, shapes_of(*address(body))
+            infos[body] = info = dynamics(*address(body))
+            pairs[rows, 0] = [shape[3][0] for shape in shapes]
             pairs[rows, 1:] = info[1] * plane[1], info[5] * plane[5]
-        return pairs
-
-    def collisions(self, address: Callable[[int], tuple[int, int]]) -> Array:
-        """Return friction and restitution that Bullet combines for pairs of spheres, (pair, 2)."""
-        dynamics = self._client.function("getDynamicsInfo")
+            # Bullet reports places in the inertial frame.
+            local = np.array([shape[5] for shape in shapes])
+            places[rows] = reading[body, :3] + rotation.rotate(reading[body, [6, 3, 4, 5]], local)
         ends = self._body[self._mechanism.sphere_pairs].tolist()
-        infos = [[dynamics(*address(body)) for body in pair] for pair in ends]
-        return np.array([(a[1] * b[1], a[5] * b[5]) for a, b in infos]).reshape(-1, 2)
+        laws = [tuple(infos[one][k] * infos[other][k] for k in (1, 5)) for one, other in ends]
+        return {"contact": pairs, "collision": np.array(laws).reshape(-1, 2), "sphere": places}
 
 
 def flags_of(contact: BulletContact | None) -> int:
@@ -287,19 +280,17 @@ def _split(name: str, ground: float | None, collisions: float | None) -> tuple[f
     """
     for where, value in (("ground", ground), ("collisions", collisions)):
         if name == "friction" and value is not None and value > _FRICTION_CAP:
-            msg = (
+            raise Unsupported(
                 f"pybullet: {where}.friction: got {value:g}, allowed is up to {_FRICTION_CAP:g}, "
                 "to which Bullet silently cuts it"
             )
-            raise Unsupported(msg)
     if collisions is None:
         return 1.0, ground or 0.0
     if ground and not collisions:
-        msg = (
+        raise Unsupported(
             f"pybullet: collisions.{name}: got 0, but the ground has {ground:g}, which would be "
             "0 too, since Bullet multiplies those of two bodies"
         )
-        raise Unsupported(msg)
     root = math.sqrt(collisions)
     return (ground or 0.0) / (root or 1.0), root
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
@@ -89,16 +88,13 @@ class StepLoads:
 
     def _push(self, body: int, force: Array, point: Array) -> None:
         if body != WORLD_INDEX:
-            number, link = self._address(body)
-            self._apply_force(number, link, force.tolist(), point.tolist(), self._in_world)
+            self._apply_force(*self._address(body), force.tolist(), point.tolist(), self._in_world)
 
     def _twist(self, joint: PlacedJoint, torque: float, state: BodyStates) -> None:
-        turn = rotation.IDENTITY if joint.parent == WORLD_INDEX else state.native[joint.parent]
-        vector = torque * rotation.rotate(turn, joint.axis)
+        vector = torque * state.with_world().arms(joint.parent, joint.axis)
         for body, sign in ((joint.child, 1.0), (joint.parent, -1.0)):
             if body != WORLD_INDEX:
-                number, link = self._address(body)
-                self._apply_torque(number, link, (sign * vector).tolist(), self._in_world)
+                self._apply_torque(*self._address(body), (sign * vector).tolist(), self._in_world)
 
     def _pull(self, state: BodyStates) -> None:
         places, rates = self._spring_ends(state)

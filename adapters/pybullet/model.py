@@ -248,24 +248,23 @@ class Multibodies:
         count = len(part.links)
         row = {link.body: k for k, link in enumerate(part.links, 1)}
         joints = [link.joint for link in part.links if link.joint is not None]
+        links = list(zip((link.body for link in part.links), joints, strict=True))
         # Link frames sit at the joints; a free base's frame sits at its centre of mass.
-        origin = {link.body: joint.anchor for link, joint in zip(part.links, joints, strict=True)}
+        origin = {body: joint.anchor for body, joint in links}
         origin[part.base] = base_at
-        links: dict[str, list[Any]] = {
-            "linkMasses": [float(mass[link.body]) for link in part.links],
-            "linkCollisionShapeIndices": [
-                self._shape(link.body, -joint.in_child)
-                for link, joint in zip(part.links, joints, strict=True)
-            ],
+        above = [link.parent for link in part.links]
+        arguments: dict[str, list[Any]] = {
+            "linkMasses": [float(mass[body]) for body, _ in links],
+            "linkCollisionShapeIndices": [self._shape(body, -at.in_child) for body, at in links],
             "linkVisualShapeIndices": [-1] * count,
             "linkPositions": [
-                (joint.anchor - origin[link.parent]).tolist()
-                for link, joint in zip(part.links, joints, strict=True)
+                (joint.anchor - origin[body]).tolist()
+                for body, joint in zip(above, joints, strict=True)
             ],
             "linkOrientations": [[0.0, 0.0, 0.0, 1.0]] * count,
             "linkInertialFramePositions": [(-joint.in_child).tolist() for joint in joints],
-            "linkInertialFrameOrientations": [_xyzw(self.principal[k.body]) for k in part.links],
-            "linkParentIndices": [row.get(link.parent, 0) for link in part.links],
+            "linkInertialFrameOrientations": [_xyzw(self.principal[body]) for body, _ in links],
+            "linkParentIndices": [row.get(body, 0) for body in above],
             "linkJointTypes": [Constant(_JOINT_TYPES[joint.kind]) for joint in joints],
             "linkJointAxis": [_axis(joint) for joint in joints],
         }
@@ -276,7 +275,7 @@ class Multibodies:
             basePosition=base_at.tolist(),
             baseInertialFramePosition=[0.0, 0.0, 0.0],
             baseInertialFrameOrientation=_xyzw(base_turn),
-            **with_rotors(links, joints),
+            **with_rotors(arguments, joints),
             flags=flags_of(self._contact),
         )
         cap = SPEED_CAP * max([1.0, *map(speed, joints)])
@@ -285,9 +284,9 @@ class Multibodies:
         if part.base != WORLD_INDEX:
             self.client.note(f"{name[part.base]!r} is the base of {number}")
             self._set_dynamics(number, -1, part.base, 0.0)
-        for k, (link, joint) in enumerate(zip(part.links, joints, strict=True)):
-            self.client.note(f"{name[link.body]!r} on {joint.name!r} is link {k} of {number}")
-            self._set_dynamics(number, k, link.body, joint.damping)
+        for k, (body, joint) in enumerate(links):
+            self.client.note(f"{name[body]!r} on {joint.name!r} is link {k} of {number}")
+            self._set_dynamics(number, k, body, joint.damping)
             self._switch_motor_off(number, k, joint)
             if joint.limits:
                 build(

@@ -56,18 +56,13 @@ def split(mechanism: Mechanism) -> tuple[tuple[Multibody, ...], tuple[PlacedJoin
         starts = link.parent == WORLD_INDEX or link.body in cut
         root[link.body] = link.body if starts else root[link.parent]
     parts = []
-    for first in (link for link in mechanism.links if root[link.body] == link.body):
+    for first in mechanism.links:
+        if root[first.body] != first.body:
+            continue
+        links = tuple(link for link in mechanism.links if root[link.body] == first.body)
+        # A body that is free or cut off is the base, without a link of its own.
         fixed = first.joint is not None and first.body not in cut
-        parts.append(
-            Multibody(
-                base=WORLD_INDEX if fixed else first.body,
-                links=tuple(
-                    link
-                    for link in mechanism.links
-                    if root[link.body] == first.body and (fixed or link is not first)
-                ),
-            )
-        )
+        parts.append(Multibody(WORLD_INDEX, links) if fixed else Multibody(first.body, links[1:]))
     joints = [link.joint for link in mechanism.links if link.body in cut and link.joint is not None]
     return tuple(parts), tuple(joints)
 
@@ -100,12 +95,11 @@ def _best_cut(mechanism: Mechanism, link: Link, children: list[Link], load: dict
     ]
     if not choices:
         name = mechanism.scene.bodies[link.body].name
-        msg = (
+        raise Unsupported(
             f"pybullet: body {name!r} carries more sliders, or joints with springs, dampers or "
             f"couplings, than the {COORDINATE_LIMIT} coordinates that a multibody can hold, and "
             "Bullet has no constraint to replace one"
         )
-        raise Unsupported(msg)
     return min(
         choices,
         key=lambda child: (_CUT_ORDER[child.joint.kind] if child.joint else 0, -load[child.body]),

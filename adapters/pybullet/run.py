@@ -159,8 +159,7 @@ class PyBulletRun(Run):
 
     def _turn(self, state: BodyStates) -> Array:
         """Return the largest turn of a body against its carrier in a step [rad], shape (…)."""
-        rate = state.angular_velocity
-        rates = np.concatenate([rate, np.zeros_like(rate[..., :1, :])], axis=-2)
+        rates = state.with_world().angular_velocity
         relative = rates[..., self._turning, :] - rates[..., self._carrier, :]
         return np.asarray(self._step * np.linalg.norm(relative, axis=-1).max(axis=-1, initial=0.0))
 
@@ -189,9 +188,7 @@ class PyBulletRun(Run):
             step=parameters["fixedTimeStep"] / max(1, parameters["numSubSteps"]),
             joint_axis=joint_axis,
             damping=self._model.damping(),
-            contact=self._contact.readback(self._model.address) if self._contact else None,
-            collision=self._contact.collisions(self._model.address) if self._contact else None,
-            sphere=self._contact.centers(self._model.address, reading) if self._contact else None,
+            **(self._contact.readback(self._model.address, reading) if self._contact else {}),
             anchor=self._model.anchors(reading),
             spring=self._loads.springs(state),
             armature=self._model.armature(),
