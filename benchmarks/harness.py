@@ -38,8 +38,7 @@ def placed(page: str, name: str, text: str) -> str:
     before, _, rest = page.partition(begin)
     _, found, after = rest.partition(end)
     if not found:
-        msg = f"no place for the table: give it the lines {begin.strip()} and {end}"
-        raise SystemExit(msg)
+        raise SystemExit(f"no place for the table: give it the lines {begin.strip()} and {end}")
     return f"{before}{begin}{text}\n{end}{after}"
 
 

@@ -58,8 +58,7 @@ def _passing(scene: Scene, engine: str) -> Choice:
         if row.verdict == "pass":
             return choice
         choice = dataclasses.replace(choice, step=row.step_s / 2)
-    msg = f"{engine} fails on {scene.name} without a fault: {row.reasons}"
-    raise SystemExit(msg)
+    raise SystemExit(f"{engine} fails on {scene.name} without a fault: {row.reasons}")
 
 
 def _smallest(scene: Scene, choice: Choice, change: Callable[[float], Change]) -> float | None:

@@ -65,8 +65,7 @@ def extrapolate(
         InputError: There are neither two nor three runs.
     """
     if len(runs) not in (2, 3):
-        msg = f"runs: got {len(runs)}, allowed are 2 or 3 (at steps h, h/2 and h/4)"
-        raise InputError(msg)
+        raise InputError(f"runs: got {len(runs)}, allowed are 2 or 3 (at steps h, h/2 and h/4)")
     gain = 2.0**order - 1.0
     corrections = [(fine - coarse) / gain for coarse, fine in itertools.pairwise(runs)]
     sizes = [running(correction) for correction in corrections]

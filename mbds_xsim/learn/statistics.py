@@ -170,8 +170,7 @@ class Statistics:
     def of(motions: Motions) -> Statistics:
         """Compute the statistics; raise InputError if `motions` are not the training part."""
         if motions.split != "train":
-            msg = f"statistics: got the part {motions.split!r}, allowed is 'train'"
-            raise InputError(msg)
+            raise InputError(f"statistics: got the part {motions.split!r}, allowed is 'train'")
         first, second, third = (_moments(motions, order) for order in range(3))
         return Statistics(first, second, third, _sizes(motions))
 

@@ -148,8 +148,7 @@ def costs(plan: TrainingPlan, *, workers: int | None, carrier: Carrier) -> list[
     answers = carrier([Task(measure, (run,), _MEASURING) for run in runs], workers=workers)
     for run, answer in zip(runs, answers, strict=True):
         if isinstance(answer, Crash):
-            msg = f"{run.name} cannot be tried: {answer.reason}"
-            raise InputError(msg)
+            raise InputError(f"{run.name} cannot be tried: {answer.reason}")
     return answers
 
 

@@ -169,8 +169,7 @@ def _joined(parts: list[Any]) -> ReferenceOutcome:
         if f is not None and not isinstance(f, reference.FirstImpact)
     ]
     if reasons:
-        msg = f"the reference solution failed, so nothing can be judged: {reasons[0]}"
-        raise InputError(msg)
+        raise InputError(f"the reference solution failed, so nothing can be judged: {reasons[0]}")
     return ReferenceOutcome(
         trajectory=Trajectory.joined([part.trajectory for part in parts]),
         growth=np.concatenate([part.growth for part in parts]),

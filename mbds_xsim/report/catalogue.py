@@ -214,8 +214,7 @@ def native_text(scene: Scene, engine: str, settings: Settings, start: int | None
     adapter.check(scene, settings)
     (answer,) = run_tasks([Task(_native_text, (scene, engine, settings, start), _TIMEOUT)])
     if isinstance(answer, Crash):
-        msg = f"{engine} cannot load the scene: {answer.reason}"
-        raise InputError(msg)
+        raise InputError(f"{engine} cannot load the scene: {answer.reason}")
     return str(answer)
 
 

@@ -30,8 +30,7 @@ __all__ = ["CASES", "AdapterContract", "Case", "measured_order"]
 def __getattr__(name: str) -> object:
     """Load the suite only when it is asked for, because it needs pytest."""
     if name != "AdapterContract":
-        msg = f"module {__name__!r} has no attribute {name!r}"
-        raise AttributeError(msg)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from mbds_xsim.testing.contract import AdapterContract
 
     return AdapterContract

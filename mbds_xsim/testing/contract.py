@@ -57,8 +57,7 @@ class AdapterContract(ContactContract, CollisionContract):
     @pytest.fixture
     def adapter(self) -> Adapter:
         """Make the adapter; every subclass overrides this."""
-        msg = "give your suite a fixture `adapter` that makes your adapter"
-        raise NotImplementedError(msg)
+        raise NotImplementedError("give your suite a fixture `adapter` that makes your adapter")
 
     @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
     def test_every_method_converges_to_the_answer_in_its_order(

@@ -160,8 +160,7 @@ def load_paired(
         raise InputError(msg)
     files = [file for file in files if not variants or file.attributes["profile"] in variants]
     if not files:
-        msg = f"{place}: no data of {', '.join(variants)} settings; generate some"
-        raise InputError(msg)
+        raise InputError(f"{place}: no data of {', '.join(variants)} settings; generate some")
     check_alike(files)
     frames = int(files[0].attributes["steps"]) + 1
     if frames <= HISTORY:
@@ -170,8 +169,7 @@ def load_paired(
     lacking = {file.variant: file.lack for file in files if file.lack}
     files = [file for file in files if not file.lack]
     if not files:
-        msg = f"{place}: no trajectory was published; generate other data"
-        raise InputError(msg)
+        raise InputError(f"{place}: no trajectory was published; generate other data")
     index = numbers_in(files, _TEST)
     if not len(index):
         msg = f"{place}: no test trajectory is valid in all {len(files)} files; make more"
@@ -252,8 +250,7 @@ def read_reference(path: Path) -> ReferenceFrames:
     """Read a solution stored by `solve_domain`, or raise InputError."""
     arrays = read_sealed(path)
     if arrays is None:
-        msg = f"{path}: cannot be read; run again"
-        raise InputError(msg)
+        raise InputError(f"{path}: cannot be read; run again")
     return ReferenceFrames(**arrays)
 
 

@@ -70,8 +70,7 @@ class Evaluated(Mapping[tuple[TrainedModel, str], RolloutFigures]):
     def __getitem__(self, key: tuple[TrainedModel, str]) -> RolloutFigures:
         figures = read_figures(self._paths[key])
         if figures is None:
-            msg = f"{self._paths[key]}: cannot be read; remove it and run again"
-            raise InputError(msg)
+            raise InputError(f"{self._paths[key]}: cannot be read; remove it and run again")
         return figures
 
     def __iter__(self) -> Iterator[tuple[TrainedModel, str]]:

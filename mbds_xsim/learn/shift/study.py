@@ -227,8 +227,7 @@ def _frame_of(frames: tuple[int, ...], at: int | None) -> int:
     if at is None:
         return _AT if _AT in frames else frames[-1]
     if at not in frames:
-        msg = f"--at: got {at}, allowed is {', '.join(map(str, frames))}"
-        raise InputError(msg)
+        raise InputError(f"--at: got {at}, allowed is {', '.join(map(str, frames))}")
     return at
 
 

@@ -134,13 +134,11 @@ def compare_files(
     schema, before = read_views(old)
     other_schema, after = read_views(new)
     if schema != other_schema:
-        msg = f"{old} is {schema} and {new} is {other_schema}; give two of the same"
-        raise InputError(msg)
+        raise InputError(f"{old} is {schema} and {new} is {other_schema}; give two of the same")
     both = [name for name in after if name in before]
     if not both:
         old_names, new_names = ", ".join(before), ", ".join(after)
-        msg = f"{old} is about {old_names} and {new} about {new_names}; give two of one"
-        raise InputError(msg)
+        raise InputError(f"{old} is about {old_names} and {new} about {new_names}; give two of one")
     scenes = tuple(_diff(before[name], after[name], rtol, factor) for name in both)
     only_old = tuple(name for name in before if name not in both)
     only_new = tuple(name for name in after if name not in both)

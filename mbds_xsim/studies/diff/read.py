@@ -44,15 +44,13 @@ def read_views(path: Path) -> tuple[str, dict[str, View]]:
     schemas = {_schema(part, path) for part in parts}
     if len(schemas) != 1:
         names = ", ".join(sorted(schemas)) or "an empty list"
-        msg = f"{path}: holds {names}; give a file of one command"
-        raise InputError(msg)
+        raise InputError(f"{path}: holds {names}; give a file of one command")
     (schema,) = schemas
     try:
         views = list(map(READERS[schema], parts)) if schema in READERS else [plain_view(parts)]
         return schema, _keyed_by_name((view.scene, view) for view in views)
     except (msgspec.ValidationError, InputError, OverflowError) as error:
-        msg = f"{path}: is not what {schema} stands for: {error}"
-        raise InputError(msg) from error
+        raise InputError(f"{path}: is not what {schema} stands for: {error}") from error
 
 
 def _content(path: Path) -> object:
@@ -63,11 +61,9 @@ def _content(path: Path) -> object:
             raise InputError(msg)
         return msgspec.json.decode(text)
     except OSError as error:
-        msg = f"cannot read {path}: {error.strerror or error}"
-        raise InputError(msg) from error
+        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        msg = f"{path}: is not JSON, or was cut short: {error}"
-        raise InputError(msg) from error
+        raise InputError(f"{path}: is not JSON, or was cut short: {error}") from error
 
 
 def _schema(part: object, path: Path) -> str:
@@ -83,8 +79,7 @@ def _keyed_by_name(pairs: Iterable[tuple[str, T]]) -> dict[str, T]:
     by_name: dict[str, T] = {}
     for name, item in pairs:
         if name in by_name:
-            msg = f"it has {name!r} twice"
-            raise InputError(msg)
+            raise InputError(f"it has {name!r} twice")
         by_name[name] = item
     return by_name
 

@@ -37,8 +37,7 @@ def releases_of(package: str, since: str = "", last: int | None = None) -> list[
     """
     answer = _pip("index", "versions", package, "--json")
     if isinstance(answer, str):
-        msg = f"the index has no releases of {package}: {answer}"
-        raise InputError(msg)
+        raise InputError(f"the index has no releases of {package}: {answer}")
     available = sorted(json.loads(answer.stdout)["versions"], key=_numbers)
     least = _numbers(since)
     versions = [version for version in available if _numbers(version) >= least]

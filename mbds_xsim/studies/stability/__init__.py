@@ -79,8 +79,7 @@ class Study:
         allowed = f"a whole number from {self.least} to {MOST}" if self.least else "a number from 0"
         counts = value.is_integer() and self.least <= value <= MOST
         if not (counts if self.least else 0.0 <= value < float("inf")):
-            msg = f"--value: got {text!r}, allowed is {allowed} as {self.quantity}"
-            raise InputError(msg)
+            raise InputError(f"--value: got {text!r}, allowed is {allowed} as {self.quantity}")
         return value
 
 

@@ -161,8 +161,7 @@ def simulators_of(plan: SurveyPlan) -> tuple[list[Simulator], dict[str, str]]:
         check_name("method of these engines", method, sorted(known))
     if not simulators:
         reason = next(iter(left_out.values()), "no method that is named belongs to these settings")
-        msg = f"nothing to run in {plan.study.name}: {reason}"
-        raise InputError(msg)
+        raise InputError(f"nothing to run in {plan.study.name}: {reason}")
     return simulators, left_out
 
 

@@ -265,8 +265,7 @@ def read_tradeoff(path: Path) -> Tradeoff:
         msg = f"{path}: no result of one scene of mbds-xsim tradeoff ({error})"
         raise InputError(msg) from error
     if study.schema != SCHEMA:
-        msg = f"{path}: got schema {study.schema!r}, allowed is {SCHEMA!r}"
-        raise InputError(msg)
+        raise InputError(f"{path}: got schema {study.schema!r}, allowed is {SCHEMA!r}")
     return study
 
 
