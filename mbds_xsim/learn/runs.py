@@ -147,11 +147,10 @@ def check_data(run: TrainingRun) -> None:
     data = next(iter(run.group.data.values()))
     frames, needed = int(data.attributes["steps"]) + 1, HISTORY + run.recipe.horizon
     if frames < needed:
-        msg = (
+        raise InputError(
             f"{data.path}: got trajectories of {frames} frames, {run.model} in the track "
             f"{run.track} needs at least {needed}; generate longer ones"
         )
-        raise InputError(msg)
 
 
 def finished(run: TrainingRun) -> dict[str, str] | None:

@@ -100,11 +100,10 @@ def _weights(graph: Graph, hinge: PlacedJoint) -> AxisWeights:
         weights = _of_body(graph, body, hinge.axis)
         if weights is not None:
             return weights
-    msg = (
+    raise Unsupported(
         f"joint {hinge.name!r} is driven, but the particles of each of its bodies are on one line, "
         "which does not show its axis; give one body a particle off that line"
     )
-    raise Unsupported(msg)
 
 
 def _of_body(graph: Graph, body: int, axis: Array) -> AxisWeights | None:

@@ -148,11 +148,10 @@ def trained_model(path: Path) -> TrainedModel:
         if not all(math.isfinite(float(facts.get(key) or 0)) for key in _SPENT):
             raise ValueError(_SPENT)
     except (ValueError, KeyError) as error:
-        msg = (
+        raise InputError(
             f"{path}: its seed, steps, times, data, interval or drawn are not what mbds-xsim train "
             "writes; train it again"
-        )
-        raise InputError(msg) from error
+        ) from error
     return TrainedModel(
         model=path.parent.name,
         training=f"{facts['training']}-{facts['variant']}",
@@ -232,11 +231,10 @@ def find_models(folder: Path, scene: str, selection: Selection = WHOLE) -> list[
     """
     paths = sorted((folder / scene).glob("*/*/*-s*.pt"))
     if not paths:
-        msg = (
+        raise InputError(
             f"{folder / scene}: no trained models (<variant>/<model>/<training>-s<seed>.pt); make "
             "some with mbds-xsim train"
         )
-        raise InputError(msg)
     models = sorted(map(trained_model, paths), key=_order)
     known: dict[tuple[str, str, int], Path | None] = {}
     for model in models:
@@ -249,11 +247,10 @@ def find_models(folder: Path, scene: str, selection: Selection = WHOLE) -> list[
     if not chosen:
         ways = ", ".join(dict.fromkeys(f"{m.way} {m.variant}" for m in models))
         seeds = ", ".join(map(str, sorted({m.seed for m in models})))
-        msg = (
+        raise InputError(
             f"{folder / scene}: none of the {len(models)} models there is selected; there are "
             f"{ways}, of seed {seeds}"
         )
-        raise InputError(msg)
     return chosen
 
 
@@ -271,11 +268,10 @@ def check_budget(models: Sequence[TrainedModel]) -> None:
             group = (model.variant, model.interval) if key == "starts" else ()
             usual, first = firsts.setdefault((model.model, key, *group), (value, model))
             if value != usual:
-                msg = (
+                raise InputError(
                     f"{model.path}: has another {key} than {first.path}; comparing them would "
                     "show that, not engines: train both alike, or remove one"
                 )
-                raise InputError(msg)
 
 
 def _order(model: TrainedModel) -> tuple[str, str, int, int, str, int]:

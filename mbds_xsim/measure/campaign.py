@@ -152,11 +152,10 @@ def _check_closed(scene: Scene, batch: Batch, trajectory: Trajectory) -> None:
     for finding in audited(Record(scene, batch, trajectory), (gap,)):
         worst = finding.worst
         if finding.figure[worst] > _OPEN * scene.length:
-            msg = (
+            raise InputError(
                 f"the reference opens {finding.where[worst]} by {finding.figure[worst]:.3g} m, so "
                 "nothing can be judged: masses, inertias or lengths of the bodies differ too much"
             )
-            raise InputError(msg)
 
 
 def _joined(parts: list[Any]) -> ReferenceOutcome:

@@ -301,17 +301,15 @@ def check_data(models: Sequence[TrainedModel], test: Paired) -> None:
         if model.drawn is not None and model.drawn[0] == test.seed:
             used = split_of(test.index, model.drawn[1]) != SPLITS.index("test")
             if used.any():
-                msg = (
+                raise InputError(
                     f"{model.path}: trained or validated on trajectory {test.index[used][0]} of "
                     f"the test part, as its data are {model.drawn[1]} drawn with the same seed; "
                     "test it on as many"
                 )
-                raise InputError(msg)
         for engine, content in model.data:
             name = f"{engine}-{model.variant}"
             if contents.get(name, content) != content:
-                msg = (
+                raise InputError(
                     f"{model.path}: was trained on another data set {name} than the tested one; "
                     "train it on this one, or test it on its own"
                 )
-                raise InputError(msg)

@@ -130,10 +130,9 @@ def _third_dimension(scene: Scene, _: float) -> Scene | None:
     if scene.dimension < 3 or len(names) < len(tree):
         return None
     if Mechanism.of(scene).loops:
-        msg = (
+        raise SceneError(
             "hinges about y in closed loops repeat conditions, with which the reference cannot step"
         )
-        raise SceneError(msg)
     return _with_joints(scene, names, lambda j: _replace(j, kind="hinge", axis=(0.0, 1.0, 0.0)))
 
 

@@ -169,11 +169,10 @@ def _verdict(scenes: tuple[Diff, ...], alone: bool) -> Literal["worse", "changed
 def _diff(old: View, new: View, rtol: float, factor: float) -> Diff:
     for change in _changes(old.identity, new.identity):
         if change.old is not None and change.new is not None:
-            msg = (
+            raise InputError(
                 f"{new.scene} is not the same scene in both files: {change.what} is {change.old} "
                 f"and {change.new}; give two results of one scene"
             )
-            raise InputError(msg)
     pairs = [
         _entry_diff(name, old.entries[name], entry, rtol, factor)
         for name, entry in new.entries.items()
