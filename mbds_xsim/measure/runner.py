@@ -113,11 +113,14 @@ def _sum(text: bytes) -> bytes:
     return hashlib.sha256(text).hexdigest()[:16].encode()
 
 
-def row_key(scene: Scene, start: Batch, simulator: Simulator, count: int) -> str:
+def row_key(
+    scene: Scene, start: Batch, simulator: Simulator, count: int, *more: str | float
+) -> str:
     """Return a key made from a row's content.
 
     It covers the physics, the start and its inputs, the budgets, the simulator at a number of
-    steps per frame, the versions of all that runs and judges it, and the machine.
+    steps per frame, the versions of all that runs and judges it, and the machine; `more` are the
+    study's own constants.
     """
     content = [
         key_of("tradeoff", scene, start, 0, 0.0),
@@ -126,6 +129,7 @@ def row_key(scene: Scene, start: Batch, simulator: Simulator, count: int) -> str
         CHECKS,
         registry.package_version("numpy"),
         machine(),
+        *more,
     ]
     return hashlib.sha256(msgspec.json.encode(content, enc_hook=float)).hexdigest()
 

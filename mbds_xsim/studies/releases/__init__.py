@@ -7,7 +7,6 @@ scenes, and a ball's rebound. References are computed in this environment.
 
 from __future__ import annotations
 
-import hashlib
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -149,7 +148,7 @@ class ReleaseStudy:
                         self.engine, name, own_options=settings.options, release=version
                     )
                     start = draw_batch(case.scene, [0])
-                    key = _key("case", case.scene, start, ran, STEPS_PER_FRAME[-1])
+                    key = row_key(case.scene, start, ran, STEPS_PER_FRAME[-1], _VERSION, "case")
                     row = ReleaseRow(key=key, release=version, case=case.name, way=name)
                     yield _case(row, climb, self.engine, case.name, name)
 
@@ -158,7 +157,7 @@ class ReleaseStudy:
         for scene in map(load_scene, self.scenes):
             for ran, count in self._profile_settings(scene, version):
                 start, truth = self._truth(scene)
-                key = _key("scene", scene, start, ran, count)
+                key = row_key(scene, start, ran, count, _VERSION, "scene")
                 row = ReleaseRow(key=key, release=version, case=scene.name, way=ran.profile)
                 yield _case(row, play, ran, scene, start, count, truth)
 
@@ -167,7 +166,8 @@ class ReleaseStudy:
         scene = load_scene(_BOUNCING)
         for ran, count in self._profile_settings(scene, version):
             for speed in _SPEEDS:
-                key = _key(f"rebound {speed}", scene, draw_batch(scene, [0]), ran, count)
+                start = draw_batch(scene, [0])
+                key = row_key(scene, start, ran, count, _VERSION, f"rebound {speed}")
                 name = f"rebound at {speed:g} m/s"
                 row = ReleaseRow(key=key, release=version, case=name, way=ran.profile)
                 yield _case(row, bounce, self.engine, ran.profile, speed)
@@ -194,11 +194,6 @@ class ReleaseStudy:
             (truth,) = references(scene, start, self.conduct)
             self._truths[scene.name] = start, truth
         return self._truths[scene.name]
-
-
-def _key(label: str, scene: Scene, start: Batch, ran: Simulator, count: int) -> str:
-    words = f"{_VERSION} {label} {row_key(scene, start, ran, count)}"
-    return hashlib.sha256(words.encode()).hexdigest()
 
 
 def _case(

@@ -6,7 +6,6 @@ so, too, because torch takes longer to start than a prediction.
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 import time
 from collections.abc import Mapping, Sequence
@@ -18,7 +17,6 @@ import msgspec
 from mbds_xsim import reference
 from mbds_xsim.base.errors import InputError, Unsupported, check_name
 from mbds_xsim.base.isolate import USUAL, Conduct, Crash, Task, run_tasks
-from mbds_xsim.base.versions import CHECKS
 from mbds_xsim.measure.runner import (
     Runner,
     Store,
@@ -248,10 +246,9 @@ def _case(
     plan: SurveyPlan, simulator: Simulator, instance: Instance, count: int
 ) -> StudyCase[MapCell]:
     scene, batch, truth = instance.scene, instance.batch, instance.truth
-    identity = (CHECKS, row_key(scene, batch, simulator, count), truth is None, batch.steps)
     return StudyCase(
         row=MapCell(
-            key=hashlib.sha256(repr(identity).encode()).hexdigest(),
+            key=row_key(scene, batch, simulator, count, truth is None, batch.steps),
             study=plan.study.name,
             value=instance.value,
             **_names(simulator),
