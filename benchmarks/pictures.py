@@ -121,7 +121,8 @@ def _panels(cells: list[MapCell]) -> list[Panel]:
 def _cell(row: dict[str, str]) -> MapCell:
     named = any(isinstance(value, str) for value in study_named(row["study"]).values)
     value = row["value"] if named else float(row["value"])
-    given = {name: text for name, text in row.items() if text}
+    may_lack = {field.name for field in msgspec.structs.fields(MapCell) if field.default is None}
+    given = {name: text for name, text in row.items() if text or name not in may_lack}
     whole = given | {"key": "", "value": value, "options": json.loads(row["options"])}
     return msgspec.convert(whole, MapCell, strict=False)
 

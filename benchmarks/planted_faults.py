@@ -33,9 +33,11 @@ class _Try:
 
 def main(page: Path) -> None:
     """Put into the page what was found; all other text in it stays as it is."""
+    text = page.read_text("utf-8")
+    for name in ("faults", "smallest", "unseen"):
+        placed(text, name, "")  # a page without the marks is told before hours of work
     tries = {fault: [_try(fault, engine) for engine in fault.engines] for fault in FAULTS}
     parts = {"faults": _faults(tries), "smallest": table(), "unseen": _unseen(tries)}
-    text = page.read_text("utf-8")
     for name, lines in parts.items():
         text = placed(text, name, "\n".join(lines))
     write_whole(page, text.encode())

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from mbds_xsim.dataset.audit import Audited
     from mbds_xsim.dataset.generate import Generated
     from mbds_xsim.dataset.verify import Verified
-    from mbds_xsim.measure.result import Validation
+    from mbds_xsim.measure.result import Evidence, Validation
 
 _MOST_STARTS = 10_000
 
@@ -98,12 +98,16 @@ def validate(
         command="mbds_xsim.validate",
     )
     if target is not None:
-        from mbds_xsim.report.files import write_reports
-        from mbds_xsim.studies.validate.present import present
-
-        report = present(validation, evidence)
-        write_reports([report], report.title, html=target)
+        _write_page(target, validation, evidence)
     return validation
+
+
+def _write_page(page: Path, validation: Validation, evidence: Evidence) -> None:
+    from mbds_xsim.report.files import write_reports
+    from mbds_xsim.studies.validate.present import present
+
+    report = present(validation, evidence)
+    write_reports([report], report.title, html=page)
 
 
 def generate(

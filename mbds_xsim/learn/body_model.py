@@ -95,8 +95,8 @@ class BodyModel(LearnedModel):
         smooth, added = self.predict(state, inputs)
         moved = self.rigid.moved(smooth, added[:, 0])
         if len(self.rigid.rows):
-            opening = self.rigid.residual(moved)
-            moved = self.rigid.moved(moved, -self.rigid.hold(moved).least(opening))
+            hold = self.rigid.hold(moved)
+            moved = self.rigid.moved(moved, -hold.least(self.rigid.residual(moved)))
         return torch.cat([moved[..., :7], smooth[..., TWIST] + added[:, 1]], dim=-1)
 
     def positions(self, state: Tensor) -> Tensor:

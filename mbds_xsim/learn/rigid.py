@@ -223,7 +223,7 @@ class BodyMechanics(TensorModule):
         return terms.sum((-2, -1)) / self.mass.sum()
 
     def hold(self, state: Tensor) -> JointHold:
-        """Return the joints at a pose; there may be none."""
+        """Return the joints at a pose; where there are none, `kept` alone may be called."""
         rows, count = self.rows, len(self.rows)
         if not count:
             return JointHold(rows, *[state.new_zeros(0)] * 4)

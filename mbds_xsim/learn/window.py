@@ -177,8 +177,8 @@ class Motions(RowBundle):
 
     def until(self, frames: int) -> Motions:
         """Keep at most the first `frames` frames of all trajectories."""
-        first = self.mapped(lambda values: values[:, :frames], RowBundle)
-        return replace(first, inputs=self.inputs[:, : frames - 1])
+        inputs = self.inputs[:, : frames - 1]
+        return replace(self.mapped(lambda values: values[:, :frames], RowBundle), inputs=inputs)
 
     def window_count(self, horizon: int = 1) -> int:
         """Return the number of windows of `HISTORY` known frames and `horizon` frames to come."""

@@ -9,6 +9,7 @@ comes last, so that switching either off leaves the start unchanged.
 from __future__ import annotations
 
 import functools
+import operator
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -56,7 +57,7 @@ def draw_batch(
         SceneError: A draw does not fit the scene's joints.
     """
     mechanism = Mechanism.of(scene)
-    index = np.array(list(indices), dtype=np.int64)
+    index = np.array([operator.index(number) for number in indices], dtype=np.int64)
     drafts = _begun(mechanism, len(index), inputs)
     each = [Draft(drafts, row, number, seed) for row, number in enumerate(index.tolist())]
     for term in scene.sampling:
