@@ -87,12 +87,14 @@ def loss_section(imported: Imported) -> Section:
 
 
 def _table(fates: list[Fate], title: str) -> Table:
-    outcomes = (Cell(fate.outcome, _MARKS[fate.outcome] if fate.moves else "") for fate in fates)
-    rows = [
-        (outcome, f.element, ", ".join(f.properties), str(f.count), f.reason, _places(f))
-        for outcome, f in zip(outcomes, fates, strict=True)
-    ]
-    return table_of(("", "element", "of it", ">count", "how or why", "where"), rows, title=title)
+    headings = ("", "element", "of it", ">count", "how or why", "where")
+    return table_of(headings, map(_row, fates), title=title)
+
+
+def _row(fate: Fate) -> tuple[Cell | str, ...]:
+    outcome = Cell(fate.outcome, _MARKS[fate.outcome] if fate.moves else "")
+    words = ", ".join(fate.properties), str(fate.count), fate.reason, _places(fate)
+    return outcome, fate.element, *words
 
 
 def _places(fate: Fate) -> str:

@@ -157,8 +157,8 @@ class Bench:
             workers=conduct.workers,
             finished=lambda place, _: meter.advance(f"without {possible[place].effect.name}"),
         )
-        rest = iter(answers)
-        return [self._row(each, None if each.reason else next(rest)) for each in variants]
+        answer_by_id = dict(zip(map(id, possible), answers, strict=True))
+        return [self._row(variant, answer_by_id.get(id(variant))) for variant in variants]
 
     def _task(self, variant: AblatedScene, cache: bool) -> Task:
         if self.judge is None:

@@ -110,10 +110,11 @@ def study_contact(choice: Choice, conduct: Conduct, command: str = "") -> Contac
     profiles = tuple(map(as_profile, choice.profiles))
     adapters = {engine: registry.load_adapter(engine) for engine in choice.engines}
     without = {
-        engine: f"it has no contact: {adapters.pop(engine).limits[Feature.CONTACT]}"
-        for engine in list(adapters)
-        if Feature.CONTACT in adapters[engine].limits
+        engine: f"it has no contact: {adapter.limits[Feature.CONTACT]}"
+        for engine, adapter in adapters.items()
+        if Feature.CONTACT in adapter.limits
     }
+    adapters = {engine: each for engine, each in adapters.items() if engine not in without}
     if not adapters:
         msg = "; ".join(f"--engines: got {engine}: {reason}" for engine, reason in without.items())
         raise InputError(msg)
@@ -214,7 +215,7 @@ class ContactLine:
     at: dict[str, float] = field(default_factory=dict)
     nominal: str = ""
     form: Callable[[ContactFigure], Cell] | None = None
-    """Function that makes the cell of a figure, in place of `_WAYS`."""
+    """Function that makes the cell of a figure; without it, the quantity is in `_WAYS`."""
 
     def cell(self, study: ContactStudy, engine: str, profile: str) -> Cell:
         """Return the cell of an engine at a profile."""

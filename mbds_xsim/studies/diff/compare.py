@@ -180,7 +180,8 @@ def _diff(old: View, new: View, rtol: float, factor: float) -> Diff:
     ]
     shown = tuple(pair for pair in pairs if pair.changed or pair.timings)
     only_old = tuple(_only_in(old, new))
-    lost = [one for one in only_old if one.why and old.entries[one.name].rank in range(FAILING)]
+    ranks = ((one, old.entries[one.name].rank) for one in only_old if one.why)
+    lost = [one for one, rank in ranks if rank is not None and rank < FAILING]
     return Diff(
         scene=new.scene,
         old_command=old.command,

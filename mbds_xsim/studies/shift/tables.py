@@ -177,7 +177,13 @@ def nearness(shift: Shift) -> Table:
     """
     frames = [frame for frame in _NEAR_AT if frame in shift.frames]
     rows = (
-        (label, *map(_beside, errors, [_nearest(shift, home, frame) for frame in frames]))
+        (
+            label,
+            *(
+                _beside(own, _nearest(shift, home, frame))
+                for own, frame in zip(errors, frames, strict=True)
+            ),
+        )
         for label, home, errors in _at_home(shift, [(at(shift, f), INTERVALS[0]) for f in frames])
     )
     return titled_table(
