@@ -28,7 +28,9 @@ class Figures(NamedTuple):
 
 def side_by_side(parts: Sequence[Array]) -> Array:
     """Join parts, shape (trajectory, frame, part), so that they are apart in memory."""
-    return np.concatenate([part.T for part in parts]).T
+    rows = [part.T for part in parts]
+    joined = np.empty((sum(map(len, rows)), *rows[0].shape[1:]))  # or numpy chooses the order
+    return np.concatenate(rows, out=joined).T
 
 
 @dataclass(frozen=True)

@@ -233,7 +233,7 @@ class Record:
     def by_frame(self, parts: Sequence[Array]) -> Array:
         """Put values of frames side by side, apart in memory, shape (trajectory, frame, part)."""
         shape = len(parts), *self.finite.T.shape
-        return np.array([part.T for part in parts]).reshape(shape).T
+        return np.array([part.T for part in parts], dtype=float).reshape(shape).T
 
     def at_end(self, values: Array) -> Array:
         """Put values of trajectories at their last finite frames, (trajectory, frame, part)."""

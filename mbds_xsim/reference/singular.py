@@ -47,7 +47,7 @@ def interpolated(
     """Time derivative of a state near a singular pose, on the branch that its velocity follows.
 
     Args:
-        dynamics: Dynamics of motion.
+        dynamics: Equations of motion.
         state: State, shape (body + world, 13).
         force: Forces, shape (body, 3).
         torque: Torques about hinges, followed by the pushes of drives, shape (hinge + drive,).
@@ -68,7 +68,7 @@ def projected_onto_branch(
     """Project one state onto the branch that its velocity follows.
 
     Args:
-        dynamics: Dynamics of motion.
+        dynamics: Equations of motion.
         state: State, shape (body + world, 13).
         projected: The state projected onto the well-conditioned constraints; returned if the pose
             turns out to be regular, or if nothing moves.
