@@ -154,7 +154,7 @@ def _motion(body: Any, point: Array) -> tuple[Array, Array]:
 class DartStepper(ABC):
     """A method that steps the skeleton from its present state."""
 
-    call: ClassVar[str] = ""
+    call: ClassVar[str]
     """The engine's call for one step; empty if it has none."""
 
     def __init__(self, model: SkeletonModel, loads: FrameLoads, step: float) -> None:
@@ -188,6 +188,8 @@ class ForwardDynamicsRK4(DartStepper):
 
     Within a step, DART's `integratePositions` applies the increments.
     """
+
+    call = ""
 
     def __init__(self, model: SkeletonModel, loads: FrameLoads, step: float) -> None:
         super().__init__(model, loads, step)

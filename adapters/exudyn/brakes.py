@@ -11,10 +11,12 @@ joint in one step.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.joint_inertia import moved_inertias, poses
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 
@@ -31,8 +33,7 @@ def saturated(limit):
     return force
 
 """
-LIMITS = ("limitStopsLower", "limitStopsUpper")
-"""Parameters of Exudyn's stops that are limits."""
+_LIMITS = ("limitStopsLower", "limitStopsUpper")
 _KINDS = {"hinge": "Rotation", "slider": "Translation"}
 
 
@@ -108,6 +109,14 @@ def rotors_listing(mechanism: Mechanism) -> Iterator[str]:
         )
 
 
+def read_brakes(brakes: Sequence[Mapping[str, Any]], mechanism: Mechanism) -> tuple[Array, Array]:
+    """Read back friction, shape (joint,), and limits, shape (joint, 2), from `brakes`."""
+    count = len(mechanism.frictional)
+    friction = np.array([brake["dynamicFrictionForce"] for brake in brakes[:count]])
+    limits = [[brake[key] for key in _LIMITS] for brake in brakes[count:]]
+    return friction, np.array(limits).reshape(-1, len(_LIMITS))
+
+
 def item(body: int) -> str:
     """Return the listing's name of a body or the world."""
     return "ground" if body == WORLD_INDEX else f"bodies[{body}]"
@@ -143,4 +152,4 @@ def _stops(joint: PlacedJoint, least: float, most: float, step: float) -> dict[s
     assert joint.limits is not None
     damping = 2.0 * least / step
     law = {"limitStopsDamping": damping, "limitStopsStiffness": damping**2 / (4.0 * most)}
-    return {"useLimitStops": True} | law | dict(zip(LIMITS, joint.limits, strict=True))
+    return {"useLimitStops": True} | law | dict(zip(_LIMITS, joint.limits, strict=True))

@@ -25,7 +25,7 @@ from mbds_xsim.simulate.adapter import (
 )
 from mbds_xsim.simulate.claims import ContactScales
 
-from .brakes import LIMITS
+from .brakes import read_brakes
 from .contact import TouchingSpheres, contact_listing
 from .model import HEAD, Formulation
 from .older import in_its_words, silence
@@ -157,7 +157,7 @@ class ExudynRun(Run):
         com = self._output("Position") + arm
         uniform = not np.ptp(gravity, axis=0).any()
         stepping = self._names["settings"].timeIntegration
-        brakes, count = model.objects("brakes"), len(self._mechanism.frictional)
+        friction, limits = read_brakes(model.objects("brakes"), self._mechanism)
         ties = model.objects("couplings")
         # Exudyn cannot report the limit of a drive's force function.
         drives = [(law["stiffness"], law["damping"], np.nan) for law in model.objects("drives")]
@@ -179,8 +179,8 @@ class ExudynRun(Run):
             armature=model.armature(),
             drive=np.array(drives),
             coupling=np.array([(1.0 / t["factor1"], t["offset"] / t["factor1"]) for t in ties]),
-            friction=np.array([brake["dynamicFrictionForce"] for brake in brakes[:count]]),
-            limits=np.array([[b[key] for key in LIMITS] for b in brakes[count:]]).reshape(-1, 2),
+            friction=friction,
+            limits=limits,
         )
 
     def _springs(self) -> Array:

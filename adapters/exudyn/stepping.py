@@ -76,7 +76,7 @@ class Stepping:
         Where joints have friction or limits, Newton's method may go back and forth between the
         kinks of their laws; a step on which it does not converge is divided into shorter ones.
         """
-        redundant, count = has_redundant_constraints(mechanism), self.substeps * self.division
+        redundant, finer = has_redundant_constraints(mechanism), self.substeps * self.division
         return f"""
 
 
@@ -104,7 +104,7 @@ def steps_of_a_frame(count):
 
 
 settings = steps_of_a_frame({self.substeps})
-{_NEAR_GROUND.format(count=count) if count else ""}
+{_NEAR_GROUND.format(count=finer) if self.division else ""}
 
 def step_frame(settings=settings):
     mbs.SolveDynamic(

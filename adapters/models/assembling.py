@@ -338,7 +338,7 @@ def _reach(parts: tuple[Part, ...], masses: list[Mass]) -> float:
 
 
 def _outcome(reason: str, note: str) -> tuple[Outcome, str]:
-    """Return what is reported: something is kept, with a note, unless there is a reason to not."""
+    """Return what is reported: something is kept, with a note, unless there is a reason not to."""
     return ("dropped", reason) if reason else ("kept", note)
 
 

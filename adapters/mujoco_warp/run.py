@@ -30,8 +30,10 @@ def stepping(step: float, loop: float, link: float) -> StepOptions:
         link: Time constant of distance links, in steps.
     """
     impact = Impact(0.0, 1, HARDEST)
-    times = step * loop, step * link
-    return StepOptions("RK4", step, "CG", *times, impact, True, jacobian="sparse", resets=False)
+    return StepOptions(
+        "RK4", step, "CG", step * loop, step * link, impact,
+        hard_limits=True, jacobian="sparse", resets=False,
+    )  # fmt: skip
 
 
 class WarpRun(Bending):

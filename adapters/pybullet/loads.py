@@ -73,41 +73,43 @@ class StepLoads:
             effort = drive.at(push, *self._joint_state(number, link)[:2])
             self._drive(number, link, self._as_torque, force=effort)
         if loop_torques or self._springs:
-            state = self._model.states(reading)
+            world = self._model.states(reading).with_world()
             for joint, moment in loop_torques:
-                self._twist(joint, moment, state)
+                self._twist(joint, moment, world)
             if self._springs:
-                self._pull(state)
+                self._pull(world)
 
     def springs(self, state: BodyStates) -> Array:
         """Return `Readback.spring`."""
         if not self._springs:
             return np.zeros((0, 4))
-        lines = np.diff(self._spring_ends(state)[0], axis=1)[:, 0]
+        lines = np.diff(self._spring_ends(state.with_world())[0], axis=1)[:, 0]
         return np.array([s.as_read(line) for s, line in zip(self._springs, lines, strict=True)])
 
     def _push(self, body: int, force: Array, point: Array) -> None:
         if body != WORLD_INDEX:
             self._apply_force(*self._address(body), force.tolist(), point.tolist(), self._in_world)
 
-    def _twist(self, joint: PlacedJoint, torque: float, state: BodyStates) -> None:
-        vector = torque * state.with_world().arms(joint.parent, joint.axis)
+    def _twist(self, joint: PlacedJoint, torque: float, world: BodyStates) -> None:
+        vector = torque * world.arms(joint.parent, joint.axis)
         for body, sign in ((joint.child, 1.0), (joint.parent, -1.0)):
             if body != WORLD_INDEX:
                 self._apply_torque(*self._address(body), (sign * vector).tolist(), self._in_world)
 
-    def _pull(self, state: BodyStates) -> None:
-        places, rates = self._spring_ends(state)
+    def _pull(self, world: BodyStates) -> None:
+        places, rates = self._spring_ends(world)
         for spring, (first, second), rate in zip(self._springs, places, rates, strict=True):
             force = spring.pull(second - first, rate[1] - rate[0])
             self._push(spring.bodies[0], force, first)
             self._push(spring.bodies[1], -force, second)
 
-    def _spring_ends(self, state: BodyStates) -> tuple[Array, Array]:
-        """Return places in W [m] and velocities [m/s] of the springs' ends, (spring, end, 3)."""
-        bodies = state.with_world()
-        places = bodies.points(self._ends, self._in_body).reshape(-1, 2, 3)
-        return places, bodies.speeds(self._ends, self._in_body).reshape(-1, 2, 3)
+    def _spring_ends(self, world: BodyStates) -> tuple[Array, Array]:
+        """Return places in W [m] and velocities [m/s] of the springs' ends, (spring, end, 3).
+
+        The last of the bodies is the world.
+        """
+        places = world.points(self._ends, self._in_body).reshape(-1, 2, 3)
+        return places, world.speeds(self._ends, self._in_body).reshape(-1, 2, 3)
 
 
 def set_friction(model: Multibodies, substeps: int) -> None:

@@ -258,13 +258,13 @@ class Multibodies:
             "linkCollisionShapeIndices": [self._shape(body, -at.in_child) for body, at in links],
             "linkVisualShapeIndices": [-1] * count,
             "linkPositions": [
-                (joint.anchor - origin[body]).tolist()
-                for body, joint in zip(above, joints, strict=True)
+                (joint.anchor - origin[parent]).tolist()
+                for parent, joint in zip(above, joints, strict=True)
             ],
             "linkOrientations": [[0.0, 0.0, 0.0, 1.0]] * count,
             "linkInertialFramePositions": [(-joint.in_child).tolist() for joint in joints],
             "linkInertialFrameOrientations": [_xyzw(self.principal[body]) for body, _ in links],
-            "linkParentIndices": [row.get(body, 0) for body in above],
+            "linkParentIndices": [row.get(parent, 0) for parent in above],
             "linkJointTypes": [Constant(_JOINT_TYPES[joint.kind]) for joint in joints],
             "linkJointAxis": [_axis(joint) for joint in joints],
         }

@@ -60,7 +60,8 @@ def split(mechanism: Mechanism) -> tuple[tuple[Multibody, ...], tuple[PlacedJoin
         if root[first.body] != first.body:
             continue
         links = tuple(link for link in mechanism.links if root[link.body] == first.body)
-        # A body that is free or cut off is the base, without a link of its own.
+        # A body that is free or cut off is the base, without a link of its own. Links come parents
+        # first, so it is the first of them.
         fixed = first.joint is not None and first.body not in cut
         parts.append(Multibody(WORLD_INDEX, links) if fixed else Multibody(first.body, links[1:]))
     joints = [link.joint for link in mechanism.links if link.body in cut and link.joint is not None]

@@ -159,7 +159,10 @@ class PyBulletRun(Run):
 
     def _turn(self, state: BodyStates) -> Array:
         """Return the largest turn of a body against its carrier in a step [rad], shape (…)."""
-        rates = state.with_world().angular_velocity
+        rate = state.angular_velocity
+        rates = np.concatenate(
+            [rate, np.zeros_like(rate[..., :1, :])], axis=-2
+        )  # of the world, too
         relative = rates[..., self._turning, :] - rates[..., self._carrier, :]
         return np.asarray(self._step * np.linalg.norm(relative, axis=-1).max(axis=-1, initial=0.0))
 
