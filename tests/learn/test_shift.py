@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -14,6 +16,7 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.isolate import Conduct
 from mbds_xsim.dataset.generate import Request, generate
 from mbds_xsim.learn.particles import EXPLODED
+from mbds_xsim.learn.shift import rollouts
 from mbds_xsim.learn.shift.answers import answers_of
 from mbds_xsim.learn.shift.domains import (
     REFERENCE,
@@ -22,7 +25,7 @@ from mbds_xsim.learn.shift.domains import (
     load_paired,
     solve_domain,
 )
-from mbds_xsim.learn.shift.evaluation import ENGINE, cells_of, chaos_floor, noise_floor
+from mbds_xsim.learn.shift.evaluation import ENGINE, RESTART, cells_of, chaos_floor, noise_floor
 from mbds_xsim.learn.shift.gaps import (
     LONELY,
     UNKNOWN,
@@ -154,6 +157,62 @@ def test_lost_predictions_are_counted_never_dropped() -> None:
     exploded = (EXPLODED * study.test.scene.length) ** 2
     assert gap.transferred[0] == pytest.approx((COUNT - 1 + exploded) / COUNT)
     assert cell.mse == pytest.approx(gap.transferred)
+
+
+def test_a_prediction_that_exploded_and_came_back_stays_lost() -> None:
+    exploded = (EXPLODED * paired(("a",)).scene.length) ** 2
+
+    def error(training: str, engine: str, _: int) -> Array:
+        figures = np.full((COUNT, FRAMES), 1.0)
+        if training != engine:
+            figures[0, 2] = 2.0 * exploded
+        return figures
+
+    study = evaluation(error, floor=100.0)
+    cell = next(c for c in cells_of(study) if (c.training, c.test) == ("a-native", "b-native"))
+    assert cell.diverged == (0, 1)
+    assert cell.mse == pytest.approx((1.0, (COUNT - 1 + exploded) / COUNT))
+    gap = next(g for g in measured_gaps(study) if (g.training, g.test) == ("a-native", "b-native"))
+    assert gap.transferred == pytest.approx(cell.mse)
+    unknown = np.array([[1.0, 2.0 * exploded, np.nan, 1.0, np.nan]])
+    np.testing.assert_equal(study.exploded(unknown), [[False, True, False, True, False]])
+
+
+def test_lost_restarts_are_counted_never_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three restarts of each trajectory; what is not known of the truth is no loss."""
+    horizon, count = 20, 4
+    position = torch.zeros(count, HISTORY + horizon, 1, 3)
+    body = torch.zeros(count, HISTORY + horizon, 1, 13)
+    position[1, HISTORY + 8] = torch.nan  # the truth of the second restart
+    body[2, HISTORY + 7] = torch.nan  # its start
+    starts = []
+
+    def predicted(*job: object) -> torch.Tensor:
+        frames, last = job[3:]
+        assert frames == 1
+        starts.append(last)
+        result = torch.full((count, 1, 1, 3), 1e-3, dtype=torch.float64)
+        if len(starts) == 2:
+            result[:3] = torch.nan
+        return result
+
+    monkeypatch.setattr(rollouts, "_predicted", predicted)
+    job: Any = SimpleNamespace(horizon=horizon)
+    motions: Any = SimpleNamespace(position=position, body=body)
+    errors = rollouts._one_step(job, motions, paired(("a",)).batch)
+    assert starts == [HISTORY - 1, HISTORY + 7, HISTORY + 15]
+    np.testing.assert_allclose(errors, [np.inf, 3e-6, 3e-6, 3e-6])
+    figures = dataclasses.replace(figures_of(np.ones((count, FRAMES))), one_step=errors)
+    whole = evaluation(lambda *_: np.ones((count, FRAMES)), floor=0.0)
+    index = whole.test.index[:count]
+    whole = dataclasses.replace(
+        whole,
+        test=dataclasses.replace(whole.test, index=index),
+        oracles={},
+        restarted={("a-native", "b-native"): figures},
+    )
+    (cell,) = (c for c in cells_of(whole) if c.model == RESTART and c.interval == "all")
+    assert cell.one_step is None  # as a model's
 
 
 def test_cells_are_told_by_interval_and_engines_are_models_too() -> None:

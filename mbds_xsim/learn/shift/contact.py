@@ -74,6 +74,8 @@ def from_contact(evaluation: Evaluation) -> Evaluation | None:
 
     def later(figures: RolloutFigures) -> RolloutFigures:
         own = {name: values[rows] for name, values in vars(figures).items()}
+        # What was lost before the contact stays lost.
+        own["error"] = np.where(evaluation.exploded(own["error"]), np.inf, own["error"])
         along = {k: np.take_along_axis(v, place, axis=1) for k, v in own.items() if v.ndim > 1}
         return RolloutFigures(**(own | along))
 

@@ -97,11 +97,16 @@ class Evaluation:
         if (first, test) not in self.restarted:
             return self.counted(distance)
         error = self.restarted[first, test].error
-        return self.counted(np.where(error > self.largest, distance, error))
+        return self.counted(np.where(self.exploded(error), distance, error))
 
     def counted(self, error: Array) -> Array:
-        """Return errors at `frames`, with lost ones at their assigned value."""
-        return np.asarray(np.minimum(error[..., self.at], self.largest))
+        """Return errors at `frames`, at their assigned value from the frame on that lost them."""
+        return np.asarray(np.where(self.exploded(error), self.largest, error)[..., self.at])
+
+    def exploded(self, error: Array) -> Mask:
+        """Return whether known errors (…, frame) have exceeded `largest` by each frame."""
+        beyond = np.logical_or.accumulate(error > self.largest, axis=-1)
+        return np.asarray(beyond & ~np.isnan(error))
 
     def rows(self, interval: str) -> Mask:
         """Return a mask of the trajectories of an interval."""
@@ -137,7 +142,6 @@ def _cell(
 ) -> ErrorCell:
     scene, error = evaluation.test.scene, figures.error[rows]
     reported = error[:, evaluation.at]
-    exploded = np.logical_or.accumulate(error > evaluation.largest, axis=1)[:, evaluation.at]
     time, never = valid_time(error, scene.length, scene.clock.frame)
     begun = ~np.isnan(error[:, 0])
     one_step = figures.one_step[rows]
@@ -146,7 +150,7 @@ def _cell(
         *key,
         known=_counts(~np.isnan(reported)),
         finite=_counts(np.isfinite(reported)),
-        diverged=_counts(exploded & ~np.isnan(reported)),
+        diverged=_counts(evaluation.exploded(error)[:, evaluation.at]),
         mse=values(known_mean(evaluation.counted(error))),
         median=values(median(reported), _SHOWN),
         energy=values(median(figures.energy[rows][:, evaluation.at]), _SHOWN),
@@ -192,7 +196,7 @@ def _counts(flags: Mask) -> tuple[int, ...]:
 
 
 def to_csv(evaluations: Sequence[Evaluation]) -> bytes:
-    """Write a row for every trajectory, so that statistics can be redone.
+    """Write a row for every trajectory, so that statistics at the reported frames can be redone.
 
     `inf` is a lost prediction, an empty field an unknown value.
     """

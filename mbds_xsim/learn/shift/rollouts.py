@@ -44,6 +44,7 @@ _TIMEOUT = 4 * 3600.0  # time limit of a process [s]
 _MODELS = 6  # per process: starting one takes seconds
 _RESTARTS = 3  # per process: one engine may take longest by far
 _ROWS = 512  # trajectories at a time: with few of them, calls take most of a step's time
+_RESTART = 2  # version of what the figures of restarts stand for, apart from the models'
 _STRIDE = 8  # frames between the starts of one-step predictions
 Paths = dict[tuple[TrainedModel, str], Path]
 """Files with the figures of each model on each domain."""
@@ -171,7 +172,8 @@ class Restart:
         """File of its figures."""
         adapter = load_adapter(self.engine.engine)
         versions = (adapter.version(), adapter.revision)
-        return _path(self.domain, self.engine.content, versions, self.horizon, _STRIDE)
+        details = (self.engine.content, versions, self.horizon, _STRIDE, _RESTART)
+        return _path(self.domain, *details)
 
 
 def restarted(
@@ -244,15 +246,21 @@ def _go_on(inputs: Batch, restarts: Sequence[Restart]) -> None:
 def _one_step(restart: Restart, motions: Motions, inputs: Batch) -> Array:
     """Return the one-frame error of restarts from all over the motions [m²], (trajectory,).
 
-    Models are tested in the same way; the first windows alone would contain no contact.
+    Models are tested in the same way; the first windows alone would contain no contact. The error
+    is infinite if a restart is lost.
     """
+    assert motions.body is not None
     errors = []
     for last in range(HISTORY - 1, HISTORY - 1 + restart.horizon, _STRIDE):
         predicted = _predicted(restart, motions, inputs, 1, last)[:, 0]
-        error = (predicted - motions.position[:, last + 1]).square().sum(-1).mean(-1)
-        errors.append(error.numpy())
+        truth = motions.position[:, last + 1]
+        parts = (truth, motions.body[:, last])
+        known = torch.stack([part.isfinite().flatten(1).all(1) for part in parts]).all(0)
+        error = (predicted - truth).square().sum(-1).mean(-1)
+        error = torch.where(error.isfinite(), error, torch.inf)
+        errors.append(torch.where(known, error, torch.nan).numpy())
     whole = np.stack(errors)
-    known = np.isfinite(whole)
+    known = ~np.isnan(whole)
     count = np.where(known.any(axis=0), known.sum(axis=0), np.nan)
     return np.where(known, whole, 0.0).sum(axis=0) / count
 
