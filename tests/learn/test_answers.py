@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -206,10 +208,18 @@ def test_all_engines_means_all_where_some_engine_is_not_tested() -> None:
     assert "helps" in answers["Does training on all engines help gns (native)?"]
 
 
-def _of_variants(away: dict[str, float], spread: float) -> Evaluation:
-    """Two engines, natively and matched; errors away from home are so many times those at home."""
+def _of_variants(
+    away: dict[str, float], spread: float, more: Mapping[str, float] = MappingProxyType({})
+) -> Evaluation:
+    """Two engines, natively and matched; errors away from home are so many times those at home.
+
+    `more` has such factors of domains of other engines.
+    """
     test = made.paired(("a", "b"))
     parts = [dataclasses.replace(d, variant=v) for v in away for d in test.domains]
+    for name in more:
+        engine, _, variant = name.rpartition("-")
+        parts.append(dataclasses.replace(parts[0], engine=engine, variant=variant))
     test = dataclasses.replace(test, domains=tuple(parts))
     figures, rng = {}, np.random.default_rng(5)
     for home, seed in itertools.product(parts, range(3)):
@@ -220,7 +230,8 @@ def _of_variants(away: dict[str, float], spread: float) -> Evaluation:
             luck = np.exp(
                 spread * rng.standard_normal((made.COUNT, 1)) * (home.variant == "matched")
             )
-            error = luck * (1.0 if domain is home else away[home.variant])
+            factor = more.get(domain.name, more.get(home.name, away[home.variant]))
+            error = luck * (1.0 if domain is home else factor)
             figures[entry, domain.name] = made.figures_of(np.tile(error, (1, made.FRAMES)))
     pairs = itertools.permutations([domain.name for domain in parts], 2)
     apart = {pair: made.figures_of(np.full((made.COUNT, made.FRAMES), 100.0)) for pair in pairs}
@@ -243,6 +254,21 @@ def test_whether_matched_data_remove_a_shift(
     evaluation = _of_variants({"native": native, "matched": matched}, spread)
     answers = _answers(evaluation)
     assert says in answers["Does matched data remove the shift of gns?"]
+
+
+@pytest.mark.parametrize("more", ["native", "matched"])
+def test_native_and_matched_data_are_compared_over_the_engines_of_both(more: str) -> None:
+    """A third engine has data of one variant alone, where its changes cost a hundred times."""
+    evaluation = _of_variants({"native": 4.0, "matched": 2.0}, 0.0, {f"c-{more}": 100.0})
+    answer = _answers(evaluation)["Does matched data remove the shift of gns?"]
+    assert answer.startswith("At t = 5 between a, b matched data lessen the shift. ")
+    assert "native 4 [4, 4], matched 2 [2, 2], native over matched 2 [2, 2]" in answer
+    (lone,) = {d for d in evaluation.test.domains if d.name == f"b-{more}"}
+    fewer = tuple(d for d in evaluation.test.domains if d is not lone)
+    evaluation = dataclasses.replace(
+        evaluation, test=dataclasses.replace(evaluation.test, domains=fewer)
+    )
+    assert "Does matched data remove the shift of gns?" not in _answers(evaluation)
 
 
 def test_changes_of_engine_are_counted_apart_from_those_of_settings() -> None:

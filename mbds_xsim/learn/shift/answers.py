@@ -6,6 +6,7 @@ domains next to a shift of covariates, as in Koh et al., WILDS, ICML 2021.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import itertools
 from collections import Counter
@@ -40,6 +41,7 @@ _BLIND = (
     "does"
 )
 _ALONE = "This cannot be asked: no model was trained on two of the tested engines, each alone"
+_PAIR = 2  # least number of engines of which one can be changed for another
 _UNTOLD = f"this cannot be told: {_BLIND}"
 
 
@@ -244,24 +246,47 @@ def _several_engines(
 def _matched(
     draws: Draws, groups: Sequence[_Trainings], gaps: Sequence[Gap], place: int
 ) -> Iterator[Answer]:
-    """Compare the mean gaps of a model between variants."""
+    """Compare the mean gaps of a model between variants, over the engines that both have."""
     frame = draws.evaluation.frames[place]
     for model in dict.fromkeys(group.model for group in groups):
         variants = {group.variant: group for group in groups if group.model == model}
         if not {"native", "matched"} <= set(variants):
             continue
+        either = {name for v in ("native", "matched") for name in _engines(variants[v])}
+        variants = _of_common_engines(variants["native"], variants["matched"])
+        common = _engines(variants["native"])
+        if len(common) < _PAIR:
+            continue
+        among = f" between {', '.join(sorted(common))}" if common < either else ""
         native, matched = (
             draws.bounded(functools.partial(_mean_gap, variants[v])) for v in ("native", "matched")
         )
         change = draws.bounded(functools.partial(_lessening, variants))
         within = {name: _gaps_within(g, g.singles, gaps) for name, g in variants.items()}
         text = (
-            f"At t = {frame} {_removal(native, matched, change, within, place)}. "
+            f"At t = {frame}{among} {_removal(native, matched, change, within, place)}. "
             f"Mean gap ratio: native {native.text(place)}, matched {matched.text(place)}, native "
             f"over matched {change.text(place)}"
         )
         question = f"Does matched data remove the shift of {model}?"
         yield Answer(MATCHED, question, text, ratios=_results({model: change}))
+
+
+def _engines(group: _Trainings) -> set[str]:
+    """Return the engines on which alone a model was trained."""
+    return {name.rpartition("-")[0] for name in group.singles}
+
+
+def _of_common_engines(*groups: _Trainings) -> dict[str, _Trainings]:
+    """Return the groups by variant, each with its trainings on the engines that all have alone."""
+    common = set.intersection(*map(_engines, groups))
+    return {
+        group.variant: dataclasses.replace(
+            group,
+            singles={n: t for n, t in group.singles.items() if n.rpartition("-")[0] in common},
+        )
+        for group in groups
+    }
 
 
 def _lessening(variants: Mapping[str, _Trainings], look: Look) -> Array:
