@@ -96,6 +96,12 @@ def test_all_figures_count_from_the_first_contact(monkeypatch: pytest.MonkeyPatc
     errors = later.errors(later.entries[0], "a-native")
     there = first[:-1, None] + np.array([1.0, 10.0, 20.0])
     np.testing.assert_allclose(errors[0], 0.1 * there)
+    rising[0, 0] = 2.0 * evaluated.largest  # and comes back before its contact
+    lost = contact.from_contact(evaluated)
+    assert lost is not None
+    errors = lost.errors(lost.entries[0], "a-native")
+    np.testing.assert_allclose(errors[0, 0], evaluated.largest)
+    np.testing.assert_allclose(errors[0, 1:], 0.1 * there[1:])
 
 
 def test_what_a_model_notices_is_counted_from_the_first_contact(
@@ -123,15 +129,50 @@ def test_changes_stand_side_by_side_in_one_sentence() -> None:
     other = [_matched(each) for each in interactions]
     (both,) = answer_of_factors([*interactions, *other], 0, 1)
     assert both.answer == (
-        "At t = 1 the squared error of gns grows at most 4-fold with another engine on native "
-        "data, 4-fold with another engine on matched data"
+        "At t = 1 the squared error of gns grows significantly by up to 4-fold with another engine "
+        "on native data, 4-fold with another engine on matched data"
     )
-    quiet = [msgspec.structs.replace(each, resolved=(False, False)) for each in other]
-    (both,) = answer_of_factors([*interactions, *quiet], 0, 1)
+    (both,) = answer_of_factors([*interactions, *map(_unresolved, other)], 0, 1)
     assert both.answer == (
-        "At t = 1 the squared error of gns grows at most 4-fold with another engine on native "
-        "data; less than 2-fold, if at all, with another engine on matched data"
+        "At t = 1 the squared error of gns grows significantly by up to 4-fold with another engine "
+        "on native data; by how much cannot be told with another engine on matched data"
     )
+    (none,) = answer_of_factors(list(map(_unresolved, [*interactions, *other])), 0, 1)
+    assert none.answer == (
+        "At t = 1 it cannot be told by how much the squared error of gns grows with another engine "
+        "on native data, with another engine on matched data"
+    )
+
+
+@pytest.mark.parametrize(
+    ("pairs", "says"),
+    [
+        ([(1.5, 1.9, True), (1.0, 1.99, False)], "less than 2-fold, if at all, with another"),
+        ([(1.5, 1.9, True), (1.0, 2.0, False)], "cannot be told with another"),
+        ([(1.5, 1.9, True), (1.0, None, False)], "cannot be told with another"),
+        ([(1.98, 2.4, True), (1.5, 1.9, True)], "cannot be told with another"),
+        ([(2.0, 2.5, True), (1.7, 6.6, False)], "significantly by up to 2-fold with another"),
+    ],
+)
+def test_a_cost_is_told_only_as_far_as_all_intervals_show_it(
+    pairs: list[tuple[float, float | None, bool]], says: str
+) -> None:
+    """Beside it is a change that costs nothing."""
+    first, *rest = interactions_of(Draws(evaluation(lambda i, j, _: _loss(i, j), floor=0.0)))
+    free = msgspec.structs.replace(_matched(first), value=(1.0,), high=(1.0,), resolved=(False,))
+    made = [
+        msgspec.structs.replace(each, value=(value,), high=(high,), resolved=(resolved,))
+        for each, (value, high, resolved) in zip((first, *rest), pairs, strict=False)
+    ]
+    (answer,) = answer_of_factors([free, *made], 0, 1)
+    assert f"{says} engine on native data" in answer.answer
+    most = max((value for value, _, resolved in pairs if resolved), default=1.0)
+    assert answer.answer.endswith(f" (significant: {most:g}-fold)") == ("cannot" in says)
+    assert "another engine on matched data" in answer.answer.partition("if at all, ")[2]
+
+
+def _unresolved(each: Any) -> Any:
+    return msgspec.structs.replace(each, resolved=(False, False))
 
 
 def _matched(each: Any) -> Any:

@@ -92,6 +92,21 @@ def test_the_protocol_names_what_the_models_were_trained_by_alone(shift: Shift) 
     assert counts[2] == 2 * counts[1] > 0
 
 
+def test_a_model_with_fewer_seeds_than_another_is_named(shift: Shift) -> None:
+    one = tuple(
+        msgspec.structs.replace(m, seed=seed) for m in shift.models if m.engines and not m.seed
+        for seed in range(3)
+    )  # fmt: skip
+    other = tuple(msgspec.structs.replace(m, model="sgnn") for m in one if m.seed == 1)
+    few = "too few to tell of other runs of the same trainings; profile"
+    for models, words in (
+        (one, "Seeds 0, 1, 2; profile"),
+        (other, f"Seeds 1, {few}"),
+        (one + other, f"Seeds 0, 1, 2 (of sgnn 1 alone), {few}"),
+    ):
+        assert words in protocol(msgspec.structs.replace(shift, models=models))
+
+
 def test_one_trajectory_is_told_as_one(shift: Shift) -> None:
     """The protocol also names the intervals of the starts if some are missing."""
     one = msgspec.structs.replace(shift, index=(7,))

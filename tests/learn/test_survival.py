@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mbds_xsim.learn.shift.result import Interaction
+from mbds_xsim.report.quantity import NONE
 from mbds_xsim.studies.shift.changes import survivors
 
 _PAIR = ("mujoco-native", "dart-native")
@@ -25,7 +26,9 @@ def _between(
         ((1.02, 0.9, 1.3, False), True, "survives, below 1.3"),
         ((1.02, 0.3, 7.0, False), True, "cannot be told, below 7"),
         ((1.02, 0.9, 1.3, False), False, "not noticed, below 1.3"),
-        ((0.2, 0.1, 0.4, True), True, "survives, below 0.4"),  # a gain is no loss
+        ((0.2, 0.1, 0.4, True), True, "survives, gains to 0.2, below 0.4"),  # no loss
+        ((0.2, 0.1, 0.4, True), False, "no significant loss, gains to 0.2, below 0.4"),
+        ((0.5, 0.1, 2.4, True), False, "cannot be told, gains to 0.5, below 2.4"),
         ((1.001, 1.0, 1.002, True), True, "survives, below 1.01"),  # resolved, and yet tiny
         ((1.001, 1.0, 1.002, True), False, "survives, below 1.01"),
     ],
@@ -58,3 +61,25 @@ def test_a_pair_that_is_not_noticed_does_not_hide_one_that_cannot_be_told() -> N
     ]
     table = survivors(interactions, 0, "at t = 1", _SEEN)
     assert table.rows[0].texts[1] == "cannot be told, below 3"
+
+
+def test_a_pair_that_cannot_be_told_is_not_hidden_by_one_that_is_survived() -> None:
+    """All intervals count, also those of pairs that are neither noticed nor significant."""
+    wide = _between("mujoco-native", "pybullet-native", 3.0, 0.8, 9.0, resolved=False)
+    for first in (
+        _between(*_PAIR, 1.01, 0.98, 1.05, resolved=False),
+        _between(*_PAIR, 1.01, 1.0, 1.02, resolved=True),
+    ):
+        table = survivors([first, wide], 0, "at t = 1", _SEEN)
+        assert table.rows[0].texts[1] == "cannot be told, below 9"
+    unknown = Interaction("gns", *_PAIR, 3, (1.0,), (None,), (None,), (False,))
+    assert survivors([wide, unknown], 0, "at t = 1", set()).rows[0].texts[1] == NONE
+
+
+def test_a_gain_is_named_unless_a_loss_is_significant() -> None:
+    gain = _between(*_PAIR, 0.74, 0.62, 0.87, resolved=True)
+    loss = _between("mujoco-native", "pybullet-native", 1.05, 1.02, 1.085, resolved=True)
+    words = [
+        survivors(pairs, 0, "at t = 1", set()).rows[0].texts[1] for pairs in ([gain], [gain, loss])
+    ]
+    assert words == ["no significant loss, gains to 0.74, below 0.87", "survives, below 1.09"]

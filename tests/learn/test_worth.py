@@ -147,7 +147,7 @@ def test_the_answer_names_the_cheapest_data_that_harm_no_model() -> None:
     )
     (answer,) = _study({}).answers
     assert "reference-loose, 1 ms" in answer.answer
-    assert "; a-coarse, 2 ms; b-coarse, 3 ms. No data harm, the harmless" in answer.answer
+    assert "; a-coarse, 2 ms; b-coarse, 3 ms. No data are known to harm, the" in answer.answer
 
 
 def test_what_is_harmless_before_a_contact_may_harm_after_it() -> None:
@@ -187,7 +187,41 @@ def test_a_study_with_contact_judges_data_after_it(monkeypatch: pytest.MonkeyPat
 def test_without_distances_from_the_truth_none_is_told() -> None:
     shift = msgspec.structs.replace(_study({}), floors=())
     (answer,) = answer_of_harms(shift)
-    assert answer.answer.endswith("No data harm")
+    assert answer.answer.endswith("No data are known to harm")
+    (answer,) = answer_of_harms(msgspec.structs.replace(_study({"a-coarse": 4.0}), floors=()))
+    assert answer.answer.endswith("How far from the truth data that harm are is not known")
+
+
+def test_the_answer_states_of_how_many_data_it_cannot_be_told() -> None:
+    """That no data are known to harm does not say that none do."""
+    shift = _study({})
+    wide = tuple(
+        msgspec.structs.replace(harm, high=(50.0, 50.0)) if harm.first != "a-fine" else harm
+        for harm in shift.harms
+    )
+    (answer,) = answer_of_harms(msgspec.structs.replace(shift, harms=wide))
+    assert "No data are known to harm, the harmless are at most 1e-08 m² from" in answer.answer
+    assert answer.answer.endswith("; of 3 others it cannot be told")
+
+
+def test_data_that_a_model_was_not_trained_on_are_not_harmless_to_it() -> None:
+    shift = _study({})
+    other = [msgspec.structs.replace(h, model="sgnn") for h in shift.harms if h.first != "a-fine"]
+    assert verdicts([*shift.harms, *other], 0) == {
+        "reference-fine": HARMLESS,
+        "reference-loose": HARMLESS,
+        "a-fine": UNTOLD,
+        "a-coarse": HARMLESS,
+        "b-coarse": HARMLESS,
+    }
+    both = msgspec.structs.replace(shift, harms=(*shift.harms, *other))
+    (answer,) = answer_of_harms(both)
+    assert "harm none of gns, sgnn are reference-loose, 1 ms" in answer.answer
+    assert "a-fine" not in answer.answer
+    worse = [msgspec.structs.replace(h, second="reference-loose") for h in other]
+    apart = verdicts([*shift.harms, *(h for h in worse if h.first != "reference-loose")], 0)
+    assert apart["reference-loose"] == HARMLESS  # one model's best data, no harm to the other
+    assert apart["reference-fine"] == UNTOLD
 
 
 def test_without_data_of_the_reference_nothing_is_asked() -> None:

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import itertools
 import statistics
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import TypeVar
 
@@ -150,23 +150,43 @@ def answers_of_interactions(
 def answer_of_factors(
     interactions: Sequence[Interaction], place: int, frame: int, since: str = ""
 ) -> Iterator[Answer]:
-    """Put the largest costs of all changes side by side, if there are several."""
+    """Put the costs of all changes side by side, if there are several, as far as they are known."""
     changes = by_change(interactions)
     if len(changes) < _SEVERAL:
         return
-    costs = {
-        f"with {OTHER[change]} {context}": _most(whole, place)
-        for (change, context), whole in changes.items()
-    }
-    ranked = sorted(costs.items(), key=lambda cost: -cost[1])
-    dear = ", ".join(f"{_times(most)} {words}" for words, most in ranked if most >= BEARABLE)
-    cheap = ", ".join(words for words, most in ranked if most < BEARABLE)
-    parts = [f"at most {dear}"] if dear else []
-    parts += [f"less than {BEARABLE:g}-fold, if at all, {cheap}"] if cheap else []
     *others, last = dict.fromkeys(each.model for each in interactions)
     models = " and ".join([*filter(None, [", ".join(others)]), last])
-    text = f"At t = {frame}{since} the squared error of {models} grows {'; '.join(parts)}"
-    yield Answer(INTERACTION, f"Which change costs how much{since}?", text)
+    error, (dear, cheap, untold) = f"the squared error of {models}", _by_cost(changes, place)
+    parts = [f"significantly by up to {', '.join(dear)}"] if dear else []
+    parts += [f"less than {BEARABLE:g}-fold, if at all, {', '.join(cheap)}"] if cheap else []
+    if not parts:
+        text = f"it cannot be told by how much {error} grows {', '.join(untold)}"
+    else:
+        parts += [f"by how much cannot be told {', '.join(untold)}"] if untold else []
+        text = f"{error} grows {'; '.join(parts)}"
+    question = f"Which change costs how much{since}?"
+    yield Answer(INTERACTION, question, f"At t = {frame}{since} {text}")
+
+
+def _by_cost(
+    changes: Mapping[tuple[str, str], Sequence[Interaction]], place: int
+) -> tuple[list[str], list[str], list[str]]:
+    """Name the changes that are dear, cheap, or of unknown cost, each in order of cost.
+
+    A change is dear by a significant pair, and cheap if the intervals of all its pairs are below
+    `BEARABLE`.
+    """
+    dear, cheap, untold = list[str](), list[str](), list[str]()
+    for (change, context), own in sorted(changes.items(), key=lambda each: -_most(each[1], place)):
+        words, most = f"with {OTHER[change]} {context}", _most(own, place)
+        highs = [each.high[place] for each in own]
+        if most >= BEARABLE:
+            dear.append(f"{_times(most)} {words}")
+        elif all(high is not None and high < BEARABLE for high in highs):
+            cheap.append(words)
+        else:
+            untold.append(f"{words} (significant: {_times(most)})" if most > 1.0 else words)
+    return dear, cheap, untold
 
 
 def by_change(interactions: Sequence[Interaction]) -> dict[tuple[str, str], list[Interaction]]:

@@ -12,7 +12,7 @@ harmless only if the interval, too, is below the bearable ratio.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -66,12 +66,20 @@ def verdict(harm: Harm, place: int) -> str:
 
 
 def verdicts(harms: Sequence[Harm], place: int) -> dict[str, str]:
-    """Return the verdict on all data at a frame, for the model that they are worst for."""
-    worst = {harm.second: HARMLESS for harm in harms}
-    for harm in harms:
-        pair = (worst.get(harm.first, HARMLESS), verdict(harm, place))
-        worst[harm.first] = min(pair, key=(HARMFUL, UNTOLD, HARMLESS).index)
-    return worst
+    """Return the verdict on all data at a frame, for the model that they are worst for.
+
+    It cannot be told of data that a model was not trained on.
+    """
+    known = {(harm.model, harm.second): HARMLESS for harm in harms}
+    known |= {(harm.model, harm.first): verdict(harm, place) for harm in harms}
+    models = {model for model, _ in known}
+    return {
+        name: min(
+            (known.get((model, name), UNTOLD) for model in models),
+            key=(HARMFUL, UNTOLD, HARMLESS).index,
+        )
+        for name in dict.fromkeys(name for _, name in known)
+    }
 
 
 def distances(shift: Shift, place: int) -> dict[str, float]:
@@ -96,9 +104,10 @@ def answer_of_harms(shift: Shift) -> Iterator[Answer]:
     """
     place = shift.frames.index(shift.at)
     if text := _cheapest(shift, shift.harms, place, f"At t = {shift.at}"):
-        noise, reach = noise_of(shift, place), _reach(shift, place)
-        text += f". {reach}"
+        noise, words = noise_of(shift, place), verdicts(shift.harms, place)
+        text += f". {_reach(words, distances(shift, place))}"
         text += f", the random forces, which no model is told, {noise:.2g} m²" if noise else ""
+        text += _unsure(words)
         yield Answer(WORTH, "How good must data be?", text)
     if shift.harms_after_contact:
         yield from _answer_after_contact(shift)
@@ -110,10 +119,14 @@ def _answer_after_contact(shift: Shift) -> Iterator[Answer]:
     if text := _cheapest(shift, harms, place, when):
         words = verdicts(harms, place)
         harmful = ", ".join(name for name, word in words.items() if word == HARMFUL)
-        unsure = sum(word == UNTOLD for word in words.values())
-        text += f". Harmful: {harmful or 'none'}"
-        text += f"; of {unsure} others it {UNTOLD}" if unsure else ""
+        text += f". Harmful: {harmful or 'none'}{_unsure(words)}"
         yield Answer(WORTH, "How good must data be after the first contact?", text)
+
+
+def _unsure(words: Mapping[str, str]) -> str:
+    """State of how many data it cannot be told whether they harm, if there are any."""
+    count = sum(word == UNTOLD for word in words.values())
+    return f"; of {count} others it {UNTOLD}" if count else ""
 
 
 def _cheapest(shift: Shift, harms: Sequence[Harm], place: int, when: str) -> str:
@@ -140,13 +153,16 @@ def _milliseconds(domain: DomainFacts) -> float:
     return 1e3 * (domain.cost_s or 0.0)
 
 
-def _reach(shift: Shift, place: int) -> str:
+def _reach(worst: Mapping[str, str], apart: Mapping[str, float]) -> str:
     """Say how far from the truth harmful and harmless data are."""
-    worst, apart = verdicts(shift.harms, place), distances(shift, place)
     harmful, harmless = (
         [apart[name] for name, word in worst.items() if word == kind and name in apart]
         for kind in (HARMFUL, HARMLESS)
     )
-    begin = f"Data that harm are at least {min(harmful):.2g} m²" if harmful else "No data harm"
+    begin = "No data are known to harm"
+    if harmful:
+        begin = f"Data that harm are at least {min(harmful):.2g} m²"
+    elif HARMFUL in worst.values():
+        begin = "How far from the truth data that harm are is not known"
     end = f", the harmless are at most {max(harmless):.2g} m² from the truth" if harmless else ""
     return begin + end

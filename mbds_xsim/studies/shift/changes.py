@@ -71,7 +71,8 @@ def survivors(
         f"can be {NOTABLE:g} or more, it errs less on its own data than the two data sets differ "
         f"or a smaller cost is significant, and all intervals end below {BEARABLE:g} times; it "
         "does not notice the change if it errs more than they differ and nothing is significant. "
-        "Below 1.1: where the highest interval ends",
+        "Gains to 0.8: no cost is significant, but a smaller error is, of which the smallest ratio "
+        "is named. Below 1.1: where the highest interval ends",
         ("change", *models),
         rows,
     )
@@ -79,21 +80,28 @@ def survivors(
 
 def _cost(own: Sequence[Interaction], noticed: Sequence[Interaction], place: int) -> str:
     """State the cost of the costliest pair, or if no cost is notable, how certain that is."""
-    resolved = [each for each in own if each.resolved[place] and (each.value[place] or 0.0) > 1.0]
-    notable = [each for each in resolved if (each.high[place] or 0.0) >= NOTABLE]
+    resolved = [(each.value[place] or 0.0, each) for each in own if each.resolved[place]]
+    losses = [each for value, each in resolved if value > 1.0]
+    gains = [value for value, _ in resolved if value < 1.0]
+    notable = [each for each in losses if (each.high[place] or 0.0) >= NOTABLE]
     if notable:
         most = max(notable, key=lambda each: each.value[place] or 0.0)
         low, high = number(most.low[place]), number(most.high[place])
         return f"{number(most.value[place])} [{low}, {high}], {between(most.first, most.second)}"
-    evidence = [*noticed, *resolved]
-    bounds = [bound for e in evidence or own if (bound := e.high[place]) is not None]
-    if not bounds:
+    bounds = [bound for each in own if (bound := each.high[place]) is not None]
+    if not bounds or len(bounds) < len(own):
         return NONE
     bound = max(bounds)
-    verdict = "survives" if bound < BEARABLE else "cannot be told"
+    if not (noticed or resolved):
+        verdict = "not noticed"
+    elif bound >= BEARABLE:
+        verdict = "cannot be told"
+    else:
+        verdict = "survives" if noticed or losses else "no significant loss"
+    gain = f", gains to {number(min(gains))}" if gains and not losses else ""
     # Rounded up: an interval that ends at 1.002 is below 1.01, not below 1.
     below = f"{math.ceil(100.0 * bound) / 100.0:g}" if bound < BEARABLE else number(bound)
-    return f"{verdict if evidence else 'not noticed'}, below {below}"
+    return f"{verdict}{gain}, below {below}"
 
 
 def between(first: str, second: str, *, where: bool = False) -> str:

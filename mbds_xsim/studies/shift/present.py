@@ -81,13 +81,11 @@ def answers(shift: Shift) -> Iterator[tuple[str, str]]:
 
 def protocol(shift: Shift) -> str:
     """Describe the protocol of the study."""
-    seeds = sorted({m.seed for m in shift.models if m.engines})
     profiles = ", ".join(sorted({m.profile for m in shift.models if m.profile})) or "not stated"
     steps = sorted({m.steps for m in shift.models if m.steps})
     ends = sorted({*steps[:1], *steps[-1:]})
     budget = f", {' to '.join(map(str, ends))} steps" if ends else ""
     budget += _training_sizes(shift)
-    few = "" if len(seeds) >= _ENOUGH else ", too few to tell of other runs of the same trainings"
     with_bodies = sorted({m.model for m in shift.models if m.bodies})
     bodies = f" ({', '.join(with_bodies)}: the bodies' states, too)" if with_bodies else ""
     tested = counted(len(shift.index), "trajectory")
@@ -99,10 +97,29 @@ def protocol(shift: Shift) -> str:
         f"at given settings) share, from the same starts and inputs. A model is shown the first "
         f"{shift.history} frames of the test domain{bodies} and predicts the next {shift.horizon}, "
         f"of {shift.frame_s:g} s each. "
-        f"Seeds {', '.join(map(str, seeds))}{few}; "
+        f"{_seeds(shift)}; "
         f"profile {profiles}{budget}; random forces {'act' if shift.noise else 'do not act'} and "
         "are never told to a model"
     )
+
+
+def _seeds(shift: Shift) -> str:
+    """Name the seeds, the models that have fewer of them, and whether the fewest are too few."""
+    trained = [facts for facts in shift.models if facts.engines]
+    every = sorted({facts.seed for facts in trained})
+    each = {
+        model: sorted({facts.seed for facts in trained if facts.model == model})
+        for model in dict.fromkeys(facts.model for facts in trained)
+    }
+    fewer = [
+        f"of {model} {', '.join(map(str, own))} alone"
+        for model, own in each.items()
+        if own != every
+    ]
+    named = f" ({'; '.join(fewer)})" if fewer else ""
+    enough = min(map(len, each.values()), default=0) >= _ENOUGH
+    few = "" if enough else ", too few to tell of other runs of the same trainings"
+    return f"Seeds {', '.join(map(str, every))}{named}{few}"
 
 
 def _training_sizes(shift: Shift) -> str:
