@@ -195,7 +195,7 @@ def _stated_limits(root: Element) -> dict[str, tuple[float, float]]:
         if limit is None or joint.get("type") not in ("revolute", "prismatic"):
             continue
         if "lower" in limit.attrib or "upper" in limit.attrib:
-            low, high = (float(limit.get(key, "0")) for key in ("lower", "upper"))
+            low, high = (float(limit.get(key, "").strip() or "0") for key in ("lower", "upper"))
             limits[joint.get("name", "")] = (low, high)
     return limits
 

@@ -95,6 +95,7 @@ def test_links_without_inertial_have_no_mass(here: Path, floating: bool) -> None
         ('lower="0.5" upper="0.5"', None, "pivot: 0.5 to 0.5"),
         ('lower="0" upper="0"', None, "pivot: 0 to 0"),
         ('lower="1" upper="-1"', None, "pivot: 1 to -1"),
+        ('lower="" upper="0.7"', (0.0, 0.7), ""),
         ('upper="-1"', None, "pivot: 0 to -1"),
         ('lower="-1"', (-1.0, 0.0), ""),
         ('upper="0.7"', (0.0, 0.7), ""),
