@@ -49,8 +49,10 @@ def assemble(model: Parts, *, file: str, kind: str, reader: str, fates: Iterable
     model = on_the_floor(model, floor)
     builder = _Builder(model)
     if not builder.bodies:
-        msg = "nothing in it moves: all is fixed in the world; --floating frees a URDF's root link"
-        raise InputError(msg)
+        raise InputError(
+            "nothing in it moves: all is fixed in the world or has no mass; "
+            "--floating frees a URDF's root link"
+        )
     scene = Scene(
         name=model.name,
         description=f"imported from {file}",

@@ -25,14 +25,14 @@ from mbds_xsim.scene.imported import Fate, Imported, ModelFacts
 
 from .assembling import assemble
 from .contacts import NO_SPHERES
-from .drives import drives
+from .drives import drives, mechanics_of_drives, on_joints
 from .facts import facts_of
 from .fates import COLLISION, fates_of
 from .geoms import PAIRING, Geoms, touching
 from .mending import mend_mjcf, mend_urdf, remove_unknown
 from .parts import Drive, Freedom, Mass, Part, Parts, Property
 from .source import read_source
-from .ties import Ties, element_name
+from .ties import HIGHER, Ties, element_name, higher
 
 _LABELS = {
     "mujoco": {
@@ -69,6 +69,7 @@ _NAMING_NOTHING = ("Element name ''", "Element name '', id 0")
 _ALIASES = {
     ("joint", "limited"): "limits",
     ("joint", "springdamper"): "damping",
+    ("joint", "springyield"): "springyield",
     ("limit", "upper"): "limits",
 }
 
@@ -79,25 +80,29 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     root = read_source(path, folder)
     if root.tag not in _LABELS:
         raise InputError(f"its outermost element is <{root.tag}>, allowed are <mujoco> and <robot>")
-    masses = {}
+    masses: dict[str, Any] | None = None
+    limits: dict[str, tuple[float, float]] = {}
     with _refusals(mujoco):
         if root.tag == "mujoco":
             spec, model, mends = _compile(mujoco, root, path)
         else:
             mends = [*mend_urdf(root), *(_without_meshes(root) if ground else ())]
             spec = _mechanics(mujoco, root, path, _MECHANICAL | (_SOLID if ground else set()))
-            masses = _replace_masses(spec, floating)
+            masses, limits = _replace_masses(spec, floating), _stated_limits(root)
             model = spec.compile()
     if root.tag == "mujoco" and floating:
         msg = "--floating is for URDF; an MJCF file says itself which of its bodies are free"
         raise InputError(msg)
     shape = "" if not ground else "geom" if root.tag == "mujoco" else "collision"
-    reading = Reading(mujoco, model, masses, shape)
+    reading = Reading(mujoco, model, masses, shape, limits)
     parts = reading.model(str(spec.modelname).strip() or path.stem, _LABELS[root.tag])
     reported = {label: key in parts.stated for key, label in _LABELS[root.tag].items()}
     reported |= {label: key in parts.stated for label, key in _ALIASES.items()}
     reported |= dict.fromkeys(_TOUCHING.get(shape, ()), True)
-    fates = [*mends, *fates_of(root, reported), *reading.fates()]
+    own = [*reading.fates()]
+    of_joints = [fate.properties for fate in own if fate.element == "joint"]
+    reported |= {("joint", key): True for keys in of_joints for key in keys}
+    fates = [*mends, *fates_of(root, reported), *own]
     kind = "MJCF" if root.tag == "mujoco" else "URDF"
     reader = f"MuJoCo {mujoco.__version__}"
     return assemble(parts, file=path.name, kind=kind, reader=reader, fates=fates)
@@ -114,7 +119,7 @@ def load(path: Path, floating: bool) -> ModelFacts:
         spec.compiler.fusestatic = False  # keeps the links' names; the motion stays the same
         if floating:
             spec.worldbody.first_body().add_freejoint()
-        reading = Reading(mujoco, spec.compile(), {})
+        reading = Reading(mujoco, spec.compile())
     return facts_of(reading.model("", {}), f"MuJoCo {mujoco.__version__}")
 
 
@@ -182,6 +187,19 @@ def _mechanics(mujoco: Any, root: Element, path: Path, tags: set[str]) -> Any:
         raise
 
 
+def _stated_limits(root: Element) -> dict[str, tuple[float, float]]:
+    """Return the limits in a URDF, by joint: one of the two that is not stated is 0."""
+    limits = {}
+    for joint in root.findall("joint"):
+        limit = joint.find("limit")
+        if limit is None or joint.get("type") not in ("revolute", "prismatic"):
+            continue
+        if "lower" in limit.attrib or "upper" in limit.attrib:
+            low, high = (float(limit.get(key, "").strip() or "0") for key in ("lower", "upper"))
+            limits[joint.get("name", "")] = (low, high)
+    return limits
+
+
 def _replace_masses(spec: Any, floating: bool) -> dict[str, Any]:
     """Replace all masses in a spec by a unit mass and inertia; free its bases if `floating`.
 
@@ -215,12 +233,21 @@ class Reading:
     Args:
         mujoco: The module.
         model: The compiled model.
-        stated: Masses that replace the compiled ones, keyed by body.
+        stated: Masses that replace the compiled ones, keyed by body; None if none are replaced.
         shape: The format's word for a shape; "" if there is no ground.
+        limits: Limits of joints that the compiler may ignore, keyed by joint.
     """
 
-    def __init__(self, mujoco: Any, model: Any, stated: dict[str, Any], shape: str = "") -> None:
+    def __init__(
+        self,
+        mujoco: Any,
+        model: Any,
+        stated: dict[str, Any] | None = None,
+        shape: str = "",
+        limits: Mapping[str, tuple[float, float]] | None = None,
+    ) -> None:
         self._mujoco, self._model, self._stated_masses = mujoco, model, stated
+        self._stated_limits = limits or {}
         self._data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, self._data)
         flags = mujoco.mjtDisableBit
@@ -232,8 +259,12 @@ class Reading:
             self._off |= dict.fromkeys(("LIMIT", "FRICTIONLOSS", "EQUALITY", "CONTACT"), True)
         contact = not self._off["CONTACT"]
         self._geoms = Geoms(model, self._data, shape, active=contact) if shape else None
-        self._ties = Ties(mujoco, model, self._data, active=not self._off["EQUALITY"])
+        self._ties = Ties(mujoco, model, self._data, self._off)
         self._drives = tuple(drives(mujoco, model))
+        self._armature, self._damping = (
+            on_joints(mujoco, model, key) for key in ("armature", "damping")
+        )
+        """Armature and damping that actuators add to each joint."""
 
     def model(self, name: str, labels: Mapping[str, tuple[str, str]]) -> Parts:
         """Return the model's parts."""
@@ -267,10 +298,10 @@ class Reading:
         model, data = self._model, self._data
         place, quat = data.xpos[k], data.xquat[k]
         mass, com, turn, tensor = 0.0, np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros((3, 3))
-        if not self._stated_masses and model.body_mass[k] > 0:
+        if self._stated_masses is None and model.body_mass[k] > 0:
             mass, com, turn = model.body_mass[k], model.body_ipos[k], model.body_iquat[k]
             tensor = np.diag(model.body_inertia[k])
-        elif self._stated_masses:
+        elif self._stated_masses is not None:
             mass, com, turn, tensor = self._stated_masses.get(
                 self._name("BODY", k), (mass, com, turn, tensor)
             )
@@ -296,8 +327,8 @@ class Reading:
         start = model.qpos0[place] if has_axis else 0.0
         properties: dict[str, Property] = {
             "stiffness": 0.0 if off["SPRING"] else float(model.jnt_stiffness[j]),
-            "damping": 0.0 if off["DAMPER"] else float(model.dof_damping[dof]),
-            "armature": float(model.dof_armature[dof]),
+            "damping": 0.0 if off["DAMPER"] else float(model.dof_damping[dof] + self._damping[j]),
+            "armature": float(model.dof_armature[dof] + self._armature[j]),
             "friction": 0.0 if off["FRICTIONLOSS"] else float(model.dof_frictionloss[dof]),
         }
         if properties["stiffness"] and has_axis:
@@ -305,6 +336,8 @@ class Reading:
         if model.jnt_limited[j] and not off["LIMIT"]:
             low, high = model.jnt_range[j] - start
             properties["limits"] = (float(low), float(high))
+        elif has_axis and self._name("JOINT", j) in self._stated_limits:
+            properties["limits"] = self._stated_limits[self._name("JOINT", j)]
         return {key: value for key, value in properties.items() if value}
 
     def fates(self) -> Iterator[Fate]:
@@ -316,8 +349,19 @@ class Reading:
         elif (len(geoms) > 1 or model.npair) and not self._off["CONTACT"]:
             names = tuple(element_name(self._mujoco, model, "GEOM", g) for g in geoms)
             yield Fate("geom", ("contact",), "dropped", COLLISION, True, names, len(geoms))
+        yield from self._higher()
         yield from self._ties.fates()
+        yield from mechanics_of_drives(self._mujoco, model)
         yield from (fate for fate in self._drives if isinstance(fate, Fate))
+
+    def _higher(self) -> Iterator[Fate]:
+        """Report forces of joints that are not linear."""
+        model = self._model
+        for j in range(model.njnt):
+            keys = higher(model, "jnt", j, self._off)
+            keys += higher(model, "dof", int(model.jnt_dofadr[j]), self._off)
+            if keys:
+                yield Fate("joint", keys, "dropped", HIGHER, True, (self._name("JOINT", j),))
 
     def _name(self, kind: str, k: int) -> str:
         return element_name(self._mujoco, self._model, kind, k)

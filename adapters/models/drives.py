@@ -7,35 +7,85 @@ from typing import Any
 
 import numpy as np
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.imported import Fate
 
 from .parts import Drive
-from .ties import element_name
+from .ties import HIGHER, element_name
 
 _IDLE = "exerts nothing without a command, and a scene has none"
+_LAST_GROUP = 30
 _NO_LIMIT = (-np.inf, np.inf)
+_SWITCHED_OFF = "switched off in MuJoCo, and not in the scene either"
 _NOT_LINEAR = "its force is not linear in place and rate"
 
 
 def drives(mujoco: Any, model: Any) -> Iterator[Drive | Fate]:
     """Yield each actuator as a servo at a command of 0, or its fate if it cannot be one."""
-    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_ACTUATION:
+    flags = mujoco.mjtDisableBit
+    if model.opt.disableflags & flags.mjDSBL_ACTUATION:
         return
-    for k in range(model.nu):
-        name, drive_or_text = element_name(mujoco, model, "ACTUATOR", k), _drive(mujoco, model, k)
+    clamps = not model.opt.disableflags & flags.mjDSBL_CLAMPCTRL
+    for k in range(len(model.actuator_trntype)):
+        name = element_name(mujoco, model, "ACTUATOR", k)
+        if _switched_off(model, k):
+            yield Fate("actuator", (), "kept", _SWITCHED_OFF, True, (name,))
+            continue
+        drive_or_text = _drive(mujoco, model, k, clamps=clamps)
         if isinstance(drive_or_text, Drive):
             yield drive_or_text
         else:
             yield Fate("actuator", (), "dropped", drive_or_text, drive_or_text != _IDLE, (name,))
 
 
-def _drive(mujoco: Any, model: Any, k: int) -> Drive | str:
+def on_joints(mujoco: Any, model: Any, key: str) -> Array:
+    """Return the armature or damping that actuators add to joints, whether they are on or off.
+
+    Args:
+        mujoco: The module.
+        model: The compiled model.
+        key: "armature" or "damping".
+    """
+    sums = np.zeros(model.njnt)
+    for k, value in enumerate(_own(model, key)):
+        if model.actuator_trntype[k] <= int(mujoco.mjtTrn.mjTRN_JOINTINPARENT):
+            sums[model.actuator_trnid[k, 0]] += model.actuator_gear[k, 0] ** 2 * value
+    return sums
+
+
+def mechanics_of_drives(mujoco: Any, model: Any) -> Iterator[Fate]:
+    """Report the armature and damping that actuators have themselves."""
+    for k in range(len(model.actuator_trntype)):
+        place = (element_name(mujoco, model, "ACTUATOR", k),)
+        keys = tuple(key for key in ("armature", "damping") if _own(model, key)[k])
+        if keys and model.actuator_trntype[k] <= int(mujoco.mjtTrn.mjTRN_JOINTINPARENT):
+            yield Fate("actuator", keys, "kept", "added to those of its joint", True, place)
+        elif keys:
+            yield Fate("actuator", keys, "dropped", "it does not act on a joint", True, place)
+        if np.any(_own(model, "dampingpoly")[k]):
+            yield Fate("actuator", ("damping",), "dropped", HIGHER, True, place)
+
+
+def _own(model: Any, key: str) -> Array:
+    """Return a property of all actuators, which is 0 in releases that do not know it."""
+    return np.asarray(getattr(model, f"actuator_{key}", np.zeros(len(model.actuator_trntype))))
+
+
+def _switched_off(model: Any, k: int) -> bool:
+    """Whether an actuator belongs to a group that is switched off."""
+    group = int(model.actuator_group[k])
+    return 0 <= group <= _LAST_GROUP and bool(
+        int(getattr(model.opt, "disableactuator", 0)) >> group & 1
+    )
+
+
+def _drive(mujoco: Any, model: Any, k: int, *, clamps: bool) -> Drive | str:
     joint = int(model.actuator_trnid[k, 0])
     linear = model.actuator_gaintype[k] <= int(mujoco.mjtGain.mjGAIN_AFFINE)
     linear = linear and model.actuator_biastype[k] <= int(mujoco.mjtBias.mjBIAS_AFFINE)
     if not linear or model.actuator_dyntype[k] > int(mujoco.mjtDyn.mjDYN_FILTEREXACT):
         return _NOT_LINEAR
-    act, constant = _activation(model, k)
+    act, constant = _activation(model, k, clamps=clamps)
     gain, bias, gear = model.actuator_gainprm[k], model.actuator_biasprm[k], model.actuator_gear[k]
     if model.actuator_biastype[k] == mujoco.mjtBias.mjBIAS_NONE:
         bias = 0.0 * bias
@@ -82,9 +132,9 @@ def _limits(model: Any, k: int, joint: int, gear: float) -> dict[str, Any]:
     return {"limit": float(high)}
 
 
-def _activation(model: Any, k: int) -> tuple[float, bool]:
+def _activation(model: Any, k: int, *, clamps: bool) -> tuple[float, bool]:
     """Return the gain's input at a command of 0, in its range, and whether it stays constant."""
-    command = _within(0.0, model.actuator_ctrllimited[k], model.actuator_ctrlrange[k])
+    command = _within(0.0, clamps and model.actuator_ctrllimited[k], model.actuator_ctrlrange[k])
     if not model.actuator_dyntype[k]:
         return command, True
     return _within(0.0, model.actuator_actlimited[k], model.actuator_actrange[k]), command == 0

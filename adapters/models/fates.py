@@ -31,11 +31,13 @@ _MJCF: tuple[Row, ...] = (
      "option@gravity joint@ref"),
     ("kept", True, "what it switches off in MuJoCo is not in the scene either",
      "flag@gravity flag@spring flag@damper flag@passive flag@limit flag@frictionloss "
-     "flag@equality flag@constraint flag@contact flag@actuation"),
+     "flag@equality flag@constraint flag@contact flag@actuation flag@clampctrl "
+     "option@actuatorgroupdisable"),
     ("kept", True, "its mass and inertia, where its body states none", "geom mesh hfield"),
     ("dropped", False, COLLISION,
      "geom@contype geom@conaffinity geom@condim geom@priority geom@friction exclude"),
     ("dropped", True, _APART, "pair"),
+    ("dropped", True, "surfaces neither stick nor run", "geom@adhesion geom@surfacevel"),
     ("dropped", False, _SOLVER,
      "geom@solmix geom@solref geom@solimp geom@margin geom@gap option flag size statistic "
      "joint@solreflimit joint@solimplimit joint@solreffriction joint@solimpfriction joint@margin "
@@ -48,14 +50,35 @@ _MJCF: tuple[Row, ...] = (
      "joint@actuatorgravcomp"),
     ("dropped", False, _VISUAL,
      "visual site camera light texture material skin geom@material geom@rgba geom@group "
-     "joint@group mesh@material bone layer"),
-    ("dropped", False, "data for other programs", "custom sensor user numeric text tuple"),
+     "joint@group mesh@material bone layer geom@castshadow freejoint@group mesh@texcoord "
+     "mesh@normal mesh@smoothnormal"),
+    ("dropped", False, "data for other programs", "custom sensor user numeric text tuple "
+     "body@user joint@user geom@user"),
     ("dropped", False, "a pose beside the reference pose, at which the scene starts", "keyframe"),
     ("kept", True, "as the compiler resolves it for each actuator",
      "motor position velocity intvelocity general damper cylinder muscle adhesion dcmotor"),
     ("dropped", True, "a plugin may exert anything", "extension plugin"),
     ("dropped", True, "bodies are rigid", "deformable flex flexcomp composite"),
 )  # fmt: skip
+_PLACED = "pos quat axisangle xyaxes zaxis euler"
+_KNOWN = {
+    "mujoco": "model",
+    "default": "class",
+    "model": "name file content_type",
+    "attach": "model body frame prefix",
+    "body": f"name childclass mocap fuse {_PLACED}",
+    "inertial": f"mass diaginertia fullinertia {_PLACED}",
+    "frame": f"name childclass {_PLACED}",
+    "replicate": f"count offset sep childclass {_PLACED}",
+    "freejoint": "name align",
+    "joint": "name class type pos axis range limited ref springref stiffness damping springdamper "
+             "armature frictionloss",
+    "geom": f"name class type size mass density fromto hfield mesh fitscale shellinertia {_PLACED}",
+    "mesh": "name class content_type file scale inertia vertex face refpos refquat builtin params "
+            "maxhullvert",
+    "hfield": "name content_type file nrow ncol size elevation",
+}  # fmt: skip
+"""Attributes of MJCF that are kept with their elements, which may get others in new releases."""
 _URDF: tuple[Row, ...] = (
     ("kept", True, "as the format says",
      "robot@name link@name link inertial mass@value origin@xyz origin@rpy inertia@ixx inertia@ixy "
@@ -166,13 +189,15 @@ def _walk(root: Element, whole: set[str]) -> Iterator[Element]:
 def _look_up(kind: str, element: Element, attribute: str) -> Entry:
     """Return the fate of an attribute, or of its element if the format's table does not name it.
 
-    Of URDF and SDF only attributes that the table names are kept: their readers ignore any other.
+    An attribute that its table does not name is only kept if it is a known one of MJCF: readers of
+    URDF and SDF ignore any other, and MuJoCo's next release may understand it.
     """
     table = _TABLES[kind]
     fate = table.get(f"{element.tag}@{attribute}")
     if fate is None:
         fate = table.get(element.tag, _UNKNOWN)
-        if kind != "mujoco" and attribute and fate[0] == "kept":
+        known = _KNOWN.get(element.tag, attribute).split() if kind == "mujoco" else ()
+        if attribute and attribute not in known and fate[0] == "kept":
             fate = _UNKNOWN
     if attribute in _NONE_AT_ZERO and not element.get(attribute, "").strip("0. "):
         return _NONE

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, Literal
 
 import numpy as np
@@ -16,6 +16,32 @@ from .parts import Closing, Line, ModelCoupling
 
 _APART = 1e-9  # [m or turn]: largest gap of an equality that is met at the reference pose
 _NOT_YET = "not yet in the scene description"
+HIGHER = f"terms that are not linear in place and rate are {_NOT_YET}"
+_SWITCHES = {
+    "stiffness": "SPRING",
+    "springyield": "SPRING",
+    "stiffnesspoly": "SPRING",
+    "damping": "DAMPER",
+    "dampingpoly": "DAMPER",
+}
+"""Properties of joints and tendons, with the flag that switches each off."""
+_WEIGHT = 10  # index in `eq_data` of how much the turn counts in a weld
+
+
+def higher(model: Any, kind: str, k: int, off: Mapping[str, bool]) -> tuple[str, ...]:
+    """Return the attributes of a joint or tendon that state forces that are not linear.
+
+    Args:
+        model: The compiled model.
+        kind: "jnt", "dof" or "tendon".
+        k: Index of the element.
+        off: Flags of MuJoCo, true where one switches something off.
+    """
+    return tuple(
+        key.removesuffix("poly")
+        for key in ("stiffnesspoly", "dampingpoly", "springyield")
+        if not off[_SWITCHES[key]] and np.any(getattr(model, f"{kind}_{key}", np.zeros(k + 1))[k])
+    )
 
 
 def element_name(mujoco: Any, model: Any, kind: str, k: int) -> str:
@@ -31,11 +57,12 @@ class Ties:
         mujoco: The module.
         model: The compiled model.
         data: Its `MjData`, with positions at the reference pose.
-        active: Whether equalities hold at all.
+        off: Flags of MuJoCo, true where one switches something off.
     """
 
-    def __init__(self, mujoco: Any, model: Any, data: Any, *, active: bool) -> None:
-        self._mujoco, self._model, self._data = mujoco, model, data
+    def __init__(self, mujoco: Any, model: Any, data: Any, off: Mapping[str, bool]) -> None:
+        self._mujoco, self._model, self._data, self._off = mujoco, model, data, off
+        active = not off["EQUALITY"]
         self._active = [e for e in range(model.neq) if active and model.eq_active0[e]]
         kinds = mujoco.mjtEq
         self._points = (int(kinds.mjEQ_CONNECT), int(kinds.mjEQ_WELD))
@@ -61,6 +88,9 @@ class Ties:
                 continue
             first_point, second_point = (ball.anchor for ball in balls)
             middle, axis = (first_point + second_point) / 2, second_point - first_point
+            if np.linalg.norm(axis) < _APART:
+                yield balls[0]
+                continue
             yield Closing(balls[0].name, "hinge", balls[0].parts, middle, axis)
 
     def couplings(self) -> Iterator[ModelCoupling]:
@@ -89,8 +119,8 @@ class Ties:
                 parts=(bodies[0], bodies[1]),
                 points=(first, second),
                 length=float(model.tendon_lengthspring[t, 0]),
-                stiffness=float(model.tendon_stiffness[t]),
-                damping=float(model.tendon_damping[t]),
+                stiffness=self._linear("stiffness", t),
+                damping=self._linear("damping", t),
             )
             if line.stiffness or line.damping:
                 yield line
@@ -108,13 +138,21 @@ class Ties:
                 yield Fate("equality", (), "dropped", self._why(e), True, (name,))
         for t in range(model.ntendon):
             keys = ["frictionloss", "limited", "armature"]
-            keys += [] if self._straight(t) else ["stiffness", "damping"]
-            properties = tuple(key for key in keys if np.any(getattr(model, f"tendon_{key}")[t]))
+            properties = [key for key in keys if np.any(getattr(model, f"tendon_{key}")[t])]
+            if not self._straight(t):
+                properties += [key for key in ("stiffness", "damping") if self._linear(key, t)]
             place = (self._name("TENDON", t),)
+            if nonlinear := higher(model, "tendon", t, self._off):
+                yield Fate("tendon", nonlinear, "dropped", HIGHER, True, place)
             if properties:
-                yield Fate("tendon", properties, "dropped", _NOT_YET, True, place)
-            elif not self._straight(t):
+                yield Fate("tendon", tuple(properties), "dropped", _NOT_YET, True, place)
+            elif not nonlinear and not self._straight(t):
                 yield Fate("tendon", (), "dropped", "it exerts nothing by itself", False, place)
+
+    def _linear(self, key: str, t: int) -> float:
+        """Return the stiffness or damping of a tendon, which flags may switch off."""
+        value = getattr(self._model, f"tendon_{key}")[t]
+        return 0.0 if self._off[_SWITCHES[key]] else float(value)
 
     def _straight(self, t: int) -> bool:
         """Whether a tendon goes from one site to another and has one rest length."""
@@ -140,7 +178,12 @@ class Ties:
         kind = int(self._model.eq_type[e])
         if kind not in self._points or self._gap(e) > _APART:
             return ""
-        return "fixed" if kind == self._mujoco.mjtEq.mjEQ_WELD else "ball"
+        return "fixed" if self._turns(e) else "ball"
+
+    def _turns(self, e: int) -> bool:
+        """Whether an equality holds orientations, too."""
+        kind, weight = self._model.eq_type[e], self._model.eq_data[e, _WEIGHT]
+        return bool(kind == self._mujoco.mjtEq.mjEQ_WELD and weight != 0)
 
     def _why(self, e: int) -> str:
         if int(self._model.eq_type[e]) in self._points:
@@ -169,11 +212,16 @@ class Ties:
         mujoco, model, data = self._mujoco, self._model, self._data
         (first, point), (second, other) = self._ends(e)
         gap = float(np.linalg.norm(point - other))
-        bodies = model.eq_objtype[e] == mujoco.mjtObj.mjOBJ_BODY
-        if model.eq_type[e] == mujoco.mjtEq.mjEQ_WELD and bodies:
+        if not self._turns(e):
+            return gap
+        if model.eq_objtype[e] == mujoco.mjtObj.mjOBJ_SITE:
+            turn, other_turn = np.zeros((2, 4))
+            mujoco.mju_mat2Quat(turn, data.site_xmat[model.eq_obj1id[e]])
+            mujoco.mju_mat2Quat(other_turn, data.site_xmat[model.eq_obj2id[e]])
+        else:
             turn = rotation.multiply(data.xquat[first], model.eq_data[e, 6:10])
-            gap += 1.0 - abs(float(turn @ data.xquat[second]))
-        return gap
+            other_turn = data.xquat[second]
+        return gap + 1.0 - abs(float(turn @ other_turn))
 
     def _name(self, kind: str, k: int) -> str:
         return element_name(self._mujoco, self._model, kind, k)

@@ -25,6 +25,10 @@ from .state import slim
 _JOINT_TYPES = {"ball": "ball", "hinge": "hinge", "slider": "slide"}
 """MuJoCo's names of the joints that have coordinates; a fixed joint is the absence of one."""
 
+_ROUNDED = 1e-10
+"""A + B and C of a body are equal but for rounding, if they differ by less than this part of C."""
+_DOUBLINGS = 16
+
 # Points of a loop joint's axis that are kept together, in lengths of the scene from the anchor.
 # A hinge's two points make six rows, one more than needed. A fixed joint closes a loop only if the
 # tree has already welded its two bodies.
@@ -204,12 +208,13 @@ def _body(
     tensor = mechanism.inertia[link.body]
     if axis.any():
         tensor = slim(tensor, axis)
+    tensor = _accepted(tensor)
     SubElement(
         body,
         "inertial",
         pos="0 0 0",
         mass=repr(float(mechanism.mass[link.body])),
-        fullinertia=numbers(tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]),
+        fullinertia=_full(tensor),
     )
     joint = link.joint
     if joint is None:
@@ -230,6 +235,41 @@ def _body(
         if joint.limits:
             element.attrib.update(limited="true", range=numbers(joint.limits))
     return body
+
+
+def _full(tensor: Array) -> str:
+    return numbers(tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
+
+
+def _accepted(tensor: Array) -> Array:
+    """Return the inertia of a flat body as the compiler accepts it: A + B >= C in its own rounding.
+
+    Where it refuses, C shrinks by what is missing and a unit in the last place, and by more until
+    it does not.
+    """
+    values, axes = np.linalg.eigh(tensor)
+    excess = values[2] - values[0] - values[1]
+    if abs(excess) > _ROUNDED * values[2] or _compiles(tensor):
+        return tensor
+    least = max(excess, 0.0) + np.spacing(values[2])
+    for k in range(_DOUBLINGS):
+        change = 2.0**k * least
+        smaller = tensor - change * np.outer(axes[:, 2], axes[:, 2])
+        if _compiles(smaller):
+            return np.asarray(smaller)
+    return tensor
+
+
+def _compiles(tensor: Array) -> bool:
+    """Whether the compiler accepts a body of this inertia."""
+    inertial = f'<inertial pos="0 0 0" mass="1" fullinertia="{_full(tensor)}"/>'
+    try:
+        mujoco.MjModel.from_xml_string(
+            f"<mujoco><worldbody><body>{inertial}</body></worldbody></mujoco>"
+        )
+    except ValueError:
+        return False
+    return True
 
 
 def _joint(body: Element, name: str, kind: str, anchor: Array, axis: Array) -> Element:

@@ -29,7 +29,7 @@ from mbds_xsim.scene.scene import (
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import readback
 from mbds_xsim.simulate.adapter import Profile, Settings
-from mbds_xsim.simulate.registry import load_adapter, load_scene
+from mbds_xsim.simulate.registry import load_adapter, load_scene, write_model
 from mbds_xsim.testing.case import NONE, case_of, even
 from tests.adapters.exact import worst_gap
 from tests.random_scenes import Kind, random_links, random_tree
@@ -353,3 +353,24 @@ def test_budgets_are_met_at_the_step_that_the_documents_name(
 
 def changed(scene: Scene, clock: Clock, **fields: Any) -> Scene:
     return msgspec.structs.replace(scene, clock=clock, **fields)
+
+
+@pytest.mark.parametrize(
+    ("moments", "products"),
+    [
+        ((5.912131057923787, 3.235213578491161, 5.018128761055044),
+         (0.7440626156639037, 1.5100583687462041, -0.33238221357657016)),
+        ((1.0, 2.0, 3.0), (0.0, 0.0, 0.0)),
+    ],
+)  # fmt: skip
+def test_flat_bodies_turned_in_their_frames_run(moments: Vector, products: Vector) -> None:
+    """A + B = C of such a body holds only up to rounding, which the compiler does not allow for."""
+    plate = Body("plate", inertia=Inertia(1.0, moments, products))
+    hinge = Joint("pivot", "hinge", "world", "plate", (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), start=0.5)
+    scene = Scene("plate", (plate,), length=1.0, joints=(hinge,), clock=CLOCK)
+
+    (error,) = position_errors(scene, (10,))
+    assert error < 1e-9
+    stated = " ".join(map(repr, (*moments, *products)))
+    text = write_model(scene, "mjcf").text
+    assert (f'fullinertia="{stated}"' in text) == (not any(products))

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.reference import solve
 from mbds_xsim.scene.imported import Fate, Imported
 from mbds_xsim.scene.joint_space import BodyStates, to_links
@@ -76,6 +77,44 @@ def test_a_link_has_the_inertia_that_its_urdf_states(here: Path) -> None:
         scene.joints[0].axis or (), [-np.sin(1.2), np.cos(1.2), 0], atol=1e-12
     )
     assert scene.joints[0].anchor == (0, 0, 2)
+
+
+@pytest.mark.parametrize("floating", [False, True])
+def test_links_without_inertial_have_no_mass(here: Path, floating: bool) -> None:
+    text = (
+        '<robot name="arm"><link name="base"/><link name="rod"/><joint name="pivot" '
+        'type="continuous"><parent link="base"/><child link="rod"/></joint></robot>'
+    )
+    with pytest.raises(InputError, match="nothing in it moves: all is fixed in the world or has"):
+        _read(here, text, "arm.urdf", floating=floating)
+
+
+@pytest.mark.parametrize(
+    ("stated", "limits", "place"),
+    [
+        ('lower="0.5" upper="0.5"', None, "pivot: 0.5 to 0.5"),
+        ('lower="0" upper="0"', None, "pivot: 0 to 0"),
+        ('lower="1" upper="-1"', None, "pivot: 1 to -1"),
+        ('lower="" upper="0.7"', (0.0, 0.7), ""),
+        ('upper="-1"', None, "pivot: 0 to -1"),
+        ('lower="-1"', (-1.0, 0.0), ""),
+        ('upper="0.7"', (0.0, 0.7), ""),
+        ('lower="-1" upper="0.7"', (-1.0, 0.7), ""),
+    ],
+)
+def test_limits_of_a_urdf_are_stops_or_dropped(
+    stated: str, limits: tuple[float, float] | None, place: str, here: Path
+) -> None:
+    text = _urdf('<mass value="1"/>' + _INERTIA.format(1, 1, 1, 0, 0, 0))
+    text = text.replace("continuous", "revolute").replace(
+        "</joint>", f'<limit {stated} effort="1" velocity="1"/></joint>'
+    )
+    imported = _read(here, text, "arm.urdf")
+
+    assert imported.scene.joints[0].limits == limits
+    dropped = _fates(imported, "dropped").get("limit lower")
+    assert (dropped.places if dropped else ()) == ((place,) if place else ())
+    assert dropped is None or dropped.reason == "the lower one is not below the upper one"
 
 
 def test_welded_bodies_are_one_by_the_parallel_axis_theorem(here: Path) -> None:

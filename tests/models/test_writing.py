@@ -269,3 +269,12 @@ def test_drake_reads_the_same_sdf(here: Path) -> None:
             read = plant.GetJointByName(link.joint.name)
             assert read.position_lower_limits()[0] == pytest.approx(-1.5)
             assert read.default_damping() == pytest.approx(0.3)
+
+
+def test_a_flat_body_turned_in_its_frame_comes_back_from_mjcf(here: Path) -> None:
+    turned = (0.7440626156639037, 1.5100583687462041, -0.33238221357657016)
+    flat = Inertia(1.0, (5.912131057923787, 3.235213578491161, 5.018128761055044), turned)
+    hinge = Joint("pivot", "hinge", WORLD, "plate", (0, 0, 1), (0, 1, 0))
+    scene = Scene("plate", (Body("plate", inertia=flat),), length=1.0, joints=(hinge,))
+
+    same(scene, again(scene, "mjcf", here))
