@@ -36,9 +36,9 @@ _PHYSICS = (
 )  # fmt: skip
 _GEARS = 2
 """Extra version of scenes with gears: before it, a gear next to a fixed joint could be left out."""
-_BRAKES, _LANDING = 3, 4
+_BRAKES, _LANDING = 5, 6
 """Extra versions of scenes with dry friction or stops, without and with contact: before them, a
-rest at a stop with friction could be given up, and scenes with contact had no solution."""
+joint could stop and move on, or give way and stop, inside one step without being noticed."""
 _SOURCES = ("compiling", "lanes", "traced", "lane_algebra", "noted", "elimination", "tree")
 _SEAL = hashlib.sha256().digest_size
 
