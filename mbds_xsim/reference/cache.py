@@ -39,6 +39,8 @@ _GEARS = 2
 _BRAKES, _LANDING = 5, 6
 """Extra versions of scenes with dry friction or stops, without and with contact: before them, a
 joint could stop and move on, or give way and stop, inside one step without being noticed."""
+_DAMPED = 1
+"""Extra version of scenes with dampers: before it, one start chose the method of all in a batch."""
 _SOURCES = ("compiling", "lanes", "traced", "lane_algebra", "noted", "elimination", "tree")
 _SEAL = hashlib.sha256().digest_size
 
@@ -120,6 +122,8 @@ def key_of(kind: str, scene: Scene, batch: Batch, row: int, rtol: float) -> str:
     braked = any(joint.friction or joint.limits for joint in scene.joints)
     physics += [_LANDING if scene.contacts else _BRAKES] if braked else []
     physics += [scene.collisions] if scene.collisions else []
+    damped = any(part.damping for part in (*scene.joints, *scene.springs, *scene.servos))
+    physics += ["damped", _DAMPED] if damped else []
     # Scenes made in Python may hold numpy numbers.
     digest.update(
         msgspec.json.encode([kind, PHYSICS, rtol, scene.clock.frame, physics], enc_hook=float)
