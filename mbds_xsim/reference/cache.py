@@ -122,8 +122,10 @@ def key_of(kind: str, scene: Scene, batch: Batch, row: int, rtol: float) -> str:
     braked = any(joint.friction or joint.limits for joint in scene.joints)
     physics += [_LANDING if scene.contacts else _BRAKES] if braked else []
     physics += [scene.collisions] if scene.collisions else []
-    damped = any(part.damping for part in (*scene.joints, *scene.springs, *scene.servos))
-    physics += ["damped", _DAMPED] if damped else []
+    damping = [joint.damping for joint in scene.joints]
+    damping += [spring.damping for spring in scene.springs]
+    damping += [servo.damping for servo in scene.servos]
+    physics += ["damped", _DAMPED] if any(damping) else []
     # Scenes made in Python may hold numpy numbers.
     digest.update(
         msgspec.json.encode([kind, PHYSICS, rtol, scene.clock.frame, physics], enc_hook=float)
