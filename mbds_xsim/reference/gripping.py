@@ -229,13 +229,17 @@ class _Motion:
         """Find shares of a step at which moving joints may come to rest, and move on at its end."""
         slides = ~self._brakes.stops & (self._sense != 0.0)
         fast, sense = self._brakes.fast[slides], self._sense[slides]
-        change = h * _INTEGRALS @ step.stages[_EXACT:, fast]
+        if not len(fast):
+            return _INNER[:0]
+        change = _INTEGRALS @ (h * step.stages[_EXACT:, fast])
         speed = sense * (self._y[fast] + change)
         return _lows(speed, _CLOSE * np.abs(speed).max(axis=0))
 
     def _yields(self, step: _Step) -> Array:
         """Find shares of a step at which joints at rest may give way, though not at its end."""
         stops = self._brakes.stops[self._sense == 0.0]
+        if not len(stops):
+            return _INNER[:0]
         needed = _VALUES @ step.held[_EXACT:]
         size = np.where(stops, np.abs(needed).max(axis=0), 1.0)
         return _lows(np.where(stops, needed, 1.0 - np.abs(needed)), _CLOSE * size)
@@ -361,5 +365,8 @@ class _Motion:
 def _lows(values: Array, limits: Array) -> Array:
     """Find the inner places of a step at which values, shape (place, part), dip below limits."""
     inner = values[1:-1]
-    low = (inner <= values[:-2]) & (inner <= values[2:]) & (inner < limits)
+    near = inner < limits
+    if not near.any():
+        return _INNER[:0]
+    low = near & (inner <= values[:-2]) & (inner <= values[2:])
     return np.asarray(_INNER[1:-1][low.any(axis=1)])
