@@ -196,7 +196,8 @@ class Neutral(
 ):
     """A frozen table of a scene file; lists and arrays passed to it become tuples.
 
-    The type of a field names its check: `Annotated[float, bounds.positive]`.
+    Whole numbers in fields of type float become floats, as they do when a file is read. The type of
+    a field names its check: `Annotated[float, bounds.positive]`.
     """
 
     added: ClassVar[tuple[str, ...]] = ()
@@ -204,9 +205,13 @@ class Neutral(
     fingerprints, so that those of older scenes do not change."""
 
     def __post_init__(self) -> None:
-        """Check every value against the bounds that its type names."""
+        """Check every value against the bounds that its type names, and make numbers floats."""
         for key, check in _bounds_of(type(self)):
             check(key, getattr(self, key))
+        for key in _float_keys(type(self)):
+            value = getattr(self, key)
+            if not _has_floats(value):
+                msgspec.structs.force_setattr(self, key, _as_floats(value))
 
     def decisive(self) -> dict[str, Any]:
         """Return all keys and values, without keys in `added` whose value is empty."""
@@ -219,6 +224,35 @@ def _bounds_of(table: type[Neutral]) -> tuple[tuple[str, Check], ...]:
     kinds = get_type_hints(table, include_extras=True)
     checks = ((key, _bound(kinds[key])) for key in table.__struct_fields__)
     return tuple((key, check) for key, check in checks if check is not None)
+
+
+@functools.cache
+def _float_keys(table: type[Neutral]) -> tuple[str, ...]:
+    """Return the keys of a table whose numbers are all of type float."""
+    kinds = get_type_hints(table)
+    leaves = {key: _leaves(kinds[key]) for key in table.__struct_fields__}
+    return tuple(key for key, found in leaves.items() if float in found and int not in found)
+
+
+def _leaves(kind: Any) -> set[Any]:
+    inner = get_args(kind)
+    return set().union(*map(_leaves, inner)) if inner else {kind}
+
+
+def _has_floats(value: Any) -> bool:
+    if isinstance(value, tuple):
+        return all(map(_has_floats, value))
+    return type(value) is float or not _is_number(value)
+
+
+def _as_floats(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return tuple(map(_as_floats, value))
+    return float(value) if _is_number(value) else value
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool)
 
 
 def _bound(kind: Any) -> Check | None:

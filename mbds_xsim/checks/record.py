@@ -11,7 +11,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
-from mbds_xsim.checks.coordinates import clear_of_stops
+from mbds_xsim.checks.coordinates import clear_of_stops, coordinate_of
 from mbds_xsim.checks.spheres import (
     Neighbours,
     Spheres,
@@ -19,7 +19,7 @@ from mbds_xsim.checks.spheres import (
     out_of_reach,
     spheres_of,
 )
-from mbds_xsim.scene.joint_space import BodyStates, joint_coordinate, joint_rate
+from mbds_xsim.scene.joint_space import BodyStates, joint_rate
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Ground, Scene
 from mbds_xsim.scene.servo import with_pushes
@@ -217,10 +217,10 @@ class Record:
             begin, end = rate[:, :-1], rate[:, 1:]
             steady &= np.minimum(end * np.sign(begin), np.abs(begin)) > least
         for k, drive in enumerate(self.mechanism.drives, len(self.mechanism.hinges)):
-            angle = np.unwrap(joint_coordinate(drive.joint, world.position, world.native), axis=1)
-            rate, push = joint_rate(drive.joint, world), self.torque[..., : self.steps, k]
+            place, rate = coordinate_of(self, drive.joint), joint_rate(drive.joint, world)
+            push = self.torque[..., : self.steps, k]
             ends = (
-                drive.demand(push, angle[:, s], rate[:, s]) for s in (slice(-1), slice(1, None))
+                drive.demand(push, place[:, s], rate[:, s]) for s in (slice(-1), slice(1, None))
             )
             begin, end = (np.sign(u) * (np.abs(u) > drive.limit) for u in ends)
             steady &= begin == end

@@ -36,9 +36,11 @@ _PHYSICS = (
 )  # fmt: skip
 _GEARS = 2
 """Extra version of scenes with gears: before it, a gear next to a fixed joint could be left out."""
-_BRAKES, _LANDING = 3, 4
+_BRAKES, _LANDING = 5, 6
 """Extra versions of scenes with dry friction or stops, without and with contact: before them, a
-rest at a stop with friction could be given up, and scenes with contact had no solution."""
+joint could stop and move on, or give way and stop, inside one step without being noticed."""
+_DAMPED = 1
+"""Extra version of scenes with dampers: before it, one start chose the method of all in a batch."""
 _SOURCES = ("compiling", "lanes", "traced", "lane_algebra", "noted", "elimination", "tree")
 _SEAL = hashlib.sha256().digest_size
 
@@ -120,6 +122,10 @@ def key_of(kind: str, scene: Scene, batch: Batch, row: int, rtol: float) -> str:
     braked = any(joint.friction or joint.limits for joint in scene.joints)
     physics += [_LANDING if scene.contacts else _BRAKES] if braked else []
     physics += [scene.collisions] if scene.collisions else []
+    damping = [joint.damping for joint in scene.joints]
+    damping += [spring.damping for spring in scene.springs]
+    damping += [servo.damping for servo in scene.servos]
+    physics += ["damped", _DAMPED] if any(damping) else []
     # Scenes made in Python may hold numpy numbers.
     digest.update(
         msgspec.json.encode([kind, PHYSICS, rtol, scene.clock.frame, physics], enc_hook=float)

@@ -49,6 +49,9 @@ A = np.zeros((STAGES, STAGES))
 for _stage, _row in enumerate(_WEIGHTS, start=1):
     A[_stage, :_stage] = _row
 
+PLACES = np.append(A.sum(axis=1), 1.0)
+"""Where the stages and the end lie, as shares of a step."""
+
 _THIRD = {0: 0.2440944881889764, 8: 0.7338466882816118, 11: 0.022058823529411766}
 E3 = B.copy()
 """Weights of the stages in the error estimate of order 3."""

@@ -9,9 +9,12 @@ those of `marching`. A motion ends when a contact sphere first reaches the groun
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from mbds_xsim.base.arrays import Array, Mask
+from mbds_xsim.reference import dop853
 from mbds_xsim.reference.brakes import Brakes, least_shares
 from mbds_xsim.reference.compiled import Kernel, chosen, with_signs_of
 from mbds_xsim.reference.dynamics import Dynamics
@@ -39,6 +42,26 @@ _TOUCHING = 1e-12  # gap that counts as touching a stop [rad or m]
 _SLOW = 1e-6  # of a joint's fastest approach to its stop: a slower one does not bounce
 _NOISE = 1e-6  # of the fastest rate of any joint: rounding may move a joint at rest on a stop
 _MOST_EVENTS = 1000  # in a frame
+_CLOSE = 1e-3  # of the largest value in a step: where less is left, events are looked for
+_INNER = np.linspace(0.0, 1.0, 257)  # shares of a step at which its stages are interpolated
+_EXACT, _ORDER = 3, 5  # first stage accurate enough to interpolate, degree of the polynomial
+_FIT = np.linalg.pinv(np.vander(dop853.PLACES[_EXACT:], _ORDER + 1, increasing=True))
+_POWERS = np.vander(_INNER, _ORDER + 1, increasing=True)
+_VALUES = _POWERS @ _FIT
+_INTEGRALS = _POWERS * _INNER[:, None] / np.arange(1, _ORDER + 2) @ _FIT
+
+
+class _Step(NamedTuple):
+    """A step that was tried."""
+
+    new: Array
+    """State at its end."""
+    ratio: float
+    """Estimated error over the allowed one."""
+    stages: Array
+    """Derivatives at its stages and at its end, shape (stage, number)."""
+    held: Array
+    """What joints at rest need of their friction and stops there, shape (stage, holding)."""
 
 
 def march_gripping(problem: Problem) -> Marched:
@@ -102,18 +125,19 @@ class _Motion:
         rate = self._derivative(self._y[None])
         for _ in range(MOST_STEPS):
             h = remaining / np.ceil(remaining / self._step)
-            new, ratio = self._tried(rate, h)
-            self._step = float(next_step(np.array([h]), np.array([ratio]))[0])
-            if not ratio <= 1.0:
+            step = self._tried(rate, h)
+            self._step = float(next_step(np.array([h]), np.array([step.ratio]))[0])
+            if not step.ratio <= 1.0:
                 if self._step < SMALLEST_STEP * self._frame:
                     break
                 continue
             if events > _MOST_EVENTS:
                 break
-            share = self._event_within(rate, h, new)
+            share = self._event_within(rate, h, step)
             if share is not None:
                 h, events = h * share, events + 1
-                new = self._tried(rate, h)[0]
+                step = self._tried(rate, h)
+            new = step.new
             if (touch := self._touch_within(rate, h, new)) is not None:
                 return float(self._frame - remaining + touch * h)
             if share is not None:
@@ -123,7 +147,7 @@ class _Motion:
             if remaining <= 1e-14 * self._frame:
                 self._y = self._closed(self._y)
                 return None
-            rate = self._derivative(self._y[None])
+            rate = self._derivative(new[None]) if share is not None else step.stages[-1:]
         why = "its steps become too short or too many: see friction, limits, springs"
         raise ArithmeticError(why)
 
@@ -138,45 +162,53 @@ class _Motion:
             return None
         places = dips(self._heights(self._y), self._heights(new), np.array([h]))[0]
         return first_touch(
-            lambda share: float(self._heights(self._tried(rate, share * h)[0])[0].min()), places
+            lambda share: float(self._heights(self._tried(rate, share * h).new)[0].min()), places
         )
 
-    def _tried(self, rate: Array, h: float) -> tuple[Array, float]:
-        """Try a step; also return its error over the allowed one."""
-        step = np.array([h])
-        new, stages = try_step(self._derivative, self._y[None], rate, step)
-        allowed = self._rtol * (1.0 + np.maximum(np.abs(self._y), np.abs(new)))
-        return new[0], float(error_ratio(stages, step, allowed)[0])
+    def _tried(self, rate: Array, h: float) -> _Step:
+        """Try a step."""
+        held: list[Array] = []
 
-    def _event_within(self, rate: Array, h: float, new: Array) -> float | None:
+        def derivative(y: Array) -> Array:
+            rate, share = self._rate(y[0])
+            held.append(share)
+            return rate[None]
+
+        step = np.array([h])
+        new, stages = try_step(derivative, self._y[None], rate, step)
+        allowed = self._rtol * (1.0 + np.maximum(np.abs(self._y), np.abs(new)))
+        ratio = float(error_ratio(stages, step, allowed)[0])
+        return _Step(new[0], ratio, stages[:, 0], np.array([held[0], *held]))
+
+    def _event_within(self, rate: Array, h: float, step: _Step) -> float | None:
         """Find the share of a step after which its first event occurs; None if there is none."""
-        if self._has_turned(new):
-            return self._narrowed(rate, h, 1.0)
-        places = self._dips(h, new).tolist()
-        crossed = (p for p in places if self._has_turned(self._tried(rate, p * h)[0]))
-        place = next(crossed, None)
-        return None if place is None else self._narrowed(rate, h, place)
+        places = self._dips(h, step.new)
+        places = np.sort(np.concatenate([places, self._halts(h, step), self._yields(step)]))
+        for place in places[places < 1.0].tolist():
+            if self._has_turned(self._tried(rate, place * h).new):
+                return self._narrowed(rate, h, place)
+        return self._narrowed(rate, h, 1.0) if self._has_turned(step.new) else None
 
     def _narrowed(self, rate: Array, h: float, high: float) -> float:
         """Find the least share of a step at which an event has occurred, as it has at `high`."""
         from scipy.optimize import brentq  # takes long to import
 
-        after = self._margins(self._tried(rate, high * h)[0])
+        after = self._margins(self._tried(rate, high * h).new)
         for brake in np.flatnonzero((self._margins(self._y) > 0.0) & (after < 0.0)).tolist():
             if self._margin_at(high, rate, h, brake) < 0.0:
                 root = brentq(self._margin_at, 0.0, high, (rate, h, brake), xtol=_NARROW)
                 high = min(high, root + 2.0 * _NARROW)
-        if not self._has_turned(self._tried(rate, high * (1.0 - _APART) * h)[0]):
+        if not self._has_turned(self._tried(rate, high * (1.0 - _APART) * h).new):
             return high  # no event occurs before
         low = 0.0
         while high - low > _NARROW:
             middle = (low + high) / 2
-            turned = self._has_turned(self._tried(rate, middle * h)[0])
+            turned = self._has_turned(self._tried(rate, middle * h).new)
             low, high = (low, middle) if turned else (middle, high)
         return high
 
     def _margin_at(self, share: float, rate: Array, h: float, brake: int) -> float:
-        return float(self._margins(self._tried(rate, share * h)[0])[brake])
+        return float(self._margins(self._tried(rate, share * h).new)[brake])
 
     def _margins(self, y: Array) -> Array:
         """Rates of moving joints and gaps to open stops, shape (brake,); below 0 after an event."""
@@ -191,7 +223,26 @@ class _Motion:
             for y in (self._y, new)
         ]
         places = dips(ends[0], ends[1], np.array([h]))
-        return np.sort(places[np.isfinite(places)])
+        return np.asarray(places[np.isfinite(places)])
+
+    def _halts(self, h: float, step: _Step) -> Array:
+        """Find shares of a step at which moving joints may come to rest, and move on at its end."""
+        slides = ~self._brakes.stops & (self._sense != 0.0)
+        fast, sense = self._brakes.fast[slides], self._sense[slides]
+        if not len(fast):
+            return _INNER[:0]
+        change = _INTEGRALS @ (h * step.stages[_EXACT:, fast])
+        speed = sense * (self._y[fast] + change)
+        return _lows(speed, _CLOSE * np.abs(speed).max(axis=0))
+
+    def _yields(self, step: _Step) -> Array:
+        """Find shares of a step at which joints at rest may give way, though not at its end."""
+        stops = self._brakes.stops[self._sense == 0.0]
+        if not len(stops):
+            return _INNER[:0]
+        needed = _VALUES @ step.held[_EXACT:]
+        size = np.where(stops, np.abs(needed).max(axis=0), 1.0)
+        return _lows(np.where(stops, needed, 1.0 - np.abs(needed)), _CLOSE * size)
 
     @property
     def _open(self) -> Mask:
@@ -264,15 +315,20 @@ class _Motion:
 
     def _derivative(self, y: Array) -> Array:
         """Time derivative of a state, shape (1, number); joints at rest stay there."""
+        return self._rate(y[0])[0][None]
+
+    def _rate(self, y: Array) -> tuple[Array, Array]:
+        """Return the derivative, and the shares of their brakes that hold joints at rest."""
         holding = self._sense == 0
-        columns = self._columns(y[0], self._sense, holding)
+        columns = self._columns(y, self._sense, holding)
         if not holding.any() or not np.isfinite(columns).all():
-            return columns[:1]  # a stage overflowed: the step fails, and a shorter one follows
+            # If a stage overflowed, the step fails, and a shorter one follows.
+            return columns[0], np.zeros(int(holding.sum()))
         at, reduction = self._brakes.fast[holding], (columns[0] - columns[1:]).T
         share = np.linalg.lstsq(reduction[at], columns[0, at])[0]
         rate = columns[0] - reduction @ share
         rate[at] = 0.0
-        return rate[None]
+        return rate, share
 
     def _columns(self, y: Array, sense: Array, holding: Mask) -> Array:
         """Derivatives of a state with friction of moving joints, then also with each holding brake.
@@ -304,3 +360,13 @@ class _Motion:
         closed = self._kernel.y[:, 0].copy()
         closed[still] = 0.0
         return closed
+
+
+def _lows(values: Array, limits: Array) -> Array:
+    """Find the inner places of a step at which values, shape (place, part), dip below limits."""
+    inner = values[1:-1]
+    near = inner < limits
+    if not near.any():
+        return _INNER[:0]
+    low = near & (inner <= values[:-2]) & (inner <= values[2:])
+    return np.asarray(_INNER[1:-1][low.any(axis=1)])

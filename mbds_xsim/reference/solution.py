@@ -150,7 +150,7 @@ def integrate(problem: Problem) -> Marched:
         # Companions stop and start at different times, so that their errors do not cancel.
         rtol = min(problem.rtol, _ALONE) if problem.companions > 1 else problem.rtol
         return march_gripping(dataclasses.replace(problem, rtol=rtol))
-    stiff = is_stiff(problem)
+    stiff = is_stiff(mechanism)
     if stiff or mechanism.scene.contacts:
         marched = march_stiff(problem) if stiff else march(problem)
         return marched.within_half_turns(problem.dynamics)

@@ -5,15 +5,22 @@ An explicit method would take steps as short as the fastest decay, although noth
 
 from __future__ import annotations
 
+import functools
 from typing import TYPE_CHECKING
 
+import msgspec
 import numpy as np
 
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.reference.dynamics import Dynamics
+from mbds_xsim.reference.equations import dynamics_of
 from mbds_xsim.reference.first_impact import FirstImpact, dips, first_touch, resting
 from mbds_xsim.reference.marching import MOST_STEPS, Marched, Problem, branchless, stopped
 from mbds_xsim.reference.singular import BIFURCATION
+from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.servo import with_pushes
 from mbds_xsim.scene.state import Failure
 
 if TYPE_CHECKING:
@@ -24,17 +31,25 @@ _DECAYS = 2.5
 _FIRST_STEP = 0.01  # of a frame
 
 
-def is_stiff(problem: Problem) -> bool:
-    """Whether some motion decays much faster than in a frame, judged at the first start."""
-    dynamics = problem.dynamics
+@functools.lru_cache(maxsize=64)
+def is_stiff(mechanism: Mechanism) -> bool:
+    """Whether some motion decays much faster than in a frame, judged at the scene's own start.
+
+    A trajectory's solution thus never depends on the others that are solved with it.
+    """
+    dynamics = dynamics_of(mechanism)
     if not dynamics.damped:
         return False
-    rate = _Rate(dynamics, problem.force[:1, 0], problem.torque[:1, 0])
-    jacobian = rate.jacobian(0.0, problem.start[:1].reshape(-1))
+    undrawn = msgspec.structs.replace(mechanism.scene, sampling=())
+    batch = draw_batch(undrawn, [0], noise=False)
+    start = dynamics.pack(BodyStates.of(mechanism, batch))
+    torque = with_pushes(mechanism.drives, batch.torque)[:, 0]
+    rate = _Rate(dynamics, np.zeros_like(batch.force[:, 0]), np.zeros_like(torque))
+    jacobian = rate.jacobian(0.0, start.reshape(-1))
     if not np.isfinite(jacobian).all():
         return False
     values = np.linalg.eigvals(jacobian)
-    return float(-values.real.min()) * problem.frame > _DECAYS
+    return float(-values.real.min()) * mechanism.scene.clock.frame > _DECAYS
 
 
 def march_stiff(problem: Problem) -> Marched:

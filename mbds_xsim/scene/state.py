@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,7 +19,7 @@ import numpy as np
 from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.base.bounds import Neutral
 from mbds_xsim.scene.sampling_terms import INTERVALS, Interval
-from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.scene import Inertia, Scene
 
 STATES = ("position", "orientation", "velocity", "angular_velocity")
 """Fields that give the state of a body in a frame or at its start."""
@@ -169,6 +170,8 @@ class Trajectory:
 
 _INERT = ("name", "description", "source", "budget", "anchors", "edges")
 """Fields of a scene that do not affect the motion."""
+_ROUNDED, _LEAST = 1e-14, 1e-60  # size below which numbers count as 0, and of the smallest mass
+_ROUNDING = 1e-12  # of a body's largest moment: smaller products of inertia are rounding errors
 
 
 def fingerprint(scene: Scene) -> str:
@@ -181,13 +184,26 @@ def fingerprint(scene: Scene) -> str:
     return hashlib.sha256(msgspec.json.encode(plain, order="sorted")).hexdigest()[:16]
 
 
-def _plain(value: Any) -> Any:
-    """Write out tables including defaults, since these also affect the motion."""
+def _plain(value: Any, least: float = math.inf) -> Any:
+    """Write out tables including defaults, since these also affect the motion.
+
+    Numbers below 1e-14 count as rounding errors, except those of at least a given size.
+    """
     if isinstance(value, Neutral):
-        parts = {key: _plain(part) for key, part in value.decisive().items()}
+        items = value.decisive().items()
+        parts = {key: _plain(part, _least(value, key)) for key, part in items}
         return [type(value).__name__, parts]
     if isinstance(value, list | tuple):
-        return [_plain(part) for part in value]
+        return [_plain(part, least) for part in value]
     if value is None or isinstance(value, str | bool):
         return value
-    return f"{round(float(value), 15) + 0.0:.9g}"
+    number = float(value)
+    exact = number if least <= abs(number) < _ROUNDED else round(number, 15)
+    return f"{exact + 0.0:.9g}"
+
+
+def _least(table: Neutral, key: str) -> float:
+    """Return the size from which a number of a table affects the motion, however small it is."""
+    if isinstance(table, Inertia) and key == "products":
+        return _ROUNDING * max(table.moments)
+    return _LEAST if key in ("mass", "inertia", "moments") else math.inf

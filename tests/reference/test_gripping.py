@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 
 from mbds_xsim.checks import Record
 from mbds_xsim.checks.conservation import energy_balance
@@ -17,7 +18,16 @@ from mbds_xsim.reference.solution import solve
 from mbds_xsim.scene.joint_space import BodyStates, to_bodies, to_links
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Ground, Inertia, Joint, Scene
+from mbds_xsim.scene.scene import (
+    Body,
+    Clock,
+    ContactSphere,
+    Ground,
+    Inertia,
+    Joint,
+    Scene,
+    SpringDamper,
+)
 from mbds_xsim.simulate.registry import load_scene
 from tests.random_scenes import MOVED, SEEDS, Kind, ruled_tree
 
@@ -145,3 +155,78 @@ def test_a_trial_step_that_overflows_ends_no_more_than_the_trajectory() -> None:
 
     assert failure is not None
     assert "cannot be continued" in failure.reason
+
+
+_SPRING, _GRIP = 225.0, 1.0
+
+
+def _sprung_pair(rates: tuple[float, float], frame: float) -> Scene:
+    """Two blocks of 1 kg with a spring between them; the first rubs."""
+    inertia = Inertia(mass=1.0, moments=(0.01, 0.01, 0.01))
+    ends = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+    sliders = [
+        Joint(
+            name=f"slider {name}",
+            kind="slider",
+            parent="world",
+            child=name,
+            anchor=end,
+            axis=(1.0, 0.0, 0.0),
+            start=0.0,
+            rate=rate,
+            friction=friction,
+        )
+        for name, end, rate, friction in zip("ab", ends, rates, (_GRIP, 0.0), strict=True)
+    ]
+    return Scene(
+        name="pair",
+        length=1.0,
+        gravity=(0.0, 0.0, 0.0),
+        bodies=tuple(
+            Body(name=name, inertia=inertia, position=end)
+            for name, end in zip("ab", ends, strict=True)
+        ),
+        joints=tuple(sliders),
+        springs=(SpringDamper(name="s", bodies=("a", "b"), points=ends, stiffness=_SPRING),),
+        clock=Clock(frame=frame, steps=round(0.5 / frame)),
+    )
+
+
+def _by_phases(rates: tuple[float, float], duration: float) -> float:
+    """Place of the first block at the end, by another method from one event to the next [m]."""
+    y, time = np.array([0.0, 0.0, *rates]), 0.0
+    sense = float(np.sign(rates[0]))
+
+    def pull(y: np.ndarray) -> float:
+        return float(_SPRING * (y[1] - y[0]))
+
+    def rate(_: float, y: np.ndarray) -> list[float]:
+        return [abs(sense) * y[2], y[3], abs(sense) * (pull(y) - _GRIP * sense), -pull(y)]
+
+    def event(_: float, y: np.ndarray) -> float:
+        return float(sense * y[2]) if sense else _GRIP - abs(pull(y))
+
+    event.terminal, event.direction = True, -1.0  # type: ignore[attr-defined]
+    accuracy = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-13, "max_step": 2e-3}
+    while time < duration:
+        part = solve_ivp(rate, (time, duration), y, events=event, **accuracy)
+        time, y = part.t[-1], part.y[:, -1]
+        if part.status == 1:
+            y[2] *= 1.0 - abs(sense)
+            sense = 0.0 if sense and abs(pull(y)) <= _GRIP else float(np.sign(pull(y)))
+    return float(y[0])
+
+
+@pytest.mark.parametrize("frame", [0.1, 0.025])
+@pytest.mark.parametrize(
+    "rates",
+    [(0.154, 0.5), (0.0, 1.01 * _GRIP / _SPRING**0.5)],
+    ids=["stops and moves on", "gives way and grips"],
+)
+def test_events_that_end_inside_a_step_are_noticed(
+    rates: tuple[float, float], frame: float
+) -> None:
+    scene = _sprung_pair(rates, frame)
+    place = solve(scene, draw_batch(scene, [0]), cache=False).position[0, -1, 0, 0]
+
+    assert abs(place - _by_phases(rates, 0.5)) < 1e-11

@@ -57,6 +57,18 @@ def test_the_step_in_which_a_servo_lets_go_is_not_smooth() -> None:
     assert np.flatnonzero(~record.steady[0]).tolist() == [23]  # 277/600 s are 23.1 frames
 
 
+def test_a_slider_does_not_turn_however_fast_it_is() -> None:
+    servo = Servo("rail", (300.0,), stiffness=1.0, limit=100.0)
+    rail = Joint("rail", "slider", "world", "cart", NONE, (1.0, 0.0, 0.0), start=0.0, rate=200.0)
+    cart = even("cart", 1.0, 0.1)
+    scene = Scene("fast", (cart,), 400.0, gravity=NONE, joints=(rail,), servos=(servo,))
+    record = _record(scene)
+    off = 300.0 - record.trajectory.position[:, :, 0, 0]
+    saturated = np.sign(off) * (np.abs(off) > 100.0)
+
+    assert (record.steady == (saturated[:, 1:] == saturated[:, :-1])).all()
+
+
 def test_a_limit_that_is_never_reached_changes_nothing() -> None:
     (case,) = (case for case in SERVO_CASES if case.name == "servo that lets go")
     motions = []

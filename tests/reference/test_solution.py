@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from mbds_xsim.measure import campaign
 from mbds_xsim.reference import sensitivity, solve
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.sampling_terms import Pose
 from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene, SpringDamper
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.registry import load_scene
@@ -298,6 +300,58 @@ def test_together_or_alone_is_the_same() -> None:
     together = solve(scene, batch, cache=False)
     alone = solve(scene, batch[[1]], cache=False)
     np.testing.assert_allclose(together.position[1], alone.position[0], rtol=0, atol=1e-13)
+
+
+def test_who_is_solved_together_does_not_decide_who_has_a_solution() -> None:
+    """The nearer the block is to its pivot, the faster the damper stops the crank."""
+    crank, block, wheel = (
+        Body(name, inertia=Inertia(mass, (moment,) * 3), position=(place, 0.0, 0.0))
+        for name, mass, moment, place in (
+            ("crank", 0.01, 1e-4, 0.0),
+            ("block", 1.0, 1e-3, 0.5),
+            ("wheel", 1.0, 0.1, 3.0),
+        )
+    )
+    up, along = (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)
+    joints = (
+        Joint("j1", "hinge", "world", "crank", (0.0,) * 3, up, start=0.0, rate=0.0, damping=20.0),
+        Joint("j2", "slider", "crank", "block", (0.5, 0.0, 0.0), along, start=0.0, rate=0.1),
+        Joint(
+            "j3", "hinge", "world", "wheel", (3.0, 0.0, 0.0), up, start=0.0, rate=10.0,
+            stiffness=0.01,
+        ),
+    )  # fmt: skip
+    scene = Scene(
+        "two",
+        (crank, block, wheel),
+        1.0,
+        gravity=(0.0,) * 3,
+        joints=joints,
+        clock=Clock(steps=30),
+        sampling=(Pose(joints=("j2",), coordinate=(-0.4, 0.5)),),
+    )
+    batch, rows = draw_batch(scene, range(6)), [2, 0, 1]
+    together = solve(scene, batch[rows], cache=False)
+    alone = [solve(scene, batch[[row]], cache=False) for row in rows]
+
+    assert together.failures == tuple(each.failures[0] for each in alone)
+    for row, each in enumerate(alone):
+        np.testing.assert_allclose(together.position[row], each.position[0], rtol=0, atol=1e-12)
+
+
+def test_whole_numbers_are_numbers() -> None:
+    def swing(number: Callable[[int], float]) -> Array:
+        zero, one, two = map(number, (0, 1, 2))
+        body = Body("a", inertia=Inertia(two, (one,) * 3, com=(zero, zero, -one)))
+        ends, axis = ("world", "a"), (zero, one, zero)
+        joint = Joint(
+            "j", "hinge", *ends, (zero,) * 3, axis, start=one, stiffness=number(5), damping=one,
+            armature=one, limits=(-two, two),
+        )  # fmt: skip
+        gravity = (zero, zero, number(-10))
+        return run(Scene("s", (body,), one, gravity=gravity, joints=(joint,))).position
+
+    np.testing.assert_array_equal(swing(int), swing(float))
 
 
 @pytest.mark.parametrize("rtol", [0.0, 1.0, math.nan])

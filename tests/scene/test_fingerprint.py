@@ -10,7 +10,7 @@ import pytest
 
 from mbds_xsim.scene.budget import Budget
 from mbds_xsim.scene.file import read_scene, save_scene, write_scene
-from mbds_xsim.scene.scene import Clock, Scene
+from mbds_xsim.scene.scene import Body, Clock, Inertia, Scene
 from mbds_xsim.scene.state import fingerprint
 from mbds_xsim.simulate.registry import load_scene, scene_names
 
@@ -68,6 +68,19 @@ def test_keys_that_came_later_leave_scenes_without_them_as_they_were() -> None:
     assert fingerprint(scene) == "ecc927a0dd760293"
     assert "damping" not in write_scene(replace(scene, springs=()), defaults=True)
     assert fingerprint(replace(scene, joints=sprung)) != fingerprint(scene)
+
+
+def _speck(moment: float, product: float = 0.0) -> Scene:
+    inertia = Inertia(mass=1e-12, moments=(moment,) * 3, products=(product, 0.0, 0.0))
+    return Scene("speck", (Body("speck", inertia=inertia),), 1e-5)
+
+
+def test_small_bodies_differ_and_rounding_errors_of_large_ones_do_not() -> None:
+    specks = [_speck(1e-22), _speck(4e-22), _speck(1e-22, 1e-23)]
+
+    assert len({*map(fingerprint, specks)}) == 3
+    assert fingerprint(_speck(1e-22, 1e-37)) == fingerprint(specks[0])
+    assert fingerprint(_speck(0.1, 1e-17)) == fingerprint(_speck(0.1))
 
 
 def test_a_file_of_the_scene_is_the_same(tmp_path: Path) -> None:
