@@ -222,6 +222,17 @@ def _row(release: str, name: str = "tumbling, RK4", **figures: Any) -> ReleaseRo
     return ReleaseRow(key=f"{release} {name}", release=release, case=case, way=way, **figures)
 
 
+@pytest.mark.parametrize(
+    ("kind", "again"), [("done", 0), ("failed", 0), ("crashed", 1), ("timed out", 1)]
+)
+def test_a_crash_or_a_delay_is_measured_again(kind: Any, again: int) -> None:
+    runner = ReleaseStudy("mujoco", scenes=())._runner
+    row = ReleaseRow(key="a", release="1", case="pair", way="RK4", kind=kind)
+    runner.store.rows[row.key] = row
+
+    assert len(runner.missing([releases._case(row, releases.climb)])) == again
+
+
 def _history(*rows: ReleaseRow) -> History:
     versions = tuple(Release(version) for version in dict.fromkeys(row.release for row in rows))
     return History(
