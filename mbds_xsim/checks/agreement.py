@@ -46,9 +46,12 @@ def particle_error(mechanism: Mechanism, trajectory: Trajectory, reference: Traj
 
 
 def error_at(error: Array, time: Array, instant: float) -> Array:
-    """Return the error at the last frame not after an instant [m], shape (trajectory,)."""
+    """Return the error at the last frame not after an instant [m], shape (trajectory,).
+
+    It is the first frame after the start if that is later than the instant.
+    """
     frame = int(np.searchsorted(time, instant * (1 + 1e-9), side="right")) - 1
-    return error[:, max(frame, 0)]
+    return error[:, min(max(frame, 1), error.shape[1] - 1)]
 
 
 def agreement_time(error: Array, time: Array, length: float) -> Array:

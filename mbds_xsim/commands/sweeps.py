@@ -202,14 +202,12 @@ def stability(
         mbds-xsim stability mass-ratio --engines mujoco --methods RK4 --value 1000 --step 0.01
         mbds-xsim stability pace links --models models/6pendulum --engines none
     """
-    from mbds_xsim.report.terminal import print_blocks
     from mbds_xsim.simulate.choice import Choice
-    from mbds_xsim.studies.stability.present import listing
     from mbds_xsim.studies.stability.studies import STUDIES, study_named
     from mbds_xsim.studies.stability.survey import SurveyPlan
 
     if listed:
-        print_blocks([listing(STUDIES.values())], to.console)
+        _list_studies(to, out)
         return
     to.check(out=out and out / "map.json")
     others = _outsiders(models)
@@ -232,6 +230,18 @@ def stability(
         for study in map(study_named, studies or STUDIES)
     ]
     _write([_mapped(plan, to.console, out, single=single) for plan in plans], to)
+
+
+def _list_studies(to: shared.Outputs, out: Path | None) -> None:
+    from mbds_xsim.report.terminal import print_blocks
+    from mbds_xsim.studies.stability.present import listing
+    from mbds_xsim.studies.stability.studies import STUDIES
+
+    given = [name for name, value in {**vars(to), "out": out}.items() if value]
+    if given:
+        option = "--" + given[0].replace("opened", "open")
+        raise InputError(f"--list: got {option} too, but it only prints names; leave one out")
+    print_blocks([listing(STUDIES.values())], to.console)
 
 
 def _mapped(plan: SurveyPlan, console: Console, out: Path | None, *, single: bool) -> Survey:

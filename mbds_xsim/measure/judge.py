@@ -96,7 +96,10 @@ def reference_findings(
 def error_findings(
     scene: Scene, batch: Batch, error: Array, truth: Trajectory, growth: Array
 ) -> list[Finding]:
-    """Compare the error with its budgets: unweighted at 1 s, and growth-weighted at all times."""
+    """Compare the error with its budgets: unweighted at 1 s, and growth-weighted at all times.
+
+    If a frame is longer than 1 s, the first one stands for 1 s.
+    """
     time, known = truth.time, truth.known
     figure = np.where(np.isfinite(error), error, np.inf)
     judged = known & (growth < agreement.CHAOS)
@@ -108,7 +111,8 @@ def error_findings(
             budget=scene.budget.error * scene.length,
         )
     ]
-    at_one = known & (np.abs(time - _ONE_SECOND) < 0.5 * scene.clock.frame)
+    frame = scene.clock.frame
+    at_one = known & (np.abs(time - max(_ONE_SECOND, frame)) < 0.5 * frame)
     calm = np.array([batch.interval(row) != "high" for row in range(len(batch))])
     calm &= at_one.any(axis=1)
     if calm.any():

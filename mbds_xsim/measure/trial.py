@@ -176,7 +176,7 @@ def own_limit(outcome: Outcome, motion: Trajectory) -> Finding:
     ratio = max(step, other) / min(step, other)
     distance = agreement.particle_error(Mechanism.of(scene), motion[sample], others[other])
     share = distance * (1.0 if shorter is None else ratio) / (ratio - 1.0)
-    frame = min(round(_INSTANT / scene.clock.frame), share.shape[1] - 1)
+    frame = min(max(1, round(_INSTANT / scene.clock.frame)), share.shape[1] - 1)
     series = np.full((*motion.position.shape[:2], 1), np.nan)
     series[:, frame] = 0.0
     series[sample, frame, 0] = np.where(np.isfinite(share), share, np.inf)[:, frame]

@@ -185,15 +185,13 @@ def _field(
     scale: float = 0.0,
 ) -> Iterator[Difference]:
     """Compare a field; `scale` widens the tolerance of positions, which depend on the origin."""
-    wrong = []
-    for item, read in pairs:
-        if read is None:
-            continue
+    wrong, there = [], [(item, read) for item, read in pairs if read is not None]
+    for item, read in there:
         ours, theirs = np.atleast_1d(value(item)), np.atleast_1d(value(read))
         bound = _SAME * (scale + float(np.linalg.norm(ours)))
         if ours.shape != theirs.shape or np.linalg.norm(ours - theirs) > bound:
             wrong.append((item.name, _format(theirs), _format(ours)))
-    yield from _difference(name, of, len(pairs), wrong)
+    yield from _difference(name, of, len(there), wrong)
 
 
 def _difference(

@@ -61,6 +61,7 @@ def test_errors_are_read_at_instants() -> None:
     error = np.arange(60.0)[None] * np.ones((2, 1))
     time = np.linspace(0.0, 1.18, 60)
     assert agreement.error_at(error, time, 1.0).tolist() == [50.0, 50.0]
+    assert agreement.error_at(error, 2.0 * np.arange(60.0), 1.0).tolist() == [1.0, 1.0]
 
 
 def test_the_agreement_time_is_the_first_crossing_of_one_per_cent() -> None:

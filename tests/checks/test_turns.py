@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 
+import msgspec
 import numpy as np
+import pytest
 
 from mbds_xsim import reference
 from mbds_xsim.base import rotation
@@ -18,6 +20,18 @@ from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene
 
 _GRAIN = 1e-6  # [m]
+
+
+@pytest.mark.parametrize(("frame", "judged"), [(0.5, 2), (0.6, 2), (1.0, 1), (1.25, 1), (3.0, 1)])
+def test_the_error_at_1_s_is_never_that_of_the_start(frame: float, judged: int) -> None:
+    scene = Scene("ball", (Body("ball", inertia=Inertia(1.0, (0.1, 0.1, 0.1))),), length=1.0)
+    scene = msgspec.structs.replace(scene, clock=Clock(frame, 3))
+    batch = draw_batch(scene, [0])
+    truth = reference.solve(scene, batch)
+
+    finding, _ = error_findings(scene, batch, np.array([[0.0, 1, 2, 3]]), truth, np.ones((1, 4)))
+
+    assert (finding.check, finding.figure.tolist()) == ("error at 1 s", [judged])
 
 
 def test_a_tiny_part_that_turns_wrong_fails_though_nothing_is_far_off() -> None:

@@ -16,7 +16,7 @@ import pytest
 from mbds_xsim.commands.shared import command_line
 from mbds_xsim.report.files import results_json
 from mbds_xsim.studies.diff.read import READERS
-from mbds_xsim.studies.tradeoff import Point, Ratio
+from mbds_xsim.studies.tradeoff import ModelResult, Point, Ratio
 from tests.results import curve, found, matched, survey, tradeoff
 
 CommandLine = Callable[..., Any]
@@ -422,6 +422,83 @@ def test_results_of_any_command_are_compared(compare: CommandLine) -> None:
     assert compare(_audit(), lambda _: None)[1]["verdict"] == "same"
     exported = _audit() | {"schema": "mbds-xsim/export-model/1"}
     assert compare(exported, lambda _: None)[1]["verdict"] == "same"
+
+
+def _records(command: str, place: str, *records: Json) -> Json:
+    return {"schema": f"mbds-xsim/{command}/1", place: list(records)}
+
+
+_ABLATED = {"effect": "joint friction", "factor": 0.0, "verdict": "needed", "change_m": 1e-3}
+_ABLATED |= {"sentence": "motion changes by 1.8 × the floor"}
+_REBOUND: Json = {"engine": "dart", "profile": "native", "quantity": "spin", "value": 49.7}
+_REBOUND |= {"at": {"speed": 1.0}, "note": "silent at 10 rad/s: 9.8"}
+_RELEASED = {"key": "0a", "release": "1.0", "case": "pair", "way": "native", "error_m": 1e-3}
+_STEP = {"release": "1.0", "name": "pair", "what": "gap", "new": 1e-3, "explanation": "a"}
+_NAMED: dict[str, tuple[Json, Json]] = {
+    "ablate": (_records("ablate", "rows", _ABLATED), {"sentence": "9 × the floor", "change_m": 1}),
+    "contact": (_records("contact", "figures", _REBOUND), {"note": "silent", "value": None}),
+    "releases": (_records("releases", "rows", _RELEASED), {"key": "0b", "error_m": 1.0}),
+    "releases steps": (_records("releases", "steps", _STEP), {"explanation": "", "new": 1.0}),
+}
+
+
+@pytest.mark.parametrize("kind", _NAMED)
+def test_records_keep_their_names_where_results_change(compare: CommandLine, kind: str) -> None:
+    result, edit = _NAMED[kind]
+    place = list(result)[-1]
+
+    _, diff = compare(result, lambda new: new[place][0].update(edit))
+
+    (scene,) = diff["scenes"]
+    (entry,) = scene["entries"]
+    assert (diff["verdict"], scene["only_old"], scene["only_new"]) == ("changed", [], [])
+    assert [figure["what"] for figure in entry["figures"]] == [list(edit)[-1]]
+
+
+def test_records_are_told_apart_by_name_where_some_are_gone(compare: CommandLine) -> None:
+    fast = _REBOUND | {"at": {"speed": 2.0}}
+    other = _REBOUND | {"engine": "mujoco"}
+    result = _records("contact", "figures", other, _REBOUND, fast)
+
+    _, diff = compare(result, lambda new: new["figures"].pop(0))
+
+    (scene,) = diff["scenes"]
+    assert scene["entries"] == []
+    assert [one["name"] for one in scene["only_old"]] == ["figures mujoco native spin speed 1.0"]
+
+
+def test_a_stored_key_is_no_result(compare: CommandLine) -> None:
+    result = _records("releases", "rows", _RELEASED)
+
+    assert compare(result, lambda new: new["rows"][0].update(key="0b"))[1]["verdict"] == "same"
+
+
+def test_trained_models_of_a_trade_off_are_compared(compare: CommandLine) -> None:
+    point = Point(steps_per_frame=1, step_s=0.02, kind="done", error_m=1e-4, wall_s=0.01)
+    model = ModelResult(
+        model="gns",
+        training="all-s0",
+        variant="matched",
+        engines=("mujoco",),
+        source="m.pt",
+        known_frames=6,
+        at_once=64,
+        alone=point,
+        batched=point,
+    )
+    result = _tradeoff() | {"models": [msgspec.to_builtins(model)]}
+
+    def worse(study: Json) -> None:
+        study["models"][0]["batched"].update(kind="failed", reason="not finite", error_m=None)
+
+    ended, diff = compare(result, worse)
+
+    assert ended.code == 1
+    assert diff["scenes"][0]["worse"] == [
+        "gns all-s0 matched, 64 at a time: all budgets kept → failed"
+    ]
+    _, gone = compare(result, lambda study: study["models"].pop())
+    assert [one["name"] for one in gone["scenes"][0]["only_old"]] == ["gns all-s0 matched"]
 
 
 def test_flags_are_words_and_only_times_are_in_seconds(compare: CommandLine) -> None:

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 from benchmarks.reader_losses import ENGINES, FOLDER, SHOWN, page, shown
 from mbds_xsim.base.arrays import Array
+from mbds_xsim.scene.imported import LinkFacts
 from mbds_xsim.scene.joint_space import BodyStates, to_links
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.simulate.registry import read_model, registered
+from mbds_xsim.studies import readers
 from mbds_xsim.studies.readers import compare
 from tests.command_line import CommandLine
 
@@ -35,6 +38,18 @@ def test_every_file_of_a_loss_shows_it() -> None:
     expected = (FOLDER.parents[2] / "docs" / "reader-losses.md").read_text("utf-8")
     assert ":-- |\n\n" not in expected, "a table shows nothing: see SHOWN"
     assert page() == expected, "python -m benchmarks.reader_losses > docs/reader-losses.md"
+
+
+def test_links_that_an_engine_lacks_are_not_compared() -> None:
+    stated = [LinkFacts(name, 1.0, (0.0, 0.0, 0.0), (1.0,) * 6) for name in ("a", "b", "c")]
+    pairs = [
+        (stated[0], None),
+        *((link, msgspec.structs.replace(link, mass=2.0)) for link in stated[1:]),
+    ]
+
+    (difference,) = readers._field("links", "mass", pairs, lambda link: link.mass)
+
+    assert (difference.count, difference.among, difference.first) == (2, 2, "b")
 
 
 @pytest.mark.parametrize("name", ["mimic.urdf", "degrees.xml"])

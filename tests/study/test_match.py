@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import tomllib
 from pathlib import Path
 
@@ -11,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.isolate import HERE
+from mbds_xsim.base.isolate import HERE, Crash
 from mbds_xsim.measure import quick as bisect
 from mbds_xsim.measure.campaign import run_references
 from mbds_xsim.measure.quick import COUNTS, Search
-from mbds_xsim.measure.trial import Trial, run_trial
+from mbds_xsim.measure.trial import Trial, failed_trial, run_trial
 from mbds_xsim.scene.budget import Budget
 from mbds_xsim.scene.sampling import Starts, draw_batch
 from mbds_xsim.scene.scene import Clock, Scene
@@ -185,6 +186,18 @@ def test_the_best_effort_breaks_the_fewest_checks_and_costs_the_least_of_those(
     assert (best.steps_per_frame, best.meets_budget) == (10, False)
 
 
+def test_what_nearly_keeps_the_budgets_is_better_than_what_is_lost(scene: Scene) -> None:
+    used = Settings("RK4", scene.clock.frame)
+    candidate = study._Candidate(EngineMethod("mujoco", "RK4", own_options={}, counts=(1, 2)))
+    near = Trial(("error at 1 s: 2 mm", "gap: 1.1 µm"), 1.2, 0.01, 0.01)
+    candidate.proofs = {1: near, 2: failed_trial(Crash("no answer within 300 s", timed_out=True))}
+    proof = study._Field(scene, draw_batch(scene, range(3)), None, 1.0, HERE)  # type: ignore[arg-type]
+
+    best = study._best_effort(proof, [candidate], (used, near))
+
+    assert (best.steps_per_frame, best.reasons) == (1, near.reasons)
+
+
 @pytest.mark.parametrize(
     ("name", "rigid", "steps", "enough", "limit"),
     [
@@ -308,6 +321,30 @@ def test_matched_settings_are_of_the_engines_own_stepping(name: str) -> None:
         adapter = registry.load_adapter(engine)
         method = settings_for(registry.load_scene(name), adapter, "matched").method
         assert adapter.methods[method].own, f"{engine} on {name}"
+
+
+def test_an_engine_that_the_toolkit_steps_is_left_out_by_name(scene: Scene) -> None:
+    curves, left_out = study._curves(scene, Choice.parse(engines="reference,mujoco"), options=False)
+
+    assert {curve.engine for curve in curves} == {"mujoco"}
+    assert "this toolkit steps it" in left_out["reference"]
+    with pytest.raises(InputError, match="no engine can be matched on 2pendulum: reference does"):
+        study._curves(scene, Choice.parse(engines="reference"), options=False)
+
+
+def test_adaptive_methods_have_no_steps_to_search(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    adapter = registry.load_adapter("reference")
+    own = {name: dataclasses.replace(one, own=True) for name, one in adapter.methods.items()}
+    monkeypatch.setattr(type(adapter), "methods", own)
+
+    choice = Choice.parse(engines="reference,mujoco")
+    curves, left_out = study._curves(scene, choice, options=True)
+
+    assert {curve.engine for curve in curves} == {"mujoco"}
+    assert {f"reference {name}" for name in own} <= set(left_out)
+    assert all("is adaptive" in left_out[f"reference {name}"] for name in own)
 
 
 def test_the_search_leaves_the_toolkits_stepping_out(scene: Scene) -> None:

@@ -222,6 +222,17 @@ def _row(release: str, name: str = "tumbling, RK4", **figures: Any) -> ReleaseRo
     return ReleaseRow(key=f"{release} {name}", release=release, case=case, way=way, **figures)
 
 
+@pytest.mark.parametrize(
+    ("kind", "again"), [("done", 0), ("failed", 0), ("crashed", 1), ("timed out", 1)]
+)
+def test_a_crash_or_a_delay_is_measured_again(kind: Any, again: int) -> None:
+    runner = ReleaseStudy("mujoco", scenes=())._runner
+    row = ReleaseRow(key="a", release="1", case="pair", way="RK4", kind=kind)
+    runner.store.rows[row.key] = row
+
+    assert len(runner.missing([releases._case(row, releases.climb)])) == again
+
+
 def _history(*rows: ReleaseRow) -> History:
     versions = tuple(Release(version) for version in dict.fromkeys(row.release for row in rows))
     return History(
@@ -251,7 +262,11 @@ def _step(old: dict[str, Any], new: dict[str, Any]) -> Step | None:
         ({"restitution": 0.93}, {"restitution": 0.94}, None),
         ({"restitution": 0.93}, {"restitution": 0.5}, "worse"),
         ({"gap_m": 1e-4}, {"gap_m": 1e-6}, "better"),
+        ({"energy": 0.0}, {"energy": 1e-3}, "worse"),
+        ({"gap_m": 1e-3}, {"gap_m": 0.0}, "better"),
+        ({"error_m": 0.0}, {"error_m": 5e-10}, None),  # rounding
         ({"cpu_s": 1e-3}, {"cpu_s": 3e-3}, "worse"),
+        ({"cpu_s": 0.0}, {"cpu_s": 1e-3}, None),  # clocks have a resolution
         ({"error_m": 1.0}, {"kind": "failed", "reason": "singular"}, "lost"),
         ({"kind": "crashed", "reason": "singular"}, {"error_m": 1.0}, "runs"),
     ],
@@ -262,6 +277,13 @@ def test_a_step_is_more_than_a_factor_of_two(
     step = _step(old, new)
 
     assert (None if step is None else step.course) == course
+
+
+def test_what_was_exactly_zero_counts_as_the_least_that_matters() -> None:
+    worse = _history(_row("1", gap_m=0.0), _row("2", gap_m=0.1))
+
+    assert [step.factor for step in worse.steps] == [pytest.approx(0.1 / 1e-9)]
+    assert worse.verdict == "fail"
 
 
 def test_releases_without_a_row_are_stepped_over() -> None:

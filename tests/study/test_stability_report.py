@@ -154,6 +154,21 @@ def test_the_studies_are_listed(run: CommandLine) -> None:
         assert name in ended.out
 
 
+@pytest.mark.parametrize(
+    "words", [("--json", "s.json"), ("--json", "-"), ("--open",), ("--out", "maps")]
+)
+def test_the_list_of_studies_is_not_written_to_files(
+    run: CommandLine, here: Path, words: tuple[str, ...]
+) -> None:
+    ended = run("stability", "--list", *words)
+
+    assert (ended.code, ended.out) == (2, "")
+    assert ended.err == (
+        f"mbds-xsim: --list: got {words[0]} too, but it only prints names; leave one out\n"
+    )
+    assert list(here.iterdir()) == []
+
+
 def test_the_command_of_a_cell_runs_it_again(run: CommandLine, sweep: Survey) -> None:
     cell = next(c for c in sweep.cells if c.told == "engine")
     words = command_of(cell, sweep).split()[1:]

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from mbds_xsim import reference
-from mbds_xsim.base.isolate import HERE, Task
+from mbds_xsim.base.isolate import HERE, Crash, Task
 from mbds_xsim.measure import runner
 from mbds_xsim.measure.runner import Store
 from mbds_xsim.scene.sampling import draw_batch
@@ -26,6 +26,7 @@ from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.claims import features_of
 from mbds_xsim.simulate.simulator import NATIVE, EngineMethod
 from mbds_xsim.studies.tradeoff import Measurement, Tradeoff, bench, curves_of
+from mbds_xsim.studies.tradeoff import study as study_module
 from mbds_xsim.studies.tradeoff.bench import LIMIT_COUNT, measure
 from mbds_xsim.studies.tradeoff.curves import OWN_LIMIT, curve_results
 from mbds_xsim.studies.tradeoff.study import rollout_cost, tradeoff, tradeoff_with_rows
@@ -167,6 +168,71 @@ def test_steps_go_on_until_the_budget_is_kept_tenfold(
     assert [point.steps_per_frame for point in precise] == [1, 2, 4]
     assert len(coarse) > 3
     assert all(point.error_m > 0.1 * budget for point in coarse[2:-1])
+
+
+@pytest.mark.parametrize(
+    ("kind", "error_m", "following"),
+    [
+        ("failed", None, 200),
+        ("crashed", None, 200),
+        ("done", 0.5, 200),
+        ("done", 1e-9, None),
+        ("done", None, None),  # without a reference
+        ("too slow", None, None),
+    ],
+)
+def test_steps_go_on_where_a_hundred_a_frame_are_not_enough(
+    scene: Scene, kind: Any, error_m: float | None, following: int | None
+) -> None:
+    curve = EngineMethod("mujoco", "RK4", own_options={}, counts=(100, 200))
+    row = msgspec.structs.replace(_ROW, kind=kind, error_m=error_m)
+    known = reference.solve(scene, draw_batch(scene, [1]))
+    truth = bench.Truth(known, np.ones((1, 21)))
+    workbench = bench.StartBench(scene, draw_batch(scene, [1]), [truth], 0, 30.0, HERE)
+
+    assert study_module._next_count(workbench, curve, [row]) == following
+
+
+@pytest.mark.parametrize(("kind", "again"), [("done", 0), ("failed", 0), ("crashed", 1)])
+def test_a_crash_is_measured_again(scene: Scene, kind: Any, again: int) -> None:
+    start = draw_batch(scene, [1])
+    truth = bench.Truth(reference.solve(scene, start), np.ones((1, 21)))
+    case = bench.StartBench(scene, start, [truth], 0, 30.0, HERE)._case(
+        bench.Job(EngineMethod("mujoco", "RK4", own_options={}), 5, 0)
+    )
+    _store(scene).add(msgspec.structs.replace(case.row, kind=kind))
+
+    later = bench.StartBench(scene, start, [truth], 0, 30.0, HERE)
+
+    assert len(later.runner.missing([case])) == again
+
+
+def test_a_lost_limit_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    car = registry.load_scene("particlecar")
+    short = msgspec.structs.replace(car, clock=msgspec.structs.replace(car.clock, steps=4))
+    with monkeypatch.context() as patch:
+        patch.setattr(bench, "run_tasks", lambda tasks, **_: [Crash("killed") for _ in tasks])
+        without = _study(short, "pybullet")
+        assert _study(short, "pybullet").measured == 0
+
+    known = _study(short, "pybullet")
+
+    points = [_curve(each, "pybullet semi-implicit-euler").points for each in (without, known)]
+    assert all(point.error_m is None for point in points[0])
+    assert all(point.error_m is not None for point in points[1])
+    assert known.measured == without.measured
+    assert _study(short, "pybullet").measured == 0
+
+
+def test_with_frames_above_a_second_the_error_is_at_the_first() -> None:
+    slow = msgspec.structs.replace(
+        registry.load_scene("2pendulum"), clock=Clock(1.25, 2), gravity=(0.0, 0.0, -0.05)
+    )
+
+    study = _study(slow, "mujoco")
+
+    assert (study.horizon_s, study.own_limit) == (1.25, None)
+    assert all(point.error_m for point in _curve(study, "mujoco RK4").points)
 
 
 def test_a_row_says_when_the_error_of_its_own_start_was_taken() -> None:

@@ -171,14 +171,27 @@ def match(
 def _curves(
     scene: Scene, choice: Choice, *, options: bool
 ) -> tuple[list[EngineMethod], dict[str, str]]:
-    """List the engines' own methods, with changed options if asked for, and methods left out."""
-    curves, left_out = curves_of(scene, choice.engines)
+    """List the engines' own methods, with changed options if asked for, and those left out."""
+    able, left_out = curves_of(scene, choice.engines)
     left_out |= choice.faulty
-    curves = [c for c in curves if c.variation != NATIVE and (options or not c.variation)]
-    curves = [c for c in curves if registry.load_adapter(c.engine).methods[c.method].own]
+    own = [c for c in able if registry.load_adapter(c.engine).methods[c.method].own]
+    for engine in dict.fromkeys(c.engine for c in able):
+        if engine not in {c.engine for c in own}:
+            left_out[engine] = (
+                f"{engine} does not step itself: this toolkit steps it, so there are no settings "
+                "of the engine's own to match"
+            )
+    for curve in own:
+        if curve.digits and not curve.variation:
+            left_out[f"{curve.engine} {curve.method}"] = (
+                f"{curve.engine}'s {curve.method} is adaptive: its tolerance decides the accuracy, "
+                "and only steps per frame are searched; see tradeoff"
+            )
+    curves = [c for c in own if not c.digits and c.variation != NATIVE]
+    curves = [c for c in curves if options or not c.variation]
     if not curves:
-        msg = f"no engine can do {scene.name}: {next(iter(left_out.values()), 'none is installed')}"
-        raise InputError(msg)
+        why = next(iter(left_out.values()), "none is installed")
+        raise InputError(f"no engine can be matched on {scene.name}: {why}")
     return curves, left_out
 
 
@@ -305,13 +318,18 @@ def _best_effort(
 ) -> MatchedSettings:
     """Return the setting nearest to the budgets, with its figures on held-out trajectories.
 
-    Of the settings that break the fewest checks, it is the cheapest of the nearest. If any setting
-    passed the search and was verified, only verified ones count; else the search's trials do.
+    Of the settings that lose nothing, if there are any, and of those the ones that break the fewest
+    checks, it is the cheapest of the nearest. If any setting passed the search and was verified,
+    only verified ones count; else the search's trials do.
     """
+
+    def faults(trial: Trial) -> tuple[bool, int]:
+        return not math.isfinite(trial.excess), trial.broken  # what was lost was not judged
+
     proofs = [(t, c, n) for c in candidates for n, t in c.proofs.items()]
     trials = [(t, c, n) for c in candidates for n, t in c.trials.items()]
-    fewest = min(trial.broken for trial, *_ in proofs or trials)
-    best = [entry for entry in proofs or trials if entry[0].broken == fewest]
+    fewest = min(faults(trial) for trial, *_ in proofs or trials)
+    best = [entry for entry in proofs or trials if faults(entry[0]) == fewest]
     largest = _NEAR * min(trial.excess for trial, *_ in best)
     near = [entry for entry in best if entry[0].excess <= largest]
     _, candidate, count = min(near, key=lambda entry: entry[0].cpu_s)

@@ -118,6 +118,7 @@ class ReleaseStudy:
             crashed=lambda row, crash: msgspec.structs.replace(
                 row, kind=crash.kind, reason=on_a_line(crash.reason)
             ),
+            lasts=_lasts,
             conduct=self.conduct,
         )
 
@@ -194,6 +195,11 @@ class ReleaseStudy:
             (truth,) = references(scene, start, self.conduct)
             self._truths[scene.name] = start, truth
         return self._truths[scene.name]
+
+
+def _lasts(stored: ReleaseRow, _row: ReleaseRow) -> bool:
+    """Return whether a stored row can be reused; a crash's cause and a delay's may be external."""
+    return stored.kind not in ("crashed", "timed out")
 
 
 def _case(

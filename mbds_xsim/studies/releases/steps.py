@@ -85,7 +85,8 @@ class Step(msgspec.Struct, frozen=True, kw_only=True):
     old: float | None
     new: float | None
     factor: float | None
-    """New over old figure, both by `comparable`; None if a motion is lost or runs again."""
+    """New over old figure, both by `comparable`, an old one of 0 as the least that counts; None
+    if a motion is lost or runs again."""
     course: Literal["worse", "better", "lost", "runs"]
     reason: str = ""
     """Reason why the motion is lost in one of the two releases."""
@@ -221,9 +222,13 @@ def _steps_between(old: ReleaseRow, new: ReleaseRow) -> Iterator[Step]:
 
 
 def _factor(what: str, was: float | None, now: float | None) -> float | None:
-    """Return the new over the old figure, both by `comparable`; None if there is no step."""
+    """Return the new over the old figure, both by `comparable`; None if there is no step.
+
+    An old figure of exactly 0 counts as the least that matters; 0 s of processor time is none.
+    """
     if was is None or now is None:
         return None
-    old, new = comparable(what, was), comparable(what, now)
-    same = math.isclose(old, new, rel_tol=1.0 - 1.0 / FACTOR, abs_tol=_LEAST.get(what, 0.0))
+    old, new, least = comparable(what, was), comparable(what, now), _LEAST.get(what, 0.0)
+    same = math.isclose(old, new, rel_tol=1.0 - 1.0 / FACTOR, abs_tol=least)
+    old = old or least
     return None if same or old == 0.0 else new / old

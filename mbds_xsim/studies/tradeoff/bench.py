@@ -32,6 +32,8 @@ from mbds_xsim.studies.tradeoff import INSTANT, SPAN, Measurement
 LIMIT_COUNT = 2 * SPAN
 """Steps per frame of the run that stands for the limit of a vanishing step."""
 
+_LOST_LIMIT = "limit unknown"
+"""Mark in the key of a row that has no limit to be compared with."""
 _GRACE = 30.0
 """Time that a case may take in addition to its rollouts [s]."""
 _LIMIT_PATIENCE = 5.0
@@ -59,9 +61,12 @@ class Truth:
 
     @property
     def horizon(self) -> float:
-        """Time of the charted error [s]: 1 s, or the last known frame before that."""
-        times = self.trajectory.time[self.known]
-        before = times[times <= INSTANT * (1 + 1e-9)]
+        """Time of the charted error [s]: 1 s, or the last known frame before that.
+
+        If a frame is longer than 1 s, it is the first; 0 if only the start is known.
+        """
+        times, first = self.trajectory.time[self.known], float(self.trajectory.time[:2].max())
+        before = times[times <= max(INSTANT, first) * (1 + 1e-9)]
         return float(before[-1]) if len(before) else 0.0
 
 
@@ -151,7 +156,7 @@ class StartBench:
             store=Store.of("tradeoff", self.scene.name, Measurement),
             crashed=_crash_row,
             labels=("scene", "variation", "trajectory", "seed", "horizon_s"),
-            lasts=in_time,
+            lasts=_lasts,
             conduct=self.conduct,
             forecasts=False,
         )
@@ -165,7 +170,7 @@ class StartBench:
     def horizon(self) -> float:
         """Time of the charted error [s], the earliest of all starts."""
         if self.are_limits:
-            return min(INSTANT, self.scene.clock.duration)
+            return min(max(INSTANT, self.scene.clock.frame), self.scene.clock.duration)
         return min(truth.horizon for truth in self.references)
 
     @property
@@ -180,7 +185,17 @@ class StartBench:
         missing = {case.row.key for case in self.runner.missing(cases)}
         pairs = zip(jobs, cases, strict=True)
         self._prepare([job.place for job, case in pairs if case.row.key in missing])
-        return self.runner.rows(cases)
+        # Rows without a limit are kept apart: a later run may have it.
+        return self.runner.rows(
+            [
+                self._case(job, self._is_lost(job.place)) if case.row.key in missing else case
+                for job, case in zip(jobs, cases, strict=True)
+            ]
+        )
+
+    def _is_lost(self, place: Place) -> bool:
+        """Return whether a place needs a limit whose process gave no answer."""
+        return self.are_limits and not self._limits[place].known.any()
 
     def _prepare(self, places: Sequence[Place]) -> None:
         """Simulate the limits that the places need and that are still missing."""
@@ -211,10 +226,10 @@ class StartBench:
         row = self._bare(Job(simulator, count, 0))
         return msgspec.structs.replace(row, key="", kind="too slow", reason=reason)
 
-    def _case(self, job: Job) -> StudyCase[Measurement]:
+    def _case(self, job: Job, lost: bool = False) -> StudyCase[Measurement]:
         start, simulator = self.batch[[job.start]], job.simulator
         return StudyCase(
-            row=self._bare(job),
+            row=self._bare(job, lost),
             name=simulator.name,
             function=measure,
             arguments=lambda: (simulator, self.scene, start, job.count, self.truth_of(job.place)),
@@ -222,11 +237,11 @@ class StartBench:
             group=simulator.source or None,
         )
 
-    def _bare(self, job: Job) -> Measurement:
-        """Return a row without figures."""
-        simulator = job.simulator
+    def _bare(self, job: Job, lost: bool = False) -> Measurement:
+        """Return a row without figures; `lost` if there is no limit to compare it with."""
+        simulator, more = job.simulator, (_LOST_LIMIT,) if lost else ()
         return Measurement(
-            key=row_key(self.scene, self.batch[[job.start]], simulator, job.count),
+            key=row_key(self.scene, self.batch[[job.start]], simulator, job.count, *more),
             scene=self.scene.name,
             engine=simulator.engine,
             version=simulator.version,
@@ -243,6 +258,11 @@ class StartBench:
             kind="done",
             horizon_s=self.horizon if self.are_limits else self.truth_of(job.place).horizon,
         )
+
+
+def _lasts(stored: Measurement, row: Measurement) -> bool:
+    """Return whether a stored row can be reused; a crash cannot, as its cause may be external."""
+    return stored.kind != "crashed" and in_time(stored, row)
 
 
 def _crash_row(row: Measurement, crash: Crash) -> Measurement:

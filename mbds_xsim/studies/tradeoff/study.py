@@ -30,6 +30,8 @@ LIMIT = 30.0
 _INTERVAL = "medium"  # low starts are easier; high ones turn chaotic before errors can be measured
 _CHUNK = 4
 """Jobs per worker between two forecasts."""
+_LOST = ("failed", "crashed")
+"""Kinds of points that shorter steps may mend."""
 _FINE_ENOUGH = 0.1
 """Part of the error budget below which no shorter step is tried."""
 
@@ -193,9 +195,10 @@ def _next_count(bench: StartBench, curve: Simulator, rows: Sequence[Measurement]
     count = curve.counts[len(rows)]
     if count <= SPAN:
         return count
-    # Further only while the error is not yet far below its budget.
+    # Further only while the error is not yet far below its budget, or the motion is lost.
     enough = _FINE_ENOUGH * (bench.scene.budget.error_1s * bench.scene.length)
-    goes_on = not rows or (rows[-1].error_m or 0.0) > enough
+    last = rows[-1] if rows else None
+    goes_on = last is None or last.kind in _LOST or (last.error_m or 0.0) > enough
     return count if goes_on and not bench.are_limits else None
 
 
