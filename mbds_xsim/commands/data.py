@@ -53,7 +53,9 @@ def inspect(
 
 def summary_blocks(summary: Summary) -> Iterator[Block]:
     """Describe a data set: its facts, its counts, and the figures of the checks."""
-    yield Text(f"{summary.file}  {summary.kind}, {summary.certification}", "strong")
+    rejected = summary.kind == "rejected"
+    standing = "do not use as data" if rejected else summary.certification
+    yield Text(f"{summary.file}  {summary.kind}, {standing}", "strong")
     yield Remarks.of(_facts(summary))
     yield _counts(summary)
     if summary.figures:
@@ -143,7 +145,8 @@ def export(
     for file, missing in exported.absent.items():
         if missing:
             some = ", ".join(map(str, missing[:10])) + (" …" if len(missing) > 10 else "")
-            say(f"{file} has not {some}: rejected")
+            cause = "published, not rejected" if exported.rejected else "rejected"
+            say(f"{file} has not {some}: {cause}")
     console.print("not carried over:")
     for line in exported.lost:
         say(f"  {line}")

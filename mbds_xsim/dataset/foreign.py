@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from mbds_xsim.base import bounds
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.dataset.export import TIME, groups, read_csv, rounding_of
 from mbds_xsim.dataset.hdf5 import (
     check_sources,
     datasets_in,
@@ -35,6 +34,7 @@ from mbds_xsim.dataset.hdf5 import (
     scene_of,
 )
 from mbds_xsim.dataset.layout import FIELDS, MOTION, attribute
+from mbds_xsim.dataset.table import TIME, groups, read_csv, rounding_of
 from mbds_xsim.scene.scene import Clock, Scene
 
 _DAMAGE = (

@@ -111,7 +111,7 @@ class Dataset:
 
     def __repr__(self) -> str:
         attrs = self.attributes
-        source = f"{attrs['engine']} {attrs['profile']} ({attrs['certification']})"
+        source = f"{attrs['engine']} {attrs['profile']} ({self.standing})"
         return (
             f"<{attrs['scene_name']} {source}: "
             f"{len(self)} trajectories of {attrs['steps']} steps of {attrs['frame_s']} s>"
@@ -169,6 +169,17 @@ class Dataset:
     def variant(self) -> str:
         """Engine and settings, as in `mujoco-matched`."""
         return f"{self.attributes['engine']}-{self.attributes['profile']}"
+
+    @property
+    def is_rejected(self) -> bool:
+        """Whether these are trajectories that failed their checks."""
+        return bool(self.attributes["kind"] == "rejected")
+
+    @property
+    def standing(self) -> str:
+        """Whether they are certified, as text for people."""
+        certification: str = self.attributes["certification"]
+        return "rejected, do not use as data" if self.is_rejected else certification
 
     @property
     def lack(self) -> str:
@@ -277,7 +288,10 @@ class Dataset:
             length: Number of frames in a window, history and target together.
             split: Part from which windows are taken; all if None.
             rows: Rows of the trajectories to take, or a mask of all rows; all if None.
-            names: Datasets to take.
+            names: Datasets to take, of frames or of steps; of both, the last frame is left out.
+
+        Raises:
+            InputError: A dataset has neither frames nor steps, or the length does not fit.
         """
         chosen = np.arange(len(self)) if split is None else self.rows_of(split)
         if rows is not None:

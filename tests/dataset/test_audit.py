@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from mbds_xsim.base import rotation
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.audit import Audited, audit_file
-from mbds_xsim.dataset.export import groups
 from mbds_xsim.dataset.foreign import Provenance
 from mbds_xsim.dataset.points import Points, recover
+from mbds_xsim.dataset.table import groups
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.scene.state import STATES, Batch, Trajectory
