@@ -134,7 +134,7 @@ def export(
 
     console = to.console
     say = partial(console.print, highlight=False, soft_wrap=True)
-    numbers = None if indices is None else parse_numbers(indices, "--indices")
+    numbers = None if indices is None else sorted(set(parse_numbers(indices, "--indices")))
     with shared.progress_on(console) as progress:
         exported = run(dataset, out, form, engines=engines, numbers=numbers, progress=progress)
     say(
@@ -162,7 +162,8 @@ def audit(
         Option(help="A built-in name, a family with a size, or a file; else the file's own."),
     ] = None,
     index: Annotated[
-        str | None, Option(help="Numbers of the starts, as 0-9,15: compares with them, too.")
+        str | None,
+        Option(help="Numbers of the starts, in the file's order, as 0-9,15: compares with them."),
     ] = None,
     seed: Annotated[int | None, Option(help="Seed of those starts.", min=0)] = None,
     noise: Annotated[

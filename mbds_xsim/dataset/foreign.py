@@ -47,6 +47,10 @@ _RANKS = {name: len(FIELDS[name].axes) for name in (*MOTION, "index")}
 """Number of axes of each array of trajectories, if its first axis counts trajectories."""
 
 
+SHORTEST_STEP = 1e-12
+"""Shortest integration step that a file or a user may state [s]."""
+
+
 @dataclass(frozen=True)
 class Provenance:
     """Starts of trajectories and how they were made; None for anything unknown."""
@@ -61,10 +65,14 @@ class Provenance:
     single_precision: bool | None = None
 
     def __post_init__(self) -> None:
-        """Refuse times that are not finite."""
+        """Refuse times that are not finite, or too small."""
         for key in ("step_s", "velocity_lag_s", "contact_time_s"):
             if (value := getattr(self, key)) is not None:
                 bounds.finite(key, value)
+        for key, least in (("step_s", SHORTEST_STEP), ("contact_time_s", 0.0)):
+            value = getattr(self, key)
+            if value is not None and value < least:
+                raise InputError(f"{key}: got {value}, allowed is {least:g} or more [s]")
 
 
 FACTS = tuple(each.name for each in fields(Provenance) if each.name != "index")
@@ -261,6 +269,8 @@ def _facts_of(arrays: Mapping[str, Any], facts: Mapping[str, Any], where: str) -
     if "index" in arrays:
         numbers = [{"index": each} for each in arrays["index"].ravel().tolist()]
         provenance["index"] = tuple(attribute("index", n, where, strict=False) for n in numbers)
+    elif "index" in facts:  # of one trajectory
+        provenance["index"] = (attribute("index", facts, where, strict=False),)
     return provenance
 
 

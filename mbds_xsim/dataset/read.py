@@ -28,7 +28,7 @@ from mbds_xsim.dataset.series import MappedFile, Series, Windows
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import STATES, Batch, Failure, Trajectory
 
-_LONGEST = 10_000_000  # longest range of trajectory numbers
+_LONGEST = 10_000_000  # most numbers of trajectories in one text
 _AT_ONCE = ("index", "split", "reason")
 
 
@@ -226,18 +226,23 @@ class Dataset:
         return np.flatnonzero(self.small["split"] == SPLITS.index(split))
 
     def to_xarray(
-        self, names: Sequence[str] = ("position", "velocity"), rows: Any = slice(None)
+        self, names: str | Sequence[str] = ("position", "velocity"), rows: Any = slice(None)
     ) -> Any:
-        """Read datasets of trajectories into an `xarray.Dataset` with the axes of the layout.
+        """Read datasets into an `xarray.Dataset` with the axes of the layout.
 
         Args:
-            names: Datasets to read.
+            names: Datasets to read: one name or several.
             rows: Rows of the trajectories to read: a slice, a list or a mask.
 
         Raises:
+            UnknownDataset: The file has no dataset of one of these names.
             InputError: xarray is not installed.
         """
-        arrays = {name: (FIELDS[name].axes, self[name][rows]) for name in names}
+        arrays = {}
+        for name in [names] if isinstance(names, str) else names:
+            values = self[name]  # refuses unknown names
+            own = values[rows] if FIELDS[name].per_trajectory else values
+            arrays[name] = (FIELDS[name].axes, own)
         return labelled(arrays, trajectory=self.index[rows], frame=self.time)
 
     def batch(self, rows: Any = slice(None)) -> Batch:
@@ -343,19 +348,19 @@ def joined_files(path: Path, engines: str | None = None) -> list[Path]:
 
 
 def parse_numbers(text: str, option: str) -> list[int]:
-    """Parse numbers and ranges, such as "0-9,15"; return them ascending, each once.
+    """Parse numbers and ranges, such as "0-9,15"; keep their order and repetitions.
 
     Raises:
-        InputError: The text is something else, or has a range that would fill the memory.
+        InputError: The text is something else, or has ranges that would fill the memory.
     """
-    numbers: set[int] = set()
+    numbers: list[int] = []
     for word in text.split(","):
         match = re.fullmatch(r"\s*(\d{1,15})(?:-(\d{1,15}))?\s*", word)
         first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
-        if not 0 <= last - first < _LONGEST:
+        if not 0 <= last - first < _LONGEST - len(numbers):
             raise InputError(
                 f"{option}: got {text!r}, allowed are numbers and ranges of up to {_LONGEST}, as "
                 "0-9,15"
             )
-        numbers |= set(range(first, last + 1))
-    return sorted(numbers)
+        numbers += range(first, last + 1)
+    return numbers

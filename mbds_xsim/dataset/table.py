@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from decimal import Decimal
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.text import on_a_line
-from mbds_xsim.dataset.layout import FIELDS, attribute
+from mbds_xsim.dataset.layout import FIELDS
 from mbds_xsim.dataset.points import Points, axis_sizes
 from mbds_xsim.scene.scene import Scene
 
@@ -114,32 +115,57 @@ def read_csv(
             f"{path}: got {max(len(rows) - 1, 0)} frames, allowed is a line of names and 2 or more"
         )
     names = [name.strip() for name in rows[0]]
-    arrays, rounding = dict[str, NDArray[Any]](), dict[str, float]()
+    arrays, columns = dict[str, NDArray[Any]](), dict[str, list[_Column]]()
     for group in (_TIME, *_sort_columns(scene, names, str(path))):
         frames = rows[1:-1] if FIELDS[group.name].per_step else rows[1:]
-        columns = [_column(frames, names.index(name), name, path) for name in group.columns.flat]
-        values = np.stack([numbers for numbers, _ in columns], axis=-1)
+        own = [_column(frames, names.index(name), name, path) for name in group.columns.flat]
+        values = np.stack([column.numbers for column in own], axis=-1)
         arrays[group.name] = values.reshape(len(frames), *group.columns.shape)
-        rounding[group.name] = max(error for _, error in columns)
-    if "index" in facts:
-        arrays["index"] = np.array([attribute("index", facts, f"{path}: ", strict=False)])
+        columns[group.name] = own
+    finest = min(column.rounding for own in columns.values() for column in own)
+    rounding = {name: _rounding(arrays[name], own, finest) for name, own in columns.items()}
     return arrays, facts, rounding
 
 
-def _column(rows: list[list[str]], place: int, name: str, path: Path) -> tuple[Array, float]:
-    """Return the numbers of a column, and their rounding: half a unit of the last digit or more."""
+@dataclass(frozen=True, eq=False)
+class _Column:
+    """A column of a file."""
+
+    numbers: Array
+    rounding: float
+    """Half a unit of the last digit in any of its cells."""
+    digits: int
+    """Largest number of significant digits in a cell."""
+
+
+def _rounding(values: Array, columns: list[_Column], finest: float) -> float:
+    """Return the largest rounding error of a group of columns; `finest` if they are all zero.
+
+    A column such as 0.0 in every frame shows few digits without being rounded. So the error is not
+    larger than in the largest number of the group if that has as many significant digits as any.
+    """
+    largest = float(np.abs(values).max())
+    if not 0.0 < largest < math.inf:
+        return finest
+    last = math.floor(math.log10(largest)) + 1 - max(column.digits for column in columns)
+    return max(min(max(column.rounding for column in columns), 0.5 * 10.0**last), _coarse(values))
+
+
+def _column(rows: list[list[str]], place: int, name: str, path: Path) -> _Column:
+    """Read the numbers of a column, and the digits that they have."""
     texts = [row[place].strip() if place < len(row) else "" for row in rows]
-    exponents, values = [], []
+    exponents, digits, values = [], [1], []
     for frame, text in enumerate(texts):
         try:
-            exponents.append(Decimal(text).as_tuple().exponent)
+            parts = Decimal(text).as_tuple()
+            exponents.append(parts.exponent)
+            digits.append(len(parts.digits))
             values.append(float(text))  # refuses a signalling NaN, unlike Decimal
         except (ArithmeticError, ValueError):
             msg = f"{path}: frame {frame}, column {name}: got {text!r}, allowed is a number"
             raise InputError(msg) from None
     last = min((exponent for exponent in exponents if isinstance(exponent, int)), default=0)
-    numbers = np.array(values)
-    return numbers, max(0.5 * 10.0**last, _coarse(numbers))
+    return _Column(np.array(values), 0.5 * 10.0 ** min(last, 300), max(digits))
 
 
 def _coarse(numbers: Array) -> float:

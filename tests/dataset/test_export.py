@@ -194,7 +194,7 @@ def test_damaged_data_are_not_exported(make: Make, tmp_path: Path) -> None:
 
 
 def test_numbers_are_read_as_people_write_them() -> None:
-    assert parse_numbers("7, 0-2,1", "--indices") == [0, 1, 2, 7]
-    for text in ("", "3-1", "a", "1,,2", "-1", "0-999999999999"):
+    assert parse_numbers("7, 0-2,1", "--indices") == [7, 0, 1, 2, 1]
+    for text in ("", "3-1", "a", "1,,2", "-1", "0-999999999999", "0-9999998,0-9"):
         with pytest.raises(InputError, match=r"--indices: got"):
             parse_numbers(text, "--indices")
