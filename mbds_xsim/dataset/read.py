@@ -22,9 +22,10 @@ from mbds_xsim.dataset.hdf5 import (
     open_hdf5,
     scene_of,
     values_of,
+    variant_files,
 )
-from mbds_xsim.dataset.layout import FIELDS, SPLITS, SUFFIX
-from mbds_xsim.dataset.series import MappedFile, Series, Windows
+from mbds_xsim.dataset.layout import FIELDS, SPLITS
+from mbds_xsim.dataset.series import MappedFile, Series, Windows, being_extended
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import STATES, Batch, Failure, Trajectory
 
@@ -274,8 +275,11 @@ class Dataset:
             fault = check_content(path, names)
             if fault is not None:
                 raise InputError(f"{path}: {fault}; get it again, or generate it anew")
-        for path, content in zip(self.files, self.small.get("shard/content", ()), strict=False):
-            if attributes_of(path)[CONTENT] != content:
+        for part, content in zip(self.parts, self.small.get("shard/content", ()), strict=False):
+            path, attrs = part.path, attributes_of(part.path)
+            if attrs[CONTENT] != content:
+                if attrs["published"] > part.rows:
+                    raise InputError(being_extended(path))
                 msg = f"{path}: not the shard that {self.path.name} joins; generate it anew"
                 raise InputError(msg)
 
@@ -329,8 +333,7 @@ def joined_files(path: Path, engines: str | None = None) -> list[Path]:
     """
     if not path.exists():
         raise InputError(f"{path}: there is no such file or folder")
-    # Data sets are named by engine and settings, shards by a number; others need not be read.
-    candidates = [path] if path.is_file() else sorted(path.rglob(f"*-*{SUFFIX}"))
+    candidates = [path] if path.is_file() else variant_files(path, below=True)
     kinds = {file: attributes_of(file) for file in candidates}
     files = [file for file, attrs in kinds.items() if path.is_file() or attrs["kind"] == "joined"]
     if not files:

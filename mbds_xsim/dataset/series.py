@@ -53,12 +53,23 @@ class MappedFile:
         """
         values = _values(self, name)
         wanted = (self.rows, *like.shape[1:])
+        more = values.ndim == like.ndim and len(values) > self.rows
+        if more and (values.shape[1:], values.dtype) == (like.shape[1:], like.dtype):
+            raise InputError(being_extended(self.path))
         if (values.shape, values.dtype) != (wanted, like.dtype):
             raise InputError(
                 f"{self.path}: {name} is {values.dtype} of shape {values.shape}, expected is "
                 f"{like.dtype} of {wanted}; get it again, or generate it anew"
             )
         return values
+
+
+def being_extended(path: Path) -> str:
+    """Describe a shard with more trajectories than the joined file, which is written last, says."""
+    return (
+        f"{path} has more trajectories than its data set: the set is being extended; run the "
+        "larger `generate` again to finish"
+    )
 
 
 @functools.lru_cache(maxsize=2 * _OPEN)
