@@ -234,6 +234,7 @@ def _numbers(index: str | int | Iterable[int]) -> tuple[int, ...]:
 def _seconds(name: str, value: object, least: float | None = None) -> float | None:
     if value is None:
         return None
+    name = name.replace("_", "-")  # as on the command line
     if not isinstance(value, int | float | np.integer | np.floating) or isinstance(value, bool):
         raise InputError(f"--{name}: got {value!r}, allowed is a number [s]")
     if least is not None and value < least:

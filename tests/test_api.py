@@ -120,7 +120,7 @@ def test_what_cannot_be_used_is_told_in_one_line(arguments: dict[str, Any], line
         ("audit", ["x.npz"], {"step": 0}, "--step: got 0, allowed is 1e-12 or more [s]"),
         ("audit", ["x.npz"], {"step": -0.01}, "--step: got -0.01, allowed is 1e-12 or more"),
         ("audit", ["x.npz"], {"step": True}, "--step: got True, allowed is a number [s]"),
-        ("audit", ["x.npz"], {"contact_time": -1}, "--contact_time: got -1, allowed is 0 or more"),
+        ("audit", ["x.npz"], {"contact_time": -1}, "--contact-time: got -1, allowed is 0 or more"),
         ("audit", ["x.npz"], {"index": 2**70}, "allowed is a whole number, 0 to 999999999999999"),
         ("audit", ["x.npz"], {"seed": True}, "--seed: got True, allowed is a whole number"),
         ("audit", ["x.npz"], {"noise": "no"}, "--noise: got 'no', allowed is True or"),
