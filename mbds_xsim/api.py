@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from mbds_xsim.measure.result import Evidence, Validation
 
 _MOST_STARTS = 10_000
+_LARGEST_INDEX = 10**15 - 1  # as on the command line
 
 
 def load_scene(scene: Any) -> Scene:
@@ -173,7 +174,8 @@ def audit(
     Args:
         file: npz, CSV or HDF5; docs/data-commands.md lists names and columns.
         scene: Scene that moves; by default the one that the file names.
-        index: Numbers of the starts, as 3, "0-9,15" or [0, 1]; the motion is compared with them.
+        index: Numbers of the starts in the order of the file, as 3, "0-9,15" or [0, 1]; the motion
+            is compared with them.
         seed: Seed of those starts.
         noise: Whether their random forces acted.
         order: Order of the method that made it; 1 by default.
@@ -185,7 +187,7 @@ def audit(
         InputError: The file, or what is stated about it, cannot be used.
     """
     from mbds_xsim.dataset.audit import audit_file
-    from mbds_xsim.dataset.foreign import Provenance
+    from mbds_xsim.dataset.foreign import SHORTEST_STEP, Provenance
 
     if noise is not None:
         _check(noise=noise)
@@ -193,10 +195,10 @@ def audit(
         index=None if index is None else _numbers(index),
         seed=None if seed is None else _whole("seed", seed, 0),
         noise=noise,
-        step_s=_seconds("step", step),
+        step_s=_seconds("step", step, SHORTEST_STEP),
         method_order=None if order is None else _whole("order", order, 1),
         velocity_lag_s=_seconds("velocity_lag", velocity_lag),
-        contact_time_s=_seconds("contact_time", contact_time),
+        contact_time_s=_seconds("contact_time", contact_time, 0.0),
     )
     return audit_file(path_of("file", file), None if scene is None else load_scene(scene), origin)
 
@@ -226,14 +228,17 @@ def _numbers(index: str | int | Iterable[int]) -> tuple[int, ...]:
     if isinstance(index, str):
         return tuple(parse_numbers(index, "--index"))
     indices = index if isinstance(index, Iterable) else (index,)
-    return tuple(_whole("index", number, 0) for number in indices)
+    return tuple(_whole("index", number, 0, _LARGEST_INDEX) for number in indices)
 
 
-def _seconds(name: str, value: object) -> float | None:
+def _seconds(name: str, value: object, least: float | None = None) -> float | None:
     if value is None:
         return None
-    if not isinstance(value, int | float | np.number):
+    name = name.replace("_", "-")  # as on the command line
+    if not isinstance(value, int | float | np.integer | np.floating) or isinstance(value, bool):
         raise InputError(f"--{name}: got {value!r}, allowed is a number [s]")
+    if least is not None and value < least:
+        raise InputError(f"--{name}: got {value!r}, allowed is {least:g} or more [s]")
     return float(value)
 
 
@@ -251,6 +256,7 @@ def _check(workers: int | None = None, limit: object = LIMIT, **flags: object) -
 def _whole(name: str, value: object, least: int, most: int | None = None) -> int:
     if (
         not isinstance(value, int | np.integer)
+        or isinstance(value, bool)
         or value < least
         or (most is not None and value > most)
     ):

@@ -132,8 +132,7 @@ def run_tasks(
     if not tasks:
         return answers
     waiting = list(range(len(tasks)))
-    ended: set[int | None] = {None}
-    running: list[_Process] = []
+    ended, running = set[int | None]({None}), list[_Process]()
     with (
         hold_interruptions() as interruptions,
         tempfile.TemporaryDirectory(prefix="mbds-xsim-") as folder,

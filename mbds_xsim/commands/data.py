@@ -53,7 +53,9 @@ def inspect(
 
 def summary_blocks(summary: Summary) -> Iterator[Block]:
     """Describe a data set: its facts, its counts, and the figures of the checks."""
-    yield Text(f"{summary.file}  {summary.kind}, {summary.certification}", "strong")
+    rejected = summary.kind == "rejected"
+    standing = "do not use as data" if rejected else summary.certification
+    yield Text(f"{summary.file}  {summary.kind}, {standing}", "strong")
     yield Remarks.of(_facts(summary))
     yield _counts(summary)
     if summary.figures:
@@ -132,7 +134,7 @@ def export(
 
     console = to.console
     say = partial(console.print, highlight=False, soft_wrap=True)
-    numbers = None if indices is None else parse_numbers(indices, "--indices")
+    numbers = None if indices is None else sorted(set(parse_numbers(indices, "--indices")))
     with shared.progress_on(console) as progress:
         exported = run(dataset, out, form, engines=engines, numbers=numbers, progress=progress)
     say(
@@ -143,7 +145,8 @@ def export(
     for file, missing in exported.absent.items():
         if missing:
             some = ", ".join(map(str, missing[:10])) + (" …" if len(missing) > 10 else "")
-            say(f"{file} has not {some}: rejected")
+            cause = "published, not rejected" if exported.rejected else "rejected"
+            say(f"{file} has not {some}: {cause}")
     console.print("not carried over:")
     for line in exported.lost:
         say(f"  {line}")
@@ -159,7 +162,8 @@ def audit(
         Option(help="A built-in name, a family with a size, or a file; else the file's own."),
     ] = None,
     index: Annotated[
-        str | None, Option(help="Numbers of the starts, as 0-9,15: compares with them, too.")
+        str | None,
+        Option(help="Numbers of the starts, in the file's order, as 0-9,15: compares with them."),
     ] = None,
     seed: Annotated[int | None, Option(help="Seed of those starts.", min=0)] = None,
     noise: Annotated[

@@ -164,8 +164,7 @@ class _Case:
             states = {key: arrays.get(f"body/{key}") for key in STATES}
             blur = self.rounding(*(f"body/{key}" for key in STATES))
             findings += self._of_bodies(states, blur, self.rounding("body/orientation"))
-            if points is not None:
-                findings.append(self._carried(points))
+            findings += self._carried(states)
         elif points is not None:
             findings += self._of_points(points, arrays.get("velocity"))
         if self.named:
@@ -196,7 +195,7 @@ class _Case:
             self._leave_out("no velocities")
         if blur is None:
             self.not_checked["precision"] = "bodies are fitted to the particles"
-        rounding = {"start": blur or 0.0, "finite": turned}
+        rounding = {"start": blur or 0.0, "finite": 2.0 * turned}  # of a norm of four components
         if max(rounding.values()) > _SAME_INPUT:
             self.not_checked["precision"] = "the numbers have float32 precision or less"
             self.assumptions.append(
@@ -245,12 +244,23 @@ class _Case:
         rounding = self.rounding("position", "velocity")
         return [Finding.of("start", "1", parts, budget=_SAME_START, uncertainty=rounding)]
 
-    def _carried(self, position: Array) -> Finding:
+    def _carried(self, states: dict[str, Array | None]) -> list[Finding]:
         """Compare the particles with the bodies that carry them."""
-        distance = np.linalg.norm(position - self._positions(), axis=-1)
-        scene = self.foreign.scene
+        scene, arrays, findings = self.foreign.scene, self.foreign.arrays, list[Finding]()
         names = tuple(scene.bodies[body].name for body in self.points.body)
-        return Finding.of("particles", "m", distance, budget=scene.budget.gap, names=names)
+        own = self.points.motion(self._trajectory(states))
+        scales = (("particles", "m", 1.0), ("particle velocities", "m/s", scene.clock.frame))
+        for key, carried, (check, unit, scale) in zip(
+            ("position", "velocity"), own, scales, strict=True
+        ):
+            if key in arrays and states[key] is None:
+                self.not_checked[check] = "no velocities of bodies"
+            elif key in arrays:
+                off, blur = np.linalg.norm(arrays[key] - carried, axis=-1), self.rounding(key)
+                budget = scene.budget.gap / scale
+                finding = Finding.of(check, unit, off, budget=budget, names=names, uncertainty=blur)
+                findings.append(finding)
+        return findings
 
     def _leave_out(self, reason: str, *more: str) -> None:
         touching = _OF_CONTACT if self.foreign.scene.contacts else ()

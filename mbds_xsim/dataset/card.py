@@ -17,8 +17,8 @@ import numpy as np
 
 from mbds_xsim.base.files import put
 from mbds_xsim.base.text import in_markdown, sentence
-from mbds_xsim.dataset.hdf5 import open_hdf5
-from mbds_xsim.dataset.layout import FIELDS, FORMAT, JOINT, SPLITS, VERSION, variant_files
+from mbds_xsim.dataset.hdf5 import open_hdf5, variant_files
+from mbds_xsim.dataset.layout import FIELDS, FORMAT, JOINT, SPLITS, VERSION
 from mbds_xsim.dataset.read import Dataset, load_dataset
 from mbds_xsim.dataset.summary import causes_of, counts_of
 from mbds_xsim.scene.sampling_terms import INTERVALS

@@ -25,7 +25,10 @@ _LOOK = 0.5  # interval between two checks for ended tasks [s]
 _FETCH = 10.0  # longest time to fetch an answer that is ready [s]
 _GRACE = 30.0  # longest wait for a new worker after the last one is gone [s]
 _AWAITED = ("pending", "lost")
-_PACKAGES = ("mbds-xsim", "mujoco", "pybullet", "dartpy", "exudyn", "numpy", "h5py")
+_PACKAGES = (
+    "mbds-xsim", "mujoco", "pybullet", "dartpy", "exudyn", "pin", "drake", "mujoco-warp",
+    "warp-lang", "numpy", "h5py",
+)  # fmt: skip
 
 
 def carrier_of(

@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from mbds_xsim.base import bounds
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.dataset.export import TIME, groups, read_csv, rounding_of
 from mbds_xsim.dataset.hdf5 import (
     check_sources,
     datasets_in,
@@ -35,6 +34,7 @@ from mbds_xsim.dataset.hdf5 import (
     scene_of,
 )
 from mbds_xsim.dataset.layout import FIELDS, MOTION, attribute
+from mbds_xsim.dataset.table import TIME, groups, read_csv, rounding_of
 from mbds_xsim.scene.scene import Clock, Scene
 
 _DAMAGE = (
@@ -45,6 +45,10 @@ _SAME_FRAME = 1e-4  # relative
 _AT_ONCE = 100_000  # frames of bodies or points; the checks take some 5 kB for each
 _RANKS = {name: len(FIELDS[name].axes) for name in (*MOTION, "index")}
 """Number of axes of each array of trajectories, if its first axis counts trajectories."""
+
+
+SHORTEST_STEP = 1e-12
+"""Shortest integration step that a file or a user may state [s]."""
 
 
 @dataclass(frozen=True)
@@ -61,10 +65,14 @@ class Provenance:
     single_precision: bool | None = None
 
     def __post_init__(self) -> None:
-        """Refuse times that are not finite."""
+        """Refuse times that are not finite, or too small."""
         for key in ("step_s", "velocity_lag_s", "contact_time_s"):
             if (value := getattr(self, key)) is not None:
                 bounds.finite(key, value)
+        for key, least in (("step_s", SHORTEST_STEP), ("contact_time_s", 0.0)):
+            value = getattr(self, key)
+            if value is not None and value < least:
+                raise InputError(f"{key}: got {value}, allowed is {least:g} or more [s]")
 
 
 FACTS = tuple(each.name for each in fields(Provenance) if each.name != "index")
@@ -261,6 +269,8 @@ def _facts_of(arrays: Mapping[str, Any], facts: Mapping[str, Any], where: str) -
     if "index" in arrays:
         numbers = [{"index": each} for each in arrays["index"].ravel().tolist()]
         provenance["index"] = tuple(attribute("index", n, where, strict=False) for n in numbers)
+    elif "index" in facts:  # of one trajectory
+        provenance["index"] = (attribute("index", facts, where, strict=False),)
     return provenance
 
 

@@ -26,6 +26,7 @@ from mbds_xsim.dataset.layout import (
     FIELDS,
     FORMAT,
     SHARED,
+    SUFFIX,
     VERSION,
     Field,
     attribute,
@@ -168,6 +169,30 @@ def attributes_of(path: Path) -> dict[str, Any]:
     context = f"{path}: attribute ", "; get the file again"
     with_defaults = ATTRIBUTE_DEFAULTS | attrs
     return attrs | {key: attribute(key, with_defaults, *context) for key in required}
+
+
+def variant_files(folder: Path, *, below: bool = False) -> list[Path]:
+    """Return the joined files of all variants in a folder, without files of other programs.
+
+    A file next to a folder of its name counts even if it does not look like a joined file: it is
+    damaged, which must not pass in silence.
+
+    Args:
+        folder: Folder of a scene, or any other.
+        below: Whether to search the folders in it, too.
+
+    Raises:
+        InputError: A file cannot be read.
+    """
+    pattern = f"*-*{SUFFIX}"  # engine and settings; shards are named by a number
+    paths = sorted(folder.rglob(pattern) if below else folder.glob(pattern))
+    return [path for path in paths if path.with_suffix("").is_dir() or _is_joined(path)]
+
+
+def _is_joined(path: Path) -> bool:
+    with open_hdf5(path) as file:
+        attrs = plain(file.attrs)
+    return _is(attrs.get("format"), FORMAT) and _is(attrs.get("kind"), "joined")
 
 
 def scene_of(text: Any, path: Path, advice: str = "get the file again") -> Scene:

@@ -22,11 +22,6 @@ JOINT = f"joint{SUFFIX}"
 """Name of the file that says which trajectories are valid in all variants of a scene."""
 
 
-def variant_files(folder: Path) -> list[Path]:
-    """Return the joined files of all variants of a scene."""
-    return [path for path in sorted(folder.glob(f"*{SUFFIX}")) if path.name != JOINT]
-
-
 def rejected_folder(folder: Path) -> Path:
     """Return the folder of a variant's rejected trajectories, given the folder of its shards."""
     return folder.parents[1] / "rejected" / folder.parent.name / folder.name

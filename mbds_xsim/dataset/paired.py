@@ -69,15 +69,20 @@ class PairedData:
         whole = np.asarray(values[0])
         return whole[self.rows[0]] if FIELDS[name].per_trajectory else whole
 
-    def to_xarray(self, names: Sequence[str] = ("position", "velocity")) -> Any:
+    def to_xarray(self, names: str | Sequence[str] = ("position", "velocity")) -> Any:
         """Read datasets into an `xarray.Dataset` with the axes of the layout, and `engine`.
 
+        Args:
+            names: Datasets to read: one name or several.
+
         Raises:
+            UnknownDataset: A file has no dataset of one of these names.
             InputError: xarray is not installed.
         """
         arrays = {}
-        for name in names:
-            axes, values = FIELDS[name].axes, self[name]
+        for name in [names] if isinstance(names, str) else names:
+            values = self[name]  # refuses unknown names
+            axes = FIELDS[name].axes
             if isinstance(values, PairedSeries):
                 axes = (axes[0], "engine", *axes[1:])
             arrays[name] = (axes, values[:])

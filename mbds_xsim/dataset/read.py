@@ -22,13 +22,14 @@ from mbds_xsim.dataset.hdf5 import (
     open_hdf5,
     scene_of,
     values_of,
+    variant_files,
 )
-from mbds_xsim.dataset.layout import FIELDS, SPLITS, SUFFIX
-from mbds_xsim.dataset.series import MappedFile, Series, Windows
+from mbds_xsim.dataset.layout import FIELDS, SPLITS
+from mbds_xsim.dataset.series import MappedFile, Series, Windows, being_extended
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import STATES, Batch, Failure, Trajectory
 
-_LONGEST = 10_000_000  # longest range of trajectory numbers
+_LONGEST = 10_000_000  # most numbers of trajectories in one text
 _AT_ONCE = ("index", "split", "reason")
 
 
@@ -111,7 +112,7 @@ class Dataset:
 
     def __repr__(self) -> str:
         attrs = self.attributes
-        source = f"{attrs['engine']} {attrs['profile']} ({attrs['certification']})"
+        source = f"{attrs['engine']} {attrs['profile']} ({self.standing})"
         return (
             f"<{attrs['scene_name']} {source}: "
             f"{len(self)} trajectories of {attrs['steps']} steps of {attrs['frame_s']} s>"
@@ -171,6 +172,17 @@ class Dataset:
         return f"{self.attributes['engine']}-{self.attributes['profile']}"
 
     @property
+    def is_rejected(self) -> bool:
+        """Whether these are trajectories that failed their checks."""
+        return bool(self.attributes["kind"] == "rejected")
+
+    @property
+    def standing(self) -> str:
+        """Whether they are certified, as text for people."""
+        certification: str = self.attributes["certification"]
+        return "rejected, do not use as data" if self.is_rejected else certification
+
+    @property
     def lack(self) -> str:
         """Message that there is nothing to read; empty if there is something."""
         drawn = self.attributes["count"]
@@ -215,18 +227,23 @@ class Dataset:
         return np.flatnonzero(self.small["split"] == SPLITS.index(split))
 
     def to_xarray(
-        self, names: Sequence[str] = ("position", "velocity"), rows: Any = slice(None)
+        self, names: str | Sequence[str] = ("position", "velocity"), rows: Any = slice(None)
     ) -> Any:
-        """Read datasets of trajectories into an `xarray.Dataset` with the axes of the layout.
+        """Read datasets into an `xarray.Dataset` with the axes of the layout.
 
         Args:
-            names: Datasets to read.
+            names: Datasets to read: one name or several.
             rows: Rows of the trajectories to read: a slice, a list or a mask.
 
         Raises:
+            UnknownDataset: The file has no dataset of one of these names.
             InputError: xarray is not installed.
         """
-        arrays = {name: (FIELDS[name].axes, self[name][rows]) for name in names}
+        arrays = {}
+        for name in [names] if isinstance(names, str) else names:
+            values = self[name]  # refuses unknown names
+            own = values[rows] if FIELDS[name].per_trajectory else values
+            arrays[name] = (FIELDS[name].axes, own)
         return labelled(arrays, trajectory=self.index[rows], frame=self.time)
 
     def batch(self, rows: Any = slice(None)) -> Batch:
@@ -258,8 +275,11 @@ class Dataset:
             fault = check_content(path, names)
             if fault is not None:
                 raise InputError(f"{path}: {fault}; get it again, or generate it anew")
-        for path, content in zip(self.files, self.small.get("shard/content", ()), strict=False):
-            if attributes_of(path)[CONTENT] != content:
+        for part, content in zip(self.parts, self.small.get("shard/content", ()), strict=False):
+            path, attrs = part.path, attributes_of(part.path)
+            if attrs[CONTENT] != content:
+                if attrs["published"] > part.rows:
+                    raise InputError(being_extended(path))
                 msg = f"{path}: not the shard that {self.path.name} joins; generate it anew"
                 raise InputError(msg)
 
@@ -277,7 +297,10 @@ class Dataset:
             length: Number of frames in a window, history and target together.
             split: Part from which windows are taken; all if None.
             rows: Rows of the trajectories to take, or a mask of all rows; all if None.
-            names: Datasets to take.
+            names: Datasets to take, of frames or of steps; of both, the last frame is left out.
+
+        Raises:
+            InputError: A dataset has neither frames nor steps, or the length does not fit.
         """
         chosen = np.arange(len(self)) if split is None else self.rows_of(split)
         if rows is not None:
@@ -310,8 +333,7 @@ def joined_files(path: Path, engines: str | None = None) -> list[Path]:
     """
     if not path.exists():
         raise InputError(f"{path}: there is no such file or folder")
-    # Data sets are named by engine and settings, shards by a number; others need not be read.
-    candidates = [path] if path.is_file() else sorted(path.rglob(f"*-*{SUFFIX}"))
+    candidates = [path] if path.is_file() else variant_files(path, below=True)
     kinds = {file: attributes_of(file) for file in candidates}
     files = [file for file, attrs in kinds.items() if path.is_file() or attrs["kind"] == "joined"]
     if not files:
@@ -329,19 +351,19 @@ def joined_files(path: Path, engines: str | None = None) -> list[Path]:
 
 
 def parse_numbers(text: str, option: str) -> list[int]:
-    """Parse numbers and ranges, such as "0-9,15"; return them ascending, each once.
+    """Parse numbers and ranges, such as "0-9,15"; keep their order and repetitions.
 
     Raises:
-        InputError: The text is something else, or has a range that would fill the memory.
+        InputError: The text is something else, or has ranges that would fill the memory.
     """
-    numbers: set[int] = set()
+    numbers: list[int] = []
     for word in text.split(","):
         match = re.fullmatch(r"\s*(\d{1,15})(?:-(\d{1,15}))?\s*", word)
         first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
-        if not 0 <= last - first < _LONGEST:
+        if not 0 <= last - first < _LONGEST - len(numbers):
             raise InputError(
                 f"{option}: got {text!r}, allowed are numbers and ranges of up to {_LONGEST}, as "
                 "0-9,15"
             )
-        numbers |= set(range(first, last + 1))
-    return sorted(numbers)
+        numbers += range(first, last + 1)
+    return numbers

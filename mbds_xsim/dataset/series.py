@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from mbds_xsim.base.arrays import Index
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.hdf5 import open_hdf5, refuse_other, values_of
+from mbds_xsim.dataset.layout import FIELDS
 
 _OPEN = 256  # files that are mapped at a time
 
@@ -52,12 +53,23 @@ class MappedFile:
         """
         values = _values(self, name)
         wanted = (self.rows, *like.shape[1:])
+        more = values.ndim == like.ndim and len(values) > self.rows
+        if more and (values.shape[1:], values.dtype) == (like.shape[1:], like.dtype):
+            raise InputError(being_extended(self.path))
         if (values.shape, values.dtype) != (wanted, like.dtype):
             raise InputError(
                 f"{self.path}: {name} is {values.dtype} of shape {values.shape}, expected is "
                 f"{like.dtype} of {wanted}; get it again, or generate it anew"
             )
         return values
+
+
+def being_extended(path: Path) -> str:
+    """Describe a shard with more trajectories than the joined file, which is written last, says."""
+    return (
+        f"{path} has more trajectories than its data set: the set is being extended; run the "
+        "larger `generate` again to finish"
+    )
 
 
 @functools.lru_cache(maxsize=2 * _OPEN)
@@ -260,14 +272,27 @@ class Windows:
     """Number of frames in a window."""
 
     def __post_init__(self) -> None:
-        frames = self.series[0].shape[1]
+        if not self.series:
+            raise InputError("names: got none, allowed are datasets of frames or of steps")
+        for series in self.series:
+            if FIELDS[series.name].axes[1:2] not in (("frame",), ("step",)):
+                raise InputError(
+                    f"names: got {series.name!r}, which has neither frames nor steps; allowed are "
+                    "datasets that have, as position"
+                )
+        frames = self._frames
         if not isinstance(self.length, int | np.integer) or not 1 <= self.length <= frames:
             raise InputError(f"length: got {self.length!r}, allowed is 1 to {frames} frames")
 
     @property
+    def _frames(self) -> int:
+        """Number of frames in a trajectory, or of steps if there are datasets of both."""
+        return min(series.shape[1] for series in self.series)
+
+    @property
     def per_trajectory(self) -> int:
-        """Number of windows in one trajectory."""
-        return self.series[0].shape[1] - self.length + 1
+        """Number of windows in one trajectory, each of which lies in all datasets."""
+        return self._frames - self.length + 1
 
     def __len__(self) -> int:
         return len(self.rows) * self.per_trajectory

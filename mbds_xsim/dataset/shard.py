@@ -27,7 +27,7 @@ from mbds_xsim.dataset.gate import (
     judge_rows,
     limit_faults,
 )
-from mbds_xsim.dataset.hdf5 import CONTENT, open_hdf5, values_of
+from mbds_xsim.dataset.hdf5 import CONTENT, open_hdf5, values_of, variant_files
 from mbds_xsim.dataset.layout import (
     FIELDS,
     JOINT,
@@ -36,7 +36,6 @@ from mbds_xsim.dataset.layout import (
     rejected_folder,
     sampled,
     split_of,
-    variant_files,
 )
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.dataset.variant import Item, Variant, folder_name

@@ -114,7 +114,7 @@ def summary_of(data: Dataset) -> Summary:
 
 def causes_of(data: Dataset) -> Counter[str]:
     """Count rejected trajectories, beside a data set or in it, by the check that failed first."""
-    if data.attributes["kind"] == "rejected":
+    if data.is_rejected:
         return Counter(map(cause_of, data.small["reason"]))
     return causes(_rejected_beside(data), [file.name for file in data.files])
 
@@ -184,7 +184,7 @@ def draw_paths(data: Dataset, path: Path) -> None:
         attrs = data.attributes
         figure.suptitle(
             f"{in_figure(attrs['scene_name'])} in {attrs['engine']} {attrs['engine_version']}, "
-            f"{attrs['method']} at {attrs['step_s']:.4g} s ({attrs['certification']})"
+            f"{attrs['method']} at {attrs['step_s']:.4g} s ({data.standing})"
             + ("" if attrs["dimension"] == 1 else ": start grey, end black"),
             fontsize=10,
             y=1.0,

@@ -160,13 +160,20 @@ def pending(variant: Variant, trajectories: int, out: Path) -> list[Item]:
     if beyond:
         raise InputError(
             f"{folder} holds {beyond[0]}, which does not belong to {trajectories} trajectories; "
-            "ask for as many as before, or name another --out"
+            f"ask for {_least(folder / beyond[-1])}, or name another --out"
         )
     return [
         item
         for item in items
         if item.file_name not in present or not _is_complete(item, item.path(out))
     ]
+
+
+def _least(last: Path) -> str:
+    """Describe the numbers of trajectories that a folder allows whose last shard is this one."""
+    if not re.fullmatch(r"\d+", last.stem):
+        return "as many as before"
+    return f"{int(last.stem) + _attributes(last).get('count', 0)} or more"
 
 
 def check_same_draws(variant: Variant, out: Path) -> None:
@@ -185,7 +192,7 @@ def _is_complete(item: Item, path: Path) -> bool:
     if attrs.get("count", 0) > item.count:
         raise InputError(
             f"{path} holds {attrs['count']} trajectories, needed are {item.count}: it is from a "
-            "larger set or another version; ask for as many as before, or name another --out"
+            f"larger set or another version; ask for {_least(path)}, or name another --out"
         )
     return bool(attrs["count"] == item.count)
 

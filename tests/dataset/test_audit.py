@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from mbds_xsim.base import rotation
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.audit import Audited, audit_file
-from mbds_xsim.dataset.export import groups
 from mbds_xsim.dataset.foreign import Provenance
 from mbds_xsim.dataset.points import Points, recover
+from mbds_xsim.dataset.table import groups
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.scene.state import STATES, Batch, Trajectory
@@ -93,6 +93,15 @@ def test_all_checks_run_on_states_of_bodies(rod: Scene, swing: Arrays, audited: 
     assert set(result.not_checked) == {"error at 1 s"}  # it lasts a fifth of a second
 
 
+def test_velocities_of_particles_without_those_of_bodies_are_not_checked(
+    rod: Scene, swing: Arrays, audited: Audit
+) -> None:
+    part = _only(swing, "body/position", "body/orientation", "velocity")
+    result = audited(rod, part)
+    assert result.not_checked["particle velocities"] == "no velocities of bodies"
+    assert "particle velocities" in _checks(audited(rod, swing))
+
+
 def test_float32_is_no_fault(rod: Scene, swing: Arrays, audited: Audit) -> None:
     coarse = {name: values.astype(np.float32) for name, values in swing.items()}
     result = audited(rod, coarse)
@@ -110,6 +119,7 @@ def test_float32_is_no_fault(rod: Scene, swing: Arrays, audited: Audit) -> None:
         ("body/orientation", lambda x: x[..., [1, 2, 3, 0]], {"start", "gap"}),
         ("input/force", lambda x: 0.5 * x, {"force"}),
         ("position", lambda x: x[:, ::-1], {"particles"}),
+        ("velocity", lambda x: -x, {"particle velocities"}),
     ],
 )
 def test_planted_faults_are_found(
@@ -245,6 +255,47 @@ def test_times_may_be_rounded(rod: Scene, swing: Arrays, tmp_path: Path, audited
     assert (result.verdict, result.frame_s) == ("pass", 1 / 60)
 
 
+@pytest.mark.parametrize("shown", [str, "{:.6e}".format, "{:.7f}".format])
+def test_digits_of_a_constant_column_excuse_nothing(
+    shown: Callable[[float], str], drop: tuple[Scene, Arrays], tmp_path: Path
+) -> None:
+    """A column 0.0 says nothing of the others' digits; all are as fine as they are written."""
+    scene, arrays = drop
+    one = {name: values if name == "time" else values[0] for name, values in arrays.items()}
+    one |= {"input/force": 0.0 * one["input/force"]}
+    origin = Provenance(index=INDEX[:1], seed=7)
+    off = dict(zip("xyz", np.diag([0.009, 0.0, 0.0]), strict=True))["x"]
+    moved = one | {"body/position": one["body/position"] + off}
+    turned = one | {"body/orientation": 1.04 * one["body/orientation"]}
+    failed = []
+    for case in (one, moved, turned):
+        _write_csv(tmp_path / "it.csv", scene, case, shown)
+        failed.append(_failed(audit_file(tmp_path / "it.csv", scene, origin)))
+    assert not {"start", "finite"} & failed[0]
+    assert "force" in failed[0]
+    assert "start" in failed[1]
+    assert "finite" in failed[2]
+
+
+@pytest.mark.parametrize("suffix", ["npz", "h5"])
+def test_the_index_of_one_trajectory_may_be_a_scalar(
+    suffix: str, rod: Scene, swing: Arrays, tmp_path: Path
+) -> None:
+    one = {name: values if name == "time" else values[0] for name, values in swing.items()}
+    if suffix == "npz":
+        np.savez(tmp_path / "it.npz", index=INDEX[0], seed=7, **one)  # type: ignore[arg-type]
+    else:
+        with h5py.File(tmp_path / "it.h5", "w") as file:
+            file.attrs["index"], file.attrs["seed"] = INDEX[0], 7
+            for name, values in one.items():
+                file[name] = values
+    result = audit_file(tmp_path / f"it.{suffix}", rod, Provenance())
+    assert (result.verdict, "start" in _checks(result)) == ("pass", True)
+    assert f"seed 7, index {INDEX[0]}," in result.taken[0]
+    other = audit_file(tmp_path / f"it.{suffix}", rod, Provenance(index=INDEX[1:]))
+    assert "start" in _failed(other)
+
+
 def test_rounding_hides_no_missing_frame(rod: Scene, swing: Arrays, tmp_path: Path) -> None:
     one = {name: values if name == "time" else values[0] for name, values in swing.items()}
     lost = {name: np.delete(values, 4, axis=0) for name, values in one.items()}
@@ -253,13 +304,13 @@ def test_rounding_hides_no_missing_frame(rod: Scene, swing: Arrays, tmp_path: Pa
         audit_file(tmp_path / "it.csv", rod, Provenance())
 
 
-def _write_csv(path: Path, scene: Scene, one: Arrays) -> None:
+def _write_csv(path: Path, scene: Scene, one: Arrays, shown: Callable[[float], str] = repr) -> None:
     columns, names = [one["time"].tolist()], ["time"]
     for group in groups(scene):
         if group.name in one:
             values = one[group.name].reshape(len(one[group.name]), -1)
             names += group.columns.ravel().tolist()
-            padded = [*values.T.tolist()]
+            padded = [[shown(value) for value in column] for column in values.T.tolist()]
             columns += [column + [""] * (len(one["time"]) - len(column)) for column in padded]
     with path.open("w", newline="") as file:
         csv.writer(file).writerows([names, *zip(*columns, strict=True)])
@@ -333,6 +384,8 @@ def test_wrong_arrays_are_refused(
         ("seed", np.inf),
         ("method_order", 1.5),
         ("step_s", np.nan),
+        ("step_s", 0.0),
+        ("contact_time_s", -1.0),
         ("noise", "perhaps"),
     ],
 )

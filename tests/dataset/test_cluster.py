@@ -10,10 +10,11 @@ from pathlib import Path
 import pytest
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.dataset.cluster import Cluster
+from mbds_xsim.dataset.cluster import _PACKAGES, Cluster
 from mbds_xsim.dataset.generate import Request, generate
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.registry import installed_engines, is_foreign, load_adapter
 from tests.farm import Farm
 
 from .conftest import TRAJECTORIES, Silence, contents
@@ -69,6 +70,12 @@ def test_a_cluster_that_cannot_do_it_is_one_clear_line(
     ):
         Cluster(farm.address, tmp_path / "out")
     assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_the_versions_of_every_engine_are_compared() -> None:
+    """Data of two versions of an engine do not mix, whichever engine it is."""
+    engines = {load_adapter(name).package for name in installed_engines() if not is_foreign(name)}
+    assert engines | {"drake", "mujoco-warp", "pin", "warp-lang"} <= {*_PACKAGES}
 
 
 def test_no_scheduler_is_one_clear_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import h5py
 
-from mbds_xsim.dataset.export import groups
 from mbds_xsim.dataset.foreign import FACTS
 from mbds_xsim.dataset.gate import COLUMNS
 from mbds_xsim.dataset.layout import FIELDS, VERSION
+from mbds_xsim.dataset.table import groups
 from mbds_xsim.simulate.registry import load_scene
 
 PAGE = Path(__file__).parents[2] / "docs" / "dataset-layout.md"

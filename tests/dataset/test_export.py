@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
+import shutil
 from pathlib import Path
 
 import h5py
+import msgspec
 import numpy as np
 import pytest
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Silent
 from mbds_xsim.dataset.audit import audit_file
-from mbds_xsim.dataset.export import LOST, Form, export
+from mbds_xsim.dataset.export import LOST, Form, _check_target, export
 from mbds_xsim.dataset.foreign import Provenance, read_foreign
 from mbds_xsim.dataset.layout import FIELDS
 from mbds_xsim.dataset.read import Dataset, load_dataset, parse_numbers
 from mbds_xsim.scene.file import read_scene
+from mbds_xsim.scene.scene import Scene
 
 from .conftest import Make
 
@@ -130,6 +134,56 @@ def test_an_export_goes_on_after_it_was_killed(whole: Path, tmp_path: Path) -> N
     assert there == {"README.md", "scene.toml", "0000000003.csv"}
 
 
+def test_two_sets_of_one_folder_are_refused(whole: Path, tmp_path: Path) -> None:
+    """A copy beside the original has the same scene and variant, and would replace it."""
+    for name in ("one", "two"):
+        shutil.copytree(whole, tmp_path / "data" / name)
+    with pytest.raises(InputError, match=r"one/.* and .*two/.* would both be written to .*"):
+        _exported(tmp_path / "data", tmp_path / "out", "csv", [3])
+    assert not (tmp_path / "out").exists()
+
+
+def test_files_of_other_data_are_not_kept_for_their_numbers(
+    whole: Path, data: Dataset, tmp_path: Path
+) -> None:
+    """A number asked for that was rejected is not of this export, whatever wrote its file."""
+    small = {**data.small, "index": data.index[data.index != 3]}
+    lacking = dataclasses.replace(data, small=small)
+    target = _exported(whole, tmp_path, "csv", [3])
+    with pytest.raises(InputError, match=r"holds 0000000003\.csv, which is not of this export"):
+        _check_target(lacking, tmp_path, "csv", [3, 4])
+    assert (target / "0000000003.csv").is_file()
+
+
+@pytest.mark.parametrize("form", ["npz", "csv"])
+def test_rejected_trajectories_are_kept_apart(
+    form: Form, make: Make, rod: Scene, tmp_path: Path
+) -> None:
+    """They do not replace published ones, and everything says what they are."""
+    strict = msgspec.structs.replace(rod.budget, energy=1e-15, energy_first_order=1e-15)
+    scene = msgspec.structs.replace(rod, budget=strict)
+    make(tmp_path / "data", scene=scene, trajectories=3)
+    file = tmp_path / "data/rejected" / SET / "0000000000.h5"
+    done = export(file, tmp_path / "out", form, progress=Silent())
+    assert (done.rejected, done.trajectories) == (True, 3)
+    assert "rejected trajectories" not in done.lost
+    assert not (tmp_path / "out" / SET).exists()
+    folder = tmp_path / "out/rejected" / SET
+    readme = (folder / "README.md").read_text()
+    assert "rejected, do not use as data" in readme
+    assert "certified" not in readme
+    assert "rejected trajectories" not in readme
+    text = (folder / f"0000000000.{form}").read_bytes()
+    assert "uncertified" not in repr(load_dataset(file))
+    if form == "csv":
+        assert b"# certification: rejected, do not use as data\n" in text
+        assert b"# reason: energy" in text
+    else:
+        arrays = np.load(folder / "0000000000.npz")
+        assert str(arrays["certification"]) == "rejected, do not use as data"
+        assert "energy" in arrays["reason"][0]
+
+
 def test_damaged_data_are_not_exported(make: Make, tmp_path: Path) -> None:
     make(tmp_path / "data", trajectories=4)
     with h5py.File(tmp_path / "data" / SET / "0000000000.h5", "r+") as file:
@@ -140,7 +194,7 @@ def test_damaged_data_are_not_exported(make: Make, tmp_path: Path) -> None:
 
 
 def test_numbers_are_read_as_people_write_them() -> None:
-    assert parse_numbers("7, 0-2,1", "--indices") == [0, 1, 2, 7]
-    for text in ("", "3-1", "a", "1,,2", "-1", "0-999999999999"):
+    assert parse_numbers("7, 0-2,1", "--indices") == [7, 0, 1, 2, 1]
+    for text in ("", "3-1", "a", "1,,2", "-1", "0-999999999999", "0-9999998,0-9"):
         with pytest.raises(InputError, match=r"--indices: got"):
             parse_numbers(text, "--indices")

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import h5py
+import numpy as np
 import pytest
 
 from mbds_xsim.base import files
@@ -23,11 +24,12 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.files import locked
 from mbds_xsim.dataset import shard
 from mbds_xsim.dataset.hdf5 import check_content
+from mbds_xsim.dataset.read import joined_files, load_dataset
 from mbds_xsim.scene.file import save_scene
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.registry import load_adapter
 
-from .conftest import TRAJECTORIES, Make, contents
+from .conftest import FILE, STEPS, TRAJECTORIES, Make, contents
 
 KILLED = 9
 
@@ -330,8 +332,41 @@ def test_a_folder_of_another_seed(other: str, make: Make, tmp_path: Path) -> Non
 
 def test_fewer_than_there_are(make: Make, tmp_path: Path) -> None:
     make(tmp_path, trajectories=6)
-    with pytest.raises(InputError, match="ask for as many as before"):
+    with pytest.raises(InputError, match=r"needed are 3: .*; ask for 6 or more, or"):
         make(tmp_path, trajectories=3)
+
+
+def test_an_extension_that_was_interrupted(make: Make, tmp_path: Path) -> None:
+    """Until it is done the finished set cannot be read, and every line says how to go on."""
+    make(tmp_path, trajectories=6)
+    finished = (tmp_path / FILE).read_bytes()
+    make(tmp_path, trajectories=20)
+    (tmp_path / FILE).write_bytes(finished)
+    data = load_dataset(tmp_path / FILE)
+    for read in (lambda: data.position[0], lambda: data.windows(2).take([0]), data.check):
+        with pytest.raises(InputError, match=r"is being extended; run the larger `generate`"):
+            read()
+    with pytest.raises(InputError, match=r"holds 0000000016\.h5, which .*; ask for 20 or more,"):
+        make(tmp_path, trajectories=6)
+    assert make(tmp_path, trajectories=20).made == 0
+    assert len(load_dataset(tmp_path / FILE).position[0]) == STEPS + 1
+
+
+def test_files_of_other_programs_beside_the_data(make: Make, tmp_path: Path) -> None:
+    """They are no variants: only a damaged file of our own is not passed over."""
+    make(tmp_path, trajectories=3)
+    folder = (tmp_path / FILE).parent
+    for name in ("notes.h5", "my-notes.h5"):
+        with h5py.File(folder / name, "w") as file:
+            file["numbers"] = np.arange(3)
+    make(tmp_path, trajectories=6)
+    assert joined_files(tmp_path) == [tmp_path / FILE]
+    with pytest.raises(InputError, match=r"my-notes\.h5 is HDF5, but no mbds-xsim data file"):
+        joined_files(folder / "my-notes.h5")
+    with h5py.File(tmp_path / FILE, "r+") as file:
+        del file.attrs["format"]
+    with pytest.raises(InputError, match=r"mujoco-matched\.h5 is HDF5, but no mbds-xsim data"):
+        joined_files(tmp_path)
 
 
 def test_no_trajectories(make: Make, tmp_path: Path) -> None:

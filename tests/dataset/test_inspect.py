@@ -65,6 +65,10 @@ def test_rejected_ones_are_counted_by_reason(make: Make, tmp_path: Path) -> None
     assert summary.rejected_by == {"energy": 3}
     (aside,) = summaries(tmp_path / "rejected" / SET / "0000000000.h5")
     assert (aside.kind, aside.rejected_by) == ("rejected", {"energy": 3})
+    stream = io.StringIO()
+    print_blocks(summary_blocks(aside), Console(file=stream, width=120))
+    assert "rejected, do not use as data" in stream.getvalue()
+    assert "certified" not in stream.getvalue()
     with pytest.raises(InputError, match="has no trajectories to draw"):
         draw_paths(load_dataset(tmp_path / f"{SET}.h5"), tmp_path / "it.png")
 

@@ -95,6 +95,18 @@ def test_without_xarray_the_line_that_installs_it(
             data.to_xarray()
 
 
+def test_xarray_takes_names_of_any_datasets(folder: Path, files: list[Dataset]) -> None:
+    """Rows are those of trajectories; what all share comes whole."""
+    pytest.importorskip("xarray")
+    one = files[0].to_xarray(["time", "position"], rows=slice(0, 2))
+    assert (one["time"].shape, one["position"].shape[:2]) == ((11,), (2, 11))
+    assert list(files[0].to_xarray("position")) == ["position"]
+    assert list(load_pairs(folder).to_xarray("velocity")) == ["velocity"]
+    for data in (files[0], load_pairs(folder)):
+        with pytest.raises(UnknownDataset, match="no dataset is called 'positon'"):
+            data.to_xarray(["positon"])
+
+
 def test_xarray_has_the_axes_of_the_layout(folder: Path, files: list[Dataset]) -> None:
     pytest.importorskip("xarray")
     one = files[0].to_xarray(("position", "body/orientation"), rows=slice(2, 5))

@@ -167,6 +167,27 @@ def test_windows_of_a_part(data: Dataset) -> None:
     assert np.array_equal(data.windows(2, rows=mask).rows, [37])
 
 
+def test_windows_of_frames_and_steps_stay_in_their_trajectory(data: Dataset) -> None:
+    """There is one step less than frames: no window may reach into the next trajectory."""
+    windows = data.windows(4, names=("position", "input/force"))
+    assert len(windows) == TRAJECTORIES * (STEPS - 3)
+    position, force = windows.take(range(len(windows)))
+    for k, (row, frame) in enumerate(zip(*windows.where(np.arange(len(windows))), strict=True)):
+        assert np.array_equal(position[k], data.position[row][frame : frame + 4])
+        assert np.array_equal(force[k], data["input/force"][row][frame : frame + 4])
+    assert len(data.windows(STEPS, names=("input/force", "position"))) == TRAJECTORIES
+    with pytest.raises(InputError, match="length: got 11, allowed is 1 to 10 frames"):
+        data.windows(STEPS + 1, names=("position", "input/force"))
+
+
+@pytest.mark.parametrize("name", ["start/position", "check/figure", "interval"])
+def test_windows_need_frames(name: str, data: Dataset) -> None:
+    with pytest.raises(InputError, match=f"names: got '{name}', which has neither frames nor"):
+        data.windows(1, names=("position", name))
+    with pytest.raises(InputError, match="names: got none, allowed are datasets of frames"):
+        data.windows(1, names=())
+
+
 def test_windows_too_long(data: Dataset) -> None:
     with pytest.raises(InputError, match="length: got 12, allowed is 1 to 11 frames"):
         data.windows(12)
