@@ -282,7 +282,7 @@ def _cost_blocks(plan: TrainingPlan, costs: Sequence[Cost], workers: int) -> Ite
 
 def _outcome(plan: TrainingPlan, outcome: TrainingOutcome) -> Iterator[Block]:
     """Describe how the runs ended, and which diverged."""
-    from mbds_xsim.learn.trainings import diverged
+    from mbds_xsim.learn.trainings import UNTRAINED, diverged, is_untrained
 
     facts = [*outcome.trained.values(), *plan.done.values()]
     ways = {"level": "ended level", "steps": "took all their steps", "diverged": "diverged"}
@@ -293,12 +293,13 @@ def _outcome(plan: TrainingPlan, outcome: TrainingOutcome) -> Iterator[Block]:
         f"{counted(len(facts), 'run')} done, {len(plan.done)} of them before, "
         f"{len(outcome.failed)} failed; {', '.join(counts)}"
     )
-    advice = (
-        "its file has the best parameters before that; check its data, or train it with another "
-        "--track into another --out"
-    )
-    names = diverged({**plan.done, **outcome.trained})
-    yield Remarks.of((f"{name} diverged", advice) for name in names)
+    runs = {**plan.done, **outcome.trained}
+    for name in diverged(runs):
+        label = f"{name} diverged" if runs[name].get("ended") == "diverged" else name
+        best = "its file has the best parameters before that"
+        best = UNTRAINED if is_untrained(runs[name]) else best
+        advice = "check its data, or train it with another --track into another --out"
+        yield Remarks.of([(label, f"{best}; {advice}")])
 
 
 @shared.command("learn", writes="json csv html opened png markdown")

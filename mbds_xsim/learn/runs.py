@@ -136,6 +136,7 @@ class TrainingRun:
             "data": json.dumps(data),
             "starts": starts.hexdigest(),
             "drawn": json.dumps(self.group.drawn),
+            "device": self.request.device,
             **({"interval": interval} if interval else {}),
         }
 
@@ -238,11 +239,10 @@ def facts_of(run: TrainingRun, training: Training, parts: Parts) -> dict[str, st
         "level": "yes" if level else "no",
         "last_improvement": training.last_improvement,
         "best_error": training.best.error,
-        "best_step": training.best.step,
+        "best_step": training.best_step,
         "wall_s": training.wall_s,
         "cpu_s": training.cpu_s,
         "steps_per_s": steps / training.wall_s,
-        "device": run.request.device,
         "python": platform.python_version(),
         "torch": torch.__version__,
         "mbds_xsim": version("mbds-xsim"),

@@ -42,6 +42,8 @@ _ENDS = {
     "steps": "all {steps} steps",
     "diverged": "diverged at step {steps}",
 }
+UNTRAINED = "no validation succeeded; its file has untrained parameters"
+"""What is said of a run of which `is_untrained` holds."""
 
 
 class TrainingSink(Protocol):
@@ -186,12 +188,22 @@ def _ended(facts: dict[str, str]) -> str:
     """Describe in a few words how a run ended."""
     error, rate = float(facts["best_error"]), float(facts["steps_per_s"])
     end = _ENDS[facts["ended"]].format(steps=facts["steps"])
-    return f"{end}, best error {error:.3g} m² ({float(facts['wall_s']):.0f} s, {rate:.3g} steps/s)"
+    best = UNTRAINED if is_untrained(facts) else f"best error {error:.3g} m²"
+    return f"{end}, {best} ({float(facts['wall_s']):.0f} s, {rate:.3g} steps/s)"
+
+
+def is_untrained(facts: Mapping[str, str]) -> bool:
+    """Whether no validation of a run succeeded, so that no parameters were found to be best."""
+    return facts.get("best_error") == str(math.inf)
 
 
 def diverged(runs: Mapping[str, Mapping[str, str]]) -> list[str]:
-    """Return the names of the runs whose losses stopped being finite."""
-    return [name for name, facts in runs.items() if facts.get("ended") == "diverged"]
+    """Return the names of the runs whose losses stopped being finite or all validations failed."""
+    return [
+        name
+        for name, facts in runs.items()
+        if facts.get("ended") == "diverged" or is_untrained(facts)
+    ]
 
 
 @contextmanager

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
+import math
 import shutil
 import sys
 from collections.abc import Callable, Sequence
@@ -29,7 +30,7 @@ from mbds_xsim.learn.groups import groups
 from mbds_xsim.learn.model_file import read_facts, read_model
 from mbds_xsim.learn.recipe import PROFILES, Recipe
 from mbds_xsim.learn.runs import TrainingRequest
-from mbds_xsim.learn.train import CurvePoint, Training
+from mbds_xsim.learn.train import CurvePoint, Training, check_identity
 from mbds_xsim.learn.trainings import carry, planned, watched
 from mbds_xsim.report.terminal import TrainingBar
 from mbds_xsim.scene.scene import Clock
@@ -191,7 +192,27 @@ def test_divergence_is_a_result_and_a_failure(
     assert _end(words, monkeypatch) == 1
     summary = json.loads((ask().out / "told.json").read_bytes())
     assert summary["diverged"] == list(outcome.trained) == list(summary["runs"])
-    assert "all-s0 diverged: its file has the best" in capsys.readouterr().out
+    output = " ".join(capsys.readouterr().out.split())
+    assert "all-s0 diverged: no validation succeeded; its file has untrained parameters" in output
+
+
+def test_a_run_without_a_successful_validation_counts_as_diverged(
+    ask: Ask, made: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("mbds_xsim.learn.train.validation_error", lambda *_: math.inf)
+    monkeypatch.setitem(PROFILES, "smoke", TINY)
+    outcome = _carry(ask())
+    ((name, facts),) = outcome.trained.items()
+    assert (facts["ended"], facts["best_error"], facts["best_step"]) == ("steps", "inf", "0")
+    (run,) = planned(ask(out="other")).runs
+    untrained = runs.prepared(run)[0].state_dict()
+    saved = read_model(ask().out / f"{name}.pt")[0].state_dict()
+    assert all(torch.equal(value, saved[key]) for key, value in untrained.items())
+    words = [str(made), "--models", "gns", "--on", "all", "--seeds", "1", "--profile", "smoke"]
+    assert _end([*words, "--out", str(ask().out)], monkeypatch) == 1
+    output = " ".join(capsys.readouterr().out.split())
+    assert f"{name}: no validation succeeded; its file has untrained parameters" in output
+    assert trainings._ended(facts).startswith("all 12 steps, no validation succeeded; its file")
 
 
 def test_what_a_model_cannot_represent_is_left_out(data: Callable[..., Dataset], ask: Ask) -> None:
@@ -231,6 +252,14 @@ def test_another_run_in_its_place_is_refused(ask: Ask) -> None:
         planned(dataclasses.replace(ask(), profile=longer))
     with pytest.raises(InputError, match=r"a model of another track, settings;"):
         planned(dataclasses.replace(ask(), track="native"))
+    with pytest.raises(InputError, match=r"a model of another device;"):
+        planned(dataclasses.replace(ask(), device="cuda"))
+
+
+def test_a_file_that_states_no_device_fits_any(ask: Ask) -> None:
+    (run,) = planned(ask()).runs
+    stated = {key: value for key, value in run.identity.items() if key != "device"}
+    check_identity(run.path, "a model", stated, run.identity)
 
 
 def test_a_plan_tells_the_cost_and_trains_nothing(
