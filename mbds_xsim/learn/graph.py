@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
@@ -91,6 +91,7 @@ class Graph(Bundle):
 
         Raises:
             InputError: Its bodies collide with each other, which fixed edges cannot represent.
+            Unsupported: A servo has targets that change and no input shows.
         """
         if scene.collisions:
             raise InputError(
@@ -98,6 +99,7 @@ class Graph(Bundle):
                 "learned models has fixed edges, so they cannot see other bodies come near"
             )
         points = Points.of(scene)
+        _check_drives(points.mechanism)
         edges = np.array(scene.edges, dtype=np.int64).reshape(-1, 2)
         edges[edges >= scene.particle_count] += len(points.body) - scene.particle_count
         edges = np.unique(np.sort(edges, axis=1), axis=0)  # each once; anchors after all points
@@ -160,6 +162,17 @@ class Graph(Bundle):
         whole = torch.as_tensor(rest).to(published).expand(shape).clone()
         whole[..., self.moving] = published
         return whole
+
+
+def _check_drives(mechanism: Mechanism) -> None:
+    """Refuse drives whose targets change: `KnownInputs` has only held forces and torques."""
+    for drive in mechanism.drives:
+        if np.ptp(drive.pushes(mechanism.scene.clock.steps)) > 0:
+            raise Unsupported(
+                f"servo of {drive.servo.joint!r}: got targets that change, allowed for a servo "
+                "with a limit, or on a slider between bodies, is one target: it acts at every "
+                "instant, and models are shown only held forces and torques"
+            )
 
 
 def _masses(points: Points, anchor_count: int) -> NDArray[np.float64]:

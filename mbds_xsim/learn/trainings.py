@@ -11,13 +11,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
-from mbds_xsim.base.errors import InputError, check_name
+from mbds_xsim.base.errors import InputError, Unsupported, check_name
 from mbds_xsim.base.isolate import Carrier, Crash, Task
 from mbds_xsim.dataset.generate import repeating
 from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.learn.curves import read_curve
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.groups import shares_of
+from mbds_xsim.learn.groups import TrainingGroup, shares_of
 from mbds_xsim.learn.model import load_model, model_names, refusal, track_of, trainable
 from mbds_xsim.learn.recipe import TRACKS
 from mbds_xsim.learn.runs import (
@@ -99,7 +99,7 @@ def planned(request: TrainingRequest, *, only: bool = False) -> TrainingPlan:
         check_name("model to train", model, trainable())
         tracks[model] = track_of(model, request.track, usual)
     reasons = {
-        (group, model): refusal(model, Graph.of(group.scene), track=tracks[model])
+        (group, model): _refusal(model, group, tracks[model])
         for group in request.groups
         for model in request.models
     }
@@ -130,6 +130,14 @@ def planned(request: TrainingRequest, *, only: bool = False) -> TrainingPlan:
     left_out = {f"{g.name}/{e}": lack for g in request.groups for e, lack in g.left_out.items()}
     left_out |= {f"{group.name}/{model}": why for (group, model), why in reasons.items() if why}
     return TrainingPlan(missing, done, left_out, blocked)
+
+
+def _refusal(model: str, group: TrainingGroup, track: str) -> str:
+    """Return why a model cannot learn a group's scene, or ""."""
+    try:
+        return refusal(model, Graph.of(group.scene), track=track)
+    except Unsupported as error:  # no model can
+        return str(error)
 
 
 def _check_contents(runs: Sequence[TrainingRun]) -> None:

@@ -4,10 +4,11 @@ import msgspec
 import pytest
 import torch
 
-from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.scene.mechanism import Mechanism
-from mbds_xsim.scene.scene import Body, Inertia
+from mbds_xsim.scene.scene import Body, Inertia, Joint, Particle, Scene
+from mbds_xsim.scene.servo import Servo
 from mbds_xsim.simulate.registry import PAPER_SCENES, load_scene
 from mbds_xsim.testing.collision_cases import TWO, balls
 
@@ -73,3 +74,22 @@ def test_positions_in_the_plane_get_their_depth_back() -> None:
 def test_bodies_that_collide_with_each_other_have_no_graph() -> None:
     with pytest.raises(InputError, match=r"scene 'balls': got \[collisions\], allowed are scenes"):
         Graph.of(balls(TWO["head on"]))
+
+
+@pytest.mark.parametrize("limit", [10.0, None])
+@pytest.mark.parametrize("targets", [(0.0, 0.3, -0.3), (0.3,)])
+def test_targets_that_change_are_refused_where_no_input_shows_them(
+    limit: float | None, targets: tuple[float, ...]
+) -> None:
+    scene = Scene(
+        "servo",
+        (Body("cart", particles=(Particle((0.0, 0.0, 0.0)),)),),
+        1.0,
+        joints=(Joint("rail", "slider", "world", "cart", (0.0, 0.0, 0.0), (1.0, 0.0, 0.0)),),
+        servos=(Servo("rail", targets, stiffness=50.0, damping=5.0, hold=20, limit=limit),),
+    )
+    if limit is None or len(targets) == 1:
+        assert Graph.of(scene).node_count == 1
+        return
+    with pytest.raises(Unsupported, match=r"^servo of 'rail': got targets that change, allowed"):
+        Graph.of(scene)
