@@ -120,16 +120,17 @@ def train(
     """
     shared.check_torch("train")
     from mbds_xsim.learn.groups import groups
-    from mbds_xsim.learn.recipe import TRACKS
     from mbds_xsim.learn.runs import TrainingRequest
     from mbds_xsim.learn.trainings import planned
     from mbds_xsim.report.terminal import print_blocks
 
     to.check(out=None if plan else out / "model.pt")
+    if plan:
+        _check_nothing_is_trained(png=to.png, tensorboard=tensorboard)
     _check_options(device, tensorboard, fast=bf16 or compiled, far=scheduler is not None)
     request = TrainingRequest(
         groups=groups(data),
-        models=_models(models, track or TRACKS.get(profile)),
+        models=_models(models, track, profile),
         on=on,
         seeds=seeds,
         profile_name=profile,
@@ -140,8 +141,7 @@ def train(
         events=tensorboard,
     )
     trainings = planned(request, only=plan)
-    left_out = ((f"{name} left out", reason) for name, reason in trainings.left_out.items())
-    print_blocks([Remarks.of(left_out)], to.console)
+    print_blocks([_left_out(trainings)], to.console)
     with ExitStack() as stack:
         carrier = _carrier(stack, scheduler, workers, device, out)
         if plan:
@@ -156,12 +156,25 @@ def train(
     raise typer.Exit(1 if result["failed"] or result["diverged"] else 0)
 
 
-def _models(names: str | None, track: str | None) -> list[str]:
-    """Return the named models; without names, all models that have the track."""
+def _left_out(plan: TrainingPlan) -> Block:
+    return Remarks.of((f"{name} left out", why) for name, why in plan.left_out.items())
+
+
+def _check_nothing_is_trained(**places: Path | None) -> None:
+    """Refuse places for what only a training can give."""
+    for option, place in places.items():
+        if place is not None:
+            raise InputError(f"--{option}: nothing is trained with --plan; leave one out")
+
+
+def _models(names: str | None, track: str | None, profile: str) -> list[str]:
+    """Return the named models; without names, all that have the track, or else the profile's."""
     from mbds_xsim.learn.model import load_model, trainable
+    from mbds_xsim.learn.recipe import TRACKS
 
     if names is not None:
         return [word.strip() for word in dict.fromkeys(names.split(","))]
+    track = track or TRACKS.get(profile)
     able = [name for name in trainable() if track in load_model(name).tracks]
     return able or trainable()  # their refusal lists the available tracks
 
@@ -264,19 +277,21 @@ def _draw(curves: Sequence[Path], png: Path | None, console: Console) -> None:
 def _cost_blocks(plan: TrainingPlan, costs: Sequence[Cost], workers: int) -> Iterator[Block]:
     """Describe the cost of each model's runs, and of all together."""
     headings = ("data", "model", "runs", "steps each", "steps/s", "a run [h]", "all [h]")
-    rows, total = [], 0.0
+    rows, total, longest = [], 0.0, 0.0
     for cost in costs:
         runs = [r for r in plan.runs if (r.group.name, r.model) == (cost.group, cost.model)]
         hours = cost.hours * len(runs)
-        total += hours
+        total, longest = total + hours, max(longest, cost.hours)
         figures = (f"{value:.3g}" for value in (cost.steps_per_s, cost.hours, hours))
         counts = (str(len(runs)), str(runs[0].profile.steps))
         rows.append([cost.group, cost.model, *counts, *figures])
     yield table_of([Column(h, words=h in headings[:2]) for h in headings], rows)
+    level = any(run.profile.until_level for run in plan.runs)
+    # The runs could be packed worse than this, but no run is divided.
     yield Text(
-        f"{counted(len(plan.runs), 'run')}, at most {total:.3g} h of one process, "
-        f"{total / workers:.3g} h with {workers}; measured on a few steps, runs "
-        "end earlier once they are level"
+        f"{counted(len(plan.runs), 'run')}, at most {total:.3g} h of one process, about "
+        f"{max(total / workers, longest):.3g} h with {workers}; measured on a few steps"
+        + ("; runs end earlier once they are level" if level else "")
     )
 
 

@@ -164,6 +164,33 @@ class Graph(Bundle):
         return whole
 
 
+def check_edges(scene: Scene) -> None:
+    """Raise Unsupported if bodies are joined, but nothing shows it to a model that sees edges."""
+    if not _hides_joints(scene):
+        return
+    loaded = scene.springs or any(joint.is_loaded for joint in Mechanism.of(scene).joints)
+    raise Unsupported(
+        f"scene {scene.name!r}: got joined bodies and no edges, needed are edges: models of "
+        "particles see only along them what joins bodies; give its bodies particles and edges"
+        + ("" if loaded else ", or take gns+ or sgnn+")
+    )
+
+
+def instead(scene: Scene, *models: str) -> str:
+    """Advise models in place of one that cannot represent a scene, with GNS and SGNN if these can.
+
+    `models` are two or none.
+    """
+    names = [*models, *(() if _hides_joints(scene) else ("gns", "sgnn"))]
+    if not names:
+        return "give its bodies particles and edges, and take gns or sgnn"
+    return f"take {', '.join(names[:-1])} or {names[-1]}"
+
+
+def _hides_joints(scene: Scene) -> bool:
+    return not scene.edges and bool(scene.joints or scene.distance_links or scene.springs)
+
+
 def _check_drives(mechanism: Mechanism) -> None:
     """Refuse drives whose targets change: `KnownInputs` has only held forces and torques."""
     for drive in mechanism.drives:

@@ -195,7 +195,7 @@ def carry_out(run: TrainingRun) -> dict[str, str]:
 
         def tell(training: Training) -> None:
             _write_curve(run, training)
-            log.add(training.curve[-1])
+            log.add(training.curve)
 
         training = train(
             model,
@@ -207,6 +207,7 @@ def carry_out(run: TrainingRun) -> dict[str, str]:
             tell=tell,
             identity=run.identity,
         )
+        log.add(training.curve)  # all of a run that had ended, but whose model was not written
     _write_curve(run, training)
     facts = {**run.identity, **facts_of(run, training, parts)}
     save_model(run.path, model, run.model, run.settings, statistics, **facts)

@@ -20,6 +20,7 @@ from rich.console import Console
 from mbds_xsim.__main__ import main
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Task, run_tasks
+from mbds_xsim.commands.learn import _cost_blocks
 from mbds_xsim.dataset.cluster import Cluster
 from mbds_xsim.dataset.generate import Request as DataRequest
 from mbds_xsim.dataset.generate import generate
@@ -28,10 +29,11 @@ from mbds_xsim.learn import runs, trainings
 from mbds_xsim.learn.curves import EventLog, LearningCurve, log_whole, read_curve, write_curve
 from mbds_xsim.learn.groups import groups
 from mbds_xsim.learn.model_file import read_facts, read_model
-from mbds_xsim.learn.recipe import PROFILES, Recipe
+from mbds_xsim.learn.recipe import PROFILES, Profile, Recipe
 from mbds_xsim.learn.runs import TrainingRequest
 from mbds_xsim.learn.train import CurvePoint, Training, check_identity
 from mbds_xsim.learn.trainings import carry, planned, watched
+from mbds_xsim.report.blocks import Text
 from mbds_xsim.report.terminal import TrainingBar
 from mbds_xsim.scene.scene import Clock
 from mbds_xsim.simulate.choice import Choice
@@ -280,7 +282,34 @@ def test_a_plan_tells_the_cost_and_trains_nothing(
     assert cost["hours"] == pytest.approx(seconds / 3600)
     assert 1 < cost["steps_per_s"] < 10_000
     assert "6 runs, at most" in output.err
+    assert "level" not in output.err  # the profile takes all its steps
     assert not (tmp_path / "models").exists()
+
+
+@pytest.mark.parametrize(
+    ("profile", "words"),
+    [
+        (TINY, "3 runs, at most 14 h of one process, about 10 h with 2; measured on a few steps"),
+        (
+            msgspec.structs.replace(TINY, until_level=True),
+            "3 runs, at most 14 h of one process, about 10 h with 2; measured on a few steps; "
+            "runs end earlier once they are level",
+        ),
+    ],
+)
+def test_a_plan_divides_no_run(ask: Ask, profile: Profile, words: str) -> None:
+    request = dataclasses.replace(ask("gns", "sgnn", on="each"), profile=profile)
+    plan = planned(request)
+    sgnn = [run for run in plan.runs if run.model == "sgnn"]
+    plan = dataclasses.replace(plan, runs=(*sgnn[:1], *(r for r in plan.runs if r.model == "gns")))
+    assert len(plan.runs) == 3
+    costs = [
+        runs.Cost("2pendulum/native", model, 1.0, 1.0, hours)
+        for model, hours in (("sgnn", 10.0), ("gns", 2.0))
+    ]
+    *_, text = _cost_blocks(plan, costs, 2)
+    assert isinstance(text, Text)
+    assert text.text == words
 
 
 def test_the_bar_counts_runs_and_only_the_steps_of_this_process() -> None:
@@ -304,14 +333,38 @@ def test_the_bar_counts_runs_and_only_the_steps_of_this_process() -> None:
 def test_tensorboard_is_told(tmp_path: Path) -> None:
     reading = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
     with EventLog(tmp_path) as log:
-        for step in (10, 20):
-            log.add(CurvePoint(step, 1.0 / step, 2.0 / step, 1e-3))
+        points = [CurvePoint(step, 1.0 / step, 2.0 / step, 1e-3) for step in (10, 20)]
+        for count in (1, 2, 2):
+            log.add(points[:count])
     read = reading.EventAccumulator(str(tmp_path))
     read.Reload()
     assert [(e.step, e.value) for e in read.Scalars("error")] == [
         (10, pytest.approx(0.2)),
         (20, pytest.approx(0.1)),
     ]
+
+
+@pytest.mark.parametrize("logged", [True, False])
+def test_tensorboard_is_told_of_the_time_before_an_interruption(
+    ask: Ask, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, logged: bool
+) -> None:
+    reading = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+
+    def halt(curve: LearningCurve) -> bytes:
+        if curve.points[-1].step == 8:
+            raise KeyboardInterrupt
+        return write_curve(curve)
+
+    watched_run = dataclasses.replace(ask(), events=tmp_path / "events")
+    monkeypatch.setattr("mbds_xsim.learn.runs.write_curve", halt)
+    with pytest.raises(KeyboardInterrupt):
+        _carry(watched_run if logged else ask())
+    monkeypatch.undo()
+    (run,) = planned(watched_run).runs
+    _carry(watched_run)
+    read = reading.EventAccumulator(str(tmp_path / "events" / run.name))
+    read.Reload()
+    assert [event.step for event in read.Scalars("error")] == [4, 8, 12]
 
 
 def test_tensorboard_is_told_of_a_run_that_was_finished_before(ask: Ask, tmp_path: Path) -> None:
@@ -354,6 +407,11 @@ def test_tensorboard_is_told_of_a_run_that_was_finished_before(ask: Ask, tmp_pat
             "--track: got 'fast', allowed for gns is paper, native, lite",
         ),
         (["DATA", "--device", "tpu"], "--device: got 'tpu', allowed is cpu or cuda"),
+        (["DATA", "--plan", "--png", "x.png"], "--png: nothing is trained with --plan; leave one"),
+        (
+            ["DATA", "--plan", "--tensorboard", "events"],
+            "--tensorboard: nothing is trained with --plan; leave one out",
+        ),
         (["DATA", "--bf16"], "--bf16 and --compile: got --device cpu, allowed with them is cuda"),
         (["DATA", "--profile", "smoke", "--out", "a-file"], "cannot write"),
         (["DATA", "--tensorboard", "a-file/x"], "--tensorboard: cannot write a-file/x/events: "),
