@@ -122,11 +122,9 @@ def train(
     from mbds_xsim.learn.groups import groups
     from mbds_xsim.learn.runs import TrainingRequest
     from mbds_xsim.learn.trainings import planned
-    from mbds_xsim.report.terminal import print_blocks
 
     to.check(out=None if plan else out / "model.pt")
-    if plan:
-        _check_nothing_is_trained(png=to.png, tensorboard=tensorboard)
+    _check_plan(plan=plan, png=to.png, tensorboard=tensorboard)
     _check_options(device, tensorboard, fast=bf16 or compiled, far=scheduler is not None)
     request = TrainingRequest(
         groups=groups(data),
@@ -141,7 +139,7 @@ def train(
         events=tensorboard,
     )
     trainings = planned(request, only=plan)
-    print_blocks([_left_out(trainings)], to.console)
+    _print_left_out(trainings, to.console)
     with ExitStack() as stack:
         carrier = _carrier(stack, scheduler, workers, device, out)
         if plan:
@@ -156,14 +154,17 @@ def train(
     raise typer.Exit(1 if result["failed"] or result["diverged"] else 0)
 
 
-def _left_out(plan: TrainingPlan) -> Block:
-    return Remarks.of((f"{name} left out", why) for name, why in plan.left_out.items())
+def _print_left_out(plan: TrainingPlan, console: Console) -> None:
+    from mbds_xsim.report.terminal import print_blocks
+
+    left_out = ((f"{name} left out", reason) for name, reason in plan.left_out.items())
+    print_blocks([Remarks.of(left_out)], console)
 
 
-def _check_nothing_is_trained(**places: Path | None) -> None:
+def _check_plan(*, plan: bool, **places: Path | None) -> None:
     """Refuse places for what only a training can give."""
     for option, place in places.items():
-        if place is not None:
+        if plan and place is not None:
             raise InputError(f"--{option}: nothing is trained with --plan; leave one out")
 
 

@@ -126,7 +126,7 @@ def test_springs_in_joints_are_refused_in_a_line() -> None:
     with pytest.raises(Unsupported, match=r"joint 'axle': got a spring.*none: .*give its bodies"):
         BodyMechanics(Graph.of(_case("sprung hinge")))
     scene = load_scene("2pendulum")
-    names = tuple(body.name for body in scene.bodies[:2])
-    spring = SpringDamper("bow", names, ((0.0, 0.0, -0.1), (0.0, 0.0, -0.2)), 1.0)
+    first, second = (body.name for body in scene.bodies)
+    spring = SpringDamper("bow", (first, second), ((0.0, 0.0, -0.1), (0.0, 0.0, -0.2)), 1.0)
     with pytest.raises(Unsupported, match=r"spring 'bow': got a spring.*; take gns or sgnn$"):
         BodyMechanics(Graph.of(msgspec.structs.replace(scene, springs=(spring,))))
