@@ -18,7 +18,7 @@ import torch
 from rich.console import Console
 
 from mbds_xsim.__main__ import main
-from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.base.isolate import Task, run_tasks
 from mbds_xsim.commands.learn import _cost_blocks
 from mbds_xsim.dataset.cluster import Cluster
@@ -27,6 +27,7 @@ from mbds_xsim.dataset.generate import generate
 from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.learn import runs, trainings
 from mbds_xsim.learn.curves import EventLog, LearningCurve, log_whole, read_curve, write_curve
+from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.groups import groups
 from mbds_xsim.learn.model_file import read_facts, read_model
 from mbds_xsim.learn.recipe import PROFILES, Profile, Recipe
@@ -35,7 +36,7 @@ from mbds_xsim.learn.train import CurvePoint, Training, check_identity
 from mbds_xsim.learn.trainings import carry, planned, watched
 from mbds_xsim.report.blocks import Text
 from mbds_xsim.report.terminal import TrainingBar
-from mbds_xsim.scene.scene import Clock
+from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.registry import load_scene
 from tests.farm import Farm
@@ -224,6 +225,20 @@ def test_what_a_model_cannot_represent_is_left_out(data: Callable[..., Dataset],
     assert [run.model for run in plan.runs] == ["gns"]
     assert list(plan.left_out) == ["balldrop/native/hgnn"]
     assert "contact" in plan.left_out["balldrop/native/hgnn"]
+
+
+def test_a_scene_that_has_no_graph_is_left_out_for_every_model(
+    ask: Ask, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The refusal is a reason like any other, and does not end the planning."""
+
+    def refuse(_: Scene) -> Graph:
+        raise Unsupported("servo of 'rail': got targets that change")
+
+    request = ask("gns", "gns+")
+    monkeypatch.setattr(Graph, "of", refuse)
+    with pytest.raises(InputError, match=r"^nothing to train: gns: servo .*; gns\+: servo"):
+        planned(request)
 
 
 def test_nothing_to_train_is_said_with_every_reason(data: Callable[..., Dataset], ask: Ask) -> None:
