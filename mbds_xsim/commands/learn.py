@@ -120,16 +120,15 @@ def train(
     """
     shared.check_torch("train")
     from mbds_xsim.learn.groups import groups
-    from mbds_xsim.learn.recipe import TRACKS
     from mbds_xsim.learn.runs import TrainingRequest
     from mbds_xsim.learn.trainings import planned
-    from mbds_xsim.report.terminal import print_blocks
 
     to.check(out=None if plan else out / "model.pt")
+    _check_plan(plan=plan, png=to.png, tensorboard=tensorboard)
     _check_options(device, tensorboard, fast=bf16 or compiled, far=scheduler is not None)
     request = TrainingRequest(
         groups=groups(data),
-        models=_models(models, track or TRACKS.get(profile)),
+        models=_models(models, track, profile),
         on=on,
         seeds=seeds,
         profile_name=profile,
@@ -140,8 +139,7 @@ def train(
         events=tensorboard,
     )
     trainings = planned(request, only=plan)
-    left_out = ((f"{name} left out", reason) for name, reason in trainings.left_out.items())
-    print_blocks([Remarks.of(left_out)], to.console)
+    _print_left_out(trainings, to.console)
     with ExitStack() as stack:
         carrier = _carrier(stack, scheduler, workers, device, out)
         if plan:
@@ -156,12 +154,28 @@ def train(
     raise typer.Exit(1 if result["failed"] or result["diverged"] else 0)
 
 
-def _models(names: str | None, track: str | None) -> list[str]:
-    """Return the named models; without names, all models that have the track."""
+def _print_left_out(plan: TrainingPlan, console: Console) -> None:
+    from mbds_xsim.report.terminal import print_blocks
+
+    left_out = ((f"{name} left out", reason) for name, reason in plan.left_out.items())
+    print_blocks([Remarks.of(left_out)], console)
+
+
+def _check_plan(*, plan: bool, **places: Path | None) -> None:
+    """Refuse places for what only a training can give."""
+    for option, place in places.items():
+        if plan and place is not None:
+            raise InputError(f"--{option}: nothing is trained with --plan; leave one out")
+
+
+def _models(names: str | None, track: str | None, profile: str) -> list[str]:
+    """Return the named models; without names, all that have the track, or else the profile's."""
     from mbds_xsim.learn.model import load_model, trainable
+    from mbds_xsim.learn.recipe import TRACKS
 
     if names is not None:
         return [word.strip() for word in dict.fromkeys(names.split(","))]
+    track = track or TRACKS.get(profile)
     able = [name for name in trainable() if track in load_model(name).tracks]
     return able or trainable()  # their refusal lists the available tracks
 
@@ -264,25 +278,27 @@ def _draw(curves: Sequence[Path], png: Path | None, console: Console) -> None:
 def _cost_blocks(plan: TrainingPlan, costs: Sequence[Cost], workers: int) -> Iterator[Block]:
     """Describe the cost of each model's runs, and of all together."""
     headings = ("data", "model", "runs", "steps each", "steps/s", "a run [h]", "all [h]")
-    rows, total = [], 0.0
+    rows, total, longest = [], 0.0, 0.0
     for cost in costs:
         runs = [r for r in plan.runs if (r.group.name, r.model) == (cost.group, cost.model)]
         hours = cost.hours * len(runs)
-        total += hours
+        total, longest = total + hours, max(longest, cost.hours)
         figures = (f"{value:.3g}" for value in (cost.steps_per_s, cost.hours, hours))
         counts = (str(len(runs)), str(runs[0].profile.steps))
         rows.append([cost.group, cost.model, *counts, *figures])
     yield table_of([Column(h, words=h in headings[:2]) for h in headings], rows)
+    level = any(run.profile.until_level for run in plan.runs)
+    # The runs could be packed worse than this, but no run is divided.
     yield Text(
-        f"{counted(len(plan.runs), 'run')}, at most {total:.3g} h of one process, "
-        f"{total / workers:.3g} h with {workers}; measured on a few steps, runs "
-        "end earlier once they are level"
+        f"{counted(len(plan.runs), 'run')}, at most {total:.3g} h of one process, about "
+        f"{max(total / workers, longest):.3g} h with {workers}; measured on a few steps"
+        + ("; runs end earlier once they are level" if level else "")
     )
 
 
 def _outcome(plan: TrainingPlan, outcome: TrainingOutcome) -> Iterator[Block]:
     """Describe how the runs ended, and which diverged."""
-    from mbds_xsim.learn.trainings import diverged
+    from mbds_xsim.learn.trainings import UNTRAINED, diverged, is_untrained
 
     facts = [*outcome.trained.values(), *plan.done.values()]
     ways = {"level": "ended level", "steps": "took all their steps", "diverged": "diverged"}
@@ -293,12 +309,13 @@ def _outcome(plan: TrainingPlan, outcome: TrainingOutcome) -> Iterator[Block]:
         f"{counted(len(facts), 'run')} done, {len(plan.done)} of them before, "
         f"{len(outcome.failed)} failed; {', '.join(counts)}"
     )
-    advice = (
-        "its file has the best parameters before that; check its data, or train it with another "
-        "--track into another --out"
-    )
-    names = diverged({**plan.done, **outcome.trained})
-    yield Remarks.of((f"{name} diverged", advice) for name in names)
+    runs = {**plan.done, **outcome.trained}
+    for name in diverged(runs):
+        label = f"{name} diverged" if runs[name].get("ended") == "diverged" else name
+        best = "its file has the best parameters before that"
+        best = UNTRAINED if is_untrained(runs[name]) else best
+        advice = "check its data, or train it with another --track into another --out"
+        yield Remarks.of([(label, f"{best}; {advice}")])
 
 
 @shared.command("learn", writes="json csv html opened png markdown")

@@ -69,15 +69,18 @@ class EventLog(AbstractContextManager["EventLog"]):
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
         self._to: Any = None
+        self._logged = 0
 
-    def add(self, point: CurvePoint) -> None:
-        """Log a point; later points of an interrupted process are removed."""
-        if self._folder is None:
+    def add(self, points: Sequence[CurvePoint]) -> None:
+        """Log the points of a curve that this log lacks; it replaces what other processes wrote."""
+        if self._folder is None or not points:
             return
         if self._to is None:
-            self._to = _writer()(str(self._folder), purge_step=point.step)
-        for name in ("loss", "error", "rate"):
-            self._to.add_scalar(name, getattr(point, name), point.step)
+            self._to = _writer()(str(self._folder), purge_step=points[0].step)
+        for point in points[self._logged :]:
+            for name in ("loss", "error", "rate"):
+                self._to.add_scalar(name, getattr(point, name), point.step)
+        self._logged = len(points)
         self._to.flush()
 
     def __exit__(self, *_: object) -> None:
@@ -89,8 +92,7 @@ def log_whole(curve: Path, folder: Path) -> None:
     """Log a finished run for TensorBoard, unless that has been done."""
     if curve.exists() and not folder.exists():
         with EventLog(folder) as log:
-            for point in read_curve(curve).points:
-                log.add(point)
+            log.add(read_curve(curve).points)
 
 
 def _writer() -> Any:

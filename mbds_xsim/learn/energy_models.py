@@ -38,7 +38,7 @@ from mbds_xsim.learn.energy import (
     momentum,
     potential_force,
 )
-from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.graph import Graph, instead
 from mbds_xsim.learn.layers import keep, mixed
 from mbds_xsim.learn.mechanics import Mechanics, constrained
 from mbds_xsim.learn.model import FlowModel
@@ -150,7 +150,7 @@ class EnergyModel(FlowModel):
             raise Unsupported(
                 f"scene {graph.scene.name!r}: got {len(graph.scene.contacts)} contact spheres, "
                 "allowed are none: HGNN and LGNN hold smooth forces and two-sided constraints; "
-                "take hgnn+, lgnn+, gns or sgnn"
+                + instead(graph.scene, "hgnn+", "lgnn+")
             )
         self.mechanics = Mechanics(graph.scene)
         self.substeps, self.floor = settings.substeps, settings.floor

@@ -47,6 +47,7 @@ class GNS(PointModel):
 
     change: ClassVar[Change] = "acceleration"
     mixes: ClassVar[bool] = True
+    needs_edges: ClassVar[bool] = True
     symmetries: ClassVar[frozenset[Symmetry]] = frozenset({"shift"})
     tracks: ClassVar[Mapping[str, GNSSettings]] = {
         "paper": GNSSettings(width=200, recipe=Recipe(schedule=Plateau())),

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
@@ -91,6 +91,7 @@ class Graph(Bundle):
 
         Raises:
             InputError: Its bodies collide with each other, which fixed edges cannot represent.
+            Unsupported: A servo has targets that change and no input shows.
         """
         if scene.collisions:
             raise InputError(
@@ -98,6 +99,7 @@ class Graph(Bundle):
                 "learned models has fixed edges, so they cannot see other bodies come near"
             )
         points = Points.of(scene)
+        _check_drives(points.mechanism)
         edges = np.array(scene.edges, dtype=np.int64).reshape(-1, 2)
         edges[edges >= scene.particle_count] += len(points.body) - scene.particle_count
         edges = np.unique(np.sort(edges, axis=1), axis=0)  # each once; anchors after all points
@@ -160,6 +162,44 @@ class Graph(Bundle):
         whole = torch.as_tensor(rest).to(published).expand(shape).clone()
         whole[..., self.moving] = published
         return whole
+
+
+def check_edges(scene: Scene) -> None:
+    """Raise Unsupported if bodies are joined, but nothing shows it to a model that sees edges."""
+    if not _hides_joints(scene):
+        return
+    loaded = scene.springs or any(joint.is_loaded for joint in Mechanism.of(scene).joints)
+    raise Unsupported(
+        f"scene {scene.name!r}: got joined bodies and no edges, needed are edges: models of "
+        "particles see only along them what joins bodies; give its bodies particles and edges"
+        + ("" if loaded else ", or take gns+ or sgnn+")
+    )
+
+
+def instead(scene: Scene, *models: str) -> str:
+    """Advise models in place of one that cannot represent a scene, with GNS and SGNN if these can.
+
+    `models` are two or none.
+    """
+    names = [*models, *(() if _hides_joints(scene) else ("gns", "sgnn"))]
+    if not names:
+        return "give its bodies particles and edges, and take gns or sgnn"
+    return f"take {', '.join(names[:-1])} or {names[-1]}"
+
+
+def _hides_joints(scene: Scene) -> bool:
+    return not scene.edges and bool(scene.joints or scene.distance_links or scene.springs)
+
+
+def _check_drives(mechanism: Mechanism) -> None:
+    """Refuse drives whose targets change: `KnownInputs` has only held forces and torques."""
+    for drive in mechanism.drives:
+        if np.ptp(drive.pushes(mechanism.scene.clock.steps)) > 0:
+            raise Unsupported(
+                f"servo of {drive.servo.joint!r}: got targets that change, allowed for a servo "
+                "with a limit, or on a slider between bodies, is one target: it acts at every "
+                "instant, and models are shown only held forces and torques"
+            )
 
 
 def _masses(points: Points, anchor_count: int) -> NDArray[np.float64]:

@@ -23,6 +23,7 @@ from torch.autograd.function import once_differentiable
 
 from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import Unsupported
+from mbds_xsim.learn.graph import instead
 from mbds_xsim.learn.layers import TensorModule, keep, mixed
 from mbds_xsim.learn.mechanics_points import PointRows, points_of, rows_of
 from mbds_xsim.learn.rigid import Q, V, W, X
@@ -167,7 +168,7 @@ class Mechanics(TensorModule):
         if loaded:
             raise Unsupported(
                 f"joint {loaded[0]!r}: got a spring, damper or rotor, allowed is "
-                "none: HGNN and LGNN know points and no joint coordinates; take gns or sgnn"
+                "none: HGNN and LGNN know points and no joint coordinates; " + instead(scene)
             )
         self.points = points = points_of(self.mechanism)
         self.free, springs = points.free, self.mechanism.springs

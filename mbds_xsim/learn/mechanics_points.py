@@ -22,6 +22,7 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import Unsupported
+from mbds_xsim.learn.graph import instead
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 from mbds_xsim.scene.sampling import draw_batch
@@ -190,7 +191,7 @@ def _frame(mechanism: Mechanism, body: int, idle: Array) -> _Frame:
         raise Unsupported(
             f"body {mechanism.scene.bodies[body].name!r}: got smallest second moment "
             f"{moments.min():.3g} kg·m², allowed is above 0: HGNN and LGNN replace bodies "
-            "by points, which have no mass matrix for a flat body; take gns or sgnn"
+            "by points, which have no mass matrix for a flat body; " + instead(mechanism.scene)
         )
     radius = np.sqrt(moments[len(chosen) :] / mass)
     return _Frame(directions, np.array([*map(np.linalg.norm, chosen), *radius]), moments)

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from mbds_xsim.base.errors import InputError, Unsupported, check_name
-from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.graph import Graph, check_edges
 from mbds_xsim.learn.layers import TensorModule
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Motions, Sample, Start
@@ -54,6 +54,8 @@ class LearnedModel(TensorModule, ABC):
     """Whether starts must have the bodies' states."""
     symmetries: ClassVar[frozenset[Symmetry]] = frozenset()
     """Symmetries that hold by construction and need not be learned."""
+    needs_edges: ClassVar[bool] = False
+    """Whether it sees only by the graph's edges what joins bodies."""
     mixes: ClassVar[bool] = False
     """Whether its networks may compute in bfloat16; False if they carry positions."""
 
@@ -234,6 +236,8 @@ def build(
         Unsupported: It cannot represent the scene, or is another package's and fails on it.
     """
     kind, track = load_model(name), track_of(name, track, "native")
+    if kind.needs_edges:
+        check_edges(graph.scene)
     with torch.random.fork_rng():
         torch.manual_seed(seed)
         try:

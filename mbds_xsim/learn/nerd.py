@@ -4,8 +4,8 @@ Xu, Heiden, Akinola, Fox, Macklin and Narang, "Neural Robot Dynamics", CoRL 2025
 a causal transformer replaces the solver of a simulator. For each of the last states it sees the
 bodies relative to the robot's base, the contact points and their distances from the ground, the
 direction of gravity, and the joint drives; it predicts the change of the state. Relative to the
-base, motion elsewhere or turned about the vertical looks the same. If the mechanism is fixed to the
-world, the base is the world.
+base, motion elsewhere or turned about the vertical looks the same. If a joint or link holds a body
+on the world, the base is the world.
 
 As in all models of bodies here, each body changes on the joint that carries it, and the part that
 closed loops forbid is removed. Unlike the paper, six states are shown, not ten; the network knows
@@ -31,6 +31,7 @@ from mbds_xsim.learn.recipe import Cosine, Recipe
 from mbds_xsim.learn.rigid import Q, V, W, X
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Start
+from mbds_xsim.scene.mechanism import WORLD_INDEX
 
 _BODY, _CONTACT = 18, 5
 """Inputs per body (position, frame, velocity, spin) and per contact (point, gap in two units)."""
@@ -86,8 +87,12 @@ class NeRD(BodyModel):
         outputs = 2 * ADDED * DIMENSION * bodies
         self.read = mlp(settings.width, outputs, hidden=settings.read, layers=2, activation=nn.ReLU)
         silence(self.read)
-        free = (link.body for link in graph.mechanism.links if link.joint is None)
-        self.base = next(free, None)
+        mechanism = graph.mechanism
+        held = [(joint.parent, joint.child) for joint in mechanism.joints]
+        held += [link.bodies for link in mechanism.distances]
+        fixed = any(WORLD_INDEX in ends for ends in held)
+        free = (link.body for link in mechanism.links if link.joint is None)
+        self.base = None if fixed else next(free, None)
         keep(self, down=nn.functional.normalize(graph.gravity.double(), dim=0))
 
     def begin(self, start: Start) -> Tensor:

@@ -140,7 +140,8 @@ def unexplained_energy(motion: ParticleMotion, truth: ParticleMotion) -> Array:
 
     The kinetic energy of points, the potential energy and the inputs' work are compared with the
     reference's. With contact, where a bounce at another time is no error, only a rise above the
-    energy at the start counts. NaN at known frames, and everywhere if particles do not determine
+    most that the reference has had since the start counts: spin, which particles do not show, can
+    become speed. NaN at known frames, and everywhere if particles do not determine
     the energy: with springs, loaded joints, driven hinges, or bodies without particles.
 
     A velocity needs frames on both sides, so its value is placed at the last of them.
@@ -157,7 +158,8 @@ def unexplained_energy(motion: ParticleMotion, truth: ParticleMotion) -> Array:
     kinetic, potential = _energy(motion)
     balance = kinetic + potential - _work(motion)
     if motion.graph.scene.contacts:
-        target = np.full(frames, np.nanmax(target[:HISTORY]))
+        least, known = np.nanmax(target[:HISTORY]), np.where(np.isnan(target), -np.inf, target)
+        target = np.maximum(np.maximum.accumulate(known), least)
         balance = np.maximum(balance, target)
     figure = np.full(frames, np.nan)
     figure[_REACH:] = ((balance - target) / scale)[:-_REACH]

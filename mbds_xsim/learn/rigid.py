@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.learn import turning
-from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.graph import Graph, instead
 from mbds_xsim.learn.layers import TensorModule, keep, summed
 from mbds_xsim.learn.window import KnownInputs
 from mbds_xsim.scene.constraints import layout_of
@@ -165,7 +165,8 @@ class JointHold:
 class BodyMechanics(TensorModule):
     """Masses, joints, gravity and driven hinges of one scene.
 
-    Springs, and dampers, rotors, friction and couplings in joints, raise Unsupported.
+    Springs, and dampers, rotors, friction, limits, couplings and servos in joints, raise
+    Unsupported.
     """
 
     moves: Tensor
@@ -178,8 +179,8 @@ class BodyMechanics(TensorModule):
         loaded += [f"spring {spring.name!r}" for spring in mechanism.springs]
         if loaded:
             raise Unsupported(
-                f"{loaded[0]}: got a spring, damper, rotor, friction or coupling, allowed is none: "
-                "models of bodies know rigid joints alone; take gns or sgnn"
+                f"{loaded[0]}: got a spring, damper, rotor, friction, limits, coupling or servo, "
+                "allowed is none: models of bodies know rigid joints alone; " + instead(graph.scene)
             )
         self.rows = JointRows(mechanism)
         spatial = graph.scene.dimension == 3

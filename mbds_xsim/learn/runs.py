@@ -136,6 +136,7 @@ class TrainingRun:
             "data": json.dumps(data),
             "starts": starts.hexdigest(),
             "drawn": json.dumps(self.group.drawn),
+            "device": self.request.device,
             **({"interval": interval} if interval else {}),
         }
 
@@ -194,7 +195,7 @@ def carry_out(run: TrainingRun) -> dict[str, str]:
 
         def tell(training: Training) -> None:
             _write_curve(run, training)
-            log.add(training.curve[-1])
+            log.add(training.curve)
 
         training = train(
             model,
@@ -206,6 +207,7 @@ def carry_out(run: TrainingRun) -> dict[str, str]:
             tell=tell,
             identity=run.identity,
         )
+        log.add(training.curve)  # all of a run that had ended, but whose model was not written
     _write_curve(run, training)
     facts = {**run.identity, **facts_of(run, training, parts)}
     save_model(run.path, model, run.model, run.settings, statistics, **facts)
@@ -238,11 +240,10 @@ def facts_of(run: TrainingRun, training: Training, parts: Parts) -> dict[str, st
         "level": "yes" if level else "no",
         "last_improvement": training.last_improvement,
         "best_error": training.best.error,
-        "best_step": training.best.step,
+        "best_step": training.best_step,
         "wall_s": training.wall_s,
         "cpu_s": training.cpu_s,
         "steps_per_s": steps / training.wall_s,
-        "device": run.request.device,
         "python": platform.python_version(),
         "torch": torch.__version__,
         "mbds_xsim": version("mbds-xsim"),

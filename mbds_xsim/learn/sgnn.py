@@ -50,6 +50,7 @@ class SGNN(PointModel):
     """Subequivariant graph network for the next displacement of a scene's particles."""
 
     change: ClassVar[Change] = "displacement"
+    needs_edges: ClassVar[bool] = True
     symmetries: ClassVar[frozenset[Symmetry]] = frozenset({"shift", "turn"})
     tracks: ClassVar[Mapping[str, SGNNSettings]] = {
         "paper": SGNNSettings(),

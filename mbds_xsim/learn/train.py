@@ -70,8 +70,16 @@ class Training:
 
     @property
     def best(self) -> CurvePoint:
-        """Point with the least error, whose parameters the model has at the end."""
+        """Point with the least error, whose parameters the model has at the end.
+
+        If no error is finite, the model is as it was before the first step.
+        """
         return min(self.curve, key=lambda point: point.error)
+
+    @property
+    def best_step(self) -> int:
+        """Step of the best point; 0 if no error is finite."""
+        return self.best.step if math.isfinite(self.best.error) else 0
 
     @property
     def last_improvement(self) -> float:
@@ -301,11 +309,14 @@ class _Checkpoint(msgspec.Struct, frozen=True):
 def check_identity(
     path: Path, label: str, stated: Mapping[str, str], own: Mapping[str, str]
 ) -> None:
-    """Raise InputError if a file is of another run, with the facts that differ."""
+    """Raise InputError if a file is of another run, with the facts that differ.
+
+    A file of an earlier version may state no device, and then fits any.
+    """
     facts = [
         key + _entries_apart(stated.get(key, ""), own[key])
         for key in own
-        if stated.get(key) != own[key]
+        if stated.get(key) != own[key] and (key in stated or key != "device")
     ]
     if facts:
         raise InputError(

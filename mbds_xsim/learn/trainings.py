@@ -11,13 +11,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
-from mbds_xsim.base.errors import InputError, check_name
+from mbds_xsim.base.errors import InputError, Unsupported, check_name
 from mbds_xsim.base.isolate import Carrier, Crash, Task
 from mbds_xsim.dataset.generate import repeating
 from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.learn.curves import read_curve
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.groups import shares_of
+from mbds_xsim.learn.groups import TrainingGroup, shares_of
 from mbds_xsim.learn.model import load_model, model_names, refusal, track_of, trainable
 from mbds_xsim.learn.recipe import TRACKS
 from mbds_xsim.learn.runs import (
@@ -42,6 +42,8 @@ _ENDS = {
     "steps": "all {steps} steps",
     "diverged": "diverged at step {steps}",
 }
+UNTRAINED = "no validation succeeded; its file has untrained parameters"
+"""What is said of a run of which `is_untrained` holds."""
 
 
 class TrainingSink(Protocol):
@@ -97,7 +99,7 @@ def planned(request: TrainingRequest, *, only: bool = False) -> TrainingPlan:
         check_name("model to train", model, trainable())
         tracks[model] = track_of(model, request.track, usual)
     reasons = {
-        (group, model): refusal(model, Graph.of(group.scene), track=tracks[model])
+        (group, model): _refusal(model, group, tracks[model])
         for group in request.groups
         for model in request.models
     }
@@ -128,6 +130,14 @@ def planned(request: TrainingRequest, *, only: bool = False) -> TrainingPlan:
     left_out = {f"{g.name}/{e}": lack for g in request.groups for e, lack in g.left_out.items()}
     left_out |= {f"{group.name}/{model}": why for (group, model), why in reasons.items() if why}
     return TrainingPlan(missing, done, left_out, blocked)
+
+
+def _refusal(model: str, group: TrainingGroup, track: str) -> str:
+    """Return why a model cannot learn a group's scene, or ""."""
+    try:
+        return refusal(model, Graph.of(group.scene), track=track)
+    except Unsupported as error:  # no model can
+        return str(error)
 
 
 def _check_contents(runs: Sequence[TrainingRun]) -> None:
@@ -186,12 +196,22 @@ def _ended(facts: dict[str, str]) -> str:
     """Describe in a few words how a run ended."""
     error, rate = float(facts["best_error"]), float(facts["steps_per_s"])
     end = _ENDS[facts["ended"]].format(steps=facts["steps"])
-    return f"{end}, best error {error:.3g} m² ({float(facts['wall_s']):.0f} s, {rate:.3g} steps/s)"
+    best = UNTRAINED if is_untrained(facts) else f"best error {error:.3g} m²"
+    return f"{end}, {best} ({float(facts['wall_s']):.0f} s, {rate:.3g} steps/s)"
+
+
+def is_untrained(facts: Mapping[str, str]) -> bool:
+    """Whether no validation of a run succeeded, so that no parameters were found to be best."""
+    return facts.get("best_error") == str(math.inf)
 
 
 def diverged(runs: Mapping[str, Mapping[str, str]]) -> list[str]:
-    """Return the names of the runs whose losses stopped being finite."""
-    return [name for name, facts in runs.items() if facts.get("ended") == "diverged"]
+    """Return the names of the runs whose losses stopped being finite or all validations failed."""
+    return [
+        name
+        for name, facts in runs.items()
+        if facts.get("ended") == "diverged" or is_untrained(facts)
+    ]
 
 
 @contextmanager

@@ -10,16 +10,18 @@ import pytest
 import torch
 
 from mbds_xsim.learn.body_model import BodyModel
+from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.impulse_models import ImpulseModel
 from mbds_xsim.learn.model import build, load_model, rollout, track_of
+from mbds_xsim.learn.nerd import NeRD
 from mbds_xsim.learn.particles import RigidPairs
 from mbds_xsim.learn.recipe import Profile
 from mbds_xsim.learn.rigid import Q, W
 from mbds_xsim.learn.statistics import Moments, Statistics
 from mbds_xsim.learn.train import train
-from mbds_xsim.learn.window import HISTORY, Motions
+from mbds_xsim.learn.window import HISTORY, KnownInputs, Motions
 from mbds_xsim.scene.sampling_terms import HingeRate
-from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene
+from mbds_xsim.scene.scene import Body, DistanceLink, Inertia, Joint, Particle, Scene
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.testing.models import motions_of
 
@@ -180,3 +182,35 @@ def test_learned_energies_are_followed_to_fourth_order(name: str) -> None:
     errors = [float((ends[count] - ends[32]).norm()) for count in (1, 2, 4)]
     orders = [math.log2(coarse / fine) for coarse, fine in itertools.pairwise(errors)]
     assert orders == pytest.approx([4.0, 4.0], abs=0.4)
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_nerd_sees_where_the_world_is_if_a_link_holds_a_body_on_it(*, held: bool) -> None:
+    """Two states of a pendulum on a rod look different, of a flying ball alike; none has joints."""
+    ends = ((0.0, 0.0, 0.0), (0.0, 0.0, -1.0))
+    scene = Scene(
+        "rod",
+        (Body("bob", particles=(Particle(ends[1]),)),),
+        1.0,
+        distance_links=(DistanceLink("rod", ("world", "bob"), ends),) if held else (),
+    )
+    model = build("nerd", Graph.of(scene), Statistics.of_nothing(), track="lite")
+    assert isinstance(model, NeRD)
+    state = torch.zeros(2, HISTORY, 1, 13, dtype=torch.float64)
+    state[..., 3] = 1.0
+    state[..., :3] = torch.tensor([[0.0, 0.0, -1.0], [0.6, 0.0, -0.8]]).double()[:, None, None]
+    inputs = KnownInputs(torch.zeros(2, 1, 3).double(), torch.zeros(2, 0).double())
+    hanging, turned = model._seen(state, inputs, *model._base(state))
+    assert torch.equal(hanging, turned) != held
+
+
+def test_nerd_takes_the_world_as_base_if_it_holds_any_body() -> None:
+    """A body flies beside another one, which hangs on the world or flies, too."""
+    inertia = Inertia(1.0, (0.1, 0.1, 0.1))
+    bodies = (Body("a", inertia=inertia), Body("b", inertia=inertia, position=(1.0, 0.0, 0.0)))
+    hinge = Joint("h", "hinge", "world", "b", (1.5, 0.0, 0.0), (0.0, 1.0, 0.0))
+    for joints, base in (((), 0), ((hinge,), None)):
+        graph = Graph.of(Scene("two", bodies, 1.0, joints=joints))
+        model = build("nerd", graph, Statistics.of_nothing(), track="lite")
+        assert isinstance(model, NeRD)
+        assert model.base == base

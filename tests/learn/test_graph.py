@@ -1,13 +1,17 @@
 """Graphs have the scene's nodes and edges, whatever its kind."""
 
+import re
+
 import msgspec
 import pytest
 import torch
 
-from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.model import refusal
 from mbds_xsim.scene.mechanism import Mechanism
-from mbds_xsim.scene.scene import Body, Inertia
+from mbds_xsim.scene.scene import Body, Inertia, Joint, Particle, Scene
+from mbds_xsim.scene.servo import Servo
 from mbds_xsim.simulate.registry import PAPER_SCENES, load_scene
 from mbds_xsim.testing.collision_cases import TWO, balls
 
@@ -73,3 +77,51 @@ def test_positions_in_the_plane_get_their_depth_back() -> None:
 def test_bodies_that_collide_with_each_other_have_no_graph() -> None:
     with pytest.raises(InputError, match=r"scene 'balls': got \[collisions\], allowed are scenes"):
         Graph.of(balls(TWO["head on"]))
+
+
+@pytest.mark.parametrize("limit", [10.0, None])
+@pytest.mark.parametrize("targets", [(0.0, 0.3, -0.3), (0.3,)])
+def test_targets_that_change_are_refused_where_no_input_shows_them(
+    limit: float | None, targets: tuple[float, ...]
+) -> None:
+    scene = Scene(
+        "servo",
+        (Body("cart", particles=(Particle((0.0, 0.0, 0.0)),)),),
+        1.0,
+        joints=(Joint("rail", "slider", "world", "cart", (0.0, 0.0, 0.0), (1.0, 0.0, 0.0)),),
+        servos=(Servo("rail", targets, stiffness=50.0, damping=5.0, hold=20, limit=limit),),
+    )
+    if limit is None or len(targets) == 1:
+        assert Graph.of(scene).node_count == 1
+        return
+    with pytest.raises(Unsupported, match=r"^servo of 'rail': got targets that change, allowed"):
+        Graph.of(scene)
+
+
+@pytest.mark.parametrize("name", ["gns", "sgnn"])
+def test_joined_bodies_without_edges_are_refused_where_only_edges_show_joints(name: str) -> None:
+    words = "got joined bodies and no edges, needed are edges: .*give its bodies particles and"
+    assert re.search(words + r" edges, or take gns\+ or", refusal(name, Graph.of(_stand_ins())))
+    loaded = refusal(name, Graph.of(_stand_ins(damping=1.0)))
+    assert re.search(words + " edges$", loaded)
+    assert refusal("gns+", Graph.of(_stand_ins())) == ""
+    assert refusal(name, Graph.of(load_scene("ballscroll"))) == ""
+
+
+@pytest.mark.parametrize("name", ["gns+", "hgnn"])
+def test_models_that_would_be_refused_are_not_advised(name: str) -> None:
+    advice = refusal(name, Graph.of(_stand_ins(damping=1.0)))
+    assert advice.endswith("; give its bodies particles and edges, and take gns or sgnn")
+
+
+def _stand_ins(*, damping: float = 0.0) -> Scene:
+    """A double pendulum of bodies given by their inertia."""
+    bodies = tuple(
+        Body(name, inertia=Inertia(1.0, (0.1, 0.1, 0.1)), position=(0.0, 0.0, height))
+        for name, height in (("a", -0.5), ("b", -1.5))
+    )
+    joints = (
+        Joint("j", "hinge", "world", "a", (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), damping=damping),
+        Joint("k", "hinge", "a", "b", (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)),
+    )
+    return Scene("two", bodies, 1.0, joints=joints)

@@ -10,10 +10,18 @@ import torch
 
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import ConstantVelocity
-from mbds_xsim.learn.particles import LOST, RigidPairs, measure, one_step_error
+from mbds_xsim.learn.particles import (
+    LOST,
+    ParticleMotion,
+    RigidPairs,
+    measure,
+    one_step_error,
+    unexplained_energy,
+)
 from mbds_xsim.learn.shift.evaluation import valid_time
 from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Body, ContactSphere, Ground, Particle, Scene
 from mbds_xsim.simulate.registry import load_scene
 
 FRAMES = 5
@@ -135,3 +143,26 @@ def test_valid_time_is_that_of_the_last_frame_before_the_error_is_too_large() ->
     time, never = valid_time(error, length, frame)
     np.testing.assert_allclose(time, [2 * frame, 4 * frame, frame, 2 * frame])
     assert never.tolist() == [False, True, False, True]
+
+
+def test_spin_that_friction_turns_into_speed_is_no_gain_of_energy() -> None:
+    """A ball with topspin speeds up until it rolls, at 2/7 of r ω."""
+    radius, spin, friction = 0.1, 50.0, 0.3
+    centre = (0.0, 0.0, radius)
+    particle = Particle(centre, 1.0, 0.4 * radius**2)
+    scene = Scene(
+        "topspin",
+        (Body("ball", particles=(particle,), angular_velocity=(0.0, spin, 0.0)),),
+        1.0,
+        contacts=(ContactSphere("ball", centre, radius),),
+        ground=Ground(friction, 0.0),
+    )
+    time = 0.02 * np.arange(101)
+    pull, rolling = friction * 9.81, 2.0 / 7.0 * radius * spin
+    until = np.minimum(time, rolling / pull)
+    place = 0.5 * pull * until**2 + rolling * (time - until)
+    path = np.stack([place, np.zeros(101), np.full(101, radius)], axis=-1)[:, None]
+    ball = ParticleMotion(Graph.of(scene), draw_batch(scene, range(1)), path)
+    assert np.nanmax(unexplained_energy(ball, ball)) < 1e-9
+    faster = ParticleMotion(ball.graph, ball.start, path * (2.0, 1.0, 1.0))
+    assert np.nanmax(unexplained_energy(faster, ball)) > 1.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 import pytest
 import torch
@@ -14,7 +15,7 @@ from mbds_xsim.learn.window import KnownInputs
 from mbds_xsim.reference.solution import solve
 from mbds_xsim.scene.constraints import constraint_rows, dense_jacobian
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.scene import Scene, SpringDamper
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.testing.cases import CASES
@@ -122,5 +123,10 @@ def test_joints_take_the_least_of_a_change() -> None:
 
 def test_springs_in_joints_are_refused_in_a_line() -> None:
     """The line says what is allowed and which model to take instead."""
-    with pytest.raises(Unsupported, match=r"joint 'axle': got a spring.*none: .*take gns"):
+    with pytest.raises(Unsupported, match=r"joint 'axle': got a spring.*none: .*give its bodies"):
         BodyMechanics(Graph.of(_case("sprung hinge")))
+    scene = load_scene("2pendulum")
+    first, second = (body.name for body in scene.bodies)
+    spring = SpringDamper("bow", (first, second), ((0.0, 0.0, -0.1), (0.0, 0.0, -0.2)), 1.0)
+    with pytest.raises(Unsupported, match=r"spring 'bow': got a spring.*; take gns or sgnn$"):
+        BodyMechanics(Graph.of(msgspec.structs.replace(scene, springs=(spring,))))

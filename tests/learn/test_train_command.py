@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
+import math
 import shutil
 import sys
 from collections.abc import Callable, Sequence
@@ -17,22 +18,25 @@ import torch
 from rich.console import Console
 
 from mbds_xsim.__main__ import main
-from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.base.isolate import Task, run_tasks
+from mbds_xsim.commands.learn import _cost_blocks
 from mbds_xsim.dataset.cluster import Cluster
 from mbds_xsim.dataset.generate import Request as DataRequest
 from mbds_xsim.dataset.generate import generate
 from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.learn import runs, trainings
 from mbds_xsim.learn.curves import EventLog, LearningCurve, log_whole, read_curve, write_curve
+from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.groups import groups
 from mbds_xsim.learn.model_file import read_facts, read_model
-from mbds_xsim.learn.recipe import PROFILES, Recipe
+from mbds_xsim.learn.recipe import PROFILES, Profile, Recipe
 from mbds_xsim.learn.runs import TrainingRequest
-from mbds_xsim.learn.train import CurvePoint, Training
+from mbds_xsim.learn.train import CurvePoint, Training, check_identity
 from mbds_xsim.learn.trainings import carry, planned, watched
+from mbds_xsim.report.blocks import Text
 from mbds_xsim.report.terminal import TrainingBar
-from mbds_xsim.scene.scene import Clock
+from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.registry import load_scene
 from tests.farm import Farm
@@ -191,7 +195,27 @@ def test_divergence_is_a_result_and_a_failure(
     assert _end(words, monkeypatch) == 1
     summary = json.loads((ask().out / "told.json").read_bytes())
     assert summary["diverged"] == list(outcome.trained) == list(summary["runs"])
-    assert "all-s0 diverged: its file has the best" in capsys.readouterr().out
+    output = " ".join(capsys.readouterr().out.split())
+    assert "all-s0 diverged: no validation succeeded; its file has untrained parameters" in output
+
+
+def test_a_run_without_a_successful_validation_counts_as_diverged(
+    ask: Ask, made: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("mbds_xsim.learn.train.validation_error", lambda *_: math.inf)
+    monkeypatch.setitem(PROFILES, "smoke", TINY)
+    outcome = _carry(ask())
+    ((name, facts),) = outcome.trained.items()
+    assert (facts["ended"], facts["best_error"], facts["best_step"]) == ("steps", "inf", "0")
+    (run,) = planned(ask(out="other")).runs
+    untrained = runs.prepared(run)[0].state_dict()
+    saved = read_model(ask().out / f"{name}.pt")[0].state_dict()
+    assert all(torch.equal(value, saved[key]) for key, value in untrained.items())
+    words = [str(made), "--models", "gns", "--on", "all", "--seeds", "1", "--profile", "smoke"]
+    assert _end([*words, "--out", str(ask().out)], monkeypatch) == 1
+    output = " ".join(capsys.readouterr().out.split())
+    assert f"{name}: no validation succeeded; its file has untrained parameters" in output
+    assert trainings._ended(facts).startswith("all 12 steps, no validation succeeded; its file")
 
 
 def test_what_a_model_cannot_represent_is_left_out(data: Callable[..., Dataset], ask: Ask) -> None:
@@ -201,6 +225,20 @@ def test_what_a_model_cannot_represent_is_left_out(data: Callable[..., Dataset],
     assert [run.model for run in plan.runs] == ["gns"]
     assert list(plan.left_out) == ["balldrop/native/hgnn"]
     assert "contact" in plan.left_out["balldrop/native/hgnn"]
+
+
+def test_a_scene_that_has_no_graph_is_left_out_for_every_model(
+    ask: Ask, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The refusal is a reason like any other, and does not end the planning."""
+
+    def refuse(_: Scene) -> Graph:
+        raise Unsupported("servo of 'rail': got targets that change")
+
+    request = ask("gns", "gns+")
+    monkeypatch.setattr(Graph, "of", refuse)
+    with pytest.raises(InputError, match=r"^nothing to train: gns: servo .*; gns\+: servo"):
+        planned(request)
 
 
 def test_nothing_to_train_is_said_with_every_reason(data: Callable[..., Dataset], ask: Ask) -> None:
@@ -231,6 +269,14 @@ def test_another_run_in_its_place_is_refused(ask: Ask) -> None:
         planned(dataclasses.replace(ask(), profile=longer))
     with pytest.raises(InputError, match=r"a model of another track, settings;"):
         planned(dataclasses.replace(ask(), track="native"))
+    with pytest.raises(InputError, match=r"a model of another device;"):
+        planned(dataclasses.replace(ask(), device="cuda"))
+
+
+def test_a_file_that_states_no_device_fits_any(ask: Ask) -> None:
+    (run,) = planned(ask()).runs
+    stated = {key: value for key, value in run.identity.items() if key != "device"}
+    check_identity(run.path, "a model", stated, run.identity)
 
 
 def test_a_plan_tells_the_cost_and_trains_nothing(
@@ -251,7 +297,34 @@ def test_a_plan_tells_the_cost_and_trains_nothing(
     assert cost["hours"] == pytest.approx(seconds / 3600)
     assert 1 < cost["steps_per_s"] < 10_000
     assert "6 runs, at most" in output.err
+    assert "level" not in output.err  # the profile takes all its steps
     assert not (tmp_path / "models").exists()
+
+
+@pytest.mark.parametrize(
+    ("profile", "words"),
+    [
+        (TINY, "3 runs, at most 14 h of one process, about 10 h with 2; measured on a few steps"),
+        (
+            msgspec.structs.replace(TINY, until_level=True),
+            "3 runs, at most 14 h of one process, about 10 h with 2; measured on a few steps; "
+            "runs end earlier once they are level",
+        ),
+    ],
+)
+def test_a_plan_divides_no_run(ask: Ask, profile: Profile, words: str) -> None:
+    request = dataclasses.replace(ask("gns", "sgnn", on="each"), profile=profile)
+    plan = planned(request)
+    sgnn = [run for run in plan.runs if run.model == "sgnn"]
+    plan = dataclasses.replace(plan, runs=(*sgnn[:1], *(r for r in plan.runs if r.model == "gns")))
+    assert len(plan.runs) == 3
+    costs = [
+        runs.Cost("2pendulum/native", model, 1.0, 1.0, hours)
+        for model, hours in (("sgnn", 10.0), ("gns", 2.0))
+    ]
+    *_, text = _cost_blocks(plan, costs, 2)
+    assert isinstance(text, Text)
+    assert text.text == words
 
 
 def test_the_bar_counts_runs_and_only_the_steps_of_this_process() -> None:
@@ -275,14 +348,38 @@ def test_the_bar_counts_runs_and_only_the_steps_of_this_process() -> None:
 def test_tensorboard_is_told(tmp_path: Path) -> None:
     reading = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
     with EventLog(tmp_path) as log:
-        for step in (10, 20):
-            log.add(CurvePoint(step, 1.0 / step, 2.0 / step, 1e-3))
+        points = [CurvePoint(step, 1.0 / step, 2.0 / step, 1e-3) for step in (10, 20)]
+        for count in (1, 2, 2):
+            log.add(points[:count])
     read = reading.EventAccumulator(str(tmp_path))
     read.Reload()
     assert [(e.step, e.value) for e in read.Scalars("error")] == [
         (10, pytest.approx(0.2)),
         (20, pytest.approx(0.1)),
     ]
+
+
+@pytest.mark.parametrize("logged", [True, False])
+def test_tensorboard_is_told_of_the_time_before_an_interruption(
+    ask: Ask, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, logged: bool
+) -> None:
+    reading = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+
+    def halt(curve: LearningCurve) -> bytes:
+        if curve.points[-1].step == 8:
+            raise KeyboardInterrupt
+        return write_curve(curve)
+
+    watched_run = dataclasses.replace(ask(), events=tmp_path / "events")
+    monkeypatch.setattr("mbds_xsim.learn.runs.write_curve", halt)
+    with pytest.raises(KeyboardInterrupt):
+        _carry(watched_run if logged else ask())
+    monkeypatch.undo()
+    (run,) = planned(watched_run).runs
+    _carry(watched_run)
+    read = reading.EventAccumulator(str(tmp_path / "events" / run.name))
+    read.Reload()
+    assert [event.step for event in read.Scalars("error")] == [4, 8, 12]
 
 
 def test_tensorboard_is_told_of_a_run_that_was_finished_before(ask: Ask, tmp_path: Path) -> None:
@@ -325,6 +422,11 @@ def test_tensorboard_is_told_of_a_run_that_was_finished_before(ask: Ask, tmp_pat
             "--track: got 'fast', allowed for gns is paper, native, lite",
         ),
         (["DATA", "--device", "tpu"], "--device: got 'tpu', allowed is cpu or cuda"),
+        (["DATA", "--plan", "--png", "x.png"], "--png: nothing is trained with --plan; leave one"),
+        (
+            ["DATA", "--plan", "--tensorboard", "events"],
+            "--tensorboard: nothing is trained with --plan; leave one out",
+        ),
         (["DATA", "--bf16"], "--bf16 and --compile: got --device cpu, allowed with them is cuda"),
         (["DATA", "--profile", "smoke", "--out", "a-file"], "cannot write"),
         (["DATA", "--tensorboard", "a-file/x"], "--tensorboard: cannot write a-file/x/events: "),
