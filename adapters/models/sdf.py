@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import itertools
-import math
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -22,7 +21,7 @@ from mbds_xsim.simulate.adapter import version_of
 
 from .assembling import assemble
 from .fates import fates_of
-from .parts import Freedom, Mass, Part, Parts, Property, Solid, Solids
+from .parts import Freedom, Mass, Part, Parts, Property, Solid, Solids, bounded
 from .sdf_shapes import REPORTED, pair, shapes_of
 from .sdf_values import masses_of, numbers
 from .source import read_source
@@ -37,7 +36,6 @@ _LABELS = {
 _KINDS = {"RevoluteJoint": "hinge", "PrismaticJoint": "slider", "BallJoint": "ball",
           "FreeJoint": "free"}  # fmt: skip
 _WITHOUT_AXIS = ("BallJoint", "FreeJoint")
-_FAR = 1e10  # [rad or m]: a limit beyond this means no limit
 _VERSIONS = ("1.5", "1.6", "1.7", "1.8", "1.9", "1.10", "1.11")
 """Accepted versions. Up to 1.4, axes were in the model's frame, a difference that DART ignores."""
 _FRAMES = ("relative_to", "expressed_in", "frame", "degrees", "rotation_format")
@@ -222,7 +220,7 @@ def _properties(joint: Any, k: int) -> dict[str, Property]:
     }
     if properties["stiffness"]:
         properties["rest"] = float(joint.getRestPosition(k))
-    limits = (float(joint.getPositionLowerLimit(k)), float(joint.getPositionUpperLimit(k)))
-    if all(map(math.isfinite, limits)) and max(map(abs, limits)) < _FAR:
+    limits = bounded(float(joint.getPositionLowerLimit(k)), float(joint.getPositionUpperLimit(k)))
+    if limits is not None:
         properties["limits"] = limits
     return {key: value for key, value in properties.items() if value}
