@@ -21,14 +21,13 @@ from .contacts import contacts_of
 from .facts import facts_of
 from .floor import floor_of, on_the_floor
 from .masses import SHARE, physical, small
-from .parts import Closing, Drive, Freedom, Line, Mass, ModelCoupling, Part, Parts, Property
+from .parts import FAR, Closing, Drive, Freedom, Line, Mass, ModelCoupling, Part, Parts, Property
 from .starts import check_above_ground, drop_limits, starts
 
 _AS_IS = "on the joint, as it is"
 _NOTES = {"limits": "stops of the joint, which give nothing of a speed back"}
 _SCALAR = "the scene description has it for hinges and sliders alone"
 _NOTHING = Mass(0.0, np.zeros(3), np.zeros((3, 3)))
-_FAR = 1e9  # [rad or m]: limits beyond this are dropped
 _TIES_NOTHING = "it holds what does not move, or is not there"
 _TOGETHER = 1e-9  # [m]: anchors this close count as one point
 _INDEPENDENT = 1e-3  # least volume spanned by three independent unit axes
@@ -363,7 +362,7 @@ def _wrong(key: str, value: Property, freedom: Freedom) -> str:
         return "it is negative" if key in ("stiffness", "damping") and value < 0 else ""
     if not value[0] < value[1]:
         return "the lower one is not below the upper one"
-    if max(map(abs, value)) > _FAR:
+    if max(map(abs, value)) > FAR:
         return "no joint gets so far"
     far = freedom.kind == "hinge" and (value[1] <= -math.pi or value[0] >= math.pi)
     return "they are all more than half a turn from the reference pose" if far else ""

@@ -96,7 +96,7 @@ _URDF: tuple[Row, ...] = (
 _SDF: tuple[Row, ...] = (
     ("kept", True, "as DART's parser reads it",
      "sdf@version world@name model@name link@name link pose joint@name joint@type parent child "
-     "xyz use_parent_model_frame static gravity"),
+     "axis axis2 xyz use_parent_model_frame static gravity"),
     ("kept", True, "as the format says", "inertial mass inertia ixx ixy ixz iyy iyz izz"),
     ("kept", True, "it names no frame", "pose@frame"),
     ("dropped", False, _VISUAL, "visual light scene gui material"),

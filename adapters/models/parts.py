@@ -11,6 +11,14 @@ import numpy as np
 from mbds_xsim.base.arrays import Array
 
 Property = float | tuple[float, float]
+FAR = 1e9  # [rad or m]: no joint gets so far
+
+
+def bounded(low: float, high: float) -> tuple[float, float] | None:
+    """Return limits with ±1e9 for a side without one; None if both sides have none."""
+    if not (abs(low) < FAR or abs(high) < FAR):
+        return None
+    return max(min(low, FAR), -FAR), max(min(high, FAR), -FAR)
 
 
 @dataclass(frozen=True, eq=False)

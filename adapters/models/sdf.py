@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import copy
 import itertools
-import math
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Element, tostring
+from xml.etree.ElementTree import Element, SubElement, fromstring, tostring
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from mbds_xsim.simulate.adapter import version_of
 
 from .assembling import assemble
 from .fates import fates_of
-from .parts import Freedom, Mass, Part, Parts, Property, Solid, Solids
+from .parts import Freedom, Mass, Part, Parts, Property, Solid, Solids, bounded
 from .sdf_shapes import REPORTED, pair, shapes_of
 from .sdf_values import masses_of, numbers
 from .source import read_source
@@ -37,11 +36,16 @@ _LABELS = {
 _KINDS = {"RevoluteJoint": "hinge", "PrismaticJoint": "slider", "BallJoint": "ball",
           "FreeJoint": "free"}  # fmt: skip
 _WITHOUT_AXIS = ("BallJoint", "FreeJoint")
-_FAR = 1e10  # [rad or m]: a limit beyond this means no limit
 _VERSIONS = ("1.5", "1.6", "1.7", "1.8", "1.9", "1.10", "1.11")
 """Accepted versions. Up to 1.4, axes were in the model's frame, a difference that DART ignores."""
 _FRAMES = ("relative_to", "expressed_in", "frame", "degrees", "rotation_format")
 _ONE = "DART's parser takes one joint per link, and only between existing links"
+_INERTIAL = (
+    "<inertial><mass>1</mass><inertia><ixx>1</ixx><ixy>0</ixy><ixz>0</ixz><iyy>1</iyy><iyz>0</iyz>"
+    "<izz>1</izz></inertia></inertial>"
+)
+_KILOGRAM = "not stated: 1 kg, the specification's default"
+_MOMENTS = "not all are stated: moments of 1 kg·m², the specification's default"
 _OFF = ("0", "false")
 _LAW = ("damping", "friction", "spring_stiffness", "spring_reference")
 _UNSUPPORTED = ("include", "frame", "experimental:params")
@@ -67,8 +71,10 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     parts: list[Part] = []
     shapes: list[Solid] = []
     skipped: list[str] = []
+    moving: list[Element] = []
     for skeleton, element, link_masses in zip(skeletons, models, masses, strict=True):
         skipped += _skipped_joints(skeleton, element)
+        moving += _moving_links(skeleton, element)
         skeleton.setPositions(np.zeros(skeleton.getNumDofs()))
         first = len(parts)
         parts += _parts(skeleton, first, link_masses)
@@ -84,7 +90,26 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     fates = [*fates_of(root, reported, touching=ground)]
     if skipped:
         fates.append(Fate("joint", (), "dropped", _ONE, True, tuple(skipped), len(skipped)))
+    fates += _defaults(moving)
     return assemble(model, file=path.name, kind="SDF", reader=reader, fates=fates)
+
+
+def _moving_links(skeleton: Any, model: Element) -> list[Element]:
+    nodes = skeleton.getBodyNodes() if skeleton.isMobile() else ()
+    names = {node.getName() for node in nodes if node.getNumDependentGenCoords()}
+    return [link for link in model.findall("link") if link.get("name") in names]
+
+
+def _defaults(links: list[Element]) -> Iterator[Fate]:
+    """Report the links whose mass or moments of inertia are defaults."""
+    moments = tuple(f"inertia/{key}" for key in ("ixx", "iyy", "izz"))
+    for element, paths, reason in (("mass", ("mass",), _KILOGRAM), ("inertia", moments, _MOMENTS)):
+        unstated = [
+            link for link in links if any(link.find(f"inertial/{path}") is None for path in paths)
+        ]
+        if unstated:
+            places = tuple(link.get("name", "") for link in unstated)
+            yield Fate(element, (), "approximated", reason, True, places, len(places))
 
 
 def _mark(root: Element) -> None:
@@ -98,7 +123,10 @@ def _mark(root: Element) -> None:
 
 
 def _skeletons(parser: Any, root: Element) -> tuple[list[Any], Array]:
-    """Let DART read the models without shapes, since it crashes on missing meshes."""
+    """Let DART read the models without shapes and masses, which are read from the file itself.
+
+    It crashes on missing meshes, and skips links with incomplete inertias.
+    """
     bare = copy.deepcopy(root)
     bare.set("version", "1.6")  # the last whose worlds DART reads; without frames versions agree
     for joint in bare.iter("joint"):
@@ -109,6 +137,12 @@ def _skeletons(parser: Any, root: Element) -> tuple[list[Any], Array]:
     for link in list(bare.iter("link")):
         for shape in [*link.findall("visual"), *link.findall("collision")]:
             link.remove(shape)
+        for inertial in link.findall("inertial"):
+            link.remove(inertial)
+        link.append(fromstring(_INERTIAL))
+    for axis in itertools.chain.from_iterable(map(bare.iter, ("axis", "axis2"))):
+        if axis.find("xyz") is None:
+            SubElement(axis, "xyz").text = "0 0 1"
     gravity = np.array([0.0, 0.0, -9.81])
     with tempfile.NamedTemporaryFile("w", suffix=".sdf", encoding="utf-8") as file:
         file.write(tostring(bare, encoding="unicode"))
@@ -138,6 +172,9 @@ def _refuse(root: Element) -> None:
     if (number := root.get("version", "")) not in _VERSIONS:
         msg = f"it is of version {number or 'unsaid'}; DART's parser reads {', '.join(_VERSIONS)}"
         raise InputError(msg)
+    if (joint := root.find("world/joint")) is not None:
+        msg = f"<world> has a <joint> {joint.get('name', '')!r}, which DART's parser does not read"
+        raise InputError(f"{msg}; make one <model> of all that it joins")
     for element in root.iter():
         frame_keys = [key for key in _FRAMES if element.get(key)]
         nested = element.tag not in ("sdf", "world") and element.find("model") is not None
@@ -172,20 +209,21 @@ def _skipped_joints(skeleton: Any, model: Element) -> list[str]:
     return [n for joint in model.findall("joint") if (n := joint.get("name", "")) not in joints]
 
 
-def _parts(skeleton: Any, first: int, masses: Mapping[str, tuple[float, Array]]) -> Iterator[Part]:
+def _parts(skeleton: Any, first: int, masses: Mapping[str, Mass]) -> Iterator[Part]:
     order = list(_downwards(skeleton))
     index = {node.getName(): first + k for k, node in enumerate(order)}
     for node in order:
         above = node.getParentBodyNode()
         frame = node.getTransform()
         axes = np.array(frame.rotation())
-        mass, inertia = masses[node.getName()]
+        local = masses[node.getName()]
+        com = np.array(frame.multiply(local.com))
         yield Part(
             name=node.getName(),
             parent=index[above.getName()] if above is not None else -1,
             position=np.array(frame.translation()),
             orientation=rotation.from_matrix(axes),
-            mass=Mass(mass, np.array(node.getCOM()), axes @ inertia @ axes.T),
+            mass=Mass(local.mass, com, axes @ local.inertia @ axes.T),
             freedoms=tuple(_freedoms(node)) if skeleton.isMobile() else (),
         )
 
@@ -222,7 +260,7 @@ def _properties(joint: Any, k: int) -> dict[str, Property]:
     }
     if properties["stiffness"]:
         properties["rest"] = float(joint.getRestPosition(k))
-    limits = (float(joint.getPositionLowerLimit(k)), float(joint.getPositionUpperLimit(k)))
-    if all(map(math.isfinite, limits)) and max(map(abs, limits)) < _FAR:
+    limits = bounded(float(joint.getPositionLowerLimit(k)), float(joint.getPositionUpperLimit(k)))
+    if limits is not None:
         properties["limits"] = limits
     return {key: value for key, value in properties.items() if value}

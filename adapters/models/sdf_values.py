@@ -11,6 +11,8 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 
+from .parts import Mass
+
 
 def numbers(element: Element, path: str, unstated: tuple[float, ...]) -> Array:
     """Read the numbers in an element below another.
@@ -51,22 +53,24 @@ def pose(element: Element, path: str = "pose") -> tuple[Array, Array]:
     return values[:3], np.asarray(about_z @ about_y @ about_x)
 
 
-def masses_of(model: Element) -> dict[str, tuple[float, Array]]:
-    """Read the masses of a model's links, and refuse duplicate names.
+def masses_of(model: Element) -> dict[str, Mass]:
+    """Read the masses of a model's links, in the links' frames, and refuse duplicate names.
 
     Returns:
-        Mass [kg], and inertia about its centre along the link's axes [kg·m²], shape (3, 3), keyed
-        by link. Defaults are DART's: 1 kg, and moments of 1 m² times the mass.
+        Masses keyed by link. Defaults are the specification's: 1 kg, and moments of 1 kg·m².
 
     Raises:
-        InputError: A number is malformed, a moving mass is not above 0, or two links share a name.
+        InputError: A number is malformed, a moving mass is not above 0, two links share a name, or
+            a mass would follow from shapes.
     """
     links = model.findall("link")
+    for link in links if not is_static(model) else ():
+        _check_stated(link)
     masses = {link.get("name", ""): _mass(link) for link in links}
-    for name, (mass, _) in masses.items():
-        if mass <= 0 and model.findtext("static") not in ("1", "true"):
-            msg = f"<mass> of <link> {name!r} is {mass:g}, allowed is above 0; a link that does "
-            raise InputError(f"{msg}not move needs one, too, and a fixed joint to the world")
+    for name, each in masses.items():
+        if each.mass <= 0 and not is_static(model):
+            msg = f"<mass> of <link> {name!r} is {each.mass:g}, allowed is above 0; a link that "
+            raise InputError(f"{msg}does not move needs one, too, and a fixed joint to the world")
     if len(masses) < len(links):
         names = [link.get("name", "") for link in links]
         repeated = next(name for name in names if names.count(name) > 1)
@@ -75,11 +79,26 @@ def masses_of(model: Element) -> dict[str, tuple[float, Array]]:
     return masses
 
 
-def _mass(link: Element) -> tuple[float, Array]:
-    mass = number(link, "inertial/mass", 1.0)
+def is_static(model: Element) -> bool:
+    """Whether a model does not move."""
+    return model.findtext("static") in ("1", "true")
+
+
+def _check_stated(link: Element) -> None:
+    """Raise InputError if a mass would follow from shapes."""
+    inertial = link.find("inertial")
+    automatic = inertial is not None and inertial.get("auto") in ("1", "true")
+    if automatic or link.find("inertial/density") is not None:
+        got = 'auto="true"' if automatic else "<density>"
+        msg = f"<inertial> of <link> {link.get('name', '')!r} has {got}, but masses of shapes are "
+        raise InputError(f"{msg}not computed; state its <pose>, <mass> and <inertia>")
+
+
+def _mass(link: Element) -> Mass:
     xx, yy, zz, xy, xz, yz = (
-        number(link, f"inertial/inertia/i{key}", mass if key[0] == key[1] else 0.0)
+        number(link, f"inertial/inertia/i{key}", 1.0 if key[0] == key[1] else 0.0)
         for key in ("xx", "yy", "zz", "xy", "xz", "yz")
     )
-    axes = pose(link, "inertial/pose")[1]
-    return mass, axes @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ axes.T
+    place, axes = pose(link, "inertial/pose")
+    inertia = axes @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ axes.T
+    return Mass(number(link, "inertial/mass", 1.0), place, inertia)

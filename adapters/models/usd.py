@@ -18,9 +18,9 @@ from mbds_xsim.scene.imported import Fate, Imported
 
 from .assembling import assemble
 from .graph import Tie, tree_of
-from .parts import Drive, Freedom, Line, Mass, Part, Parts, Solids
+from .parts import Drive, Freedom, Line, Mass, Part, Parts, Solids, bounded
 from .usd_fates import fates_of
-from .usd_masses import mass_of
+from .usd_masses import mass_of, matrix_of
 from .usd_shapes import Shapes
 
 _UNLIMITED = 3e38  # limit of a drive; single precision has no larger number
@@ -29,6 +29,12 @@ _GAP = 1e-5  # largest gap of a joint's frames over the extent: positions are in
 _LABELS = {"limits": ("Physics…Joint", "physics:lowerLimit"), "drive": ("drive", "")}
 _KINDS = {"RevoluteJoint": "hinge", "PrismaticJoint": "slider", "SphericalJoint": "ball",
           "FixedJoint": "fixed", "D6Joint": "several"}  # fmt: skip
+_CLOSES = "its joint closes a loop"
+_GRAVITY = 9.81  # [m/s²]
+_NO_SCENE = (
+    f"there is none: gravity is the schema's default, {_GRAVITY} m/s² down the axis of the stage"
+)
+_Sides = tuple[tuple[Array, Array], tuple[Array, Array]]
 
 
 def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
@@ -43,8 +49,7 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
         parts = reading.model(path.stem, ground=ground)
     except tf.ErrorException as error:
         raise InputError(f"OpenUSD does not read it: {_reason(str(error))}") from error
-    limited = "limits" in parts.stated
-    fates = [*fates_of(stage, limited=limited, touching=ground), *reading.fates]
+    fates = [*fates_of(stage, limited=reading.limited, touching=ground), *reading.fates]
     version = ".".join(map(str, usd.GetVersion()))
     return assemble(parts, file=path.name, kind="USD", reader=f"OpenUSD {version}", fates=fates)
 
@@ -96,6 +101,8 @@ class _Reading:
         self._objects = UsdPhysics.UsdPhysicsLoadStageFromPrimRange(stage, ["/"])
         self._count = Counter(prim.GetName() for prim in stage.Traverse())
         self.fates: list[Fate] = []
+        self.limited = False
+        """Whether a joint has limits, which are then reported joint by joint."""
         self._drives: list[Drive] = []
 
     def model(self, name: str, *, ground: bool) -> Parts:
@@ -110,6 +117,7 @@ class _Reading:
         candidates = (self._tie(desc, key, index, extent) for key, desc in joints)
         ties = [tie for tie in candidates if tie is not None]
         parts, closings = tree_of(nodes, ties)
+        self._report_limits(ties, {closing.name for closing in closings})
         part_index = {part.name: k for k, part in enumerate(parts)}
         lines = tuple(self._lines(index, [part_index[node.name] for node in nodes]))
         drives = tuple(self._tree_drives({f.name for part in parts for f in part.freedoms}))
@@ -120,14 +128,21 @@ class _Reading:
             solids = Solids("Collision", tuple(shapes.solids(part)), shapes.pair)
         return Parts(name, parts, self._gravity(), closings, (), lines, _LABELS, drives, solids)
 
+    def _report_limits(self, ties: list[Tie], closing: set[str]) -> None:
+        """Report the limits of joints that close loops; those of the others are kept."""
+        limited = [tie.name for tie in ties if any(each.properties for each in tie.freedoms)]
+        self.limited = bool(limited)
+        element, attribute = _LABELS["limits"]
+        for name in (name for name in limited if name in closing):
+            self.fates.append(Fate(element, (attribute,), "dropped", _CLOSES, True, (name,)))
+
     def _tree_drives(self, freedoms: set[str]) -> Iterator[Drive]:
         """Yield the drives of tree joints, and drop those of joints that close loops."""
         for drive in self._drives:
             if drive.joint in freedoms:
                 yield drive
             else:
-                reason = "its joint closes a loop"
-                self.fates.append(Fate("drive", (), "dropped", reason, True, (drive.joint,)))
+                self.fates.append(Fate("drive", (), "dropped", _CLOSES, True, (drive.joint,)))
 
     def _all(self, schema: str) -> list[Any]:
         object_type = getattr(self._physics.ObjectType, schema)
@@ -138,7 +153,8 @@ class _Reading:
             return np.asarray(
                 self._up @ np.array(scene.gravityDirection) * scene.gravityMagnitude * self._metre
             )
-        return np.zeros(3)
+        self.fates.append(Fate("PhysicsScene", (), "approximated", _NO_SCENE, True))
+        return np.array([0.0, 0.0, -_GRAVITY])
 
     def _part(self, desc: Any) -> Part:
         prim = self._stage.GetPrimAtPath(desc.primPath)
@@ -162,16 +178,10 @@ class _Reading:
 
     def _side(self, body: Any, place: Any, turn: Any) -> tuple[Array, Array]:
         """Return position and axes of a joint's frame on one side, in W."""
-        if body.isEmpty:
-            point = np.array(place, dtype=float)
-        else:
-            prim = self._stage.GetPrimAtPath(body)
-            point = np.array(self._places.GetLocalToWorldTransform(prim).Transform(place))
-        quaternion = np.array([turn.GetReal(), *turn.GetImaginary()], dtype=float)
-        quaternion /= np.linalg.norm(quaternion)
-        return self._up @ point * self._metre, self._frame(body)[1] @ rotation.matrix(quaternion)
+        origin, axes = self._frame(body)  # the library has scaled the place
+        return origin + axes @ np.array(place, dtype=float) * self._metre, axes @ matrix_of(turn)
 
-    def _sides(self, desc: Any) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    def _sides(self, desc: Any) -> _Sides:
         first = self._side(desc.body0, desc.localPose0Position, desc.localPose0Orientation)
         second = self._side(desc.body1, desc.localPose1Position, desc.localPose1Orientation)
         return first, second
@@ -185,7 +195,7 @@ class _Reading:
             self.fates.append(Fate("Joint", (), "dropped", reason, False, (name,)))
             return None
         if kind == "several":
-            return Tie(name, ends, tuple(self._freedoms(desc, name, point, axes)), point)
+            return Tie(name, ends, tuple(self._freedoms(desc, name, extent)), point)
         column = "XYZ".index(desc.axis.name) if kind in ("hinge", "slider") else 0
         axis = axes[:, column]
         gap, start = other - point, 0.0
@@ -195,13 +205,8 @@ class _Reading:
         aligned = {"ball": [], "hinge": [column]}.get(kind, [0, 1, 2])  # axes of both frames
         tilt = float(np.linalg.norm((other_axes - axes)[:, aligned]))
         if kind == "hinge":
-            first, second = axes[:, column - 2], other_axes[:, column - 2]
-            start = math.atan2(float(np.cross(first, second) @ axis), float(first @ second))
-        if (apart := np.linalg.norm(gap)) > _GAP * extent or tilt > _GAP:
-            raise InputError(
-                f"the frames of the joint {name!r} differ as bodies are placed: got {apart:.3g} "
-                f"m between origins and {tilt:.3g} between axes, allowed is 0"
-            )
+            start = _angle(axes, other_axes, column)
+        _check_frames(name, gap, tilt, extent)
         if kind == "fixed":
             return Tie(name, ends, (), point)
         limits = self._limits(getattr(desc, "limit", None), kind, start)
@@ -210,19 +215,25 @@ class _Reading:
         freedom = Freedom(name, kind, point, axis if kind != "ball" else np.zeros(3), limits)  # type: ignore[arg-type]
         return Tie(name, ends, (freedom,), point)
 
-    def _freedoms(self, desc: Any, name: str, point: Array, axes: Array) -> Iterator[Freedom]:
-        """Yield the degrees of freedom that a general joint does not lock."""
+    def _freedoms(self, desc: Any, name: str, extent: float) -> Iterator[Freedom]:
+        """Yield the freedoms that a general joint does not lock: those to slide, then to turn."""
         limits = {pair.first.name: pair.second for pair in desc.jointLimits}
         drives = {pair.first.name: pair.second for pair in desc.jointDrives}
-        for kind, letter in (("slider", "Trans"), ("hinge", "Rot")):
-            for k, axis in enumerate("XYZ"):
-                limit = limits.get(f"{letter}{axis}")
-                if limit is not None and limit.enabled and limit.lower > limit.upper:
-                    continue
+        free = {
+            letter: [k for k, axis in enumerate("XYZ") if not _locks(limits.get(letter + axis))]
+            for letter in ("Trans", "Rot")
+        }
+        counts = any(key.startswith("Rot") for key in (*limits, *drives))
+        sides = (point, axes), (other, _) = self._sides(desc)
+        starts = _starts(name, sides, free, extent, counts=counts)
+        for kind, letter, anchor in (("slider", "Trans", point), ("hinge", "Rot", other)):
+            for k in free[letter]:
+                axis, start = "XYZ"[k], starts[letter][k]
                 label = f"{name} {letter.lower()} {axis.lower()}"
                 if (drive := drives.pop(f"{letter}{axis}", None)) is not None:
-                    self._lead(drive, label, kind, 0.0)
-                yield Freedom(label, kind, point, axes[:, k], self._limits(limit, kind, 0.0))  # type: ignore[arg-type]
+                    self._lead(drive, label, kind, start)
+                bounds_of = self._limits(limits.get(f"{letter}{axis}"), kind, start)
+                yield Freedom(label, kind, anchor, axes[:, k], bounds_of)  # type: ignore[arg-type]
 
         for freedom in drives:
             reason = "what it drives is locked, or is not an axis"
@@ -266,11 +277,11 @@ class _Reading:
         )
 
     def _limits(self, limit: Any, kind: str, start: float) -> dict[str, tuple[float, float]]:
-        if limit is None or not limit.enabled or kind == "ball":
-            return {}
+        if limit is None or kind == "ball":
+            return {}  # the library disables limits of hinges with one side; they count here
         unit = math.pi / 180 if kind == "hinge" else self._metre
-        low, high = limit.lower * unit - start, limit.upper * unit - start
-        return {"limits": (low, high)} if math.isfinite(low) and math.isfinite(high) else {}
+        span = bounded(limit.lower * unit - start, limit.upper * unit - start)
+        return {"limits": span} if span else {}
 
     def _lines(self, index: dict[Any, int], order: list[int]) -> Iterator[Line]:
         for desc in self._all("DistanceJoint"):
@@ -284,3 +295,45 @@ class _Reading:
             ends = [index.get(body, -1) for body in (desc.body0, desc.body1)]
             first, second = (order[k] if k >= 0 else -1 for k in ends)
             yield Line(name, (first, second), (point, other), low, rigid=True)
+
+
+def _locks(limit: Any) -> bool:
+    return limit is not None and limit.enabled and limit.lower > limit.upper
+
+
+def _angle(axes: Array, other_axes: Array, column: int) -> float:
+    """Return the angle of one frame to another about an axis that they share [rad]."""
+    first, second = axes[:, column - 2], other_axes[:, column - 2]
+    return math.atan2(float(np.cross(first, second) @ axes[:, column]), float(first @ second))
+
+
+def _starts(
+    name: str, sides: _Sides, free: dict[str, list[int]], extent: float, *, counts: bool
+) -> dict[str, Array]:
+    """Return the coordinates of a general joint as bodies are placed, and check what it locks.
+
+    Args:
+        name: Name of the joint.
+        sides: Positions and axes of its frames in W.
+        free: Axes that it does not lock, keyed by "Trans" and "Rot".
+        extent: Extent of the model [m].
+        counts: Whether limits or drives measure rotations.
+    """
+    (point, axes), (other, other_axes) = sides
+    slides, turns = (other - point) @ axes, np.zeros(3)
+    aligned = [0, 1, 2] if counts or len(free["Rot"]) < len("XYZ") else []
+    if len(free["Rot"]) == 1:
+        aligned = free["Rot"]
+        turns[aligned] = _angle(axes, other_axes, *aligned)
+    tilt = float(np.linalg.norm((other_axes - axes)[:, aligned]))
+    _check_frames(name, np.delete(slides, free["Trans"]), tilt, extent)
+    return {"Trans": slides, "Rot": turns}
+
+
+def _check_frames(name: str, gap: Array, tilt: float, extent: float) -> None:
+    """Raise InputError if the frames of a joint differ where it locks them."""
+    if (apart := np.linalg.norm(gap)) > _GAP * extent or tilt > _GAP:
+        raise InputError(
+            f"the frames of the joint {name!r} differ as bodies are placed: got {apart:.3g} "
+            f"m between origins and {tilt:.3g} between axes, allowed is 0"
+        )

@@ -31,30 +31,29 @@ def mass_of(
     from pxr import UsdPhysics
 
     api = UsdPhysics.MassAPI(prim)
-    scale = np.array(body.scale, dtype=float)
     mass, moments = (get().Get() for get in (api.GetMassAttr, api.GetDiagonalInertiaAttr))
-    if mass and moments is not None and any(moments):
-        com = api.GetCenterOfMassAttr()
-        centre = np.array(com.Get(), dtype=float) if com.IsAuthored() else np.zeros(3)
-        axes = api.GetPrincipalAxesAttr()
-        turn = _matrix(axes.Get()) if axes.IsAuthored() else np.eye(3)
-        inertia = turn @ np.diag(np.array(moments, dtype=float)) @ turn.T
-        return Mass(mass * kilogram, centre * scale * metre, inertia * kilogram * metre**2)
+    place = api.GetCenterOfMassAttr()
+    stated = np.array(place.Get() if place.IsAuthored() else (-np.inf,) * 3, dtype=float)
+    centre = stated * np.array(body.scale, dtype=float)
+    has_centre, has_moments = np.isfinite(stated).all(), moments is not None and any(moments)
+    inertia = _tensor(moments, api.GetPrincipalAxesAttr()) if has_moments else np.zeros((3, 3))
+    if not body.collisions or (mass and has_moments and has_centre):
+        centre = centre if has_centre else np.zeros(3)
+        return Mass((mass or 0.0) * kilogram, centre * metre, inertia * kilogram * metre**2)
     shapes = {shape.primPath: (kind, shape) for kind in _SHAPES for shape in shapes_of(kind)}
-    if not body.collisions:
-        return Mass(float(mass or 0.0) * kilogram, np.zeros(3), np.zeros((3, 3)))
 
     def solid(shape_prim: Any) -> Any:
         if shape_prim.GetPath() not in shapes:
             raise InputError(
                 f"the mass of {body.primPath} depends on the mesh {shape_prim.GetPath()}; state "
-                "its mass and diagonalInertia"
+                "its mass, diagonalInertia and centerOfMass"
             )
         return _information(UsdPhysics, *shapes[shape_prim.GetPath()])
 
     total_mass, moments, centre, axes = UsdPhysics.RigidBodyAPI(prim).ComputeMassProperties(solid)
-    turn = _matrix(axes)
-    inertia = turn @ np.diag(np.array(moments, dtype=float)) @ turn.T
+    if not (mass and has_moments):
+        turn = matrix_of(axes)
+        inertia = turn @ np.diag(np.array(moments, dtype=float)) @ turn.T
     centre = np.array(centre, dtype=float)
     return Mass(total_mass * kilogram, centre * metre, inertia * kilogram * metre**2)
 
@@ -102,7 +101,13 @@ def _solid(kind: str, shape: Any) -> tuple[float, Array, Array]:
     return volume + ball, np.array([across, across, along]), np.zeros(3)
 
 
-def _matrix(turn: Any) -> Array:
+def _tensor(moments: Any, axes: Any) -> Array:
+    turn = matrix_of(axes.Get()) if axes.IsAuthored() else np.eye(3)
+    return np.asarray(turn @ np.diag(np.array(moments, dtype=float)) @ turn.T)
+
+
+def matrix_of(turn: Any) -> Array:
+    """Return the matrix of a rotation in the file; the quaternion 0 is no rotation."""
     quaternion = np.array([turn.GetReal(), *turn.GetImaginary()], dtype=float)
     size = float(np.linalg.norm(quaternion))
     return rotation.matrix(quaternion / size) if size > 0 else np.eye(3)

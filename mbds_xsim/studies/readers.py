@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import EntryPoint
 from operator import attrgetter
@@ -34,6 +35,7 @@ T = TypeVar("T", LinkFacts, JointFacts)
 _TIMEOUT = 300.0  # time limit of a reader [s]
 _PATIENCE = 30.0  # time limit of a motion [s]
 _SAME = 1e-6
+_FAR = 1e9  # [rad or m]: a limit that stands for none
 """Relative deviation that rounding to single precision explains."""
 _CLOCK = Clock(frame=0.02, steps=50)
 _ROUNDED = 1e-6  # relative tolerance of masses and inertias in single precision
@@ -158,7 +160,7 @@ def _differences(read: ModelFacts, imported: Imported) -> Iterator[Difference]:
     yield from _field("joints", "axis", turning, lambda joint: joint.axis)
     for name in _JOINT_FIELDS:
         yield from _field("joints", name, turning, attrgetter(name))
-    yield from _field("joints", "limits", turning, lambda joint: joint.limits or ())
+    yield from _field("joints", "limits", turning, lambda joint: _sides(joint.limits or ()))
     limited = [pair for pair in turning if pair[0].limits]
     yield from _field("joints", "enforcement of limits", limited, lambda j: float(j.enforced))
     if facts.couplings > read.couplings:
@@ -188,10 +190,22 @@ def _field(
     wrong, there = [], [(item, read) for item, read in pairs if read is not None]
     for item, read in there:
         ours, theirs = np.atleast_1d(value(item)), np.atleast_1d(value(read))
-        bound = _SAME * (scale + float(np.linalg.norm(ours)))
-        if ours.shape != theirs.shape or np.linalg.norm(ours - theirs) > bound:
+        if not _same(ours, theirs, scale):
             wrong.append((item.name, _format(theirs), _format(ours)))
     yield from _difference(name, of, len(there), wrong)
+
+
+def _same(ours: Array, theirs: Array, scale: float) -> bool:
+    if ours.shape != theirs.shape:
+        return False
+    compared = ~(np.isinf(ours) & (ours == theirs))
+    bound = _SAME * (scale + float(np.linalg.norm(ours[np.isfinite(ours)])))
+    return bool(np.linalg.norm(ours[compared] - theirs[compared]) <= bound)
+
+
+def _sides(limits: Sequence[float]) -> list[float]:
+    """Return limits with ±inf for a side that no joint reaches."""
+    return [side if abs(side) < _FAR else math.copysign(math.inf, side) for side in limits]
 
 
 def _difference(

@@ -72,6 +72,22 @@ def test_a_solid_ball_is_read_alike_by_all(run: CommandLine, here: Path) -> None
     assert '"field": "inertia"' in (here / "arm.json").read_text()
 
 
+_ONE_SIDED = (
+    '<sdf version="1.6"><model name="m"><link name="l"><inertial><mass>2</mass><inertia>'
+    "<ixx>1</ixx><iyy>1</iyy><izz>1</izz><ixy>0</ixy><ixz>0</ixz><iyz>0</iyz></inertia>"
+    "</inertial></link>"
+    '<joint name="j" type="revolute"><parent>world</parent><child>l</child><axis><xyz>0 1 0</xyz>'
+    "<limit><lower>0</lower></limit></axis></joint></model></sdf>"
+)
+
+
+def test_a_limit_on_one_side_is_read_alike(here: Path) -> None:
+    (here / "m.sdf").write_text(_ONE_SIDED)
+    (dart,) = compare(here / "m.sdf", ["dart"]).readings
+
+    assert dart.alike
+
+
 def test_a_reader_leaves_other_connections_to_pybullet_alone(tmp_path: Path) -> None:
     load, path = registered("mbds_xsim.model_loaders")["pybullet"].load(), tmp_path / "arm.urdf"
     path.write_text(_ALIKE.format(0.3))

@@ -128,6 +128,57 @@ def test_a_joint_that_closes_a_loop_is_told(here: Path) -> None:
     assert [(fate.places, fate.moves) for fate in dropped] == [(("second",), True)]
 
 
+@pytest.mark.parametrize(
+    ("kind", "limit", "span"),
+    [
+        ("revolute", "<lower>0</lower>", (0.0, 1e9)),
+        ("prismatic", "<lower>0</lower><upper>1e16</upper>", (0.0, 1e9)),
+        ("revolute", "<lower>-inf</lower><upper>0.5</upper>", (-1e9, 0.5)),
+        ("revolute", "<lower>-1e16</lower><upper>1e16</upper>", None),
+    ],
+)
+def test_a_limit_on_one_side_is_kept(
+    here: Path, kind: str, limit: str, span: tuple[float, float] | None
+) -> None:
+    (joint,) = _read(here, _ARM.format("", kind, f"<limit>{limit}</limit>")).scene.joints
+
+    assert joint.limits == span
+
+
+@pytest.mark.parametrize(
+    ("inertial", "mass", "moments", "told"),
+    [
+        ("<mass>2</mass><inertia><ixx>1</ixx><iyy>2</iyy><izz>2.5</izz></inertia>",
+         2, (1, 2, 2.5), set()),
+        ("<mass>2</mass>", 2, (1, 1, 1), {"inertia"}),
+        ("<inertia><ixx>1</ixx><iyy>2</iyy><izz>2.5</izz></inertia>", 1, (1, 2, 2.5), {"mass"}),
+    ],
+)  # fmt: skip
+def test_defaults_are_those_of_the_specification(
+    here: Path, inertial: str, mass: float, moments: tuple[float, ...], told: set[str]
+) -> None:
+    imported = _read(
+        here,
+        f'<link name="arm"><inertial><pose>0.1 0.2 0.3 0 0 0</pose>{inertial}</inertial></link>'
+        '<joint name="pivot" type="revolute"><parent>world</parent><child>arm</child><axis/>'
+        "</joint>",
+    )
+
+    (body,), (joint,) = imported.scene.bodies, imported.scene.joints
+    assert body.inertia is not None
+    assert (body.inertia.mass, *body.inertia.moments) == (mass, *moments)
+    assert body.inertia.com == pytest.approx((0.1, 0.2, 0.3))
+    assert joint.axis == pytest.approx((0, 0, 1))
+    assert {fate.element for fate in imported.fates if fate.outcome != "kept"} == told
+
+
+def test_a_joint_between_models_is_refused(run: CommandLine, here: Path) -> None:
+    models = f'<model name="a">{_SOUND}</model><joint name="weld" type="fixed"/>'
+    (here / "model.sdf").write_text(f'<sdf version="1.10"><world name="w">{models}</world></sdf>')
+
+    assert "<world> has a <joint> 'weld'" in run("import", "model.sdf").refusal
+
+
 _SOUND = _ARM.format("", "revolute", "")
 _BAD = {
     "mass": (_SOUND.replace("<mass>2", "<mass>-1"), "<mass> of <link> 'arm' is -1, allowed is ab"),
@@ -143,6 +194,8 @@ _BAD = {
     "axis": (_SOUND.replace("1 0 0</xyz>", "0 0 0</xyz>"), "joint 'pivot': axis: got [0.0, 0.0, 0"),
     "frames": (_ARM.format("", "revolute", "").replace("<pose>1", '<pose relative_to="b">1'),
                "does not read (relative_to=)"),
+    "automatic": (_SOUND.replace("<inertial>", '<inertial auto="true">'), 'has auto="true", but'),
+    "density": (_SOUND.replace("</mass>", "</mass><density>9</density>"), "has <density>, but"),
     "include": ("<include><uri>model://a</uri></include>", "does not read (include)"),
     "nested": ('<model name="b"/>', "a model in a model"),
     "misplaced": ('<link name="rod"><model><mass>2</mass></model></link>', "a model in a link"),

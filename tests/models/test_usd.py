@@ -8,62 +8,25 @@ import numpy as np
 import pytest
 
 from mbds_xsim.base import rotation
-from mbds_xsim.base.errors import InputError
 from mbds_xsim.scene.constraints import degrees_of_freedom
-from mbds_xsim.scene.imported import Imported
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.simulate.registry import read_model
 from tests.command_line import CommandLine
+from tests.models.usd_files import (
+    ARM,
+    HEAD,
+    PLACE,
+    general,
+    joined,
+    read,
+    rigid,
+)
 
 pytest.importorskip("pxr")
 
-_HEAD = '#usda 1.0\n(\n    metersPerUnit = {}\n    kilogramsPerUnit = {}\n    upAxis = "{}"\n)\n'
-_SCENE = 'def PhysicsScene "scene"\n{\n}\n'
-_MASS = """        float physics:mass = 2
-        point3f physics:centerOfMass = (0, 0, -0.5)
-        float3 physics:diagonalInertia = (0.5, 0.5, 0.25)
-"""
-_ORDER = '        uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:orient"]\n'
-_APIS = '(prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI"])'
-
-
-def _body(name: str, place: str, turn: str = "(1, 0, 0, 0)", inside: str = _MASS) -> str:
-    return (
-        f'def Xform "{name}" {_APIS}\n{{\n        double3 xformOp:translate = {place}\n'
-        f"        quatd xformOp:orient = {turn}\n{_ORDER}{inside}}}\n"
-    )
-
-
-def _joint(kind: str, name: str, ends: tuple[str, str], inside: str = "") -> str:
-    first, second = (
-        f"    rel physics:body{k} = </{end}>\n" if end else "" for k, end in enumerate(ends)
-    )
-    return f'def Physics{kind}Joint "{name}"\n{{\n{first}{second}{inside}}}\n'
-
-
-def _read(here: Path, *parts: str, units: tuple[float, float, str] = (1, 1, "Z")) -> Imported:
-    (here / "model.usda").write_text(_HEAD.format(*units) + _SCENE + "".join(parts))
-    return read_model(here / "model.usda")
-
-
-_PLACE = "    point3f physics:localPos0 = (1, 2, 3)\n"
-_ARM = (
-    _body("upper", "(1, 2, 3)", "(0.8, 0, 0.6, 0)"),
-    _body("fore", "(1.96, 2, 3.28)", "(0.8, 0, 0.6, 0)"),
-    _joint(
-        "Revolute",
-        "shoulder",
-        ("", "upper"),
-        '    uniform token physics:axis = "Y"\n    point3f physics:localPos0 = (1, 2, 3)\n'
-        "    quatf physics:localRot0 = (1, 0, 0, 0)\n"
-        "    float physics:lowerLimit = -90\n    float physics:upperLimit = 180\n",
-    ),
-    _joint("Prismatic", "rail", ("upper", "fore"), '    uniform token physics:axis = "Z"\n'),
-)
-
 
 def test_a_chain_stands_where_its_prims_do(here: Path) -> None:
-    scene = _read(here, *_ARM).scene
+    scene = read(here, *ARM).scene
 
     mechanism = Mechanism.of(scene)
     turn = rotation.matrix(np.array([0.8, 0, 0.6, 0]))
@@ -78,32 +41,14 @@ def test_a_chain_stands_where_its_prims_do(here: Path) -> None:
     assert scene.gravity == pytest.approx((0, 0, -9.81), abs=1e-6)
 
 
-def test_limits_count_from_where_the_bodies_stand(here: Path) -> None:
-    (shoulder, _) = _read(here, *_ARM).facts.joints
-
-    standing = 2 * np.arccos(0.8)  # turned about y
-    low, high = shoulder.limits or (0, 0)
-    np.testing.assert_allclose([low, high], [-np.pi / 2 - standing, np.pi - standing], atol=1e-6)
-
-
-def test_limits_that_are_upside_down_are_dropped(here: Path) -> None:
-    limits = "    float physics:lowerLimit = 1\n    float physics:upperLimit = -1\n"
-    joint = _joint("Prismatic", "rail", ("", "rod"), _PLACE + limits)
-    imported = _read(here, _body("rod", "(1, 2, 3)"), joint)
-
-    assert imported.scene.joints[0].limits is None
-    (entry,) = (fate for fate in imported.fates if fate.properties == ("physics:lowerLimit",))
-    assert (entry.outcome, entry.places) == ("dropped", ("rail: 1 to -1",))
-
-
 def test_centimetres_grams_and_y_up_become_si_and_z_up(here: Path) -> None:
     parts = (
-        _body("rod", "(100, 200, 300)"),
-        _joint(
+        rigid("rod", "(100, 200, 300)"),
+        joined(
             "Spherical", "ball", ("", "rod"), "    point3f physics:localPos0 = (100, 200, 300)\n"
         ),
     )
-    scene = _read(here, *parts, units=(0.01, 0.001, "Y")).scene
+    scene = read(here, *parts, units=(0.01, 0.001, "Y")).scene
 
     mechanism = Mechanism.of(scene)
     np.testing.assert_allclose(scene.joints[0].anchor, [1, -3, 2], atol=1e-7)
@@ -158,7 +103,7 @@ def test_shapes_weigh_by_their_density(
         f'def {shape} "solid" (prepend apiSchemas = ["PhysicsCollisionAPI", "PhysicsMassAPI"])\n'
         f"{{\n{size}\nfloat physics:density = 500\n}}\n"
     )
-    scene = _read(here, _body("solid", "(0, 0, 1)", inside=inside)).scene
+    scene = read(here, rigid("solid", "(0, 0, 1)", inside=inside)).scene
 
     mechanism = Mechanism.of(scene)
     np.testing.assert_allclose(mechanism.mass[0], 500 * volume, rtol=1e-6)
@@ -166,76 +111,66 @@ def test_shapes_weigh_by_their_density(
     assert degrees_of_freedom(mechanism) == 6
 
 
-def test_a_joint_from_the_hand_to_the_base_is_turned_around(here: Path) -> None:
-    forward = _read(here, *_ARM).scene
-    swapped = _joint(
-        "Prismatic", "rail", ("fore", "upper"), '    uniform token physics:axis = "Z"\n'
-    )
-    backward = _read(here, *_ARM[:3], swapped).scene
-
-    np.testing.assert_allclose(backward.joints[1].axis or (), -np.array(forward.joints[1].axis))
-    assert backward.joints[1].child == "fore"
-
-
 def test_a_name_is_the_last_part_of_a_path_where_no_other_has_it(here: Path) -> None:
-    rod, other = (_body("rod", place) for place in ("(1, 2, 3)", "(4, 5, 6)"))
-    arm = _body("arm", "(7, 8, 9)")
-    scene = _read(here, f'def "left"\n{{\n{rod}{arm}}}\n', f'def "right"\n{{\n{other}}}\n').scene
+    rod, other = (rigid("rod", place) for place in ("(1, 2, 3)", "(4, 5, 6)"))
+    arm = rigid("arm", "(7, 8, 9)")
+    scene = read(here, f'def "left"\n{{\n{rod}{arm}}}\n', f'def "right"\n{{\n{other}}}\n').scene
 
     assert [body.name for body in scene.bodies] == ["left rod", "arm", "right rod"]
 
 
 def test_what_is_lost_is_named(here: Path) -> None:
     inside = "    float drive:angular:physics:stiffness = 3\n    float physxJoint:armature = 0.1\n"
-    imported = _read(
-        here, _body("rod", "(1, 2, 3)"), _joint("Revolute", "hip", ("", "rod"), inside + _PLACE)
+    imported = read(
+        here,
+        rigid("rod", "(1, 2, 3)"),
+        joined("Revolute", "hip", ("", "rod"), inside + PLACE),
     )
 
     lost = {name for f in imported.fates if f.outcome == "dropped" for name in f.properties}
     assert {"drive:angular:physics:stiffness", "physxJoint:armature"} <= lost
 
 
-def _driven(kind: str, token: str, inside: str) -> str:
-    joint = _joint(kind, "hip", ("", "rod"), inside + _PLACE)
-    head, _, rest = joint.partition("\n")
-    return f'{head} (prepend apiSchemas = ["PhysicsDriveAPI:{token}"])\n{rest}'
+_STATED = "float physics:mass = 2\nfloat3 physics:diagonalInertia = (1, 1, 1.5)\n"
+_ASIDE = (
+    'def Sphere "ball" (prepend apiSchemas = ["PhysicsCollisionAPI"])\n{\ndouble radius = 0.1\n'
+    "double3 xformOp:translate = (0.5, 0, 0)\n"
+    'uniform token[] xformOpOrder = ["xformOp:translate"]\n}\n'
+)
+_NO_CENTRE = "point3f physics:centerOfMass = (-inf, -inf, -inf)\n"
 
 
-def test_a_drive_is_a_servo_to_its_target_with_its_limit(here: Path) -> None:
-    """Drives use degrees and the stage's units: 0.1 m and 2 kg make torques of 0.02 N·m."""
-    law = {"stiffness": 3, "damping": 0.5, "targetPosition": 90, "targetVelocity": 18}
-    inside = "".join(
-        f"    float drive:angular:physics:{key} = {value}\n"
-        for key, value in (law | {"maxForce": 40}).items()
+@pytest.mark.parametrize("inside", [_STATED + _ASIDE, _STATED + _NO_CENTRE + _ASIDE])
+def test_a_centre_of_mass_that_is_not_stated_is_that_of_the_shapes(here: Path, inside: str) -> None:
+    (body,) = read(here, rigid("rod", "(0, 0, 0)", inside=inside)).scene.bodies
+
+    assert body.inertia is not None
+    assert body.inertia.com == pytest.approx((0.5, 0, 0))
+    assert (body.inertia.mass, body.inertia.moments) == (2, (1, 1, 1.5))
+
+
+def test_a_body_without_shapes_has_what_is_stated(here: Path) -> None:
+    centre = "float physics:mass = 2\npoint3f physics:centerOfMass = (0.25, 0, 0)\n"
+    moments = "float3 physics:diagonalInertia = (1, 2, 2.5)\n"
+    bodies = (
+        rigid("a", "(0, 0, 0)", inside=centre),
+        rigid("b", "(0, 0, 0)", inside=moments),
     )
-    imported = _read(
-        here, _body("rod", "(1, 2, 3)"), _driven("Revolute", "angular", inside), units=(0.1, 2, "Z")
-    )
+    first, second = (body.inertia for body in read(here, *bodies).scene.bodies)
 
-    (servo,) = imported.scene.servos
-    assert servo.joint == "hip"
-    assert servo.stiffness == pytest.approx(3 * 0.02 * 180 / np.pi)
-    assert servo.damping == pytest.approx(0.5 * 0.02 * 180 / np.pi)
-    assert servo.position == pytest.approx((np.pi / 2,), abs=1e-6)
-    assert servo.velocity == pytest.approx((np.pi / 10,), abs=1e-6)
-    assert servo.limit == pytest.approx(0.8)
-    fates = [fate for fate in imported.fates if fate.element == "drive"]
-    assert [(fate.outcome, fate.reason) for fate in fates] == [
-        ("kept", "a servo to the target of the file")
-    ]
+    assert first is not None
+    assert second is not None
+    assert (first.mass, first.com) == (2, (0.25, 0, 0))
+    assert second.moments == (1, 2, 2.5)
 
 
-def test_a_drive_of_accelerations_is_told(here: Path) -> None:
-    inside = (
-        '    uniform token drive:linear:physics:type = "acceleration"\n'
-        "    float drive:linear:physics:damping = 3\n"
-    )
-    imported = _read(here, _body("rod", "(1, 2, 3)"), _driven("Prismatic", "linear", inside))
+def test_without_a_scene_gravity_is_its_default(here: Path) -> None:
+    (here / "model.usda").write_text(HEAD.format(0.01, 1, "Y") + rigid("rod", "(0, 0, 0)"))
+    imported = read_model(here / "model.usda")
 
-    assert not imported.scene.servos
-    (fate,) = (fate for fate in imported.fates if fate.element == "drive")
-    assert (fate.outcome, fate.moves) == ("dropped", True)
-    assert "gains are of accelerations" in fate.reason
+    assert imported.scene.gravity == pytest.approx((0, 0, -9.81))
+    (fate,) = (fate for fate in imported.fates if fate.element == "PhysicsScene")
+    assert fate.outcome == "approximated"
 
 
 _MESH = 'def Mesh "shell" (prepend apiSchemas = ["PhysicsCollisionAPI"])\n{\n}\n'
@@ -245,22 +180,45 @@ _POINT = (
 )
 _BAD = {
     "text": ("#usda 1.0\ndef {", "model.usda:2:1: parse error matching"),
-    "place": (_body("rod", "(nan, 2, 3)"), "position of 'rod': got [nan, "),
-    "size": (_body("rod", "(0, 0, 0)", inside=_POINT), "inertia of 'rod': got [nan, "),
-    "units": (_HEAD.format(0, 1, "Z") + _body("rod", "(1, 2, 3)"), "metersPerUnit: got 0.0, allow"),
+    "place": (rigid("rod", "(nan, 2, 3)"), "position of 'rod': got [nan, "),
+    "size": (rigid("rod", "(0, 0, 0)", inside=_POINT), "inertia of 'rod': got [nan, "),
+    "units": (
+        HEAD.format(0, 1, "Z") + rigid("rod", "(1, 2, 3)"),
+        "metersPerUnit: got 0.0, allow",
+    ),
     "apart": (
-        _body("rod", "(1, 2, 3)") + _joint("Revolute", "hip", ("", "rod")),
+        rigid("rod", "(1, 2, 3)") + joined("Revolute", "hip", ("", "rod")),
         "'hip' differ as bodies are placed: got 3.74 m between",
     ),
     "twisted": (
-        _body("rod", "(0, 0, 0)", "(0.8, 0.6, 0, 0)") + _joint("Fixed", "weld", ("", "rod")),
+        rigid("rod", "(0, 0, 0)", "(0.8, 0.6, 0, 0)") + joined("Fixed", "weld", ("", "rod")),
         "got 0 m between origins and 1.7",
     ),
     "reversed": (
-        _body("rod", "(0, 0, 0)", "(0, 0, 1, 0)") + _joint("Revolute", "hip", ("", "rod")),
+        rigid("rod", "(0, 0, 0)", "(0, 0, 1, 0)") + joined("Revolute", "hip", ("", "rod")),
         "got 0 m between origins and 2 between axes",
     ),
-    "mesh": (_body("rod", "(0, 0, 0)", inside=_MESH), "state its mass and diagonalInertia"),
+    "offset": (
+        rigid("rod", "(1, 0.5, 0)") + general(("transX", 0, 1)),
+        "'general' differ as bodies are placed: got 0.5 m between",
+    ),
+    "tilted": (
+        rigid("rod", "(1, 0, 0)", "(0.8, 0.6, 0, 0)") + general(("transX", 0, 1)),
+        "got 0 m between origins and 1.",
+    ),
+    "turned": (
+        rigid("rod", "(0, 0, 0)", "(0.8, 0.6, 0, 0)")
+        + general(("rotX", -90, 90), ("rotY", -90, 90)),
+        "got 0 m between origins and 1.",
+    ),
+    "unknown centre": (
+        rigid("rod", "(0, 0, 0)", inside=_STATED + _MESH),
+        "depends on the mesh /rod/shell; state its mass",
+    ),
+    "mesh": (
+        rigid("rod", "(0, 0, 0)", inside=_MESH),
+        "state its mass, diagonalInertia and centerOf",
+    ),
     "reference": ('def "a" (references = @gone.usda@)\n{\n}\n', "'gone.usda', which is not there"),
     "outside": ('def "a" (references = @../outside.usda@)\n{\n}\n', "import` a --folder"),
     "nothing": ('def Xform "a"\n{\n}\n', "nothing in it moves"),
@@ -270,7 +228,7 @@ _BAD = {
 @pytest.mark.parametrize("name", _BAD)
 def test_a_bad_stage_is_one_line(name: str, run: CommandLine, here: Path) -> None:
     text, part = _BAD[name]
-    head = "" if text.startswith("#") else _HEAD.format(1, 1, "Z")
+    head = "" if text.startswith("#") else HEAD.format(1, 1, "Z")
     (here / "model.usda").write_text(head + text)
     (here.parent / "outside.usda").write_text("#usda 1.0\n")
 
@@ -278,9 +236,3 @@ def test_a_bad_stage_is_one_line(name: str, run: CommandLine, here: Path) -> Non
 
     assert refusal.startswith("mbds-xsim: model.usda: ")
     assert part in refusal
-
-
-def test_a_loop_that_no_joint_closes_is_refused(here: Path) -> None:
-    general = _joint("", "loose", ("upper", ""))
-    with pytest.raises(InputError, match="too many freedoms"):
-        _read(here, *_ARM, general)
