@@ -5,6 +5,7 @@ Input that cannot be used raises `InputError` with the line that the command wou
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -237,9 +238,15 @@ def _seconds(name: str, value: object, least: float | None = None) -> float | No
     name = name.replace("_", "-")  # as on the command line
     if not isinstance(value, int | float | np.integer | np.floating) or isinstance(value, bool):
         raise InputError(f"--{name}: got {value!r}, allowed is a number [s]")
-    if least is not None and value < least:
+    try:
+        seconds = float(value)
+    except OverflowError:  # a whole number beyond all floats
+        seconds = math.inf
+    if not math.isfinite(seconds):
+        raise InputError(f"--{name}: got {seconds}, allowed is a finite number [s]")
+    if least is not None and seconds < least:
         raise InputError(f"--{name}: got {value!r}, allowed is {least:g} or more [s]")
-    return float(value)
+    return seconds
 
 
 def _check(workers: int | None = None, limit: object = LIMIT, **flags: object) -> None:

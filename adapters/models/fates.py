@@ -101,6 +101,7 @@ _SDF: tuple[Row, ...] = (
     ("kept", True, "it names no frame", "pose@frame"),
     ("dropped", False, _VISUAL, "visual light scene gui material"),
     ("dropped", True, COLLISION, "collision"),
+    ("dropped", False, 'it counts only with auto="true"', "density inertial@auto"),
     ("kept", True, "decides which shapes touch", "surface collide_bitmask collide_without_contact"),
     ("dropped", True, "a restitution counts at all speeds", "threshold"),
     ("dropped", True, "the ground has the same friction along all directions",

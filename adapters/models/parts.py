@@ -34,7 +34,10 @@ class Mass:
     def __add__(self, other: Mass) -> Mass:
         """Combine two masses."""
         mass = self.mass + other.mass
-        com = (self.mass * self.com + other.mass * other.com) / mass if mass > 0 else self.com
+        if mass > 0:
+            com = (self.mass * self.com + other.mass * other.com) / mass
+        else:  # where the inertia is
+            com = (self if self.inertia.any() else other).com
         inertia = sum(m.inertia + m.mass * _about(m.com - com) for m in (self, other))
         return Mass(mass, com, np.asarray(inertia))
 

@@ -87,11 +87,12 @@ def is_static(model: Element) -> bool:
 def _check_stated(link: Element) -> None:
     """Raise InputError if a mass would follow from shapes."""
     inertial = link.find("inertial")
-    automatic = inertial is not None and inertial.get("auto") in ("1", "true")
-    if automatic or link.find("inertial/density") is not None:
-        got = 'auto="true"' if automatic else "<density>"
-        msg = f"<inertial> of <link> {link.get('name', '')!r} has {got}, but masses of shapes are "
-        raise InputError(f"{msg}not computed; state its <pose>, <mass> and <inertia>")
+    if inertial is not None and inertial.get("auto") in ("1", "true"):
+        where = f"<inertial> of <link> {link.get('name', '')!r}"
+        raise InputError(
+            f'{where} has auto="true", but masses of shapes are not computed; state its <pose>, '
+            "<mass> and <inertia>"
+        )
 
 
 def _mass(link: Element) -> Mass:

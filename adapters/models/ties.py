@@ -79,7 +79,11 @@ class Ties:
                 name = self._name("EQUALITY", e).removesuffix(" 0")
                 closing = Closing(name, kind, (first - 1, second - 1), point)
                 if kind == "ball":
-                    connects[closing.parts].append(closing)
+                    back = closing.parts[::-1]
+                    same = connects[back if back in connects else closing.parts]
+                    # The same point again holds nothing more.
+                    if all(np.linalg.norm(point - each.anchor) >= _APART for each in same):
+                        same.append(closing)
                 else:
                     yield closing
         for balls in connects.values():
@@ -88,9 +92,6 @@ class Ties:
                 continue
             first_point, second_point = (ball.anchor for ball in balls)
             middle, axis = (first_point + second_point) / 2, second_point - first_point
-            if np.linalg.norm(axis) < _APART:
-                yield balls[0]
-                continue
             yield Closing(balls[0].name, "hinge", balls[0].parts, middle, axis)
 
     def couplings(self) -> Iterator[ModelCoupling]:

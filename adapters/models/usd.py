@@ -223,7 +223,10 @@ class _Reading:
             letter: [k for k, axis in enumerate("XYZ") if not _locks(limits.get(letter + axis))]
             for letter in ("Trans", "Rot")
         }
-        counts = any(key.startswith("Rot") for key in (*limits, *drives))
+        counts = any(key.startswith("Rot") for key in drives) or any(
+            key.startswith("Rot") and self._limits(limit, "hinge", 0.0)
+            for key, limit in limits.items()
+        )
         sides = (point, axes), (other, _) = self._sides(desc)
         starts = _starts(name, sides, free, extent, counts=counts)
         for kind, letter, anchor in (("slider", "Trans", point), ("hinge", "Rot", other)):

@@ -250,13 +250,12 @@ class _Case:
         names = tuple(scene.bodies[body].name for body in self.points.body)
         own = self.points.motion(self._trajectory(states))
         scales = (("particles", "m", 1.0), ("particle velocities", "m/s", scene.clock.frame))
-        for key, carried, (check, unit, scale) in zip(
-            ("position", "velocity"), own, scales, strict=True
-        ):
+        blurs = self.points.blurs(self.rounding, states["angular_velocity"])
+        for key, carried, (check, unit, scale) in zip(blurs, own, scales, strict=True):
             if key in arrays and states[key] is None:
                 self.not_checked[check] = "no velocities of bodies"
             elif key in arrays:
-                off, blur = np.linalg.norm(arrays[key] - carried, axis=-1), self.rounding(key)
+                off, blur = np.linalg.norm(arrays[key] - carried, axis=-1), blurs[key]
                 budget = scene.budget.gap / scale
                 finding = Finding.of(check, unit, off, budget=budget, names=names, uncertainty=blur)
                 findings.append(finding)

@@ -180,9 +180,6 @@ def variant_files(folder: Path, *, below: bool = False) -> list[Path]:
     Args:
         folder: Folder of a scene, or any other.
         below: Whether to search the folders in it, too.
-
-    Raises:
-        InputError: A file cannot be read.
     """
     pattern = f"*-*{SUFFIX}"  # engine and settings; shards are named by a number
     paths = sorted(folder.rglob(pattern) if below else folder.glob(pattern))
@@ -190,8 +187,11 @@ def variant_files(folder: Path, *, below: bool = False) -> list[Path]:
 
 
 def _is_joined(path: Path) -> bool:
-    with open_hdf5(path) as file:
-        attrs = plain(file.attrs)
+    try:
+        with open_hdf5(path) as file:
+            attrs = plain(file.attrs)
+    except InputError:
+        return False
     return _is(attrs.get("format"), FORMAT) and _is(attrs.get("kind"), "joined")
 
 

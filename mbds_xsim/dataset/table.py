@@ -139,13 +139,14 @@ class _Column:
 
 
 def _rounding(values: Array, columns: list[_Column], finest: float) -> float:
-    """Return the largest rounding error of a group of columns; `finest` if they are all zero.
+    """Return the largest rounding error of a group of columns; `finest` if all are 0, 1 or −1.
 
     A column such as 0.0 in every frame shows few digits without being rounded. So the error is not
     larger than in the largest number of the group if that has as many significant digits as any.
     """
     largest = float(np.abs(values).max())
-    if not 0.0 < largest < math.inf:
+    plain = bool(np.isin(values, (-1.0, 0.0, 1.0)).all())  # as of bodies that do not turn
+    if plain or not math.isfinite(largest):
         return finest
     last = math.floor(math.log10(largest)) + 1 - max(column.digits for column in columns)
     return max(min(max(column.rounding for column in columns), 0.5 * 10.0**last), _coarse(values))

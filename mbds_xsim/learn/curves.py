@@ -89,8 +89,9 @@ class EventLog(AbstractContextManager["EventLog"]):
 
 
 def log_whole(curve: Path, folder: Path) -> None:
-    """Log a finished run for TensorBoard, unless that has been done."""
-    if curve.exists() and not folder.exists():
+    """Log a finished run for TensorBoard, unless that was done after its curve was written."""
+    logged = max((file.stat().st_mtime_ns for file in folder.glob("events*")), default=0)
+    if curve.exists() and logged < curve.stat().st_mtime_ns:
         with EventLog(folder) as log:
             log.add(read_curve(curve).points)
 

@@ -25,7 +25,7 @@ from torch.nn.modules.module import register_module_parameter_registration_hook
 
 from mbds_xsim.base.errors import InputError, UnknownName
 from mbds_xsim.base.files import check_regular, write_whole
-from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.graph import Graph, check_edges
 from mbds_xsim.learn.model import LearnedModel, load_model, of_another_package
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.scene.file import write_scene
@@ -80,6 +80,8 @@ def read_model(path: Path, scene: Scene | None = None) -> tuple[LearnedModel, di
         raise UnknownName(f"{path}: {error}") from error
     except Exception as error:  # a file can be wrong in any way
         raise _other_code(path, error) from error
+    if scene is not None and scene != own and kind.needs_edges:
+        check_edges(scene)
     try:
         with _no_larger_than(parameters), of_another_package():
             model = kind(Graph.of(scene or own), statistics, settings).in_precision()

@@ -47,6 +47,7 @@ from mbds_xsim.simulate.simulator import (
 from mbds_xsim.simulate.timed import WARM_UP, stopwatch
 
 _TIMED = 25  # frames of a timed batch
+_ENERGY = 2  # version of the figures of energy in scenes with contact, apart from MODELS
 
 
 @dataclass(frozen=True)
@@ -108,8 +109,8 @@ class LearnedSimulator(Simulator):
 
     def decisive(self, scene: Scene, count: int) -> list[Any]:
         """List the model's file, the number of steps per frame, the batch size, and versions."""
-        del scene
-        return [self.trained.content, count, self.together, MODELS, self.version]
+        energy = [_ENERGY] if scene.contacts else []
+        return [self.trained.content, count, self.together, MODELS, *energy, self.version]
 
     def simulate(
         self, scene: Scene, start: Batch, count: int, truth: Trajectory | None, *, often: bool

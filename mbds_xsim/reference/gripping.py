@@ -368,5 +368,7 @@ def _lows(values: Array, limits: Array) -> Array:
     near = inner < limits
     if not near.any():
         return _INNER[:0]
-    low = near & (inner <= values[:-2]) & (inner <= values[2:])
+    # A plateau has as many minima as roundings: a dip lies below both ends of the step.
+    deep = inner < np.minimum(values[0], values[-1]) - 1e-6 * limits
+    low = near & deep & (inner <= values[:-2]) & (inner <= values[2:])
     return np.asarray(_INNER[1:-1][low.any(axis=1)])

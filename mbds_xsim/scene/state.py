@@ -170,7 +170,7 @@ class Trajectory:
 
 _INERT = ("name", "description", "source", "budget", "anchors", "edges")
 """Fields of a scene that do not affect the motion."""
-_ROUNDED, _LEAST = 1e-14, 1e-60  # size below which numbers count as 0, and of the smallest mass
+_ROUNDED, _LEAST = 1e-12, 1e-60  # size below which masses are not rounded; of the smallest mass
 _ROUNDING = 1e-12  # of a body's largest moment: smaller products of inertia are rounding errors
 
 
@@ -187,7 +187,7 @@ def fingerprint(scene: Scene) -> str:
 def _plain(value: Any, least: float = math.inf) -> Any:
     """Write out tables including defaults, since these also affect the motion.
 
-    Numbers below 1e-14 count as rounding errors, except those of at least a given size.
+    Numbers below 1e-15 count as rounding errors, except those of at least a given size.
     """
     if isinstance(value, Neutral):
         items = value.decisive().items()

@@ -35,8 +35,9 @@ T = TypeVar("T", LinkFacts, JointFacts)
 _TIMEOUT = 300.0  # time limit of a reader [s]
 _PATIENCE = 30.0  # time limit of a motion [s]
 _SAME = 1e-6
-_FAR = 1e9  # [rad or m]: a limit that stands for none
 """Relative deviation that rounding to single precision explains."""
+_FAR = 1e9
+"""Limit that stands for none [rad or m]."""
 _CLOCK = Clock(frame=0.02, steps=50)
 _ROUNDED = 1e-6  # relative tolerance of masses and inertias in single precision
 _STARTS = (1, 4, 7)  # indices of medium starts
@@ -161,7 +162,7 @@ def _differences(read: ModelFacts, imported: Imported) -> Iterator[Difference]:
     for name in _JOINT_FIELDS:
         yield from _field("joints", name, turning, attrgetter(name))
     yield from _field("joints", "limits", turning, lambda joint: _sides(joint.limits or ()))
-    limited = [pair for pair in turning if pair[0].limits]
+    limited = [pair for pair in turning if _sides(pair[0].limits or ())]
     yield from _field("joints", "enforcement of limits", limited, lambda j: float(j.enforced))
     if facts.couplings > read.couplings:
         lost = facts.couplings - read.couplings
@@ -204,8 +205,9 @@ def _same(ours: Array, theirs: Array, scale: float) -> bool:
 
 
 def _sides(limits: Sequence[float]) -> list[float]:
-    """Return limits with ±inf for a side that no joint reaches."""
-    return [side if abs(side) < _FAR else math.copysign(math.inf, side) for side in limits]
+    """Return limits with ±inf for a side that no joint reaches; none if it reaches neither."""
+    sides = [side if abs(side) < _FAR else math.copysign(math.inf, side) for side in limits]
+    return sides if any(map(math.isfinite, sides)) else []
 
 
 def _difference(

@@ -163,6 +163,7 @@ def test_what_flags_switch_off_exerts_nothing(here: Path) -> None:
         ('<weld body1="b" body2="c" relpose="2 0 0 0.9 0.1 0 0"/>', "", []),
         ('<weld body1="b" body2="c" relpose="2 0 0 0.9 0.1 0 0" torquescale="0"/>', "", ["ball"]),
         (2 * '<connect body1="b" body2="c" anchor="1 0 0"/>', "", ["ball"]),
+        (3 * '<connect body1="b" body2="c" anchor="1 0 0"/>', "", ["ball"]),
         ('<connect body1="b" body2="c" anchor="1 0 0"/><connect body1="b" body2="c" '
          'anchor="1 1 0"/>', "", ["hinge"]),
     ],

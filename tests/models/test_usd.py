@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -236,3 +238,13 @@ def test_a_bad_stage_is_one_line(name: str, run: CommandLine, here: Path) -> Non
 
     assert refusal.startswith("mbds-xsim: model.usda: ")
     assert part in refusal
+
+
+def test_inertia_without_mass_stays_where_it_is() -> None:
+    mass: Any = importlib.import_module("mbds_xsim_adapters.models.parts").Mass
+    nothing = mass(0.0, np.zeros(3), np.zeros((3, 3)))
+    wheel = mass(0.0, np.array([1.0, 0.0, 1.0]), np.eye(3))
+
+    for both in (nothing + wheel, wheel + nothing):
+        np.testing.assert_array_equal(both.com, wheel.com)
+        np.testing.assert_array_equal(both.inertia, wheel.inertia)

@@ -196,9 +196,10 @@ def _counts(flags: Mask) -> tuple[int, ...]:
 
 
 def to_csv(evaluations: Sequence[Evaluation]) -> bytes:
-    """Write a row for every trajectory, so that statistics at the reported frames can be redone.
+    """Write a row for every trajectory, so that medians at the reported frames can be redone.
 
-    `inf` is a lost prediction, an empty field an unknown value.
+    So can means, but for predictions that were lost between two of these frames and came back.
+    `inf` is a prediction that is not finite, an empty field an unknown value.
     """
     frames = list(dict.fromkeys(f for evaluation in evaluations for f in evaluation.frames))
     kinds = ("squared_error_m2", "energy_error", "constraint_gap_m")

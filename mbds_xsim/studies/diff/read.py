@@ -137,9 +137,11 @@ def _curve_entries(study: tradeoff.Tradeoff) -> Iterator[tuple[str, Entry]]:
             pace = f"{point.step_s:.12g} s" if point.rtol is None else f"rtol {point.rtol:g}"
             name = f"{curve.name}, {pace}"
             yield name, _point_entry(point, curve.name, scales)
-    names = Counter(model.name for model in study.models)
+    names, seen = Counter(model.name for model in study.models), Counter[str]()
     for model in study.models:
         name = model.name if names[model.name] == 1 else f"{model.name} of {model.source}"
+        seen[name] += 1
+        name += f" ({seen[name]})" if seen[name] > 1 else ""
         yield name, _point_entry(model.alone, "", scales)
         yield f"{name}, {model.at_once} at a time", _point_entry(model.batched, name, scales)
 

@@ -176,7 +176,7 @@ def _curves(
     left_out |= choice.faulty
     own = [c for c in able if registry.load_adapter(c.engine).methods[c.method].own]
     for engine in dict.fromkeys(c.engine for c in able):
-        if engine not in {c.engine for c in own}:
+        if not any(method.own for method in registry.load_adapter(engine).methods.values()):
             left_out[engine] = (
                 f"{engine} does not step itself: this toolkit steps it, so there are no settings "
                 "of the engine's own to match"

@@ -228,7 +228,7 @@ def _factor(what: str, was: float | None, now: float | None) -> float | None:
     """
     if was is None or now is None:
         return None
-    old, new, least = comparable(what, was), comparable(what, now), _LEAST.get(what, 0.0)
+    least = _LEAST.get(what, 0.0)
+    old, new = comparable(what, was) or least, comparable(what, now)
     same = math.isclose(old, new, rel_tol=1.0 - 1.0 / FACTOR, abs_tol=least)
-    old = old or least
     return None if same or old == 0.0 else new / old
