@@ -459,7 +459,7 @@ def test_models_that_are_not_there_are_said_so(shift: Shift) -> None:
     flat = Inertia(1.0, moments=(1.0, 1.0, 2.0))
     hinge = Joint("hinge", "hinge", "world", "plate", (0.0, 0.0, 1.0), (0.0, 1.0, 0.0))
     plate = Scene("plate", (Body("plate", inertia=flat),), 1.0, joints=(hinge,))
-    assert refusal("gns", Graph.of(plate)) == ""
+    assert "got joined bodies and no edges" in refusal("gns", Graph.of(plate))
     assert "points, which have no mass matrix for a flat body" in refusal("lgnn", Graph.of(plate))
 
 
