@@ -250,12 +250,13 @@ class _Case:
         names = tuple(scene.bodies[body].name for body in self.points.body)
         own = self.points.motion(self._trajectory(states))
         scales = (("particles", "m", 1.0), ("particle velocities", "m/s", scene.clock.frame))
-        blurs = self.points.blurs(self.rounding, states["angular_velocity"])
-        for key, carried, (check, unit, scale) in zip(blurs, own, scales, strict=True):
+        for key, carried, (check, unit, scale) in zip(
+            ("position", "velocity"), own, scales, strict=True
+        ):
             if key in arrays and states[key] is None:
                 self.not_checked[check] = "no velocities of bodies"
             elif key in arrays:
-                off, blur = np.linalg.norm(arrays[key] - carried, axis=-1), blurs[key]
+                off, blur = np.linalg.norm(arrays[key] - carried, axis=-1), self.rounding(key)
                 budget = scene.budget.gap / scale
                 finding = Finding.of(check, unit, off, budget=budget, names=names, uncertainty=blur)
                 findings.append(finding)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -60,25 +59,6 @@ class Points:
         if len(self.axes) == 3:
             return position, velocity
         return position[..., self.axes], velocity[..., self.axes]
-
-    def blurs(self, rounding: Callable[[str], float], spin: Array | None) -> dict[str, float]:
-        """Bound what rounding of stored arrays adds to distances from the carried points.
-
-        Args:
-            rounding: Function that returns the largest rounding error of an array's components.
-            spin: Angular velocities of the bodies [rad/s], if stored.
-
-        Returns:
-            Bounds for `position` [m] and `velocity` [m/s]: twice those of components, which is
-            more than a norm of three adds.
-        """
-        arm = float(np.linalg.norm(self.offset, axis=-1).max(initial=0.0))
-        turn, rate = 4.0 * rounding("body/orientation"), rounding("body/angular_velocity")
-        fastest = 0.0 if spin is None else float(np.linalg.norm(spin, axis=-1).max(initial=0.0))
-        place = rounding("position") + rounding("body/position") + arm * turn
-        speed = rounding("velocity") + rounding("body/velocity")
-        speed += arm * (2.0 * rate + fastest * turn)
-        return {"position": 2.0 * place, "velocity": 2.0 * speed}
 
     def lifted(self, values: NDArray[Any], rest: Array | float = 0.0) -> Array:
         """Return three components; those in which the scene does not move are those of `rest`."""

@@ -6,7 +6,6 @@ Rollouts over the truth are packed for the viewer in the page, or drawn as a pic
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
@@ -118,8 +117,7 @@ def _seeds(shift: Shift) -> str:
         if own != every
     ]
     named = f" ({'; '.join(fewer)})" if fewer else ""
-    runs = Counter((facts.model, facts.training) for facts in trained)
-    enough = min(runs.values(), default=0) >= _ENOUGH
+    enough = min(map(len, each.values()), default=0) >= _ENOUGH
     few = "" if enough else ", too few to tell of other runs of the same trainings"
     return f"Seeds {', '.join(map(str, every))}{named}{few}"
 
