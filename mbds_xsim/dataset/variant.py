@@ -160,7 +160,7 @@ def pending(variant: Variant, trajectories: int, out: Path) -> list[Item]:
     if beyond:
         raise InputError(
             f"{folder} holds {beyond[0]}, which does not belong to {trajectories} trajectories; "
-            f"ask for {_least(folder / beyond[-1])}, or name another --out"
+            f"ask for {_allowed(folder / beyond[-1])}, or name another --out"
         )
     return [
         item
@@ -169,7 +169,7 @@ def pending(variant: Variant, trajectories: int, out: Path) -> list[Item]:
     ]
 
 
-def _least(last: Path) -> str:
+def _allowed(last: Path) -> str:
     """Describe the numbers of trajectories that a folder allows whose last shard is this one."""
     if not re.fullmatch(r"\d+", last.stem):
         return "as many as before"
@@ -192,7 +192,7 @@ def _is_complete(item: Item, path: Path) -> bool:
     if attrs.get("count", 0) > item.count:
         raise InputError(
             f"{path} holds {attrs['count']} trajectories, needed are {item.count}: it is from a "
-            f"larger set or another version; ask for {_least(path)}, or name another --out"
+            f"larger set or another version; ask for {_allowed(path)}, or name another --out"
         )
     return bool(attrs["count"] == item.count)
 
