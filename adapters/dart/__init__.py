@@ -27,8 +27,8 @@ _CONTACT_STEP = 1e-4
 _LOOP_ERROR_REDUCTION = 0.8
 _ERROR_REDUCTION = "error_reduction"
 _DETECTOR, _FRICTION = "collision_detector", "friction_solver"
-_NO_CONTACT = "the toolkit's RK4 on the engine's forward dynamics solves no impacts or dry friction"
-_NO_LOOPS = "the toolkit's RK4 on the engine's forward dynamics solves no constraints"
+_NO_CONTACT = "this toolkit's RK4 steps DART's forward dynamics, without impacts or dry friction"
+_NO_LOOPS = "this toolkit's RK4 steps DART's forward dynamics, without constraints"
 
 
 class Dart(Adapter):
@@ -65,10 +65,10 @@ class Dart(Adapter):
             least=0,
             most=1,
         ),
-        _DETECTOR: Option("fcl", f"what finds contacts: {', '.join(DETECTORS)}", names=DETECTORS),
+        _DETECTOR: Option("fcl", f"collision detector: {', '.join(DETECTORS)}", names=DETECTORS),
         _FRICTION: Option(
             "dantzig",
-            "what solves contacts: dantzig (friction bounded by a box along x and y, "
+            "contact solver: dantzig (friction bounded by a box along x and y, "
             "DART's own choice) or nsgs (a round cone)",
             names=SOLVERS,
         ),
@@ -80,13 +80,12 @@ class Dart(Adapter):
     limits: ClassVar = {
         Feature.LOOP_SLIDER: "DART has no constraint that keeps a point on a line",
         Feature.DISTANCE_LINK: "DART has no constraint that keeps a distance",
-        Feature.HELD_ARMATURE: "DART has rotors as implicit dampers only, and its impulses, which "
-        "close loops, brake joints and keep bodies out of the ground, go by the inertia of bodies "
-        "alone",
-        Feature.COUPLING: "dartpy has no call that ties a joint to another",
-        Feature.JOINT_REBOUND: "DART's limits of joints take velocities and give none back",
-        Feature.CLOSING_LOAD: "DART's springs and dampers of joints act on coordinates, and a "
-        "joint that closes a loop has none",
+        Feature.HELD_ARMATURE: "DART can model a rotor only as an implicit damper. The impulses by "
+        "which it closes loops, brakes joints and keeps bodies out of the ground ignore it",
+        Feature.COUPLING: "dartpy has no call that makes one joint follow another",
+        Feature.JOINT_REBOUND: "DART's joint limits stop a joint; they cannot make it rebound",
+        Feature.CLOSING_LOAD: "DART's joint springs and dampers act on coordinates, and a joint "
+        "that closes a loop has none",
     }
 
     def settings(self, scene: Scene, profile: Profile) -> Settings:

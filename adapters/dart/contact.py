@@ -39,16 +39,16 @@ from mbds_xsim.simulate.adapter import first_failures
 from mbds_xsim.simulate.claims import ContactLaw
 
 CONTACT_LAW = ContactLaw(
-    normal="rigid: impulses of one step, velocities at contacts solved together",
-    restitution="a coefficient of each body, from 0.1 to 100 m/s of rebound",
+    normal="rigid: impulses within one step, solved for all contacts together",
+    restitution="a coefficient of each body, for rebounds from 0.1 to 100 m/s",
     friction="a box along x and y (Dantzig), or a round cone (NSGS)",
     mixing="the smaller friction, the product of restitutions",
-    adapter="The spheres carry the pair's coefficients and the ground restitution 1, so that both "
-    "rules give back the pair's; with collisions, spheres carry theirs and the root of the "
-    "restitution. At matched, contacts are found by `ode` and solved by NSGS, whose "
-    "cone is round, and what its solver leaves open or gives up on is a failure. What is reflected "
-    "has gravity's share of a step in it, so that the matched steps are short; rebounds above "
-    "100 m/s, which DART cuts, are a failure.",
+    adapter="The spheres carry the pair's coefficients and the ground has restitution 1, so both "
+    "mixing rules return the pair's. Between bodies, each sphere carries the square root of the "
+    "restitution. Matched settings find contacts with `ode` and solve them with NSGS, whose cone "
+    "is round; contacts that the solver leaves unsolved are a failure. DART reflects a speed that "
+    "includes one step of gravity, so the matched steps are short. DART limits rebounds to "
+    "100 m/s; faster ones are a failure.",
 )
 
 DETECTORS = ("fcl", "ode", "bullet", "dart")

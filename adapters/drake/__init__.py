@@ -26,14 +26,14 @@ _OWN_STEP, _OWN_COUNT = 2e-4, 100
 _IMPACT_TIME = 5e-3
 # Largest phase [rad] of a spring's oscillation, and decay of a damper's motion, in one step.
 _SPRING_ANGLE, _DECAY = 0.15, 0.5
-_ONLY_OWN = "Drake's integrators take no constraints; plants that step themselves do"
-_NO_IMPACTS = "an integrator takes the ground for Hunt and Crossley's: a rebound depends on speed"
+_ONLY_OWN = "Drake's integrators take no constraints; only its discrete plants do"
+_NO_IMPACTS = "Drake's integrators use Hunt and Crossley's contact; its rebound depends on speed"
 _TREES = {
     **dict.fromkeys(sorted(LOOPS, key=lambda each: each.name), _ONLY_OWN),
     Feature.DISTANCE_LINK: _ONLY_OWN,
     Feature.COUPLING: _ONLY_OWN,
     Feature.JOINT_LIMITS: _ONLY_OWN,
-    Feature.DRIVE: "Drake's actuators have controllers in plants that step themselves only",
+    Feature.DRIVE: "Drake's actuators have controllers only in discrete plants",
     Feature.CONTACT: _NO_IMPACTS,
 }
 
@@ -50,8 +50,8 @@ class Drake(Adapter):
     options: ClassVar = {
         _IMPACT: Option(
             71.0,
-            "steps that an impact on the ground takes, which decides what comes back: of n steps "
-            "exp(−π²/2n). 0: Drake's own stiffness, damper and solver, which know no restitution",
+            "number n of steps that an impact on the ground lasts; it sets the restitution, "
+            "exp(−π²/2n). 0: Drake's default stiffness, damper and solver, without restitution",
             least=0,
             most=10_000,
         ),
@@ -59,28 +59,28 @@ class Drake(Adapter):
     limits: ClassVar = {
         Feature.LOOP_SLIDER: "Drake has no constraint that keeps a point on a line",
         Feature.JOINT_FRICTION: "Drake's joints have no dry friction",
-        Feature.JOINT_REBOUND: "Drake's limits of joints take velocities and give none back",
+        Feature.JOINT_REBOUND: "Drake's joint limits stop a joint; they cannot make it rebound",
         Feature.CLOSING_LOAD: "a joint that closes a loop has no coordinate in Drake",
-        Feature.COLLISION: "springs of two bodies in series, whose rebound would take a stiffness "
-        "of its own for each pair of masses",
-        Feature.LINKED_CONTACT: "what comes back would depend on the mass that is behind: Drake's "
-        "stiffness of contact is a figure of its own",
+        Feature.COLLISION: "Drake puts the contact springs of two bodies in series; the right "
+        "rebound would need a separate stiffness for each pair of masses",
+        Feature.LINKED_CONTACT: "Drake's contact stiffness is fixed beforehand, so the rebound "
+        "would depend on the effective mass at the contact",
     }
     coordinates = "reduced"
     contact_law = CONTACT_LAW
     smallest = (
-        "no mass that a scene file can name is too small; a spring needs a rest length, and what "
-        f"the ground gives back is 0 or {LEAST_REBOUND:g} to {MOST_REBOUND:g}"
+        "any mass that a scene file allows; a spring needs a rest length above 0, and the ground's "
+        f"restitution must be 0, or {LEAST_REBOUND:g} to {MOST_REBOUND:g}"
     )
 
     def cannot_hold(self, scene: Scene) -> str:
         for spring in Mechanism.of(scene).springs:
             if spring.length <= 0.0:
-                return f"the spring {spring.name!r} has no rest length, Drake takes more than 0 m"
+                return f"the spring {spring.name!r} has no rest length; Drake needs more than 0 m"
         restitution = scene.ground.restitution if scene.ground and scene.contacts else 0.0
         if restitution and not LEAST_REBOUND <= restitution <= MOST_REBOUND:
-            bounds = f"Drake's steps give back 0, or {LEAST_REBOUND:g} to {MOST_REBOUND:g}, alike"
-            return f"the ground's restitution is {restitution:g}, {bounds}"
+            bounds = f"Drake can do 0, or {LEAST_REBOUND:g} to {MOST_REBOUND:g}"
+            return f"the ground's restitution is {restitution:g}; {bounds}"
         return ""
 
     def contact_scales(self, settings: Settings) -> ContactScales:

@@ -23,15 +23,15 @@ from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.simulate.claims import ContactLaw
 
 CONTACT_LAW = ContactLaw(
-    normal="compliant: a spring and damper, taken at the step's end",
-    restitution="none: the damper decides (Hunt and Crossley), and how many steps an impact takes",
-    friction="a round cone; slip of up to 0.1 mm/s does not stop",
+    normal="compliant: a spring and damper, evaluated at the end of the step",
+    restitution="no coefficient: set by the damper (Hunt and Crossley) and the steps per impact",
+    friction="a round cone; slip below 0.1 mm/s is not stopped",
     mixing="the harmonic mean of frictions, stiffnesses in series",
-    adapter="Spheres and ground carry the pair's friction. At native that is all, and restitution "
-    "is ignored. At matched the damper is left out, and the stiffness is that with which an impact "
-    "takes as many implicit steps as leave the restitution of the speed; where nothing comes back "
-    "the damper takes all. Contact is solved by TAMSI: Drake's default solver stops at a share of "
-    "the momentum that is too much for what is fast.",
+    adapter="Spheres and ground carry the pair's friction. Native settings do no more and ignore "
+    "restitution. Matched settings use no damper: the stiffness is chosen so that an impact lasts "
+    "just as many implicit steps as reduce the speed by the restitution. For restitution 0 the "
+    "damper absorbs the whole impact. Contact is solved by TAMSI, as the tolerance of Drake's "
+    "default solver, relative to the momentum, is too coarse for fast bodies.",
 )
 
 OWN_TIME = math.pi * math.sqrt(1e-3 / 9.81)

@@ -46,15 +46,15 @@ _NO_JOINTS = _NO_FRICTION | dict.fromkeys(
     "Exudyn's explicit solvers take no constraints",
 )
 _ONLY_A_TREE = {
-    Feature.BALL: "a kinematic tree has hinges and sliders only, and three hinges in place of a "
+    Feature.BALL: "a kinematic tree has only hinges and sliders, and three hinges in place of a "
     "ball joint are singular when the second turns by 90°",
-    Feature.FIXED: "a kinematic tree has hinges and sliders only; make the two bodies one",
-    Feature.FREE_BODY: "a kinematic tree stands on the world",
-    Feature.DRIVE: "the adapter limits servos by a function of markers, and coordinates of "
+    Feature.FIXED: "a kinematic tree has only hinges and sliders; merge the two bodies into one",
+    Feature.FREE_BODY: "a kinematic tree is attached to the world",
+    Feature.DRIVE: "the adapter limits servos through markers, and the coordinates of "
     "Exudyn's trees have none",
     **dict.fromkeys(
         (Feature.JOINT_FRICTION, Feature.JOINT_LIMITS, Feature.COUPLING),
-        "Exudyn's friction, stops and gears are of markers, and coordinates of its trees have none",
+        "Exudyn's friction, stops and gears act on markers, and its trees' coordinates have none",
     ),
     **_NO_FRICTION,
     **dict.fromkeys(_CONSTRAINTS, "Exudyn's explicit solvers take no constraints"),
@@ -72,7 +72,7 @@ class Exudyn(Adapter):
             "trapezoidal",
             "trapezoidal",
             2,
-            {Feature.COUPLING: "on gears, noise of 1e-8 rad in angles of joints hides its order"},
+            {Feature.COUPLING: "with gears, noise of 1e-8 rad in joint angles hides its order"},
         ),
         "generalised-alpha": Method("generalised-alpha", "generalised-alpha", 2),
         "RK44": Method("RK44", "RK4", 4, _NO_JOINTS),
@@ -81,20 +81,22 @@ class Exudyn(Adapter):
     }
     options: ClassVar = {
         "spectral_radius": Option(
-            0.9, "of generalised-alpha at infinite frequency: 1 damps nothing, 0 the most", 0, 1
+            0.9, "of generalised-alpha at infinite frequency: 1 damps nothing, 0 damps most", 0, 1
         ),
         "linear_solver": Option(
             "auto",
-            "EXUdense, EigenDense or EigenSparse; auto takes the faster for the size",
+            "EXUdense, EigenDense or EigenSparse; auto takes the fastest for the size",
             names=LINEAR_SOLVERS,
         ),
         "modified_newton": Option(
             True, "whether Newton's method keeps its Jacobian over several steps"
         ),
         "contact_substeps": Option(
-            10, "steps into which a step is divided in frames in which a sphere may touch", least=1
+            10, "number of substeps to a step, in frames in which a sphere may touch", least=1
         ),
-        "impact_steps": Option(12, "such steps that an impact lasts, at least", _SHORTEST_IMPACT),
+        "impact_steps": Option(
+            12, "number of these substeps that an impact lasts, at least", _SHORTEST_IMPACT
+        ),
         "slip_speed": Option(
             1e-2,
             "[m/s]: below it friction is proportional to the slip, above it Coulomb's; 1e-4 is as "
@@ -111,8 +113,8 @@ class Exudyn(Adapter):
         "slip_speed": Sweep((1e-3, 1e-1), needs=frozenset({Feature.CONTACT})),
     }
     limits: ClassVar[dict[Feature, str]] = {
-        Feature.JOINT_REBOUND: "Exudyn's stops are springs and dampers, whose rebound goes by what "
-        "they move",
+        Feature.JOINT_REBOUND: "Exudyn's stops are springs and dampers, so the rebound depends on "
+        "the mass that they stop",
     }
     coordinates = "maximal"
     contact_law = CONTACT_LAW

@@ -45,14 +45,14 @@ from mbds_xsim.simulate.claims import ContactLaw, ContactScales
 CONTACT_LAW = ContactLaw(
     normal="penalty: a spring, and a damper that grows with depth (Gonthier)",
     restitution="a coefficient of the contact, from 0.01; a linear damper for 0",
-    friction="a round cone; in proportion to the slip below a slip speed",
+    friction="a round cone; proportional to the slip below a given slip speed",
     mixing="none: coefficients belong to the contact",
-    adapter="Contacts of sphere and triangle, one a sphere, and of two spheres, as stiff as makes "
-    "an impact last a given number of the finest steps. The coefficient is corrected, in closed "
-    "form, for what the law delivers; one of 0 is a damper so strong that nothing rebounds, and "
-    "one between 0 and 0.01 is refused. Near a touch steps are divided and end where a sphere "
-    "touches. A sphere with its centre below the ground, whose triangle has no inside, or in "
-    "another one is a failure.",
+    adapter="Each sphere meets the ground as a triangle, and other spheres directly. The stiffness "
+    "makes an impact last a given number of the shortest steps. The coefficient is corrected in "
+    "closed form so that the law delivers the restitution; for 0 a damper prevents any rebound, "
+    "and values between 0 and 0.01 are refused. Near a contact, steps are divided so that one ends "
+    "at the first touch. A sphere whose centre is below the ground or inside another sphere is a "
+    "failure.",
 )
 Marker = Callable[[int, Array], str]
 

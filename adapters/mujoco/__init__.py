@@ -51,7 +51,7 @@ _SPRING_ANGLE = 0.15
 _DECAY = 0.5
 # Step where joints have limits or dry friction: each stop is off by the distance of a step [s].
 _CAREFUL_LIMIT_STEP, _CAREFUL_REBOUND_STEP = 1e-4, 5e-5
-_NO_REBOUND = "it meets a stop four times in a step, which no damper turns into a rebound"
+_NO_REBOUND = "it evaluates a stop four times a step, for which no damper gives the right rebound"
 
 
 class MuJoCo(Adapter):
@@ -81,48 +81,48 @@ class MuJoCo(Adapter):
         # the velocities; if longer, gaps widen. Euler is unstable below 1.3.
         "loop_time_constant": Option(
             3.0,
-            "of loop constraints, in steps; 0 leaves MuJoCo's default solref and solimp",
+            "of loop constraints, in steps; 0 keeps MuJoCo's default solref and solimp",
             least=0,
         ),
         # MuJoCo leaves J̇·v out of a tendon's row, so a gap of |J̇·v|·τ² stays.
         "link_time_constant": Option(
-            1.5, "of distance links, in steps; 0 leaves MuJoCo's default solref and solimp", least=0
+            1.5, "of distance links, in steps; 0 keeps MuJoCo's default solref and solimp", least=0
         ),
         "contact_substeps": Option(
             50,
-            "semi-implicit Euler steps into which a step near the ground is divided; 0 leaves "
+            "number of semi-implicit Euler substeps to a step near the ground; 0 keeps "
             "MuJoCo's default contact",
             least=0,
         ),
         "impact_steps": Option(
             12,
-            "such steps that an impact lasts, 4 or more; or 1, right where all contact spheres are "
-            "around the centres of mass of free bodies, the others",
+            "number of these substeps that an impact lasts: 4 or more; or 1, which is right only "
+            "if every contact sphere is centred on a free body's centre of mass",
             least=1,
         ),
         "contact_hardness": Option(
             HARDEST,
-            "share of an acceleration into the ground that a contact takes, whatever its depth; "
-            "with little below 1 what stands on several spheres rattles, with less it sinks more",
+            "share of an acceleration into the ground that a contact resists at any depth; "
+            "slightly below 1, a body on several spheres rattles; at lower values it sinks more",
             above=0,
             most=HARDEST,
         ),
         "hard_limits": Option(
             True,
-            "let stops of joints take a velocity, and give the restitution back, in a step; "
-            "without, MuJoCo's default solref and solimp, with a rebound of their own",
+            "joint limits stop a joint, or let it rebound by its restitution, within a step; if "
+            "off, MuJoCo's default solref and solimp decide the rebound",
         ),
         "solver": Option("Newton", "constraint solver: Newton, CG or PGS", names=_SOLVERS),
         "spin": Option(
             True,
-            "model the spin of rods that nothing in the scene turns about themselves; without, two "
-            "coordinates a rod are left, and a trajectory that starts with such a spin or bends a "
-            "rod by more than a radian is simulated with it",
+            "model the spin of rods that nothing in the scene turns about their own axes; if off, "
+            "such a rod keeps two coordinates, and a trajectory that starts with spin or bends a "
+            "rod by more than a radian is simulated with it all the same",
         ),
         "turn": Option(
             0.125,
-            "angle [rad] that a joint may turn in a frame before it takes more steps; 0 makes "
-            "all steps equal; for RK4 without contact",
+            "angle [rad] that a joint may turn in a frame before the frame gets more steps; 0 "
+            "makes all steps equal; for RK4 without contact",
             least=0,
         ),
     }
@@ -140,7 +140,7 @@ class MuJoCo(Adapter):
     limits: ClassVar = {
         Feature.LOOP_SLIDER: "MuJoCo has no equality constraint that leaves a sliding direction "
         "free; close the loop at another joint",
-        Feature.CLOSING_LOAD: "MuJoCo's springs and dampers of joints act on coordinates, and a "
+        Feature.CLOSING_LOAD: "MuJoCo's joint springs and dampers act on coordinates, and a "
         "joint that closes a loop has none",
     }
     coordinates = "reduced"

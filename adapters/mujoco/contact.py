@@ -46,16 +46,16 @@ from mbds_xsim.scene.scene import Ground
 from mbds_xsim.simulate.claims import ContactLaw
 
 CONTACT_LAW = ContactLaw(
-    normal="soft: spring and damper on accelerations (solref, solimp), one convex problem",
-    restitution="none: the damper decides",
-    friction="a pyramid, or a round cone (elliptic), softened; lifts what slides",
-    mixing="the larger friction; nothing is mixed in an explicit pair",
-    adapter="Spheres and ground are explicit pairs with the pair's friction. At native that is "
-    "all, and restitution is ignored. At matched, steps near a touch are divided, and the "
-    "damper is calibrated by following the engine's own steps to give the restitution back; the "
-    "cone is elliptic, and friction is left to the `noslip` solver, which does not lift what "
-    "slides. Where all bodies are balls an impact is a single step; on wheels contacts are half as "
-    "hard, or their loads would rattle.",
+    normal="soft: a spring and damper on accelerations (solref, solimp), in one convex problem",
+    restitution="no coefficient: set by the damper",
+    friction="a pyramid or a round cone (elliptic), softened; lifts sliding bodies",
+    mixing="the larger friction; explicit pairs state their own",
+    adapter="Spheres and ground are explicit pairs with the pair's friction. Native settings do no "
+    "more and ignore restitution. Matched settings divide the steps near a contact and calibrate "
+    "the damper on the engine's own steps so that it delivers the restitution; the cone is "
+    "elliptic, and friction is left to the `noslip` solver, which does not lift sliding bodies. If "
+    "all bodies are balls, an impact is a single step. Contacts of wheels are half as hard; "
+    "otherwise their loads would rattle.",
 )
 
 _GROUND = "ground"

@@ -20,7 +20,7 @@ __all__ = ["MuJoCoWarp"]
 _METHOD, _LOOP, _LINK, _DEVICE = "RK4", "loop_time_constant", "link_time_constant", "device"
 _SHARED = (_LOOP, _LINK)
 _NO_CONTACT = (
-    "steps are equal for all trajectories, and impacts need fifty times finer ones near the ground"
+    "all trajectories share one step, and near the ground impacts need one fifty times shorter"
 )
 
 
@@ -32,7 +32,7 @@ class MuJoCoWarp(Adapter):
     methods: ClassVar = {_METHOD: dataclasses.replace(MuJoCo.methods[_METHOD], single=True)}
     options: ClassVar = {
         **{name: MuJoCo.options[name] for name in _SHARED},
-        _DEVICE: Option("cpu", "what steps, as Warp calls it: cpu, or cuda:0 for the first GPU"),
+        _DEVICE: Option("cpu", "the device, by Warp's name: cpu, or cuda:0 for the first GPU"),
     }
     sweeps: ClassVar = {name: MuJoCo.sweeps[name] for name in _SHARED}
     limits: ClassVar = {**MuJoCo.limits, **dict.fromkeys(CONTACTS, _NO_CONTACT)}

@@ -23,7 +23,7 @@ _CAREFUL_STEP, _CAREFUL_COUNT = 0.005, 4
 _SPRING_ANGLE, _DECAY = 0.15, 0.5
 # Smallest mass by which Pinocchio divides when it puts a body on a joint [kg].
 _LEAST = 2.23e-16
-_NO_CONTACT = "Pinocchio gives accelerations; impacts are left to what steps it"
+_NO_CONTACT = "Pinocchio computes accelerations; it has no impacts"
 
 
 class Pinocchio(Adapter):
@@ -35,14 +35,14 @@ class Pinocchio(Adapter):
     options: ClassVar = {
         _DRIFT: Option(
             5.0,
-            "frames in which loops that have drifted open are closed (Baumgarte's terms); 0 leaves "
-            "them",
+            "number of frames in which an open loop is closed (Baumgarte stabilisation); 0 leaves "
+            "it open",
             least=0,
         ),
         _SOFTNESS: Option(
             0.01,
-            "of the proximal steps that solve the constraints (mu), over the mean of the bodies' "
-            "1/mass; with less, redundant constraints pull more at what rounding leaves of them",
+            "of the proximal iterations that solve the constraints (mu), relative to the mean of "
+            "1/mass over the bodies; lower values amplify rounding errors of redundant constraints",
             above=0,
             most=1,
         ),
@@ -51,15 +51,15 @@ class Pinocchio(Adapter):
     limits: ClassVar = {
         Feature.LOOP_SLIDER: "Pinocchio has no constraint that keeps a point on a line",
         Feature.DISTANCE_LINK: "Pinocchio has no constraint that keeps a distance",
-        Feature.COUPLING: "its articulated-body algorithm does not know Pinocchio's mimic joints",
-        Feature.JOINT_FRICTION: "Pinocchio gives accelerations; sticking is left to what steps it",
-        Feature.JOINT_LIMITS: "Pinocchio gives accelerations; stops are left to what steps it",
+        Feature.COUPLING: "its articulated-body algorithm does not support its mimic joints",
+        Feature.JOINT_FRICTION: "Pinocchio computes accelerations; it has no dry friction",
+        Feature.JOINT_LIMITS: "Pinocchio computes accelerations; it has no stops",
         Feature.CLOSING_LOAD: "a joint that closes a loop has no coordinate in Pinocchio",
         **dict.fromkeys(CONTACTS, _NO_CONTACT),
     }
     coordinates = "reduced"
     smallest = (
-        f"masses of {_LEAST:g} kg: the centre of mass of what is less is moved, without a word"
+        f"masses of {_LEAST:g} kg: below, Pinocchio moves the centre of mass without a warning"
     )
 
     def cannot_hold(self, scene: Scene) -> str:
@@ -67,7 +67,7 @@ class Pinocchio(Adapter):
         small = int(np.argmin(mass))
         if mass[small] >= _LEAST:
             return ""
-        return f"{scene.bodies[small].name!r} has {mass[small]:.3g} kg, Pinocchio needs {_LEAST:g}"
+        return f"{scene.bodies[small].name!r} has {mass[small]:.3g} kg; Pinocchio needs {_LEAST:g}"
 
     def settings(self, scene: Scene, profile: Profile) -> Settings:
         frame = scene.clock.frame

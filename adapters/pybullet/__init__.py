@@ -60,7 +60,7 @@ class PyBullet(Adapter):
         "solver_iterations": Option(
             10, "sweeps over loops, rotors and contacts in each step", 1, _MOST_SWEEPS
         ),
-        "residual_threshold": Option(0.0, "the sweeps stop early below this residual; 0: never", 0),
+        "residual_threshold": Option(0.0, "sweeps stop early below this residual; 0: never", 0),
         "erp": Option(
             0.8, "part of a loop's gap that a step closes (error reduction parameter)", 0, 1
         ),
@@ -68,14 +68,16 @@ class PyBullet(Adapter):
             0.0, "drag on every link [1/s]; a user of the engine gets 0.04", 0
         ),
         "angular_damping": Option(0.0, "the same for its rotation [1/s]", 0),
-        "contact_recovery": Option(1.0, "time that pushes an overlap with the ground out [s]", 0),
-        "bounce_threshold": Option(0.0, "slowest approach that bounces [m/s]; 0: 4 steps' fall", 0),
+        "contact_recovery": Option(1.0, "time to push out an overlap with the ground [s]", 0),
+        "bounce_threshold": Option(
+            0.0, "slowest approach that rebounds [m/s]; 0: the speed of a fall for 4 steps", 0
+        ),
         "contact_reach": Option(1e-6, "gap from which on a contact acts [m]", 0),
         "contact_slop": Option(0.0, "overlap with the ground that counts as none [m]", 0),
         "friction_axes": Option(
             True,
-            "turn the axes of friction once a frame so that friction opposes the slip; without, "
-            "it is turned towards the axis, x or y, along which a body yields less",
+            "turn the axes of friction once a frame so that friction opposes the slip; if off, it "
+            "leans towards the axis, x or y, along which the body is harder to move",
         ),
     }
     sweeps: ClassVar = {
@@ -86,17 +88,18 @@ class PyBullet(Adapter):
         "contact_recovery": Sweep((0.1, 10.0), needs=frozenset({Feature.CONTACT})),
     }
     limits: ClassVar = {
-        Feature.LOOP_SLIDER: "its constraint JOINT_PRISMATIC is not reliable between multibodies",
-        Feature.DISTANCE_LINK: "it has no constraint that keeps a distance",
-        Feature.JOINT_REBOUND: "its limits of joints take velocities and give none back",
-        Feature.CLOSING_LOAD: "its damping acts on coordinates, and a joint that closes a loop has "
-        "none",
+        Feature.LOOP_SLIDER: "PyBullet's JOINT_PRISMATIC constraint is unreliable between "
+        "multibodies",
+        Feature.DISTANCE_LINK: "PyBullet has no constraint that keeps a distance",
+        Feature.JOINT_REBOUND: "PyBullet's joint limits stop a joint; they cannot make it rebound",
+        Feature.CLOSING_LOAD: "PyBullet's damping acts on coordinates, and a joint that closes a "
+        "loop has none",
     }
     coordinates = "reduced"
     contact_law = CONTACT_LAW
     smallest = (
-        f"masses of {_LEAST:.3g} kg where a body is free or on a slider, moments about a hinge of "
-        f"{_LEAST:.3g} kg·m²: what is less stands still without a warning; a body has at most "
+        f"masses of {_LEAST:.3g} kg of free bodies and on sliders, moments about a hinge of "
+        f"{_LEAST:.3g} kg·m²: below, a body stands still without a warning; a body has at most "
         f"{_MOST_SPHERES} contact spheres"
     )
 

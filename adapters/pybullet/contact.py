@@ -38,17 +38,17 @@ from .client import Client, Constant
 from .parts import FREEDOMS
 
 CONTACT_LAW = ContactLaw(
-    normal="rigid: impulses of one step, by sweeps over contacts (PGS); acts ahead of the touch",
-    restitution="a coefficient of each body, above 0.2 m/s",
-    friction="a round cone, turned towards where a body yields less (along x or y)",
-    mixing="the product of frictions, cut to 10, and of restitutions",
-    adapter="The ground has friction and restitution 1, so that the products are the pair's; with "
-    "collisions, bodies have the roots of theirs, and the ground the rest. At "
-    "matched, contacts act from a gap of 1 µm on and not a step ahead, overlaps are pushed out "
-    "over a second and not within steps, and all that is faster than four steps' fall bounces; "
-    "Bullet's drag of linear and of quadratic order, on at native, is off; and the axes of "
-    "friction are turned, once a frame, to where a body yields alike along both, so that friction "
-    "opposes the slip. A sphere that the ground has lost is a failure.",
+    normal="rigid: impulses within one step, by sweeps over contacts (PGS); act before the touch",
+    restitution="a coefficient of each body, for approaches above 0.2 m/s",
+    friction="a round cone; leans towards the axis, x or y, along which the body is harder to move",
+    mixing="the product of frictions, at most 10, and of restitutions",
+    adapter="The ground has friction and restitution 1, so that the products are the pair's. "
+    "Between bodies, each carries the square root of the pair's coefficient, and the ground is "
+    "adjusted to that. With matched settings contacts act from a gap of 1 µm, not a step ahead; "
+    "overlaps are pushed out over a second, not within steps; every approach faster than four "
+    "steps of free fall rebounds; and Bullet's linear and quadratic drag, which native settings "
+    "keep, is off. Once a frame the axes of friction are turned so that friction opposes the slip. "
+    "A sphere that has fallen through the ground is a failure.",
 )
 
 # btManifoldResult::calculateCombinedFriction cuts the product to this.

@@ -51,24 +51,25 @@ class Reference(Adapter):
     options: ClassVar = {
         RTOL: Option(
             _MATCHED,
-            "allowed error of a step, relative to 1 plus the size of each component; nothing "
-            "of a ball on the ground depends on it",
+            "error allowed in a step, relative to 1 plus the size of each component; a ball on "
+            "the ground does not depend on it",
             least=TIGHTEST,
             most=LOOSEST,
         )
     }
     limits: ClassVar = {
-        Feature.LINKED_CONTACT: "rigid contact of several points, or beside a centre of mass, has "
-        "no unique motion after the first impact",
+        Feature.LINKED_CONTACT: "rigid contact at several points, or off a centre of mass, has no "
+        "unique motion after the first impact",
     }
     coordinates = "reduced"
     contact_law = ContactLaw(
-        normal="rigid: impacts and rests are events, found to rounding",
+        normal="rigid: impacts and rests are events, located to rounding error",
         restitution="Newton's law, at every impact",
-        friction="Coulomb's cone, in impacts too",
-        mixing="none: the scene's coefficients are of the pair",
-        adapter="Follows a ball through flight, impacts, sliding and rolling, by formulas where "
-        "its inertia is even; and even balls that touch each other, two at a time, and no ground.",
+        friction="Coulomb's cone, also during impacts",
+        mixing="none: the scene gives the pair's coefficients",
+        adapter="Follows a ball through flight, impacts, sliding and rolling, by formulas if its "
+        "inertia is isotropic; and isotropic balls that touch each other, two at a time, without "
+        "ground.",
     )
 
     def settings(self, scene: Scene, profile: Profile) -> Settings:

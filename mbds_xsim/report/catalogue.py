@@ -28,11 +28,11 @@ _HEAD = """\
 # Engines
 
 This page is written from the adapters by `mbds-xsim engines --markdown > docs/engines.md`; a
-test compares the two. `mbds-xsim engines` prints the same for what is installed. Every claim is
-measured, but for the order of the reference's steps: the contract suite
+test compares the two. `mbds-xsim engines` prints the same for the engines that are installed. Every
+claim except the order of the reference's steps is measured: the contract suite
 (`mbds_xsim.testing.AdapterContract`) runs each method on cases with exact answers, fits its order
-of convergence, and checks that what is refused is refused with the reason before the engine sees
-it.
+of convergence, and checks that unsupported scenes are refused, with the reason, before the engine
+sees them.
 
 Which to use for what: [choose-an-engine.md](choose-an-engine.md). One of your own:
 [add-an-engine.md](add-an-engine.md).
@@ -45,22 +45,23 @@ reasons.
 _SMALLEST = """
 ## How small a body may be
 
-What is smaller is refused before the engine sees it, and what is not moves rightly, as a test tells
-of each engine; a scene file may name masses down to 1e-30 kg.
+A scene file may name masses down to 1e-30 kg. Below an engine's limit the scene is refused before
+the engine sees it; at the limit bodies still move correctly, which a test checks for each engine.
 """
 _CONTACT = """
 ## What contact is
 
-What an adapter makes of it, and what it delivers, measured: [contact.md](contact.md).
+This table describes the engines' contact laws. What each adapter achieves with them is measured in
+[contact.md](contact.md).
 """
 _METHODS = """
 ## Methods and options
 
 Methods of one family are one vote when engines are compared: their agreement is no evidence.
-“Order” is the order of convergence, “with loops” the same where constraints are solved beside the
-coordinates. Recorded velocities belong to the frame's time plus “velocity lag” times the step. What
-steps in single precision is allowed what rounding to 24 significant bits leaves of a model and of a
-start, and no more of a scene's budgets than others.
+“Order” is the order of convergence, “with loops” the order in scenes whose constraints are solved
+in addition to the coordinates. Recorded velocities belong to the frame's time plus “velocity lag”
+times the step. A method in single precision is allowed the error that rounding the model and the
+start to 24 significant bits causes; beyond that it must keep the same budgets as the others.
 """
 _ASPECTS = {
     "non-penetration": "normal",

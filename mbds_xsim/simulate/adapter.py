@@ -194,7 +194,7 @@ class Adapter(ABC):
     `Mechanism.of(scene, cut)` builds that tree, and `limits` refer to it."""
     contact_law: ClassVar[ContactLaw | None] = None
     """Contact law in words; None without contact."""
-    smallest: ClassVar[str] = "none that a scene file can name is too small"
+    smallest: ClassVar[str] = "any mass that a scene file allows"
     """Masses, moments of inertia and other values that the engine can hold, in words; `cannot_hold`
     finds values that it cannot."""
 
@@ -223,7 +223,7 @@ class Adapter(ABC):
             raise Unsupported(f"{self.name} {settings.method} cannot do {feature.value}: {reason}")
         value = self.cannot_hold(scene)
         if value:
-            raise Unsupported(f"{self.name} cannot hold a value of the scene: {value}")
+            raise Unsupported(f"{self.name} cannot represent a value of the scene: {value}")
 
     @final
     def refusals(self, scene: Scene, method: str) -> dict[Feature, str]:

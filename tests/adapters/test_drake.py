@@ -43,7 +43,7 @@ def test_what_a_spring_and_a_ground_must_be_is_told() -> None:
     slack = msgspec.structs.replace(scene.springs[0], rest_length=0.0)
 
     assert ENGINE.cannot_hold(msgspec.structs.replace(scene, springs=(slack,))) == (
-        "the spring 'spring' has no rest length, Drake takes more than 0 m"
+        "the spring 'spring' has no rest length; Drake needs more than 0 m"
     )
     refused = [e for e in (0.0, 0.5, 0.8, 0.98, 1.0) if ENGINE.cannot_hold(bounces(e))]
     assert refused == [0.5, 1.0]

@@ -80,8 +80,8 @@ def test_engines_that_hold_no_body_so_small_are_left_out_with_the_reason() -> No
     able = _there("dart", "drake", "exudyn", "pinocchio")
     assert {contender.engine for contender in contenders} == able
     assert left_out["mujoco"] == (
-        "mujoco cannot hold a value of the scene: 'rod' has 2e-15 kg and 8e-20 kg·m², MuJoCo's "
-        "compiler takes masses of 1e-15 kg and principal moments of 1e-14 kg·m², or more"
+        "mujoco cannot represent a value of the scene: 'rod' has 2e-15 kg and 8e-20 kg·m², "
+        "MuJoCo's compiler takes masses of 1e-15 kg and principal moments of 1e-14 kg·m², or more"
     )
     assert "PyBullet moves 2.22e-16 or more" in left_out["pybullet"]
     with pytest.raises(Unsupported, match=r"a value of the scene: 'rod'.*use --engines dart"):

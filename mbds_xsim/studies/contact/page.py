@@ -27,8 +27,8 @@ from mbds_xsim.studies.contact.present import (
 _PAGE = """\
 # What contact means in each engine
 
-Each engine has its own idea of what happens where bodies touch. This page is what comes of it,
-measured from trajectories alone: written, with its figures, by
+Engines differ in what they do where bodies touch. This page measures the results from trajectories
+alone. It was written, with its figures, by
 
 ```sh
 {command}
@@ -43,60 +43,61 @@ measured from trajectories alone: written, with its figures, by
 {words}
 ## Rebound
 
-A ball of radius {radius:.0f} mm falls onto the ground at a known speed, from eight phases of
-a step. Both flights are parabolas, so speeds before and after are known without looking into the
-impact. “Takes” is the time from touch to take-off, negative where an engine acts ahead of the
-touch; “depth” the deepest overlap at any phase. Figures are medians over the starts, bands in the
-picture go from the least to the most.
+A ball of radius {radius:.0f} mm falls onto the ground at a known speed; eight starts spread the
+moment of touch over a step. Both flights are parabolas, so the speeds before and after are known
+without looking into the impact. “Takes” is the time from touch to take-off, negative if an engine
+acts before the touch; “depth” is the deepest overlap of all starts. Figures are medians over the
+starts; bands in the picture reach from the lowest to the highest.
 {rebound_picture}
-Speed after over speed before, asked {restitution}:
+Speed after the impact over the speed before; {restitution} was asked for:
 
 {rebounds}
 
-Largest distance from what was asked, over these speeds, and the speed at which it is:
+Largest deviation from what was asked for over these speeds, and the speed at which it occurs:
 
 {impacts}
 
 ## Friction
 
-A ball that slides at 5 m/s, and a crate on four points at 2 m/s, asked {friction}: the horizontal
-impulse over the vertical one. “Aside” is the angle between friction and slip. The crate is then
-pushed by a held force F, at 0.9 μ m g, where it should stand, and above; the last columns are the
-push at which it starts, of {pushes}. Drag that a profile has
-counts as friction here.
+A ball slides at 5 m/s, and a crate on four points at 2 m/s. The figure is the horizontal impulse
+over the vertical one; {friction} was asked for. “Aside” is the angle between friction and slip. The
+crate is then pushed by a constant force: at 0.9 μ m g it should stand. The last columns show the
+smallest push, in μ m g, of {pushes}, at which it starts. Drag counts as
+friction here.
 {friction_picture}
 {frictions}
 
 ## Energy
 
-“Elastic ball”: mean change of its energy in a bounce, e = 1, at 1.0 to 1.2 m/s. The others are of
-thrown cubes that land on corners (`simplecubli`, asked {restitution}): the rise of energy that the
-law of impact does not explain, the whole rise, both over the energy scale, and the rebound of
-single corners. Newton's law together with Coulomb's may itself raise the energy there
-([passivity](checks.md#passivity)), and is one law among several.
+“Elastic ball” is the mean change of a ball's energy in a bounce with restitution 1, at 1.0 to
+1.2 m/s. The other columns are for thrown cubes that land on corners (`simplecubli`, restitution
+{restitution}): the rise of energy that the law of impact does not explain and the whole rise, both
+over the energy scale, and the restitution of single corners. Newton's law of impact together with
+Coulomb's can itself raise the energy there ([passivity](checks.md#passivity)); it is one law among
+several.
 
 {energies}
 
 ## Rest
 
-A second after it was dropped from 5 cm with e = 0.5: how deep the lowest sphere is, how far it
-moves up and down, and the speed of the centre of mass.
+A body is dropped from 5 cm with restitution 0.5. A second later: how deep the lowest sphere is, how
+far it moves up and down, and the speed of the centre of mass.
 
 {rests}
 
 ## How fast
 
-The fastest of some speeds at which an engine still delivers what was asked within 1 %, and what
-happens at the next: *told* is a failure of the trajectory with its reason, *silent* a wrong motion
-without a word, if only for a drag that is on by default. An impact counts as held if the ground
-does not lose the ball.
+The table shows the fastest of several speeds at which an engine is still within 1 % of the exact
+motion, and what happens at the next: *told* means that the trajectory fails with a reason, *silent*
+that the motion is wrong without a warning, even if only because of a drag that is on by default. An
+impact counts as held if the ball does not fall through the ground.
 
 {limits}{missing}"""
 _ORIGIN = """
-on {machine}, with {versions}. `native` is what an ordinary user of the engine gets, `matched`
-what data are published with; both run through the same adapter. {judged} What the checks of
-`validate` make of contact stands in [checks.md](checks.md), what an engine can represent at all
-in [engines.md](engines.md).
+on {machine}, with {versions}. `native` settings are those that an ordinary user of the engine
+gets, `matched` ones those with which data are published; both run through the same adapter.
+{judged} How `validate` checks contact is described in [checks.md](checks.md), what an engine can
+represent at all in [engines.md](engines.md).
 """
 
 # Notes that the tables already show.
@@ -189,8 +190,7 @@ _TABLES: dict[str, Sequence[ContactLine | _Furthest]] = {
 def contact_page(study: ContactStudy, figures: dict[str, Path], folder: Path) -> str:
     """Return the page as Markdown; links to the figures, if any, are relative to `folder`."""
     versions = ", ".join(f"{engine} {version}" for engine, version in study.versions.items())
-    judged = JUDGED.replace("Marked", "Bold")
-    made = _ORIGIN.format(machine=study.machine, versions=versions, judged=judged)
+    made = _ORIGIN.format(machine=study.machine, versions=versions, judged=JUDGED)
     return _PAGE.format(
         command=study.command,
         made=textwrap.fill(made.strip(), 100),

@@ -149,10 +149,10 @@ def study_contact(choice: Choice, conduct: Conduct, command: str = "") -> Contac
 
 
 JUDGED = (
-    "Marked is what is further from the law that was asked for than 0.01 of a ball's restitution, "
-    "2 % of friction, 1° of its direction, a push of 1.05 that starts it, 1 mm of hops, 1 mm/s of "
-    "creep or trembling, 2 % of energy in a bounce, 0.1 % of energy from nowhere, and a limit that "
-    "an engine keeps silent about."
+    "Figures are in bold if they deviate from what was asked for by more than 0.01 in a ball's "
+    "restitution, 2 % in friction, 1° in its direction, 1 mm of hops, 1 mm/s of creep or "
+    "trembling, 2 % of energy in a bounce or 0.1 % of energy without a cause; if a crate starts at "
+    "another push than 1.05; or if an engine is wrong beyond a limit without saying so."
 )
 
 
@@ -298,7 +298,7 @@ def present(study: ContactStudy) -> Iterator[Block]:
     for profile in study.profiles:
         yield table_of(columns, rows_of(study, profile), title=f"{profile} settings")
     yield Remarks.of((f"{m.engine} {m.profile}, {m.part}", m.reason) for m in study.missing)
-    yield Text(JUDGED.replace("Marked", "Marked ✗"), "muted")
+    yield Text(JUDGED.replace("in bold", "marked ✗"), "muted")
 
 
 _MARKS = "12x+34|_"
