@@ -1,4 +1,4 @@
-"""Small motions given by formulas, and data sets of few trajectories."""
+"""Small motions given by formulas, data sets of few trajectories, and studies of such data."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,10 +14,12 @@ from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.groups import TrainingGroup, groups
 from mbds_xsim.learn.recipe import Profile
 from mbds_xsim.learn.runs import TrainingRequest
+from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.learn.window import KnownInputs, Motions
 from mbds_xsim.scene.scene import Clock
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.registry import load_scene
+from tests.learn import shifts
 
 torch.set_num_threads(1)
 
@@ -121,3 +123,16 @@ def ask(group: TrainingGroup, tmp_path: Path) -> Ask:
         )
 
     return make
+
+
+@pytest.fixture(scope="session")
+def studied(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Data of two engines, and barely trained models of all trainings."""
+    return shifts.make(tmp_path_factory.mktemp("shift"))
+
+
+@pytest.fixture(scope="module")
+def shift(studied: Path, apart: None) -> Shift:
+    """The study of those."""
+    del apart
+    return shifts.shift_of(studied)

@@ -7,10 +7,13 @@ from pathlib import Path
 import msgspec
 import torch
 
+from mbds_xsim.base.isolate import HERE
 from mbds_xsim.dataset.generate import Request, generate
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.learn.gns import GNS, GNSSettings
 from mbds_xsim.learn.model_file import save_model
+from mbds_xsim.learn.shift import study
+from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import Motions
 from mbds_xsim.scene.scene import Clock
@@ -48,3 +51,9 @@ def train(folder: Path, training: str, engines: tuple[str, ...], seed: int, **mo
     }  # fmt: skip
     path = folder / "models" / SCENE / "native" / "gns" / f"{training}-s{seed}.pt"
     save_model(path, model, "gns", settings, statistics, **facts)
+
+
+def shift_of(folder: Path, at: int | None = None) -> Shift:
+    """Test the models of a folder on the data next to them."""
+    question = study.question_of(folder / "models", folder / "data", SCENE)
+    return study.study(question, at=at, conduct=HERE).shift

@@ -23,14 +23,9 @@ from mbds_xsim.learn.window import HISTORY
 from mbds_xsim.scene.scene import Clock
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.registry import load_scene
-from tests.learn.shifts import ENGINES, SCENE, STEPS, TRAININGS, make, train
+from tests.learn.shifts import ENGINES, SCENE, STEPS, TRAININGS, train
 
 pytestmark = pytest.mark.usefixtures("apart")
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make(tmp_path_factory.mktemp("shift"))
 
 
 @pytest.mark.parametrize(
@@ -40,9 +35,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (["--on", "mujoco"], "--on: got 'mujoco', allowed is each, leave-one-out, all"),
     ],
 )
-def test_a_part_that_is_not_known_is_refused(folder: Path, words: list[str], line: str) -> None:
+def test_a_part_that_is_not_known_is_refused(studied: Path, words: list[str], line: str) -> None:
     with pytest.raises(InputError, match=line):
-        app(["shift", str(folder / "models"), str(folder / "data"), *words], standalone_mode=False)
+        app(
+            ["shift", str(studied / "models"), str(studied / "data"), *words], standalone_mode=False
+        )
 
 
 @pytest.mark.parametrize(
@@ -56,22 +53,22 @@ def test_a_part_that_is_not_known_is_refused(folder: Path, words: list[str], lin
         ),
     ],
 )
-def test_a_device_that_is_not_there_is_refused(folder: Path, device: str, line: str) -> None:
-    words = ["shift", str(folder / "models"), str(folder / "data"), "--device", device]
+def test_a_device_that_is_not_there_is_refused(studied: Path, device: str, line: str) -> None:
+    words = ["shift", str(studied / "models"), str(studied / "data"), "--device", device]
     with pytest.raises(InputError, match=line):
         app(words, standalone_mode=False)
 
 
-def _copied(folder: Path, tmp_path: Path) -> Path:
-    shutil.copytree(folder / "data" / SCENE, tmp_path / SCENE)
+def _copied(studied: Path, tmp_path: Path) -> Path:
+    shutil.copytree(studied / "data" / SCENE, tmp_path / SCENE)
     return tmp_path
 
 
 @pytest.mark.parametrize("name", ["start/velocity", "input/force"])
 def test_unpaired_domains_are_refused(
-    folder: Path, tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+    studied: Path, tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    data = _copied(folder, tmp_path)
+    data = _copied(studied, tmp_path)
     paired = load_paired(data, SCENE)
     shard = max((data / SCENE / "mujoco-native").glob("*.h5"))  # the last are those of tests
     with h5py.File(shard, "r+") as file:
@@ -87,30 +84,30 @@ def test_unpaired_domains_are_refused(
         load_paired(data, SCENE)
 
 
-def test_other_seeds_are_refused(folder: Path, tmp_path: Path) -> None:
-    data = _copied(folder, tmp_path)
+def test_other_seeds_are_refused(studied: Path, tmp_path: Path) -> None:
+    data = _copied(studied, tmp_path)
     with h5py.File(data / SCENE / "mujoco-native.h5", "r+") as file:
         file.attrs["seed"] = 7
     with pytest.raises(InputError, match="seed 7, unlike exudyn-native"):
         load_paired(data, SCENE)
 
 
-def test_a_damaged_learning_curve_is_refused_before_the_study(folder: Path) -> None:
-    curve = folder / "models" / SCENE / "native" / "gns" / "mujoco-s0.curve.json"
+def test_a_damaged_learning_curve_is_refused_before_the_study(studied: Path) -> None:
+    curve = studied / "models" / SCENE / "native" / "gns" / "mujoco-s0.curve.json"
     curve.write_text("{")
     try:
         with pytest.raises(InputError, match=r"mujoco-s0\.curve\.json: no learning curve"):
-            study.question_of(folder / "models", folder / "data", SCENE)
+            study.question_of(studied / "models", studied / "data", SCENE)
     finally:
         curve.unlink()
 
 
 def test_a_cache_that_cannot_be_written_to_is_refused_before_the_study(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
+    studied: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("MBDS_XSIM_CACHE", "/proc/cache")
     with pytest.raises(InputError, match="MBDS_XSIM_CACHE: cannot write /proc/cache/shift"):
-        study.question_of(folder / "models", folder / "data", SCENE)
+        study.question_of(studied / "models", studied / "data", SCENE)
 
 
 def test_data_with_no_frame_to_predict_are_refused(tmp_path: Path) -> None:
@@ -122,11 +119,11 @@ def test_data_with_no_frame_to_predict_are_refused(tmp_path: Path) -> None:
 
 
 def test_without_torch_the_command_says_what_to_install(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
+    studied: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("mbds_xsim.commands.shared.find_spec", lambda _: None)
     with pytest.raises(InputError, match=r"shift needs torch, which is not installed: pip"):
-        app(["shift", str(folder / "models"), str(folder / "data")], standalone_mode=False)
+        app(["shift", str(studied / "models"), str(studied / "data")], standalone_mode=False)
 
 
 def test_missing_data_and_models_are_one_line(tmp_path: Path) -> None:
@@ -141,18 +138,18 @@ def test_missing_data_and_models_are_one_line(tmp_path: Path) -> None:
         find_models(tmp_path, SCENE)
 
 
-def test_a_model_of_another_scene_is_refused(folder: Path) -> None:
-    entry = find_models(folder / "models", SCENE)[0]
+def test_a_model_of_another_scene_is_refused(studied: Path) -> None:
+    entry = find_models(studied / "models", SCENE)[0]
     with pytest.raises(InputError, match="not trained on the scene of the data"):
         entry.load(load_scene(SCENE))
-    paired = dataclasses.replace(load_paired(folder / "data", SCENE), scene=load_scene(SCENE))
+    paired = dataclasses.replace(load_paired(studied / "data", SCENE), scene=load_scene(SCENE))
     with pytest.raises(InputError, match="not trained on the scene of the data"):
         check_data([entry], paired)
 
 
-def test_other_training_data_are_refused(folder: Path) -> None:
-    paired = load_paired(folder / "data", SCENE)
-    entry = find_models(folder / "models", SCENE)[0]
+def test_other_training_data_are_refused(studied: Path) -> None:
+    paired = load_paired(studied / "data", SCENE)
+    entry = find_models(studied / "models", SCENE)[0]
     content = {domain.engine: domain.content for domain in paired.domains}
     good = dataclasses.replace(entry, data=(("mujoco", content["mujoco"]),))
     check_data([entry, good], paired)
@@ -161,8 +158,8 @@ def test_other_training_data_are_refused(folder: Path) -> None:
         check_data([good, bad], paired)
 
 
-def test_one_of_two_engines_left_out_is_found_by_the_word_that_trained_it(folder: Path) -> None:
-    entry = find_models(folder / "models", SCENE)[0]
+def test_one_of_two_engines_left_out_is_found_by_the_word_that_trained_it(studied: Path) -> None:
+    entry = find_models(studied / "models", SCENE)[0]
     other = dataclasses.replace(entry, training="not-mujoco-native", engines=("exudyn",))
 
     assert other.single
@@ -170,8 +167,8 @@ def test_one_of_two_engines_left_out_is_found_by_the_word_that_trained_it(folder
     assert not Selection.parse(None, "each", None).has(other)
 
 
-def test_trainings_that_differ_in_more_than_their_engines_are_refused(folder: Path) -> None:
-    entry = find_models(folder / "models", SCENE)[0]
+def test_trainings_that_differ_in_more_than_their_engines_are_refused(studied: Path) -> None:
+    entry = find_models(studied / "models", SCENE)[0]
 
     def trained(**facts: str) -> TrainedModel:
         return dataclasses.replace(entry, budget=tuple(facts.items()))
@@ -187,11 +184,11 @@ def test_trainings_that_differ_in_more_than_their_engines_are_refused(folder: Pa
         check_budget([trained(profile="b", starts="b"), matched])
 
 
-def test_a_model_that_has_seen_the_test_part_is_refused(folder: Path) -> None:
+def test_a_model_that_has_seen_the_test_part_is_refused(studied: Path) -> None:
     """None of its domains is there, so checksums say nothing; a larger set has another split."""
-    paired = load_paired(folder / "data", SCENE)
-    entry = dataclasses.replace(find_models(folder / "models", SCENE)[0], data=())
-    same = int(load_dataset(folder / "data" / SCENE / "mujoco-native.h5").attributes["count"])
+    paired = load_paired(studied / "data", SCENE)
+    entry = dataclasses.replace(find_models(studied / "models", SCENE)[0], data=())
+    same = int(load_dataset(studied / "data" / SCENE / "mujoco-native.h5").attributes["count"])
     for drawn in (None, (0, same), (1, 10 * same)):
         check_data([dataclasses.replace(entry, drawn=drawn)], paired)
     leaking = dataclasses.replace(entry, drawn=(0, 10 * same))
@@ -199,8 +196,8 @@ def test_a_model_that_has_seen_the_test_part_is_refused(folder: Path) -> None:
         check_data([leaking], paired)
 
 
-def test_fewer_trajectories_are_the_first_ones(folder: Path) -> None:
-    whole, part = (load_paired(folder / "data", SCENE, count) for count in (None, 3))
+def test_fewer_trajectories_are_the_first_ones(studied: Path) -> None:
+    whole, part = (load_paired(studied / "data", SCENE, count) for count in (None, 3))
     assert part.index.tolist() == whole.index[:3].tolist()
     assert sorted(part.index % 3) == [0, 1, 2]
     assert [len(domain.rows) for domain in part.domains] == [3, 3]
@@ -227,16 +224,16 @@ def test_fewer_test_trajectories_than_intervals_do(
 
 
 def test_all_scenes_are_checked_before_the_first_is_studied(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
+    studied: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("mbds_xsim.learn.shift.study.study", pytest.fail)
-    words = ["shift", str(folder / "models"), str(folder / "data")]
+    words = ["shift", str(studied / "models"), str(studied / "data")]
     with pytest.raises(InputError, match="balldrop"):
         app([*words, "--scene", SCENE, "--scene", "balldrop"], standalone_mode=False)
 
 
-def test_a_part_of_the_models_and_domains(folder: Path) -> None:
-    models, data = folder / "models", folder / "data"
+def test_a_part_of_the_models_and_domains(studied: Path) -> None:
+    models, data = studied / "models", studied / "data"
     part = Selection.parse("native", "each", 1)
     shift = study.study(
         study.question_of(models, data, SCENE, trajectories=2, part=part), conduct=HERE
