@@ -1,46 +1,36 @@
-"""Trained models on the axes of the engines: what holds, what breaks first, and who reports it."""
+"""Trained models on the axes of the engines: where they hold, and what pages say of it."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 
 import msgspec
-import numpy as np
 import pytest
 import torch
 from torch import Tensor
 from typer.testing import CliRunner
 
-from mbds_xsim import reference
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import HERE
 from mbds_xsim.commands import app
 from mbds_xsim.learn import simulator as simulating
 from mbds_xsim.learn.gns import GNS
-from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model_file import read_model
-from mbds_xsim.learn.particles import ParticleMotion, unexplained_energy
-from mbds_xsim.learn.simulator import LearnedSimulator, signs_of, simulators_in
-from mbds_xsim.learn.trained import particle_motion, trained_in
+from mbds_xsim.learn.simulator import LearnedSimulator, simulators_in
+from mbds_xsim.learn.trained import trained_in
 from mbds_xsim.learn.window import HISTORY, KnownInputs
 from mbds_xsim.report.files import to_html, to_markdown
-from mbds_xsim.scene.scene import Clock, Scene
-from mbds_xsim.scene.state import Batch, Trajectory
-from mbds_xsim.simulate import registry
-from mbds_xsim.simulate.timed import simulate
-from mbds_xsim.studies.stability import Outcome, Study, Survey, words
+from mbds_xsim.scene.scene import Clock
+from mbds_xsim.studies.stability import Outcome, Survey, words
 from mbds_xsim.studies.stability.present import present, to_png
 from mbds_xsim.studies.stability.studies import STUDIES
 from mbds_xsim.studies.stability.survey import SurveyPlan, simulators_of, survey
-from mbds_xsim.studies.stability.verdict import judge, run_cell
+from mbds_xsim.studies.stability.verdict import run_cell
 from tests.command_line import CommandLine
 from tests.learn.models import untrained
+from tests.learn.motions import CLOCK, particles_of, solved
 
-Array = np.ndarray
-CLOCK = Clock(0.02, 50)
 pytestmark = pytest.mark.usefixtures("apart")
 
 
@@ -50,134 +40,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("models")
     untrained(folder, "2pendulum")
     return folder
-
-
-def _solved(study: Study, value: float) -> tuple[Scene, Batch, Trajectory]:
-    scene = study.scene(value, CLOCK)
-    batch = study.batch(scene)
-    return scene, batch, reference.solve(scene, batch)
-
-
-def _motion(scene: Scene, batch: Batch, motion: Trajectory) -> ParticleMotion:
-    return particle_motion(Graph.of(scene), batch, motion)
-
-
-def _spoilt(motion: ParticleMotion, change: Callable[[Array], Array]) -> ParticleMotion:
-    return dataclasses.replace(motion, position=change(motion.position.copy()))
-
-
-def judge_particles(motion: ParticleMotion, truth: ParticleMotion) -> SimpleNamespace:
-    return SimpleNamespace(**judge(signs_of(motion, truth)))
-
-
-@pytest.fixture(scope="module")
-def swing() -> ParticleMotion:
-    """The reference of a double pendulum."""
-    return _motion(*_solved(STUDIES["swing"], 2.0))
-
-
-def test_the_true_motion_is_stable_and_nobody_says_anything(swing: ParticleMotion) -> None:
-    verdict = judge_particles(swing, swing)
-
-    assert (verdict.outcome, verdict.told, verdict.broke_s) == ("stable", "nobody", None)
-    assert verdict.error == 0.0
-    assert verdict.gap is not None
-    assert verdict.gap < 1e-8
-    assert verdict.energy == 0.0
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("swing", 20.0), ("pace", 1.0), ("throw", 5.0), ("loops", 1.0), ("restitution", 0.9)],
-)
-def test_an_engine_that_holds_holds_by_its_particles_too(name: str, value: float) -> None:
-    study = STUDIES[name]
-    scene, batch, truth = _solved(study, value)
-    adapter = registry.load_adapter("mujoco")
-    settings = dataclasses.replace(adapter.settings(scene, "matched"), method="RK4", step=0.001)
-    run = simulate(scene, batch, "mujoco", settings).trajectory
-
-    verdict = judge_particles(_motion(scene, batch, run), _motion(scene, batch, truth))
-
-    assert verdict.outcome == "stable", verdict
-
-
-def test_a_drag_that_nobody_asked_for_loses_energy(swing: ParticleMotion) -> None:
-    slow = np.linspace(0, 1, len(swing.position)) ** 2  # time lags ever more
-    frames = np.arange(len(swing.position)) - 20.0 * slow
-
-    def lag(position: Array) -> Array:
-        flat = position.reshape(len(position), -1)
-        known = np.arange(len(position))
-        lagged = [np.interp(frames, known, column) for column in flat.T]
-        return np.stack(lagged, axis=1).reshape(position.shape)
-
-    # Interpolated positions cut corners by less than joints may open.
-    energy = unexplained_energy(_spoilt(swing, lag), swing)
-
-    assert np.isnan(energy[:HISTORY]).all()
-    assert np.nanmin(energy) < -0.1
-
-
-def test_a_rod_that_grows_comes_apart_when_it_has_grown(swing: ParticleMotion) -> None:
-    def grow(position: Array) -> Array:
-        position[30:, 0] *= 1.05
-        return position
-
-    verdict = judge_particles(_spoilt(swing, grow), swing)
-
-    assert verdict.outcome == "comes apart"
-    assert verdict.broke_s == pytest.approx(0.6)
-
-
-def test_what_stands_still_is_stuck() -> None:
-    ball = _motion(*_solved(STUDIES["throw"], 0.0))
-
-    def stay(position: Array) -> Array:
-        position[:] = position[0]
-        return position
-
-    assert judge_particles(_spoilt(ball, stay), ball).outcome == "stuck"
-
-
-def test_what_is_no_number_has_blown_up(swing: ParticleMotion) -> None:
-    def lose(position: Array) -> Array:
-        position[40:] = np.nan
-        return position
-
-    lost = judge_particles(_spoilt(swing, lose), swing)
-
-    assert (lost.outcome, lost.broke_s, lost.told) == ("blows up", 0.8, "nobody")
-    assert lost.ended_s == pytest.approx(0.78)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"), [("throw", 15.0), ("throw", 150.0), ("restitution", 0.9)]
-)
-def test_a_bounce_is_no_rise_of_energy_and_a_faster_ball_is(name: str, value: float) -> None:
-    ball = _motion(*_solved(STUDIES[name], value))
-
-    def lift(position: Array) -> Array:
-        position[30:] += np.linspace(0.0, 3.0, len(position) - 30)[:, None, None] ** 2 * value
-        return position
-
-    energy = unexplained_energy(ball, ball)
-
-    assert np.nanmax(energy) < 1e-9
-    assert judge_particles(ball, ball).outcome == "stable"
-    assert judge_particles(_spoilt(ball, lift), ball).outcome == "gains energy"
-
-
-def test_a_ball_in_the_ground_is_seen() -> None:
-    ball = _motion(*_solved(STUDIES["throw"], 0.0))
-
-    def sink(position: Array) -> Array:
-        position[45:, :, 2] = -0.5
-        return position
-
-    assert judge_particles(ball, ball).outcome == "stable"
-    verdict = judge_particles(_spoilt(ball, sink), ball)
-    assert (verdict.outcome, verdict.broke_s) == ("sinks in", 0.9)
 
 
 class _Perfect(GNS):
@@ -196,11 +58,11 @@ class _Perfect(GNS):
 def test_a_model_that_knows_the_motion_is_stable_from_the_frames_it_is_given(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    scene, batch, truth = _solved(STUDIES["swing"], 5.0)
+    scene, batch, truth = solved(STUDIES["swing"], 5.0)
     model, _ = read_model(next(folder.rglob("*.pt")), scene)
     model.__class__ = _Perfect
     assert isinstance(model, _Perfect)
-    model.truth = torch.from_numpy(_motion(scene, batch, truth).position)[None]
+    model.truth = torch.from_numpy(particles_of(scene, batch, truth).position)[None]
     monkeypatch.setattr(simulating, "read_model", lambda *_: (model, {}))
 
     cell = run_cell(simulators_in([folder])[0], scene, batch, 1, truth)
@@ -346,7 +208,7 @@ def test_a_scene_that_the_parameters_do_not_fit_is_left_out(folder: Path) -> Non
 
 def test_without_a_reference_nothing_can_be_given_to_a_model(folder: Path) -> None:
     (model,) = simulators_in([folder])
-    scene, batch, _ = _solved(STUDIES["swing"], 0.0)
+    scene, batch, _ = solved(STUDIES["swing"], 0.0)
 
     with pytest.raises(InputError, match=r"nothing to run in wheels: .* no reference"):
         simulators_of(SurveyPlan(STUDIES["wheels"], values=(10.0,), others=(model,)))
