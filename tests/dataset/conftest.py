@@ -8,13 +8,18 @@ from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 
 from mbds_xsim.base.isolate import Silent
+from mbds_xsim.dataset.audit import Audited, audit_file
+from mbds_xsim.dataset.foreign import Provenance
 from mbds_xsim.dataset.generate import Generated, Request, generate
 from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.registry import load_scene
+
+from .foreign_files import NAMED, Arrays, Audit, simulated
 
 TEXTS = ("1pendulum/README.md", "1pendulum/croissant.json")
 SHARD = "1pendulum/mujoco-matched/0000000000.h5"
@@ -101,3 +106,25 @@ def contents(folder: Path) -> dict[str, str]:
 @pytest.fixture
 def copy(few: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(few, tmp_path / "copy"))
+
+
+@pytest.fixture(scope="session")
+def swing(rod: Scene) -> Arrays:
+    """Two trajectories of the rod, not to be changed."""
+    return simulated(rod)
+
+
+@pytest.fixture(scope="session")
+def drop() -> tuple[Scene, Arrays]:
+    """A disc of 19 particles in a plane, which determine its rotation."""
+    scene = load_scene("balldrop")
+    return scene, simulated(scene)
+
+
+@pytest.fixture
+def audited(tmp_path: Path) -> Audit:
+    def run(scene: Scene, arrays: Arrays, provenance: Provenance = NAMED) -> Audited:
+        np.savez(tmp_path / "it.npz", **arrays)  # type: ignore[arg-type]
+        return audit_file(tmp_path / "it.npz", scene, provenance)
+
+    return run
