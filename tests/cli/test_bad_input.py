@@ -7,7 +7,6 @@ import os
 import random
 import re
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,8 @@ from mbds_xsim.base.errors import SceneError
 from mbds_xsim.scene.file import read_scene
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
+from tests.command_line import CommandLine
+from tests.tables import at, places
 
 Table = dict[str, Any]
 
@@ -137,7 +138,7 @@ _WORDS: dict[str, tuple[str, list[str]]] = {
 
 @pytest.mark.parametrize(("line", "expected"), _WORDS.values(), ids=_WORDS.keys())
 def test_wrong_words_get_one_line(
-    line: str, expected: list[str], run: Callable[..., Any], here: Path
+    line: str, expected: list[str], run: CommandLine, here: Path
 ) -> None:
     (here / "scene.toml").write_text("")
 
@@ -157,7 +158,7 @@ def test_wrong_words_get_one_line(
     ],
 )
 def test_no_output_replaces_data_or_models_of_a_folder(
-    line: str, run: Callable[..., Any], here: Path
+    line: str, run: CommandLine, here: Path
 ) -> None:
     files = [here / "data" / name for name in ("a.h5", "a.pt")]
     files[0].parent.mkdir()
@@ -179,7 +180,7 @@ def test_no_output_replaces_data_or_models_of_a_folder(
     ],
 )
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="a system without named pipes")
-def test_a_named_pipe_is_not_waited_for(line: str, run: Callable[..., Any], here: Path) -> None:
+def test_a_named_pipe_is_not_waited_for(line: str, run: CommandLine, here: Path) -> None:
     for name in ("pipe.toml", "pipe.json"):
         os.mkfifo(here / name)
 
@@ -213,12 +214,9 @@ def _door() -> Table:
     }
 
 
-def _set(table: Any, *path: Any, to: object) -> Table:
-    whole = table
-    for step in path[:-1]:
-        table = table[step]
-    table[path[-1]] = to
-    return whole
+def _set(table: Table, *path: Any, to: object) -> Table:
+    at(table, path[:-1])[path[-1]] = to
+    return table
 
 
 def _unclosable() -> list[Table]:
@@ -277,7 +275,7 @@ _FILES: dict[str, tuple[Table | bytes, list[str]]] = {
 
 @pytest.mark.parametrize(("content", "expected"), _FILES.values(), ids=_FILES.keys())
 def test_a_wrong_scene_file_gets_one_line_that_names_it(
-    content: Table | bytes, expected: list[str], run: Callable[..., Any], here: Path
+    content: Table | bytes, expected: list[str], run: CommandLine, here: Path
 ) -> None:
     text = content if isinstance(content, bytes) else tomli_w.dumps(content).encode()
     (here / "door.toml").write_bytes(text)
@@ -295,19 +293,11 @@ _ODD: tuple[object, ...] = (
 )
 
 
-def _places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    if not isinstance(value, dict | list):
-        return [path]
-    items = value.items() if isinstance(value, dict) else enumerate(value)
-    below = [leaf for key, item in items for leaf in _places(item, (*path, key))]
-    return [path, *below] if path else below
-
-
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("odd", _ODD, ids=lambda odd: repr(odd)[:12])
 def test_no_value_anywhere_in_a_file_gets_past_the_one_line(odd: object, tmp_path: Path) -> None:
     path = tmp_path / "odd.toml"
-    for place in _places(_door()):
+    for place in places(_door())[1:]:
         path.write_text(tomli_w.dumps(_set(_door(), *place, to=odd)))
 
         scene = _read_or_told(path)
@@ -331,7 +321,7 @@ def _read_or_told(path: Path) -> Scene | None:
 
 
 def test_a_missing_engine_is_named_with_the_line_that_installs_it(
-    run: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    run: CommandLine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
     for module in [name for name in sys.modules if re.match(r"mbds_xsim_adapters\._?mujoco", name)]:
@@ -346,7 +336,7 @@ def test_a_missing_engine_is_named_with_the_line_that_installs_it(
     assert "not installed" in listed.out
 
 
-def test_the_installed_program_says_it_too(program: Callable[..., Any], here: Path) -> None:
+def test_the_installed_program_says_it_too(program: CommandLine, here: Path) -> None:
     (here / "dark.toml").write_bytes(b"name = '\xff'")
 
     _assert_one_line(program("validate", "dark.toml"), ["dark.toml: got byte 0xff at 8", "UTF-8"])
@@ -354,7 +344,7 @@ def test_the_installed_program_says_it_too(program: Callable[..., Any], here: Pa
     _assert_one_line(program("--frobnicate"), ["No such option: --frobnicate"])
 
 
-def test_a_full_disk_and_an_output_that_hangs_up(program: Callable[..., Any]) -> None:
+def test_a_full_disk_and_an_output_that_hangs_up(program: CommandLine) -> None:
     with open("/dev/full", "w") as full:
         ended = program("scenes", stdout=full)
     assert (ended.code, ended.err) == (2, "mbds-xsim: [Errno 28] No space left on device\n")
@@ -366,7 +356,7 @@ def test_a_full_disk_and_an_output_that_hangs_up(program: Callable[..., Any]) ->
     assert "Traceback" not in ended.err
 
 
-def test_what_nobody_reads_is_written_all_the_same(program: Callable[..., Any], here: Path) -> None:
+def test_what_nobody_reads_is_written_all_the_same(program: CommandLine, here: Path) -> None:
     """`validate … --markdown page.md | head -1`: the reader is gone before files are written."""
     reading, writing = os.pipe()
     os.close(reading)
@@ -377,7 +367,7 @@ def test_what_nobody_reads_is_written_all_the_same(program: Callable[..., Any], 
     assert "1pendulum" in (here / "page.md").read_text("utf-8")
 
 
-def test_devices_and_links_are_written_through(run: Callable[..., Any], here: Path) -> None:
+def test_devices_and_links_are_written_through(run: CommandLine, here: Path) -> None:
     """Renaming a finished file onto /dev/null would put a file in its place."""
     (here / "link.json").symlink_to("target.json")
 

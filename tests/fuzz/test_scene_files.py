@@ -5,9 +5,7 @@ from __future__ import annotations
 import copy
 import functools
 import math
-import operator
 import tomllib
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +19,7 @@ from mbds_xsim.scene.file import read_scene, write_scene
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.simulate.registry import load_scene
 from tests.fuzz.campaign import fuzz, refused, run_command
+from tests.tables import at, places
 
 _NUMBERS = st.one_of(
     st.sampled_from((0, -1, 1, 0.1, 1e7, 1e15, 1e16, 1e300, -1e160, 2**62, 10**30)),
@@ -57,25 +56,14 @@ def _nested(depth: int) -> Any:
     return [_nested(depth - 1)] if depth else 0
 
 
-def _at(data: Any, path: Iterable[Any]) -> Any:
-    return functools.reduce(operator.getitem, path, data)
-
-
-def _places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    if not isinstance(value, dict | list):
-        return [path]
-    items = value.items() if isinstance(value, dict) else enumerate(value)
-    return [path, *(leaf for key, item in items for leaf in _places(item, (*path, key)))]
-
-
 @st.composite
 def changed(draw: st.DrawFn) -> dict[str, Any]:
     """Draw a sound scene with up to four of its places changed, left out or there twice."""
     data: dict[str, Any] = copy.deepcopy(tomllib.loads(_sound(draw(st.sampled_from(_SCENES)))))
     data["clock"] = {"frame": 0.02, "steps": 3}
     for _ in range(draw(st.integers(1, 4))):
-        *above, key = draw(st.sampled_from(_places(data)[1:]))
-        container = _at(data, above)
+        *above, key = draw(st.sampled_from(places(data)[1:]))
+        container = at(data, above)
         match draw(st.sampled_from(["set", "set", "set", "drop", "twice", "add", "swap"])):
             case "set":
                 container[key] = draw(_NUMBER_OR_OTHER)
@@ -86,8 +74,8 @@ def changed(draw: st.DrawFn) -> dict[str, Any]:
             case "add" if isinstance(container, dict):
                 container[draw(_TEXTS)] = draw(_VALUES)
             case "swap":
-                other = draw(st.sampled_from(_places(data)[1:]))
-                container[key] = copy.deepcopy(_at(data, other))
+                other = draw(st.sampled_from(places(data)[1:]))
+                container[key] = copy.deepcopy(at(data, other))
             case _:
                 continue
     return data
