@@ -18,7 +18,7 @@ from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import HingeRate
-from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Ground, Inertia, Scene, Torque, Vector
+from mbds_xsim.scene.scene import Body, Clock, Ground, Inertia, Scene, Torque, Vector
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.choice import settings_for
@@ -28,6 +28,7 @@ from mbds_xsim.testing.collision_cases import Flying, balls
 from mbds_xsim.testing.contact_cases import RADIUS as R
 from mbds_xsim.testing.contact_cases import ball, gaps, laid_cubli, rolling
 from tests.adapters.exact import balldrop_followed, ballscroll_followed
+from tests.over_ground import over_ground
 
 dartpy: Any = pytest.importorskip("dartpy")
 
@@ -131,15 +132,7 @@ def test_an_eccentric_impact_is_newtons_and_coulombs(offset: Vector) -> None:
     inertia = Inertia(2.0, (0.05, 0.08, 0.1), com=(0.0, 0.0, height))
     body = Body("brick", inertia=inertia, velocity=(0.4, 0.2, -3.0))
     centre = (offset[0], offset[1], 0.01 + 0.05)
-    scene = Scene(
-        "brick",
-        bodies=(body,),
-        contacts=(ContactSphere("brick", centre, 0.05),),
-        ground=Ground(MU, E),
-        length=1.0,
-        gravity=STILL,
-        clock=Clock(steps=1),
-    )
+    scene = over_ground(body, centre, 0.05, Ground(MU, E), gravity=STILL, clock=Clock(steps=1))
     arm = np.array([*offset[:2], offset[2] - 0.05])
     skew = np.array([[0, -arm[2], arm[1]], [arm[2], 0, -arm[0]], [-arm[1], arm[0], 0]])
     yielding = np.eye(3) / 2.0 - skew @ np.diag([1 / 0.05, 1 / 0.08, 1 / 0.1]) @ skew

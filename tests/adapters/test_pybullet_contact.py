@@ -10,13 +10,14 @@ import pytest
 
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Ground, Inertia, Scene
+from mbds_xsim.scene.scene import Body, Clock, Ground, Inertia, Scene
 from mbds_xsim.scene.state import Trajectory
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.testing.contact_cases import RADIUS as R
 from mbds_xsim.testing.contact_cases import ball, crate, gaps
 from tests.adapters.exact import Runs, balldrop_followed, ballscroll_followed
+from tests.over_ground import over_ground
 
 pytest.importorskip("pybullet")
 
@@ -82,15 +83,7 @@ def _corner(arm: Array, velocity: Vector) -> Scene:
     at = (0.0, 0.0, 1e-3 - float(arm[1]))
     centre = (float(arm[0]), 0.0, R + 1e-3)
     body = Body("a", inertia=Inertia(1.0, (0.02,) * 3), position=at, velocity=velocity)
-    return Scene(
-        "probe",
-        (body,),
-        length=1.0,
-        gravity=STILL,
-        contacts=(ContactSphere("a", centre, R),),
-        ground=Ground(MU, E),
-        clock=Clock(steps=1),
-    )
+    return over_ground(body, centre, R, Ground(MU, E), gravity=STILL, clock=Clock(steps=1))
 
 
 def _impulse(arm: Array, velocity: Array) -> Array:

@@ -13,20 +13,13 @@ import pytest
 
 from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import (
-    Body,
-    Clock,
-    ContactSphere,
-    Ground,
-    Inertia,
-    Joint,
-    Scene,
-)
+from mbds_xsim.scene.scene import Body, Clock, Ground, Inertia, Joint
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.testing.contact_cases import RADIUS as R
 from mbds_xsim.testing.contact_cases import ball, gaps
 from tests.adapters.exact import Runs
+from tests.over_ground import over_ground
 
 pybullet: Any = pytest.importorskip("pybullet")
 
@@ -57,15 +50,9 @@ def test_a_sphere_off_the_centre_touches_where_it_is(part: str) -> None:
     odd = Inertia(1.0, (0.03, 0.05, 0.06), (0.01, -0.004, 0.008), com=(0.1, 0.0, 1.0))
     centre = (0.4, 0.3, 0.9)
     hinge = Joint("hinge", "hinge", "world", "a", (-0.3, 0.0, 0.6), axis=(0.0, 1.0, 0.0))
-    scene = Scene(
-        "probe",
-        (Body("a", inertia=odd),),
-        length=1.0,
-        joints=(hinge,) if part == "link" else (),
-        contacts=(ContactSphere("a", centre, 0.15),),
-        ground=Ground(MU, E),
-        clock=Clock(steps=50),
-    )
+    joints = (hinge,) if part == "link" else ()
+    more = {"joints": joints, "clock": Clock(steps=50)}
+    scene = over_ground(Body("a", inertia=odd), centre, 0.15, Ground(MU, E), **more)
     motion = simulate(scene, 200)
     lowest = gaps(scene, motion)[0, :, 0]
     assert (np.diff(lowest) > 0).any()  # it has bounced

@@ -17,12 +17,13 @@ from mbds_xsim.checks.displacement import displacement
 from mbds_xsim.checks.ground import pushes_of
 from mbds_xsim.reference.solution import solve
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Ground, Inertia, Joint, Scene
+from mbds_xsim.scene.scene import Body, Clock, Ground, Inertia, Joint, Scene
 from mbds_xsim.scene.state import Trajectory
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.claims import Method
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.simulate.timed import simulate as run
+from tests.over_ground import over_ground
 
 RK4 = Method("RK4", "RK4", 4)
 LEAPFROG = Method("Euler", "semi-implicit Euler", 1, velocity_lag=-0.5)
@@ -35,14 +36,8 @@ def of_case(case: Any, motion: Trajectory) -> Finding:
 
 
 def ball(frames: int) -> Scene:
-    return Scene(
-        name="ball",
-        bodies=(Body("ball", inertia=Inertia(MASS, (MOMENT,) * 3), position=(0.0, 0.0, RADIUS)),),
-        contacts=(ContactSphere("ball", (0.0, 0.0, RADIUS), RADIUS),),
-        ground=Ground(friction=MU, restitution=0.5),
-        length=1.0,
-        clock=Clock(FRAME, frames),
-    )
+    body = Body("ball", inertia=Inertia(MASS, (MOMENT,) * 3), position=(0.0, 0.0, RADIUS))
+    return over_ground(body, body.position, RADIUS, Ground(MU, 0.5), clock=Clock(FRAME, frames))
 
 
 def rolled(impulses: Array, times: Array, speed: float, rate: float) -> tuple[Scene, Trajectory]:

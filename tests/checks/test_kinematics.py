@@ -14,7 +14,7 @@ from mbds_xsim.checks.displacement import displacement
 from mbds_xsim.checks.kinematics import kinematics, velocity_lag
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Ground, Inertia, Joint, Scene
+from mbds_xsim.scene.scene import Body, Clock, Ground, Inertia, Joint, Scene
 from mbds_xsim.scene.state import Failure, Trajectory
 from mbds_xsim.simulate.adapter import Adapter, Settings
 from mbds_xsim.simulate.claims import Method
@@ -22,6 +22,7 @@ from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.simulate.timed import simulate as run
 from mbds_xsim.testing.case import Case as Exact
 from mbds_xsim.testing.cases import CASES
+from tests.over_ground import over_ground
 
 LEAPFROG = Method("Euler", "semi-implicit Euler", 1, velocity_lag=-0.5)
 METHODS = {
@@ -299,14 +300,8 @@ def test_frames_after_a_failure_are_left_out(pendulum: Any) -> None:
 def test_only_flights_are_looked_at_where_there_is_contact() -> None:
     """One sphere drops from 1.1 m and bounces at 0.1 m; another lies on the ground."""
     fall = np.sqrt(2 / 9.81)
-    scene = Scene(
-        name="bouncing",
-        bodies=(Body("ball", inertia=Inertia(1.0, (0.1, 0.1, 0.1)), position=(0.0, 0.0, 1.1)),),
-        contacts=(ContactSphere("ball", (0.0, 0.0, 1.1), 0.1),),
-        ground=Ground(friction=0.0, restitution=1.0),
-        length=1.0,
-        clock=Clock(0.02, 80),
-    )
+    ball = Body("ball", inertia=Inertia(1.0, (0.1, 0.1, 0.1)), position=(0.0, 0.0, 1.1))
+    scene = over_ground(ball, ball.position, 0.1, Ground(0.0, 1.0), clock=Clock(0.02, 80))
     time = np.arange(81) * np.float64(0.02)
     since = (time + fall) % (2 * fall) - fall
     position, velocity = np.zeros((2, 2, 81, 1, 3))

@@ -17,7 +17,6 @@ from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import (
     Body,
     Clock,
-    ContactSphere,
     DistanceLink,
     Ground,
     Inertia,
@@ -29,6 +28,7 @@ from mbds_xsim.scene.scene import (
 from mbds_xsim.scene.state import Trajectory
 from mbds_xsim.simulate.claims import Method
 from mbds_xsim.simulate.registry import load_scene
+from tests.over_ground import over_ground
 
 RK4 = Method("RK4", "RK4", 4)
 LEAPFROG = Method("Euler", "semi-implicit Euler", 1, velocity_lag=-0.5)
@@ -191,15 +191,9 @@ def test_driven_hinges_to_the_world_count_and_others_do_not() -> None:
 
 def _bouncing(gravity: float) -> tuple[Scene, Trajectory]:
     """A sphere that falls from 1.1 m, bounces fully at 0.1 m, and drifts along x."""
-    scene = Scene(
-        name="bouncing",
-        bodies=(Body("ball", inertia=BALL, position=(0.0, 0.0, 1.1), velocity=(1.0, 0.0, 0.0)),),
-        contacts=(ContactSphere("ball", (0.0, 0.0, 1.1), 0.1),),
-        ground=Ground(friction=0.0, restitution=1.0),
-        length=1.0,
-        gravity=(0.0, 0.0, -gravity),
-        clock=Clock(0.02, 80),
-    )
+    ball = Body("ball", inertia=BALL, position=(0.0, 0.0, 1.1), velocity=(1.0, 0.0, 0.0))
+    more = {"gravity": (0.0, 0.0, -gravity), "clock": Clock(0.02, 80)}
+    scene = over_ground(ball, ball.position, 0.1, Ground(0.0, 1.0), **more)
     time = 0.02 * np.arange(81.0)
     fall = np.sqrt(2 / 9.81)
     since = (time + fall) % (2 * fall) - fall

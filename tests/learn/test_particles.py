@@ -21,8 +21,9 @@ from mbds_xsim.learn.particles import (
 from mbds_xsim.learn.shift.evaluation import valid_time
 from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Body, ContactSphere, Ground, Particle, Scene
+from mbds_xsim.scene.scene import Body, Ground, Particle
 from mbds_xsim.simulate.registry import load_scene
+from tests.over_ground import over_ground
 
 FRAMES = 5
 Analytic = Callable[..., Motions]
@@ -150,13 +151,8 @@ def test_spin_that_friction_turns_into_speed_is_no_gain_of_energy() -> None:
     radius, spin, friction = 0.1, 50.0, 0.3
     centre = (0.0, 0.0, radius)
     particle = Particle(centre, 1.0, 0.4 * radius**2)
-    scene = Scene(
-        "topspin",
-        (Body("ball", particles=(particle,), angular_velocity=(0.0, spin, 0.0)),),
-        1.0,
-        contacts=(ContactSphere("ball", centre, radius),),
-        ground=Ground(friction, 0.0),
-    )
+    body = Body("ball", (particle,), angular_velocity=(0.0, spin, 0.0))
+    scene = over_ground(body, centre, radius, Ground(friction, 0.0))
     time = 0.02 * np.arange(101)
     pull, rolling = friction * 9.81, 2.0 / 7.0 * radius * spin
     until = np.minimum(time, rolling / pull)

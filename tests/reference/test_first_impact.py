@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -26,6 +27,7 @@ from mbds_xsim.scene.scene import (
 )
 from mbds_xsim.scene.state import Trajectory
 from mbds_xsim.simulate.registry import load_scene
+from tests.over_ground import over_ground
 
 RADIUS = 0.05
 ANGLE = math.asin(0.8)
@@ -99,21 +101,11 @@ def test_spinning_tip_touches_first(spin: float) -> None:
 def test_a_graze_between_steps_is_seen() -> None:
     """The tips of a bar that turns in place dip below the ground for a short while only."""
     spin, height = 3.0, 0.5 + RADIUS - 1e-5
-    scene = dumbbell(height=height, spin=spin)
-    scene = Scene(
-        **{key: getattr(scene, key) for key in scene.__struct_fields__ if key != "gravity"},
-        gravity=(0.0, 0.0, 0.0),
-    )
+    still = (0.0, 0.0, 0.0)
+    scene = msgspec.structs.replace(dumbbell(height=height, spin=spin), gravity=still)
     expected = math.asin((height - RADIUS) / 0.5) / spin
     assert impact(run(scene)).time == pytest.approx(expected, abs=1e-11)
-    higher = Scene(
-        **{key: getattr(scene, key) for key in scene.__struct_fields__ if key != "bodies"},
-        bodies=dumbbell(height=height + 2e-5, spin=spin).bodies,
-    )
-    lifted = Scene(
-        **{key: getattr(higher, key) for key in higher.__struct_fields__ if key != "contacts"},
-        contacts=dumbbell(height=height + 2e-5).contacts,
-    )
+    lifted = msgspec.structs.replace(dumbbell(height=height + 2e-5, spin=spin), gravity=still)
     assert run(lifted).failures == (None,)
 
 
@@ -186,15 +178,9 @@ def test_a_hanging_sphere_reaches_the_ground() -> None:
     """A pendulum with one sphere is no free ball; its energy gives its speed at the impact."""
     moment, radius = 0.1, 0.2
     bob = Body("bob", inertia=Inertia(1.0, (moment,) * 3, com=(1.0, 0.0, 1.0)))
-    scene = Scene(
-        "pendulum",
-        (bob,),
-        1.0,
-        joints=(Joint("pivot", "hinge", "world", "bob", (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)),),
-        contacts=(ContactSphere("bob", (1.0, 0.0, 1.0), radius),),
-        ground=Ground(0.4, 0.9),
-        clock=Clock(0.02, 60),
-    )
+    pivot = Joint("pivot", "hinge", "world", "bob", (0.0, 0.0, 1.0), (0.0, 1.0, 0.0))
+    more = {"joints": (pivot,), "clock": Clock(0.02, 60)}
+    scene = over_ground(bob, (1.0, 0.0, 1.0), radius, Ground(0.4, 0.9), **more)
     touch = impact(run(scene)).time
     # From the horizontal: φ' = √(2 g sin φ / (1 + I)), down to 1 − sin φ = r; φ = x².
     rate = math.sqrt(2.0 * 9.81 / (1.0 + moment))

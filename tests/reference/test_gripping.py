@@ -18,17 +18,9 @@ from mbds_xsim.reference.solution import solve
 from mbds_xsim.scene.joint_space import BodyStates, to_bodies, to_links
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import (
-    Body,
-    Clock,
-    ContactSphere,
-    Ground,
-    Inertia,
-    Joint,
-    Scene,
-    SpringDamper,
-)
+from mbds_xsim.scene.scene import Body, Clock, Ground, Inertia, Joint, Scene, SpringDamper
 from mbds_xsim.simulate.registry import load_scene
+from tests.over_ground import over_ground
 from tests.random_scenes import MOVED, SEEDS, Kind, ruled_tree
 
 _STILL = 1e-12
@@ -96,15 +88,8 @@ def test_a_rubbing_block_lands_when_its_slope_says(friction: float) -> None:
     body = Body("block", inertia=Inertia(mass, (1e-3,) * 3), position=(0, 0, radius + gap))
     rail = Joint("rail", "slider", "world", "block", (0, 0, radius + gap), down, friction=friction)
     rail = msgspec.structs.replace(rail, limits=(-1.0, 1.0))
-    scene = Scene(
-        "rail",
-        (body,),
-        1.0,
-        joints=(rail,),
-        contacts=(ContactSphere("block", (0.0, 0.0, radius + gap), radius),),
-        ground=Ground(0.5, 0.0),
-        clock=Clock(0.02, 40),
-    )
+    more = {"joints": (rail,), "clock": Clock(0.02, 40)}
+    scene = over_ground(body, body.position, radius, Ground(0.5, 0.0), **more)
     motion = solve(scene, draw_batch(scene, [0], noise=False), cache=False)
     pull = 9.81 * np.sin(slope) - friction / mass
     time = np.sqrt(2.0 * gap / np.sin(slope) / pull)

@@ -15,8 +15,9 @@ from mbds_xsim.reference.ball import BallContact, BallState, EvenBall, Load
 from mbds_xsim.reference.tumbling_ball import TumblingBall
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Force, Ground, Inertia, Scene, Vector
+from mbds_xsim.scene.scene import Body, Clock, Force, Ground, Inertia, Scene, Vector
 from mbds_xsim.scene.state import Trajectory
+from tests.over_ground import over_ground
 
 G, MU, MASS, RADIUS = 9.81, 0.43, 1.5, 0.1
 MOMENTS = (0.004, 0.007, 0.009)
@@ -43,15 +44,8 @@ def ball(
         velocity=velocity,
         angular_velocity=spin,
     )
-    return Scene(
-        "ball",
-        (body,),
-        1.0,
-        contacts=(ContactSphere("ball", body.position, RADIUS),),
-        ground=Ground(friction, 0.8),
-        forces=forces,
-        clock=Clock(0.02, steps),
-    )
+    more = {"forces": forces, "clock": Clock(0.02, steps)}
+    return over_ground(body, body.position, RADIUS, Ground(friction, 0.8), **more)
 
 
 def run(scene: Scene) -> Trajectory:
