@@ -16,13 +16,14 @@ from mbds_xsim.scene.constraints import constraint_rows
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import HingeRate
-from mbds_xsim.scene.scene import Clock, Scene
+from mbds_xsim.scene.scene import Clock, Ground, Scene
 from mbds_xsim.scene.state import Batch, Trajectory
-from mbds_xsim.simulate.adapter import Adapter, Settings
+from mbds_xsim.simulate import readback
+from mbds_xsim.simulate.adapter import Adapter, Readback, Settings
 from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.testing.contact_cases import RADIUS as R
-from mbds_xsim.testing.contact_cases import gaps
+from mbds_xsim.testing.contact_cases import ball, gaps
 
 Rollout = Callable[[Scene, Batch], Trajectory]
 
@@ -53,6 +54,18 @@ class Runs:
         motion = self.rollout(scene, batch, Settings(preset.method, step, used))
         assert motion.failures == (None,)
         return motion
+
+    def read_back(self, scene: Scene, other: Scene) -> tuple[Readback, list[str]]:
+        """Return what a loaded scene reads back as, and in what that differs from another scene."""
+        batch, settings = draw_batch(scene, [0]), self.engine.settings(scene, "matched")
+        with self.engine.open(scene, settings) as run:
+            native = run.readback(batch)
+        return native, readback.compare(Mechanism.of(other), batch, settings, native)
+
+    def native(self, scene: Scene) -> str:
+        """Return the text of a scene in the words of the engine."""
+        with self.engine.open(scene, settings_for(scene, self.engine, "matched")) as run:
+            return run.native(draw_batch(scene, [0]))
 
 
 def worst_gap(scene: Scene, motion: Trajectory) -> float:
@@ -133,3 +146,21 @@ def car_slips_on_the_ground(alone: Callable[[Scene], Trajectory], frames: int) -
     assert 100.0 - first.mean() == pytest.approx(slowing, rel=0.02)
     gap = gaps(scene, motion).min(axis=-1)
     assert -1e-3 < gap.min() <= gap.max() < 1e-3
+
+
+def elastic_ball_keeps_its_energy(alone: Callable[[Scene], Trajectory], within: float) -> None:
+    """Assert that a ball has as much energy in the air after every bounce."""
+    motion = alone(ball(0.2, ground=Ground(0.43, 1.0), steps=200))
+    height, velocity = motion.position[0, :, 0, 2] - R, motion.velocity[0, :, 0, 2]
+    energy = (0.5 * velocity**2 + 9.81 * height)[height > 0] / (9.81 * 0.2)
+
+    assert np.sum(np.diff(np.sign(velocity)) > 0) > 5
+    np.testing.assert_allclose(energy, 1.0, atol=within)
+
+
+def ends_in_the_ground(motion: Trajectory) -> None:
+    """Assert that a trajectory has failed because a sphere sank in, and goes no further."""
+    failure = motion.failures[0]
+    assert failure is not None
+    assert "in the ground" in failure.reason
+    assert np.isnan(motion.position[0, failure.frame :]).all()

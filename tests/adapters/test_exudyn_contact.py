@@ -13,12 +13,9 @@ from scipy.integrate import solve_ivp
 
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError, Unsupported
-from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import ContactSphere, Ground
-from mbds_xsim.simulate import readback
 from mbds_xsim.simulate.adapter import Settings
-from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.testing.contact_cases import RADIUS as R
 from mbds_xsim.testing.contact_cases import ball
@@ -28,6 +25,8 @@ from tests.adapters.exact import (
     ballscroll_followed,
     car_slips_on_the_ground,
     cubli_loses_energy,
+    elastic_ball_keeps_its_energy,
+    ends_in_the_ground,
 )
 
 pytest.importorskip("exudyn")
@@ -101,10 +100,8 @@ def test_a_restitution_that_the_law_cannot_have_is_refused() -> None:
 
 def test_without_restitution_is_what_reads_back() -> None:
     scene = ball(ground=Ground(MU, 0.0))
-    batch, settings = draw_batch(scene, [0]), ENGINE.settings(scene, "matched")
-    with ENGINE.open(scene, settings) as run:
-        native = run.readback(batch)
-    assert readback.compare(Mechanism.of(scene), batch, settings, native) == []
+    _, differences = _RUNS.read_back(scene, scene)
+    assert differences == []
 
 
 def rebound(restitution: float, speed: float) -> float:
@@ -179,27 +176,17 @@ def test_balls_grip_and_roll_up_a_slope_as_the_closed_form_says() -> None:
 
 
 def test_what_is_read_back_is_the_engines_own() -> None:
-    scene = ball()
-    batch, settings = draw_batch(scene, [0]), ENGINE.settings(scene, "matched")
-    with ENGINE.open(scene, settings) as run:
-        native = run.readback(batch)
-
     other = replaced(
-        scene,
+        ball(),
         ground=Ground(0.185, 0.88),
         contacts=(ContactSphere("ball", (0.0, 0.0, R), 1.01 * R),),
     )
-    differences = readback.compare(Mechanism.of(other), batch, settings, native)
+    _, differences = _RUNS.read_back(ball(), other)
     assert [line.split()[0] for line in differences] == ["radius", "friction", "restitution"]
 
 
 def test_an_elastic_ball_keeps_its_energy_over_many_bounces() -> None:
-    motion = alone(ball(0.2, ground=Ground(MU, 1.0), steps=200), STIFF)
-    height, velocity = motion.position[0, :, 0, 2] - R, motion.velocity[0, :, 0, 2]
-    energy = (0.5 * velocity**2 + G * height)[height > 0] / (G * 0.2)
-
-    assert np.sum(np.diff(np.sign(velocity)) > 0) > 5
-    np.testing.assert_allclose(energy, 1.0, atol=1e-3)
+    elastic_ball_keeps_its_energy(lambda scene: alone(scene, STIFF), within=1e-3)
 
 
 def test_the_cubli_gains_no_energy_on_the_ground_and_stays_above_it() -> None:
@@ -234,20 +221,13 @@ def test_the_native_text_alone_gives_the_same_motion() -> None:
 def test_a_sphere_that_sinks_into_soft_ground_is_a_failure() -> None:
     """Once past the ground's triangle, a sphere would be pushed further down."""
     scene = ball(0.5, (0.0, 0.0, -20.0))
-    motion = rollout(scene, draw_batch(scene, [0]), careful(2, 12))
-
-    failure = motion.failures[0]
-    assert failure is not None
-    assert "in the ground" in failure.reason
-    assert np.isnan(motion.position[0, failure.frame :]).all()
+    ends_in_the_ground(rollout(scene, draw_batch(scene, [0]), careful(2, 12)))
     alone(scene, STIFF)  # with stiff contact it bounces
 
 
 def test_only_contact_scenes_get_a_ground() -> None:
     for name, expected in (("balldrop", True), ("5pendulum", False)):
-        scene = load_scene(name)
-        with ENGINE.open(scene, settings_for(scene, ENGINE, "matched")) as run:
-            text = run.native(draw_batch(scene, [0]))
+        text = _RUNS.native(load_scene(name))
         assert ("SphereTriangle" in text) == ("near_ground" in text) == expected
 
 

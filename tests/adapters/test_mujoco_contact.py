@@ -13,10 +13,8 @@ import pytest
 
 from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.checks import audit
-from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Body, Ground, Particle
-from mbds_xsim.simulate import readback
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.registry import load_adapter, load_scene
@@ -28,6 +26,8 @@ from tests.adapters.exact import (
     ballscroll_followed,
     car_slips_on_the_ground,
     cubli_loses_energy,
+    elastic_ball_keeps_its_energy,
+    ends_in_the_ground,
 )
 
 mujoco: Any = pytest.importorskip("mujoco")
@@ -82,25 +82,16 @@ def test_restitution_is_the_scenes_at_every_speed(restitution: float, speed: flo
 
 
 def test_what_is_read_back_is_the_engines_own() -> None:
-    scene = ball()
-    batch, settings = draw_batch(scene, [0]), ENGINE.settings(scene, "matched")
-    with ENGINE.open(scene, settings) as run:
-        native = run.readback(batch)
+    other = msgspec.structs.replace(ball(), ground=Ground(0.185, 0.88))
+    native, differences = _RUNS.read_back(ball(), other)
 
     assert native.contact is not None
     assert np.isnan(native.contact[:, 2]).all()  # MuJoCo has no restitution
-    other = msgspec.structs.replace(scene, ground=Ground(0.185, 0.88))
-    differences = readback.compare(Mechanism.of(other), batch, settings, native)
     assert [line.split()[0] for line in differences] == ["friction"]
 
 
 def test_an_elastic_ball_keeps_its_energy_over_many_bounces() -> None:
-    motion = alone(ball(0.2, ground=Ground(MU, 1.0), steps=200))
-    height, velocity = motion.position[0, :, 0, 2] - R, motion.velocity[0, :, 0, 2]
-    energy = (0.5 * velocity**2 + G * height)[height > 0] / (G * 0.2)
-
-    assert np.sum(np.diff(np.sign(velocity)) > 0) > 5
-    np.testing.assert_allclose(energy, 1.0, atol=3e-4)
+    elastic_ball_keeps_its_energy(alone, within=3e-4)
 
 
 @pytest.mark.parametrize("speed", [0.3, 3.0, 8.0])
@@ -198,20 +189,13 @@ def test_the_native_text_alone_gives_the_same_motion() -> None:
 def test_a_sphere_that_sinks_into_soft_ground_is_a_failure() -> None:
     """MuJoCo's default contact lets a fast sphere sink in; its ground has no bottom."""
     scene = ball(0.5, (0.0, 0.0, -20.0))
-    motion = rollout(scene, draw_batch(scene, [0]), ENGINE.settings(scene, "native"))
-
-    failure = motion.failures[0]
-    assert failure is not None
-    assert "in the ground" in failure.reason
-    assert np.isnan(motion.position[0, failure.frame :]).all()
+    ends_in_the_ground(rollout(scene, draw_batch(scene, [0]), ENGINE.settings(scene, "native")))
     alone(scene)  # matched, it bounces
 
 
 def test_only_contact_scenes_get_a_ground() -> None:
     for name, expected in (("balldrop", True), ("5pendulum", False)):
-        scene = load_scene(name)
-        with ENGINE.open(scene, settings_for(scene, ENGINE, "matched")) as run:
-            text = run.native(draw_batch(scene, [0]))
+        text = _RUNS.native(load_scene(name))
         assert ("geom" in text) == ("elliptic" in text) == ("noslip" in text) == expected
 
 
