@@ -14,15 +14,7 @@ from mbds_xsim.scene.constraints import degrees_of_freedom
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.simulate.registry import read_model
 from tests.command_line import CommandLine
-from tests.models.usd_files import (
-    ARM,
-    HEAD,
-    PLACE,
-    general,
-    joined,
-    read,
-    rigid,
-)
+from tests.models.usd_files import ARM, HEAD, PLACE, general, joined, read, rigid
 
 pytest.importorskip("pxr")
 

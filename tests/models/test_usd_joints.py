@@ -8,14 +8,7 @@ import numpy as np
 import pytest
 
 from mbds_xsim.base.errors import InputError
-from tests.models.usd_files import (
-    ARM,
-    PLACE,
-    general,
-    joined,
-    read,
-    rigid,
-)
+from tests.models.usd_files import ARM, PLACE, general, joined, read, rigid
 
 pytest.importorskip("pxr")
 

@@ -24,7 +24,9 @@ from tests.command_line import CommandLine
 from tests.models.writing import (
     FORMATS,
     KINDS,
+    SEEDS,
     SINGLE,
+    TREES,
     again,
     closes,
     coupled,
@@ -40,11 +42,7 @@ pytestmark = pytest.mark.usefixtures("in_process")
 
 
 @settings(deadline=None, max_examples=40, suppress_health_check=list(HealthCheck))
-@given(
-    st.lists(st.sampled_from(KINDS), min_size=1, max_size=5),
-    st.integers(0, 2**32 - 1),
-    st.integers(0, 1),
-)
+@given(TREES, SEEDS, st.integers(0, 1))
 def test_any_tree_comes_back_from_mjcf(
     tmp_path: Path, kinds: list[Kind], seed: int, links: int
 ) -> None:
@@ -52,29 +50,15 @@ def test_any_tree_comes_back_from_mjcf(
     scene = random_tree(rng, kinds, links=links)
     points = tuple(map(tuple, rng.standard_normal((2, 3)).tolist()))
     spring = SpringDamper("coil", (WORLD, scene.bodies[0].name), points, 30.0, 0.5, 0.7)  # type: ignore[arg-type]
-    joints = tuple(
-        msgspec.structs.replace(
-            joint,
-            damping=0.3,
-            stiffness=2.0,
-            rest=0.1,
-            armature=0.2,
-            friction=0.4,
-            limits=(-1.5, 2.0),
-        )
-        if joint.kind in ("hinge", "slider")
-        else joint
-        for joint in scene.joints
-    )
-    led = [joint.name for joint in joints if joint.kind in ("hinge", "slider")]
+    law = {"damping": 0.3, "stiffness": 2.0, "rest": 0.1, "friction": 0.4, "limits": (-1.5, 2.0)}
+    scene = with_law(scene, law | {"armature": 0.2})
+    led = [joint.name for joint in scene.joints if joint.kind in ("hinge", "slider")]
     servos = tuple(
         Servo(name, (0.4,), (0.0,), 9.0, 0.7, limit=None if k % 2 else 1.5)
         for k, name in enumerate(led)
     )
     gravity = (1.0, 2.0, -3.0)
-    scene = msgspec.structs.replace(
-        scene, springs=(spring,), gravity=gravity, joints=joints, servos=servos
-    )
+    scene = msgspec.structs.replace(scene, springs=(spring,), gravity=gravity, servos=servos)
     scene = coupled(scene)
     assume(closes(scene))
 
@@ -90,17 +74,12 @@ def test_any_tree_comes_back_from_mjcf(
 
 
 @settings(deadline=None, max_examples=40, suppress_health_check=list(HealthCheck))
-@given(
-    st.lists(st.sampled_from(["hinge", "slider"]), min_size=1, max_size=5),
-    st.integers(0, 2**32 - 1),
-)
+@given(st.lists(st.sampled_from(["hinge", "slider"]), min_size=1, max_size=5), SEEDS)
 def test_any_tree_of_hinges_and_sliders_comes_back_from_urdf(
     tmp_path: Path, kinds: list[Kind], seed: int
 ) -> None:
     scene = coupled(random_tree(np.random.default_rng(seed), kinds))
-    law = {"damping": 0.3, "friction": 0.4, "limits": (-1.5, 2.0)}
-    joints = (msgspec.structs.replace(each, **law) for each in scene.joints)
-    scene = msgspec.structs.replace(scene, joints=tuple(joints))
+    scene = with_law(scene, {"damping": 0.3, "friction": 0.4, "limits": (-1.5, 2.0)})
 
     same(scene, again(scene, "urdf", tmp_path))
 
@@ -116,7 +95,7 @@ def test_a_free_body_of_a_urdf_has_a_joint_of_its_own_name(here: Path) -> None:
 
 
 @settings(deadline=None, max_examples=30, suppress_health_check=list(HealthCheck))
-@given(st.lists(st.sampled_from(KINDS), min_size=1, max_size=5), st.integers(0, 2**32 - 1))
+@given(TREES, SEEDS)
 def test_any_tree_comes_back_from_sdf(tmp_path: Path, kinds: list[Kind], seed: int) -> None:
     law = {"damping": 0.3, "stiffness": 2.0, "rest": 0.1, "friction": 0.4, "limits": (-1.5, 2.0)}
     scene = with_law(random_tree(np.random.default_rng(seed), kinds), law)

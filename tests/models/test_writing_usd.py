@@ -16,15 +16,7 @@ from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import WORLD, Body, Inertia, Joint, Scene
 from mbds_xsim.scene.servo import Servo
 from mbds_xsim.simulate.registry import load_scene, read_model, write_model
-from tests.models.writing import (
-    KINDS,
-    SINGLE,
-    again,
-    closes,
-    same,
-    sprung_arm,
-    with_law,
-)
+from tests.models.writing import SEEDS, SINGLE, TREES, again, closes, same, sprung_arm, with_law
 from tests.random_scenes import Kind, random_tree
 
 for _reader in ("mujoco", "dartpy", "pxr"):
@@ -33,11 +25,7 @@ pytestmark = pytest.mark.usefixtures("in_process")
 
 
 @settings(deadline=None, max_examples=30, suppress_health_check=list(HealthCheck))
-@given(
-    st.lists(st.sampled_from(KINDS), min_size=1, max_size=5),
-    st.integers(0, 2**32 - 1),
-    st.integers(0, 1),
-)
+@given(TREES, SEEDS, st.integers(0, 1))
 def test_any_mechanism_comes_back_from_usd(
     tmp_path: Path, kinds: list[Kind], seed: int, links: int
 ) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from hypothesis import strategies as st
 
 from mbds_xsim.base.errors import SceneError
 from mbds_xsim.scene.assembly import assemble
@@ -22,6 +23,9 @@ SUFFIX = {"mjcf": ".xml", "urdf": ".urdf", "sdf": ".sdf", "usda": ".usda"}
 FORMATS = sorted(SUFFIX)
 KINDS: list[Kind] = ["hinge", "slider", "ball", "free"]
 SINGLE = 2e-6  # tolerance of numbers up to 10 in single precision, some of them differences
+TREES = st.lists(st.sampled_from(KINDS), min_size=1, max_size=5)
+"""Kinds of the joints of a tree."""
+SEEDS = st.integers(0, 2**32 - 1)
 
 
 def again(scene: Scene, kind: str, here: Path) -> Scene:
