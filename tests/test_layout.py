@@ -8,6 +8,9 @@ from collections import Counter
 from collections.abc import Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
+from typing import TypeVar
+
+Node = TypeVar("Node", bound=ast.AST)
 
 _ROOT = Path(__file__).parents[1]
 _FLOORS = (
@@ -76,11 +79,21 @@ def _graph(*, types: bool) -> dict[str, set[str]]:
     }
 
 
+def _imports() -> Iterator[tuple[str, str]]:
+    for name, others in _graph(types=True).items():
+        yield from ((name, other) for other in others)
+
+
+def _nodes(kind: type[Node]) -> Iterator[tuple[str, Node]]:
+    """Yield the nodes of a kind, each with the name of its module."""
+    for name in _MODULES:
+        yield from ((name, node) for node in ast.walk(_tree(name)) if isinstance(node, kind))
+
+
 def test_imports_go_downward() -> None:
     upward = [
         f"{name} imports {other}"
-        for name, others in _graph(types=True).items()
-        for other in others
+        for name, other in _imports()
         if _FLOOR[_package(other)] > _FLOOR[_package(name)]
     ]
 
@@ -90,8 +103,7 @@ def test_imports_go_downward() -> None:
 def test_packages_of_a_floor_do_not_import_each_other() -> None:
     beside = [
         f"{name} imports {other}"
-        for name, others in _graph(types=True).items()
-        for other in others
+        for name, other in _imports()
         if _package(other) != _package(name)
         and _FLOOR[_package(other)] == _FLOOR[_package(name)] < len(_FLOORS) - 1
     ]
@@ -104,12 +116,7 @@ def test_nothing_imports_in_circles() -> None:
 
 
 def test_no_class_name_stands_twice() -> None:
-    names = Counter(
-        node.name
-        for name in _MODULES
-        for node in ast.walk(_tree(name))
-        if isinstance(node, ast.ClassDef)
-    )
+    names = Counter(node.name for _, node in _nodes(ast.ClassDef))
 
     assert [name for name, count in names.items() if count > 1] == []
 
@@ -117,9 +124,7 @@ def test_no_class_name_stands_twice() -> None:
 def test_no_module_imports_private_names() -> None:
     private = [
         f"{name} imports {alias.name} of {node.module}"
-        for name in _MODULES
-        for node in ast.walk(_tree(name))
-        if isinstance(node, ast.ImportFrom)
+        for name, node in _nodes(ast.ImportFrom)
         for alias in node.names
         if alias.name.startswith("_")
     ]
@@ -136,10 +141,8 @@ def test_modules_are_short() -> None:
 def test_docstrings_stand_alone() -> None:
     fragments = [
         f"{name}:{node.lineno}: {text}"
-        for name in _MODULES
-        for node in ast.walk(_tree(name))
-        if isinstance(node, ast.Expr)
-        and isinstance(node.value, ast.Constant)
+        for name, node in _nodes(ast.Expr)
+        if isinstance(node.value, ast.Constant)
         and (text := str(node.value.value)).startswith(_FRAGMENTS)
     ]
 

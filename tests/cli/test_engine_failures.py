@@ -15,10 +15,12 @@ from mbds_xsim.base import isolate
 from mbds_xsim.base.isolate import Task
 from mbds_xsim.measure import campaign, refinement
 from mbds_xsim.simulate import registry
-from tests.command_line import bob
+from tests.command_line import CommandLine, bob
 from tests.plugins import faulty
 
 _HANG = 3.0  # [s] until a hanging task is ended
+
+Install = Callable[..., None]
 
 _RUNNING = ("aborting", "raising", "leaving", "hanging", "misshapen", "leaking", "unread")
 
@@ -26,7 +28,7 @@ _BOB = bob("length = 1.0", "clock = { steps = 10 }")
 
 
 @pytest.fixture
-def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
+def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
     """Install some of the faulty engines, and soon end those that hang."""
     monkeypatch.setattr(campaign, "Task", _impatient)
     # One run of each engine is enough.
@@ -50,10 +52,7 @@ def _impatient(
 
 @pytest.mark.slow
 def test_each_fault_is_told_and_the_sound_engine_keeps_its_result(
-    run: Callable[..., Any],
-    here: Path,
-    install: Callable[..., None],
-    monkeypatch: pytest.MonkeyPatch,
+    run: CommandLine, here: Path, install: Install, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (here / "bob.toml").write_text(_BOB)
     install(*_RUNNING)
@@ -87,7 +86,7 @@ def test_each_fault_is_told_and_the_sound_engine_keeps_its_result(
 
 @pytest.mark.slow
 def test_a_package_that_breaks_when_it_is_looked_at_is_named_and_left_out(
-    run: Callable[..., Any], here: Path, install: Callable[..., None]
+    run: CommandLine, here: Path, install: Install
 ) -> None:
     (here / "bob.toml").write_text(_BOB)
     install("ageless", "brokenly", "deadly", "endlessly")
@@ -114,10 +113,7 @@ def test_a_package_that_breaks_when_it_is_looked_at_is_named_and_left_out(
 
 @pytest.mark.slow
 def test_data_of_sound_engines_are_made_beside_hopeless_ones(
-    run: Callable[..., Any],
-    here: Path,
-    install: Callable[..., None],
-    monkeypatch: pytest.MonkeyPatch,
+    run: CommandLine, here: Path, install: Install, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     install("raising", "ageless", "pondering")
     usable = ["mujoco", "raising", "pondering"]

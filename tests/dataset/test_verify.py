@@ -32,7 +32,7 @@ from mbds_xsim.testing.joint_cases import JOINT_CASES
 
 from .conftest import FILE, JOINT, SHARD, TEXTS, Make
 
-Change = Callable[[dict[str, Any], dict[str, Any]], None]
+Change = Callable[[dict[str, Any], dict[str, Any]], object]
 
 
 def _verify(path: Path) -> Verified:
@@ -75,16 +75,20 @@ def test_data_of_the_reference_are_sound_where_friction_stops_joints(
     assert _problems(_verify(tmp_path)) == []
 
 
-def test_rejected_ones_are_checked_too(
-    make: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def _with_one_rejected(make: Make, out: Path, which: int, trajectories: int) -> Verified:
+    """Make a set of which one trajectory is spoilt; it is sound all the same."""
     from .test_generate import _spoil
 
-    _spoil(3, monkeypatch)
-    make(tmp_path, trajectories=8)
-    monkeypatch.undo()
-    verified = _verify(tmp_path)
+    with pytest.MonkeyPatch.context() as patch:
+        _spoil(which, patch)
+        make(out, trajectories=trajectories)
+    verified = _verify(out)
     assert _problems(verified) == []
+    return verified
+
+
+def test_rejected_ones_are_checked_too(make: Make, tmp_path: Path) -> None:
+    verified = _with_one_rejected(make, tmp_path, 3, trajectories=8)
     assert [r.trajectories for r in verified.files if r.kind == "rejected"] == [1]
     shutil.rmtree(tmp_path / "rejected/1pendulum/mujoco-matched")
     (tmp_path / "rejected/1pendulum/mujoco-matched").mkdir()
@@ -93,16 +97,8 @@ def test_rejected_ones_are_checked_too(
     ]
 
 
-def test_a_set_of_which_all_was_rejected_is_sound(
-    make: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from .test_generate import _spoil
-
-    _spoil(0, monkeypatch)
-    make(tmp_path, trajectories=1)
-    monkeypatch.undo()
-    verified = _verify(tmp_path)
-    assert _problems(verified) == []
+def test_a_set_of_which_all_was_rejected_is_sound(make: Make, tmp_path: Path) -> None:
+    verified = _with_one_rejected(make, tmp_path, 0, trajectories=1)
     assert {r.kind: r.trajectories for r in verified.files} == {
         "joined": 0,
         "shard": 0,
@@ -137,27 +133,15 @@ def _set(name: str, place: Any, value: Any) -> Change:
 
 
 def _tell(key: str, value: Any) -> Change:
-    def change(arrays: dict[str, Any], attributes: dict[str, Any]) -> None:
-        del arrays
-        attributes[key] = value
-
-    return change
+    return lambda _, attributes: attributes.update({key: value})
 
 
 def _drop(name: str) -> Change:
-    def change(arrays: dict[str, Any], attributes: dict[str, Any]) -> None:
-        del attributes
-        del arrays[name]
-
-    return change
+    return lambda arrays, _: arrays.pop(name)
 
 
 def _shorten(name: str) -> Change:
-    def change(arrays: dict[str, Any], attributes: dict[str, Any]) -> None:
-        del attributes
-        arrays[name] = arrays[name][:, :-1]
-
-    return change
+    return lambda arrays, _: arrays.update({name: arrays[name][:, :-1]})
 
 
 @pytest.mark.parametrize(
