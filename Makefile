@@ -216,13 +216,14 @@ FACTORED = equal coarse undamped
 NETWORKS ?= gns+,hgnn+,lgnn+,sgnn+
 # Where to train and test, as --device cuda --workers 15: so many processes share a GPU.
 ON ?=
-$(factor-targets): STEPS = 200
-shift-balldrop-factors: STEPS = 500
+$(factor-targets) shift-2ladder-matched shift-2ladder-fine: STEPS = 200
+$(worth-targets): STEPS = 100
+shift-balldrop-factors shift-balldrop-worth: STEPS = 500
 # hgnn+ and lgnn+ learn contact only once they know the energy, which 200 steps are too few for.
-shift-ballscroll-factors: STEPS = 400
+shift-ballscroll-factors shift-ballscroll-worth: STEPS = 400
 # The largest scene: tests of ten trajectories take 1.4 core-hours.
-shift-3ladder-factors: STEPS = 150
-shift-3ladder-factors: TESTED = --trajectories 10
+shift-3ladder-factors shift-3ladder-matched shift-3ladder-worth: STEPS = 150
+shift-3ladder-factors shift-3ladder-matched shift-3ladder-worth: TESTED = --trajectories 10
 $(factor-targets): shift-%-factors: $(VENV)/ready
 	$(BIN)/mbds-xsim generate $* --trajectories 300 --out $(FACTORS) \
 		--settings $(subst $() ,$(comma),$(FACTORED:%=benchmarks/factors/%.toml))$(comma)native$(comma)matched \
@@ -244,9 +245,6 @@ define alone
 endef
 alone-targets = shift-2ladder-matched shift-3ladder-matched shift-2ladder-fine
 .PHONY: $(alone-targets)
-shift-2ladder-matched shift-2ladder-fine: STEPS = 200
-shift-3ladder-matched: STEPS = 150
-shift-3ladder-matched: TESTED = --trajectories 10
 shift-2ladder-matched shift-3ladder-matched: shift-%-matched: $(VENV)/ready
 	$(call alone,$*,$(FACTORS),matched,matched)
 shift-2ladder-fine: shift-%-fine: $(VENV)/ready
@@ -256,11 +254,6 @@ shift-2ladder-fine: shift-%-fine: $(VENV)/ready
 # reference, by the error on the truth that what they learned from costs them. Half a core-hour a scene, more
 # with more NETWORKS or STEPS.
 WORTH ?= out/worth
-$(worth-targets): STEPS = 100
-shift-balldrop-worth: STEPS = 500
-shift-ballscroll-worth: STEPS = 400
-shift-3ladder-worth: STEPS = 150
-shift-3ladder-worth: TESTED = --trajectories 10
 $(worth-targets): shift-%-worth: $(VENV)/ready
 	$(BIN)/mbds-xsim generate $* --trajectories 300 --out $(WORTH) \
 		--settings $(subst $() ,$(comma),$(wildcard benchmarks/worth/*.toml)) || [ $$? -eq 1 ]
