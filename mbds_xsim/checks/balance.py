@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbds_xsim.base import rotation
-from mbds_xsim.base.arrays import Array, Index, Mask
+from mbds_xsim.base.arrays import Array, Index, Mask, Picked
 from mbds_xsim.checks.finding import Figures, check
 from mbds_xsim.checks.gains import Axle, axles_of, gains_of
 from mbds_xsim.checks.ground import Push, pushes_of
@@ -41,7 +41,7 @@ _TINY = float(np.finfo(float).tiny)
 
 
 @dataclass(frozen=True, eq=False)
-class Cones:
+class Cones(Picked):
     """Allowed impulses P = (T, N): |T| ≤ μ N and T · ahead ≥ μ N least; axes (…, sphere)."""
 
     friction: float
@@ -49,10 +49,6 @@ class Cones:
     """Unit vector against the slip, (…, sphere, 2)."""
     least: Array
     """Cosine of the largest angle of friction to `ahead`; -1: the sphere may stick."""
-
-    def __getitem__(self, picks: Mask) -> Cones:
-        """Return some of the steps."""
-        return Cones(self.friction, self.ahead[picks], self.least[picks])
 
     def nearest(self, impulse: Array) -> Array:
         """Project impulses onto the cones, shape (…, sphere, 3)."""
@@ -120,12 +116,12 @@ def unexplained(columns: Array, gains: Array, cones: Cones) -> Array:
         residual[search.step] = gains[search.step] - _of(search.flat, search.impulses)
         if not unsettled.any():
             break
-        search = search.among(unsettled)
+        search = search[unsettled]
     return residual
 
 
 @dataclass(eq=False)
-class _Search:
+class _Search(Picked):
     """Search for the impulses of all steps not settled yet; axes are (step, unknown)."""
 
     step: Index
@@ -169,10 +165,6 @@ class _Search:
         self.off = self.off * self.weight / weight
         self.weight = weight
         return np.asarray(late[:, 0])
-
-    def among(self, picks: Mask) -> _Search:
-        """Return the search for some of the steps."""
-        return _Search(**{key: value[picks] for key, value in vars(self).items()})
 
 
 def _of(matrices: Array, vectors: Array) -> Array:

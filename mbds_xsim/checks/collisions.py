@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbds_xsim.base import rotation
-from mbds_xsim.base.arrays import Array, Index, Mask
+from mbds_xsim.base.arrays import Array, Index, Mask, Picked
 from mbds_xsim.checks.balances import groups_of
 from mbds_xsim.checks.finding import Figures, check
 from mbds_xsim.checks.ground import at_impacts, at_touch, restitution_note
@@ -31,7 +31,7 @@ _GLANCE = 0.1  # share of the speed at which surfaces meet; a slower approach is
 
 
 @dataclass(frozen=True, eq=False)
-class Hits:
+class Hits(Picked):
     """Collisions of one pair of balls, one entry per collision."""
 
     row: Index
@@ -153,16 +153,8 @@ def _of_pair(record: Record, pair: int) -> Hits:
     gap = -(frame - falling + rising) / rates
     # A near miss may come almost as near as a touch.
     exact = np.abs(before.gap) <= _EXACT * frame * -before.climb
-    hit = exact & (falling >= 0.0)
-    return Hits(
-        row=row[hit],
-        step=step[hit],
-        approach=-before.climb[hit],
-        parting=parting[hit],
-        slip=before.slip[hit],
-        final_slip=slip_after[hit],
-        gap=gap[hit],
-    )
+    hits = Hits(row, step, -before.climb, parting, before.slip, slip_after, gap)
+    return hits[exact & (falling >= 0.0)]
 
 
 def _pull(record: Record, pair: int) -> Array:

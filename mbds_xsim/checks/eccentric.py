@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbds_xsim.base import rotation
-from mbds_xsim.base.arrays import Array, Index
+from mbds_xsim.base.arrays import Array, Index, Picked
 from mbds_xsim.checks.finding import Figures, check
 from mbds_xsim.checks.ground import (
     Impacts,
@@ -219,7 +219,7 @@ def _friction(slip: Array, gives: Array, alone: Array, most: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class ImpactEvidence:
+class ImpactEvidence(Picked):
     """Evidence from impacts by the rigid and by the compliant law; axes are (law, impact)."""
 
     restitution: Array
@@ -234,9 +234,7 @@ class ImpactEvidence:
     @property
     def known(self) -> ImpactEvidence:
         """Impacts of which every number is finite."""
-        values = list(vars(self).values())
-        finite = np.isfinite(values).all(axis=(0, 1))
-        return ImpactEvidence(*(value[:, finite] for value in values))
+        return self[:, np.isfinite(list(vars(self).values())).all(axis=(0, 1))]
 
     @staticmethod
     def joined(parts: list[ImpactEvidence]) -> ImpactEvidence:

@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 
 from mbds_xsim.base import rotation
-from mbds_xsim.base.arrays import Array, Index, Mask
+from mbds_xsim.base.arrays import Array, Index, Mask, Picked
 from mbds_xsim.checks.balances import balances_of, groups_of
 from mbds_xsim.checks.coordinates import clear_of_own
 from mbds_xsim.checks.finding import Figures, check
@@ -112,7 +112,7 @@ def _push(record: Record, name: str, bodies: tuple[int, ...]) -> Push:
     impulse = np.diff(momentum, axis=1) - record.frame * load
     change = np.linalg.norm(np.diff(load, axis=1, prepend=load[:, :1]), axis=-1)
     spheres = np.flatnonzero(np.isin(mechanism.sphere_body, group))
-    reach, over = ~record.clear[:, :, spheres], record.spheres.of(spheres)
+    reach, over = ~record.clear[:, :, spheres], record.spheres[:, :, spheres]
     climb = np.abs(over.climb)
     fastest = np.where(reach, np.maximum(climb[:, 1:], climb[:, :-1]), 0.0).max(axis=2)
     # From the top of a hop into the next impact both ends are slow, but the way between is not.
@@ -204,7 +204,7 @@ _SLOW = 3.0  # times what gravity and loads add in a frame; slower impacts show 
 
 
 @dataclass(frozen=True, eq=False)
-class Impacts:
+class Impacts(Picked):
     """Impacts of one sphere each, one entry per impact."""
 
     row: Index
@@ -228,10 +228,6 @@ class Impacts:
     """Impulse of the ground [N·s], shape (impact, 3)."""
     gap: Array
     """Distance from the ground at which the two motions meet [m], negative below it."""
-
-    def __getitem__(self, picks: Mask) -> Impacts:
-        """Return some of the impacts."""
-        return Impacts(**{key: value[picks] for key, value in vars(self).items()})
 
 
 @check("restitution", "restitution")
@@ -297,20 +293,12 @@ def impacts_of(record: Record, push: Push) -> Impacts:
     arriving, leaving = -before.climb, after.climb
     single = (arriving > 0.0) & (leaving > 0.0) & (falling >= 0.0) & (rising <= 0.0)
     single &= duration < np.maximum(_APART * 2.0 * leaving / pull, 0.1 * record.frame)
-    return Impacts(
-        row=row[single],
-        step=step[single],
-        sphere=sphere[single],
-        before=arrival[single],
-        after=parting[single],
-        arriving=arriving[single],
-        leaving=leaving[single],
-        slip=before.slip[single],
-        rebound=after.slip[single],
-        duration=duration[single],
-        impulse=push.impulse[row, step][single],
-        gap=(-duration / (1.0 / arriving + 1.0 / leaving))[single],
+    slips, impulse = (before.slip, after.slip), push.impulse[row, step]
+    gap = -duration / (1.0 / arriving + 1.0 / leaving)
+    hits = Impacts(
+        row, step, sphere, arrival, parting, arriving, leaving, *slips, duration, impulse, gap
     )
+    return hits[single]
 
 
 def _undisturbed(record: Record, push: Push) -> Mask:
@@ -359,8 +347,7 @@ def at_touch(
 
 def one_sphere(record: Record, bodies: BodyStates, sphere: Index) -> Spheres:
     """Return gap and speeds of one sphere in each state."""
-    spheres, each = spheres_of(record.mechanism, bodies), np.arange(len(sphere))
-    return Spheres(*(values[each, sphere] for values in vars(spheres).values()))
+    return spheres_of(record.mechanism, bodies)[np.arange(len(sphere)), sphere]
 
 
 def followed(

@@ -12,12 +12,11 @@ from __future__ import annotations
 import dataclasses
 import functools
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from mbds_xsim.base import rotation
-from mbds_xsim.base.arrays import Array, Index, Mask
+from mbds_xsim.base.arrays import Array, Index, Mask, Picked
 from mbds_xsim.checks.flights import usual
 from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.joint_space import BodyStates, joint_coordinate, to_bodies, to_links
@@ -116,16 +115,6 @@ class Mismatch:
     """Error of the integral of each body with such points [m/s], (trajectory, step, body)."""
 
 
-class _Points(NamedTuple):
-    """Positions of points and their first three derivatives, shapes (…, body, point, 3)."""
-
-    position: Array
-    velocity: Array
-    acceleration: Array
-    jerk: Array
-    rate_acceleration: Array
-
-
 @functools.lru_cache(maxsize=1)
 def mismatch_of(record: Record) -> Mismatch:
     """Compare positions and velocities over the record's `steps_compared`, outside contact."""
@@ -156,6 +145,17 @@ def mismatch_of(record: Record) -> Mismatch:
     )
 
 
+@dataclass(frozen=True, eq=False)
+class _Points(Picked):
+    """Positions of points and their first three derivatives, shapes (…, body, point, 3)."""
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+    jerk: Array
+    rate_acceleration: Array
+
+
 def _ends(record: Record, flow: Flow, first: Index) -> tuple[_Points, _Points]:
     """Return the points at the beginnings and ends of steps."""
     # Both at once, since calls cost as much as arithmetic here.
@@ -166,11 +166,7 @@ def _ends(record: Record, flow: Flow, first: Index) -> tuple[_Points, _Points]:
         torque = torque + winding_torque(flow.mechanism, record.bodies)[:, both]
     states = record.bodies[:, both]
     points = _points_at(flow, states, known_states(states) & free, force, torque, record.lag)
-    begin, end = (
-        _Points(*(each[:, half] for each in points))
-        for half in (slice(0, count), slice(count, None))
-    )
-    return begin, end
+    return points[:, :count], points[:, count:]
 
 
 def winding_torque(mechanism: Mechanism, bodies: BodyStates) -> Array:

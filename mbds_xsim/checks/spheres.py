@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from mbds_xsim.base import rotation
-from mbds_xsim.base.arrays import Array, Index, Mask
+from mbds_xsim.base.arrays import Array, Mask, Picked
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
 
 
 @dataclass(frozen=True, eq=False)
-class Spheres:
+class Spheres(Picked):
     """Contact spheres over the ground, each array of shape (…, sphere)."""
 
     gap: Array
@@ -24,13 +23,9 @@ class Spheres:
     slip: Array
     """Horizontal velocity of the lowest point [m/s], shape (…, sphere, 2)."""
 
-    def of(self, group: Index) -> Spheres:
-        """Return some of the spheres."""
-        return Spheres(self.gap[..., group], self.climb[..., group], self.slip[..., group, :])
-
 
 @dataclass(frozen=True, eq=False)
-class Neighbours:
+class Neighbours(Picked):
     """Pairs of contact spheres that may touch each other, each array of shape (…, pair)."""
 
     gap: Array
@@ -43,10 +38,6 @@ class Neighbours:
     """Unit vector from the second sphere's centre to the first's, shape (…, pair, 3)."""
     speed: Array
     """Relative speed of the centres [m/s], shape (…, pair)."""
-
-    def __getitem__(self, picks: Any) -> Neighbours:
-        """Return a selection along the first axes."""
-        return Neighbours(**{key: values[picks] for key, values in vars(self).items()})
 
 
 def neighbours_of(mechanism: Mechanism, bodies: BodyStates) -> Neighbours:

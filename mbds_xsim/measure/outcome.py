@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.arrays import Array, Picked
 from mbds_xsim.base.isolate import Crash
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
@@ -46,7 +45,7 @@ class Outcome:
         count = len(self.sample)
         empty = Trajectory.empty(frames, count, len(self.scene.bodies))
         failures = (Failure(0, answer.reason),) * count
-        self.other_steps[step] = dataclasses.replace(empty, failures=failures)
+        self.other_steps[step] = replace(empty, failures=failures)
 
     @property
     def simulations(self) -> list[Simulation]:
@@ -78,7 +77,7 @@ class Outcome:
 
 
 @dataclass(frozen=True, eq=False)
-class ReferenceOutcome:
+class ReferenceOutcome(Picked):
     """Reference solution of all trajectories."""
 
     trajectory: Trajectory
@@ -89,7 +88,3 @@ class ReferenceOutcome:
     cached: int
     busy_s: float
     """Time taken to solve it [s]."""
-
-    def __getitem__(self, rows: list[int]) -> ReferenceOutcome:
-        """Select some of the trajectories."""
-        return dataclasses.replace(self, trajectory=self.trajectory[rows], growth=self.growth[rows])
