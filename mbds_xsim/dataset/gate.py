@@ -211,7 +211,7 @@ def limit_faults(
     contender: Contender,
     batch: Batch,
     trajectory: Trajectory,
-    solved: ReferenceOutcome | None = None,
+    solved: ReferenceOutcome | None,
 ) -> list[str]:
     """List, one per line, where runs at other steps converge to anything but the reference.
 
