@@ -6,13 +6,11 @@ python -m benchmarks.choose_table reports/tradeoff --into README.md   puts it in
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
-from benchmarks.harness import placed, stored
+from benchmarks.harness import folder_and_file, placed, stored
 from mbds_xsim.base.files import write_whole
 from mbds_xsim.report import quantity
 from mbds_xsim.report.files import table_lines
@@ -159,17 +157,13 @@ def _versions(studies: Sequence[Tradeoff]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--into", type=Path)
-    arguments = parser.parse_args()
-    files = sorted(arguments.folder.glob("*.json"))
-    table = choose_table([stored(file, Tradeoff) for file in files])
-    if arguments.into is None:
+    folder, page = folder_and_file(__doc__, "--into")
+    table = choose_table([stored(file, Tradeoff) for file in sorted(folder.glob("*.json"))])
+    if page is None:
         print(table)
     else:
-        page = arguments.into.read_text("utf-8")
-        write_whole(arguments.into, placed(page, "choose-table", table).encode())
+        text = page.read_text("utf-8")
+        write_whole(page, placed(text, "choose-table", table).encode())
 
 
 if __name__ == "__main__":

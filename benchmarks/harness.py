@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import platform
 import textwrap
 import time
@@ -30,6 +31,15 @@ SCENES = (
 def stored(file: Path, kind: type[Stored]) -> Stored:
     """Read a result that was stored as JSON."""
     return msgspec.json.decode(read_file(file), type=kind)
+
+
+def folder_and_file(text: str | None, option: str) -> tuple[Path, Path | None]:
+    """Read a folder of results, and the file that an option names, from the command line."""
+    parser = argparse.ArgumentParser(description=text)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument(option, type=Path)
+    given = parser.parse_args()
+    return given.folder, getattr(given, option.removeprefix("--"))
 
 
 def placed(page: str, name: str, text: str) -> str:

@@ -7,7 +7,6 @@ python -m benchmarks.shift_summary reports/shift > reports/shift/README.md
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import math
 import statistics
@@ -18,7 +17,7 @@ from typing import Any
 
 import msgspec
 
-from benchmarks.harness import stored
+from benchmarks.harness import folder_and_file, stored
 from mbds_xsim.base.files import write_whole
 from mbds_xsim.learn.shift.answers import MATCHED, ROBUST
 from mbds_xsim.learn.shift.gaps import ALL, LEAVE_ONE_OUT, SINGLE
@@ -109,21 +108,18 @@ _HEADINGS = (
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--png", type=Path)
-    arguments = parser.parse_args()
-    files = sorted(arguments.folder.glob("*.json.gz"))
+    folder, picture = folder_and_file(__doc__, "--png")
+    files = sorted(folder.glob("*.json.gz"))
     studies = {file.name.removesuffix(".json.gz"): stored(file, Shift) for file in files}
     several = {
         name: _with_matched(shift, studies.get(name.replace("-factors", "-matched")))
         for name, shift in studies.items()
         if _factor_count(shift) > 1
     }
-    page = "".join(f"{line}\n" for line in _page(arguments.folder, studies, several))
+    page = "".join(f"{line}\n" for line in _page(folder, studies, several))
     print(page, end="")
-    if arguments.png is not None:
-        write_whole(arguments.png, _picture(list(several.values()), page.encode()))
+    if picture is not None:
+        write_whole(picture, _picture(list(several.values()), page.encode()))
 
 
 def _page(
