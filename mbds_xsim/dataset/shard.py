@@ -8,7 +8,7 @@ import os
 import re
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -99,7 +99,7 @@ def make_shard(item: Item, out: Path, *, crashes: Crashes | None = None) -> None
     attributes = {**variant.recipe, "first": item.first, "count": item.count, **counts}
     datasets = _datasets(variant, batch, trajectory, verdict)
     path = item.path(out)
-    rejected_path = rejected_folder(path.parent) / item.file_name
+    rejected_path = rejected_folder(path.parent) / path.name
     if passed.all():
         # It may be left from a shard of fewer trajectories, or from one begun before.
         rejected_path.unlink(missing_ok=True)
@@ -269,8 +269,7 @@ def join(variants: Sequence[Variant], trajectories: int, out: Path) -> Iterator[
 
 def _join_variant(variant: Variant, trajectories: int, out: Path) -> VariantCount:
     folder = variant.folder(out)
-    names = [item.file_name for item in variant.items(trajectories)]
-    shards = [Shard(folder / name) for name in names]
+    shards = [Shard(item.path(out)) for item in variant.items(trajectories)]
     published = sum(len(shard.index) for shard in shards)
     facts = {
         "kind": "joined",
@@ -279,6 +278,7 @@ def _join_variant(variant: Variant, trajectories: int, out: Path) -> VariantCoun
         "published": published,
         "rejected": trajectories - published,
     }
+    by_check = causes(rejected_folder(folder), (shard.path for shard in shards))
     target = folder.with_name(f"{variant.name}{SUFFIX}")
     put(target, *joined(shards, trajectories, {**variant.recipe, **facts}))
     return VariantCount(
@@ -288,7 +288,7 @@ def _join_variant(variant: Variant, trajectories: int, out: Path) -> VariantCoun
         trajectories=trajectories,
         published=published,
         rejected=trajectories - published,
-        rejected_by=dict(causes(rejected_folder(folder), names).most_common()),
+        rejected_by=dict(by_check.most_common()),
         bytes=sum(shard.path.stat().st_size for shard in shards),
     )
 
@@ -327,12 +327,12 @@ class Shard:
             self.content = str(file.attrs[CONTENT])
 
 
-def causes(folder: Path, names: Sequence[str]) -> Counter[str]:
-    """Count rejected trajectories by the check that failed first."""
+def causes(folder: Path, shards: Iterable[Path]) -> Counter[str]:
+    """Count rejected trajectories of shards by the check that failed first."""
     counts: Counter[str] = Counter()
-    for name in names:
-        if (folder / name).exists():
-            with open_hdf5(folder / name) as file:
+    for rejected in (folder / shard.name for shard in shards):
+        if rejected.exists():
+            with open_hdf5(rejected) as file:
                 counts.update(map(cause_of, file["reason"].asstr()[()]))
     return counts
 

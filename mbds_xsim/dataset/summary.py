@@ -116,7 +116,7 @@ def causes_of(data: Dataset) -> Counter[str]:
     """Count rejected trajectories, beside a data set or in it, by the check that failed first."""
     if data.is_rejected:
         return Counter(map(cause_of, data.small["reason"]))
-    return causes(_rejected_beside(data), [file.name for file in data.files])
+    return causes(_rejected_beside(data), data.files)
 
 
 def _rejected_beside(data: Dataset) -> Path:

@@ -128,18 +128,13 @@ class Item:
     count: int
 
     @property
-    def file_name(self) -> str:
-        """Name of the shard's file."""
-        return f"{self.first:010d}{SUFFIX}"
-
-    @property
     def indices(self) -> range:
         """Numbers of the shard's trajectories."""
         return range(self.first, self.first + self.count)
 
     def path(self, out: Path) -> Path:
         """Return the path of the shard's file."""
-        return self.variant.folder(out) / self.file_name
+        return self.variant.folder(out) / f"{self.first:010d}{SUFFIX}"
 
 
 def folder_name(scene_name: str) -> str:
@@ -154,18 +149,16 @@ def pending(variant: Variant, trajectories: int, out: Path) -> list[Item]:
         InputError: The folder holds something other than the beginning of these data.
     """
     folder = variant.folder(out)
-    items = list(variant.items(trajectories))
-    present = {path.name for path in folder.glob(f"*{SUFFIX}")}
-    beyond = sorted(present - {item.file_name for item in items})
+    items = {item.path(out): item for item in variant.items(trajectories)}
+    present = set(folder.glob(f"*{SUFFIX}"))
+    beyond = sorted(present - items.keys())
     if beyond:
         raise InputError(
-            f"{folder} holds {beyond[0]}, which does not belong to {trajectories} trajectories; "
-            f"ask for {_allowed(folder / beyond[-1])}, or name another --out"
+            f"{folder} holds {beyond[0].name}, which does not belong to {trajectories} "
+            f"trajectories; ask for {_allowed(beyond[-1])}, or name another --out"
         )
     return [
-        item
-        for item in items
-        if item.file_name not in present or not _is_complete(item, item.path(out))
+        item for path, item in items.items() if path not in present or not _is_complete(item, path)
     ]
 
 

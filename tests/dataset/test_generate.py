@@ -254,6 +254,7 @@ def test_a_pull_that_only_a_vanishing_step_shows_rejects_its_shard(
     """A pull of 2e-5 of the weight, in the audit sample and where one trajectory stands for all."""
     (contender,), _ = Choice.parse(engines="mujoco").contenders(rod)
     item = Item(Variant(rod, contender, 0, True), first, 6)
+    path = item.path(tmp_path)
 
     def published(pull: float) -> int:
         def pulled(scene: Scene, batch: Batch, engine: str, settings: Settings) -> Simulation:
@@ -263,12 +264,12 @@ def test_a_pull_that_only_a_vanishing_step_shows_rejects_its_shard(
         for module in (shard, gate):
             monkeypatch.setattr(module, "simulate", pulled)
         shard.make_shard(item, tmp_path)
-        with h5py.File(item.path(tmp_path)) as file:
+        with h5py.File(path) as file:
             return int(file.attrs["published"])
 
     assert published(0.0) == 6
     assert published(2e-5) == 0
-    with h5py.File(rejected_folder(item.path(tmp_path).parent) / item.file_name) as file:
+    with h5py.File(rejected_folder(path.parent) / path.name) as file:
         reasons = file["reason"].asstr()[()]
     for reason in reasons:  # no other check sees it
         assert all(part.startswith("together: consistency of ") for part in reason.split("; "))
