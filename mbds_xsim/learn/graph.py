@@ -47,6 +47,10 @@ class RowBundle(Bundle):
         """Index the rows of all tensors as those of an array."""
         return self.mapped(lambda values: values[key], RowBundle)
 
+    def __len__(self) -> int:
+        parts = vars(self).values()
+        return len(next(part for part in parts if isinstance(part, Tensor | RowBundle)))
+
 
 @dataclass(frozen=True, eq=False)
 class Graph(Bundle):

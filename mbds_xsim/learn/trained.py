@@ -289,7 +289,7 @@ class Known(RowBundle):
 
     def repeated(self, rows: int) -> Known:
         """Return a batch of `rows` rows, which repeats these."""
-        return self[torch.arange(rows) % len(self.start)]
+        return self[torch.arange(rows) % len(self)]
 
     def truncated(self, frames: int) -> Known:
         """Keep the inputs of only the first `frames` frames to come."""

@@ -55,9 +55,6 @@ class Start(RowBundle):
     angular velocity, shape (batch, 6, body, 13), float64; None if `Motions` were read without them.
     """
 
-    def __len__(self) -> int:
-        return len(self.history)
-
 
 @dataclass(frozen=True, eq=False)
 class Sample(RowBundle):
@@ -72,9 +69,6 @@ class Sample(RowBundle):
     """Velocities of the particles in the frames to come [m/s], same shape."""
     body: Tensor | None = None
     """Published states of the bodies in these frames, shape (batch, frame, body, 13)."""
-
-    def __len__(self) -> int:
-        return len(self.position)
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,9 +155,6 @@ class Motions(RowBundle):
             ),
             body=torch.cat(bodies) if len(bodies) == len(parts) else None,
         )
-
-    def __len__(self) -> int:
-        return len(self.position)
 
     def __getitem__(self, rows: slice | Tensor) -> Motions:
         """Take some of the trajectories."""
