@@ -25,12 +25,15 @@ from mbds_xsim.learn.body_view import BodyView, BodyViewer
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.layers import keep, summed
 from mbds_xsim.learn.model import LearnedModel
+from mbds_xsim.learn.recipe import Cosine, Recipe
 from mbds_xsim.learn.rigid import TWIST, BodyMechanics, JointHold, Q, X
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import KnownInputs, Sample, Start
 
 ADDED = 2
 """Number of outputs for each vector: one for a displacement, one for a change of the twist."""
+RECIPE = Recipe(rate=3e-3, batch=128, schedule=Cosine(), clip=1.0, skip=True)
+"""Recipe of most models of bodies."""
 
 _LEAST = 1e-6
 """Offset of a squared distance, which keeps the slope of its root finite."""

@@ -16,13 +16,13 @@ import msgspec
 import torch
 from torch import Tensor, nn
 
-from mbds_xsim.learn.body_model import ADDED, CorrectedModel
+from mbds_xsim.learn.body_model import ADDED, RECIPE, CorrectedModel
 from mbds_xsim.learn.body_view import BodyView, BodyViewer, Seen
 from mbds_xsim.learn.gns import InteractionLayer
 from mbds_xsim.learn.graph import DIMENSION, Graph
 from mbds_xsim.learn.layers import keep, mlp, silence, summed
 from mbds_xsim.learn.model import Symmetry
-from mbds_xsim.learn.recipe import Cosine, Recipe
+from mbds_xsim.learn.recipe import Recipe
 from mbds_xsim.learn.rigid import JointHold
 from mbds_xsim.learn.sgnn_network import Edges, Passing, SubequivariantMap
 from mbds_xsim.learn.statistics import Statistics
@@ -41,7 +41,7 @@ class BodySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Number of message-passing steps over the joints."""
     substeps: int = 4
     """Number of steps of smooth motion per frame; must be even."""
-    recipe: Recipe = Recipe(rate=3e-3, batch=128, schedule=Cosine(), clip=1.0, skip=True)
+    recipe: Recipe = RECIPE
 
 
 class JointedModel(CorrectedModel):

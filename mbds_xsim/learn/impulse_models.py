@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from mbds_xsim.learn import turning
-from mbds_xsim.learn.body_model import ADDED, BodyModel, CorrectedModel
+from mbds_xsim.learn.body_model import ADDED, RECIPE, BodyModel, CorrectedModel
 from mbds_xsim.learn.body_view import BodyView, BodyViewer
 from mbds_xsim.learn.energy import Drag, EnergyNetwork, EnergyShape
 from mbds_xsim.learn.energy_models import Hamiltonian, Lagrangian, NodeDynamics
@@ -28,7 +28,7 @@ from mbds_xsim.learn.graph import DIMENSION, Graph
 from mbds_xsim.learn.layers import TensorModule, keep, mlp, silence, summed
 from mbds_xsim.learn.mechanics import Mechanics
 from mbds_xsim.learn.model import runge_kutta
-from mbds_xsim.learn.recipe import Cosine, Recipe
+from mbds_xsim.learn.recipe import Recipe
 from mbds_xsim.learn.rigid import TWIST, JointHold, Q, W
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import KnownInputs
@@ -48,7 +48,7 @@ class ImpulseSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Number of linear layers of each of them."""
     substeps: int = 1
     """Minimum number of steps per frame; rolling bodies may need more (`_rolling_steps`)."""
-    recipe: Recipe = Recipe(rate=3e-3, batch=128, schedule=Cosine(), clip=1.0, skip=True)
+    recipe: Recipe = RECIPE
 
 
 class ImpulseModel(CorrectedModel):

@@ -21,11 +21,11 @@ import torch
 from torch import Tensor, nn
 
 from mbds_xsim.learn import turning
-from mbds_xsim.learn.body_model import ADDED, BodyModel
+from mbds_xsim.learn.body_model import ADDED, RECIPE, BodyModel
 from mbds_xsim.learn.graph import DIMENSION, Graph
 from mbds_xsim.learn.layers import mlp, silence
 from mbds_xsim.learn.model import runge_kutta
-from mbds_xsim.learn.recipe import Cosine, Recipe
+from mbds_xsim.learn.recipe import Recipe
 from mbds_xsim.learn.rigid import TWIST, Q, V, W, X
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import KnownInputs
@@ -41,7 +41,7 @@ class NodeSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Number of linear layers, with tanh between them."""
     substeps: int = 1
     """Number of Runge-Kutta steps per frame."""
-    recipe: Recipe = Recipe(rate=1e-3, batch=128, schedule=Cosine(), clip=1.0, skip=True)
+    recipe: Recipe = msgspec.structs.replace(RECIPE, rate=1e-3)
 
 
 class MbdNode(BodyModel):

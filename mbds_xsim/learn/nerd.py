@@ -23,7 +23,7 @@ import torch
 from torch import Tensor, nn
 
 from mbds_xsim.learn import turning
-from mbds_xsim.learn.body_model import ADDED, BodyModel
+from mbds_xsim.learn.body_model import ADDED, RECIPE, BodyModel
 from mbds_xsim.learn.graph import DIMENSION, Graph
 from mbds_xsim.learn.layers import keep, mlp, silence
 from mbds_xsim.learn.model import Symmetry
@@ -58,7 +58,7 @@ class NeRD(BodyModel):
             width=64,
             heads=4,
             layers=2,
-            recipe=Recipe(rate=1e-3, batch=128, schedule=Cosine(), clip=1.0, skip=True),
+            recipe=msgspec.structs.replace(RECIPE, rate=1e-3),
         ),
     }
     symmetries: ClassVar[frozenset[Symmetry]] = frozenset({"shift", "turn"})
