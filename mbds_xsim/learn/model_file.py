@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import io
 import pickletools
-import tomllib
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -73,7 +72,7 @@ def read_model(path: Path, scene: Scene | None = None) -> tuple[LearnedModel, di
     try:
         kind = load_model(whole.name)
         settings = _settings(kind, whole)
-        own = msgspec.convert(tomllib.loads(whole.scene), Scene)
+        own = msgspec.toml.decode(whole.scene, type=Scene)
         statistics = Statistics.from_state(arrays(whole.statistics))
         parameters = arrays(whole.parameters)
     except UnknownName as error:
