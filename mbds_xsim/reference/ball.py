@@ -27,6 +27,7 @@ import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -114,8 +115,7 @@ def time_to_ground(motion: BallState, load: Load) -> float:
 _STRAIGHT = 1e-15
 
 
-@dataclass(frozen=True, slots=True)
-class Sliding:
+class Sliding(NamedTuple):
     """A stretch of sliding."""
 
     duration: float
