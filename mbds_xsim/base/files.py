@@ -87,6 +87,16 @@ def read_file(path: Path, most: int = -1) -> bytes:
             raise gzip.BadGzipFile(f"was cut short or damaged: {error}") from error
 
 
+def read_bounded(
+    path: Path, most: int, remark: str, refusal: type[InputError] = InputError
+) -> bytes:
+    """Read a file as `read_file` does; refuse one of more than `most` bytes, whole megabytes."""
+    content = read_file(path, most + 1)
+    if len(content) > most:
+        raise refusal(f"{path}: got more than {most // 10**6} MB{remark}")
+    return content
+
+
 def check_writable(path: Path, option: str) -> None:
     """Raise InputError before long work if `write_whole` would fail after it."""
     if str(path) == "-":

@@ -22,7 +22,7 @@ from msgspec import inspect
 from mbds_xsim.base import bounds
 from mbds_xsim.base.bounds import Neutral
 from mbds_xsim.base.errors import SceneError
-from mbds_xsim.base.files import path_of, read_file, write_whole
+from mbds_xsim.base.files import path_of, read_bounded, write_whole
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import MOST_PARTS, Scene
@@ -102,10 +102,8 @@ def _load(path: Path) -> Mapping[str, Any]:
 def _text(path: Path) -> str:
     """Read the text of a file that can be parsed in bounded time and memory."""
     try:
-        content = read_file(path, _LARGEST_FILE + 1)
-        if len(content) > _LARGEST_FILE:
-            size = f"{_LARGEST_FILE // 10**6} MB"
-            raise SceneError(f"{path}: got more than {size}: 20 000 bodies with joints take 7 MB")
+        remark = ": 20 000 bodies with joints take 7 MB"
+        content = read_bounded(path, _LARGEST_FILE, remark, SceneError)
         text = content.decode("utf-8-sig")  # Windows may add a byte order mark
     except OSError as error:
         raise SceneError(

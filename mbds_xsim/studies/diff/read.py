@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.files import read_file
+from mbds_xsim.base.files import read_bounded
 from mbds_xsim.measure import result
 from mbds_xsim.studies import match, stability, tradeoff
 from mbds_xsim.studies.diff import FAILING, Entry, PhysicalFigure, Value, View
@@ -54,10 +54,7 @@ def read_views(path: Path) -> tuple[str, dict[str, View]]:
 
 def _content(path: Path) -> object:
     try:
-        text = read_file(path, _LARGEST + 1)
-        if len(text) > _LARGEST:
-            msg = f"{path}: got more than {_LARGEST // 10**6} MB, the largest results take 10 MB"
-            raise InputError(msg)
+        text = read_bounded(path, _LARGEST, ", the largest results take 10 MB")
         return msgspec.json.decode(text)
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
