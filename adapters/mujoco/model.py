@@ -6,6 +6,7 @@ what the engine gets. Elements: https://mujoco.readthedocs.io/en/stable/XMLrefer
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
@@ -115,7 +116,7 @@ def mechanics(
     bodies = _bodies(SubElement(root, "worldbody"), mechanism, idle, grip)
     tendons, equalities = Element("tendon"), Element("equality")
     for joint in mechanism.loops:
-        _close(equalities, bodies, joint, mechanism.scene.length, loops)
+        equalities.extend(_closing(bodies, joint, mechanism.scene.length, loops))
     for link in mechanism.distances:
         _distance(tendons, equalities, bodies, mechanism, link, links)
     for spring in mechanism.springs:
@@ -289,13 +290,10 @@ def _softness(tau: float) -> dict[str, str]:
     }
 
 
-def _close(
-    equalities: Element,
-    bodies: dict[int, Element],
-    joint: PlacedJoint,
-    length: float,
-    softness: dict[str, str],
-) -> None:
+def _closing(
+    bodies: dict[int, Element], joint: PlacedJoint, length: float, softness: dict[str, str]
+) -> Iterator[Element]:
+    """Mark the points at which a loop joint is closed, and yield the equality of each."""
     for k, along in enumerate(CLOSING_POINTS[joint.kind]):
         name, offset = closing_point(joint, k), along * length * joint.axis
         ends = dict(zip(("site1", "site2"), _sites(bodies, joint, offset, name), strict=True))
@@ -303,7 +301,7 @@ def _close(
             pair = (bodies[joint.parent].get("name", "world"), bodies[joint.child].get("name", ""))
             ends = dict(zip(("body1", "body2"), pair, strict=True))
             ends["anchor"] = numbers(joint.in_parent + offset)
-        SubElement(equalities, "connect", {"name": name} | ends | softness)
+        yield Element("connect", {"name": name} | ends | softness)
 
 
 def _sites(
