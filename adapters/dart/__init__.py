@@ -8,7 +8,7 @@ from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.stiffness import spring_step
 from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings, careful_step, nearest_step
-from mbds_xsim.simulate.claims import CONTACTS, LOOPS, Feature, Method, Option, Sweep
+from mbds_xsim.simulate.claims import CONTACTS, LOOPS, Feature, Method, Option, Sweep, named
 
 from .contact import CONTACT_LAW, DETECTORS, SOLVERS, contact_statements
 from .run import DartRun
@@ -39,11 +39,9 @@ class Dart(Adapter):
     package = "dartpy"
     coordinates = "reduced"
     contact_law = CONTACT_LAW
-    methods: ClassVar = {
-        "semi-implicit-euler": Method(
-            "semi-implicit-euler", "semi-implicit Euler", 1, velocity_lag=-0.5
-        ),
-        "forward-dynamics-RK4": Method(
+    methods: ClassVar = named(
+        Method("semi-implicit-euler", "semi-implicit Euler", 1, velocity_lag=-0.5),
+        Method(
             "forward-dynamics-RK4",
             "toolkit RK4",
             4,
@@ -57,7 +55,7 @@ class Dart(Adapter):
             },
             own=False,
         ),
-    }
+    )
     options: ClassVar = {
         _ERROR_REDUCTION: Option(
             0.01,

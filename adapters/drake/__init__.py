@@ -8,7 +8,7 @@ from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.stiffness import spring_step
 from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings, careful_step, nearest_step
-from mbds_xsim.simulate.claims import LOOPS, ContactScales, Feature, Method, Option
+from mbds_xsim.simulate.claims import LOOPS, ContactScales, Feature, Method, Option, named
 
 from .contact import CONTACT_LAW, LEAST_REBOUND, MOST_REBOUND, OWN_TIME, STICTION, steps_of_impact
 
@@ -43,10 +43,10 @@ class Drake(Adapter):
 
     name = "drake"
     package = "drake"
-    methods: ClassVar = {
-        "runge_kutta5": Method("runge_kutta5", "Runge-Kutta 5", 5, refuses=_TREES),
-        _OWN: Method(_OWN, "semi-implicit Euler", 1, velocity_lag=-0.5),
-    }
+    methods: ClassVar = named(
+        Method("runge_kutta5", "Runge-Kutta 5", 5, refuses=_TREES),
+        Method(_OWN, "semi-implicit Euler", 1, velocity_lag=-0.5),
+    )
     options: ClassVar = {
         _IMPACT: Option(
             71.0,

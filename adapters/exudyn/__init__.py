@@ -7,7 +7,16 @@ from typing import ClassVar
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings, careful_step, nearest_step
-from mbds_xsim.simulate.claims import CONTACTS, LOOPS, ContactScales, Feature, Method, Option, Sweep
+from mbds_xsim.simulate.claims import (
+    CONTACTS,
+    LOOPS,
+    ContactScales,
+    Feature,
+    Method,
+    Option,
+    Sweep,
+    named,
+)
 
 from .contact import CONTACT_LAW
 from .model import RigidBodies
@@ -67,18 +76,18 @@ class Exudyn(Adapter):
     name = "exudyn"
     revision = 5
     package = "exudyn"
-    methods: ClassVar = {
-        "trapezoidal": Method(
+    methods: ClassVar = named(
+        Method(
             "trapezoidal",
             "trapezoidal",
             2,
             {Feature.COUPLING: "with gears, noise of 1e-8 rad in joint angles hides its order"},
         ),
-        "generalised-alpha": Method("generalised-alpha", "generalised-alpha", 2),
-        "RK44": Method("RK44", "RK4", 4, _NO_JOINTS),
-        "RK67": Method("RK67", "Runge-Kutta 6(7)", 6, _NO_JOINTS),
-        _TREE: Method(_TREE, "RK4", 4, _ONLY_A_TREE),
-    }
+        Method("generalised-alpha", "generalised-alpha", 2),
+        Method("RK44", "RK4", 4, _NO_JOINTS),
+        Method("RK67", "Runge-Kutta 6(7)", 6, _NO_JOINTS),
+        Method(_TREE, "RK4", 4, _ONLY_A_TREE),
+    )
     options: ClassVar = {
         "spectral_radius": Option(
             0.9, "of generalised-alpha at infinite frequency: 1 damps nothing, 0 damps most", 0, 1

@@ -13,7 +13,7 @@ from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.spin import idle_axes
 from mbds_xsim.scene.stiffness import spring_step
 from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings, careful_step, nearest_step
-from mbds_xsim.simulate.claims import LOOPS, ContactScales, Feature, Method, Option, Sweep
+from mbds_xsim.simulate.claims import LOOPS, ContactScales, Feature, Method, Option, Sweep, named
 
 from .contact import CONTACT_LAW, HARDEST, Impact
 from .model import StepOptions
@@ -60,10 +60,10 @@ class MuJoCo(Adapter):
     name = "mujoco"
     package = "mujoco"
     revision = 3
-    methods: ClassVar = {
+    methods: ClassVar = named(
         # A loop is as stiff as the step h allows. The stages of a step see it open by h² and push
         # with accelerations that do not vanish with h, so velocities are off in proportion to h.
-        "RK4": Method(
+        Method(
             "RK4",
             "RK4",
             4,
@@ -71,11 +71,11 @@ class MuJoCo(Adapter):
             loop_order=2,
             loop_velocity_order=1,
         ),
-        "Euler": Method("Euler", "semi-implicit Euler", 1, velocity_lag=-0.5),
+        Method("Euler", "semi-implicit Euler", 1, velocity_lag=-0.5),
         # Implicit in the forces of dampers. Without dampers it equals Euler to the last bit on
         # jointed bodies, but not on free ones that spin.
-        "implicitfast": Method("implicitfast", "semi-implicit Euler", 1, velocity_lag=-0.5),
-    }
+        Method("implicitfast", "semi-implicit Euler", 1, velocity_lag=-0.5),
+    )
     options: ClassVar = {
         # If it is shorter, RK4's stages, which leave the constraint by O(h²), cause an error of
         # the velocities; if longer, gaps widen. Euler is unstable below 1.3.

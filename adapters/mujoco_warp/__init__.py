@@ -11,7 +11,7 @@ from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.spin import idle_axes
 from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings
-from mbds_xsim.simulate.claims import CONTACTS, Option
+from mbds_xsim.simulate.claims import CONTACTS, Option, named
 
 from ..mujoco import MuJoCo
 
@@ -29,7 +29,7 @@ class MuJoCoWarp(Adapter):
 
     name = "mujoco-warp"
     package = "mujoco-warp"
-    methods: ClassVar = {_METHOD: dataclasses.replace(MuJoCo.methods[_METHOD], single=True)}
+    methods: ClassVar = named(dataclasses.replace(MuJoCo.methods[_METHOD], single=True))
     options: ClassVar = {
         **{name: MuJoCo.options[name] for name in _SHARED},
         _DEVICE: Option("cpu", "the device, by Warp's name: cpu, or cuda:0 for the first GPU"),

@@ -10,7 +10,7 @@ from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.stiffness import spring_step
 from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings, careful_step, nearest_step
-from mbds_xsim.simulate.claims import CONTACTS, LOOPS, Feature, Method, Option, Sweep
+from mbds_xsim.simulate.claims import CONTACTS, LOOPS, Feature, Method, Option, Sweep, named
 
 __all__ = ["Pinocchio"]
 
@@ -31,7 +31,7 @@ class Pinocchio(Adapter):
 
     name = "pinocchio"
     package = "pin"
-    methods: ClassVar = {_METHOD: Method(_METHOD, "toolkit RK4", 4, own=False)}
+    methods: ClassVar = named(Method(_METHOD, "toolkit RK4", 4, own=False))
     options: ClassVar = {
         _DRIFT: Option(
             5.0,

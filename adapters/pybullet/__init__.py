@@ -11,7 +11,7 @@ from mbds_xsim.scene.mechanism import Link, Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.stiffness import spring_step
 from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings, careful_step, nearest_step
-from mbds_xsim.simulate.claims import LOOPS, Feature, Method, Option, Sweep
+from mbds_xsim.simulate.claims import LOOPS, Feature, Method, Option, Sweep, named
 
 from .contact import CONTACT_LAW
 from .run import PyBulletRun
@@ -51,11 +51,9 @@ class PyBullet(Adapter):
     name = "pybullet"
     package = "pybullet"
     revision = 2
-    methods: ClassVar = {
-        "semi-implicit-euler": Method(
-            "semi-implicit-euler", "semi-implicit Euler", 1, velocity_lag=-0.5
-        ),
-    }
+    methods: ClassVar = named(
+        Method("semi-implicit-euler", "semi-implicit Euler", 1, velocity_lag=-0.5)
+    )
     options: ClassVar = {
         "solver_iterations": Option(
             10, "sweeps over loops, rotors and contacts in each step", 1, _MOST_SWEEPS

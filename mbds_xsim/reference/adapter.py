@@ -34,6 +34,7 @@ from mbds_xsim.simulate.claims import (
     Feature,
     Method,
     Option,
+    named,
 )
 from mbds_xsim.simulate.readback import joint_anchors, joint_axes
 
@@ -47,7 +48,7 @@ class Reference(Adapter):
     name = "reference"
     package = "mbds-xsim"
     revision = PHYSICS
-    methods: ClassVar = {_METHOD: Method(_METHOD, TRUTH, 8, own=False, adaptive=True)}
+    methods: ClassVar = named(Method(_METHOD, TRUTH, 8, own=False, adaptive=True))
     options: ClassVar = {
         RTOL: Option(
             _MATCHED,

@@ -179,6 +179,11 @@ class Method:
         return min(order, lower) if lower is not None and _constrained(scene) else order
 
 
+def named(*methods: Method) -> dict[str, Method]:
+    """Return methods by their names, as in `Adapter.methods`."""
+    return {method.name: method for method in methods}
+
+
 def _constrained(scene: Scene) -> bool:
     mechanism = Mechanism.of(scene)
     return bool(mechanism.loops or mechanism.distances or mechanism.couplings)
