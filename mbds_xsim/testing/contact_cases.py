@@ -42,6 +42,7 @@ from mbds_xsim.testing.straight_car import straight_run
 RADIUS = PARTICLE_RADIUS
 FRICTION, RESTITUTION = 0.43, 0.9332
 RESTITUTIONS = (0.0, 0.5, RESTITUTION, 1.0)
+_GROUND = Ground(FRICTION, RESTITUTION)
 _G = -GRAVITY[2]
 _STILL = (0.0, 0.0, 0.0)
 _ROUNDING = 1e-9  # [m]
@@ -70,53 +71,52 @@ class ContactCase:
         return _ROUNDING + sink + self.drift * scales.time + self.creep * scales.slip
 
 
+def on_ground(
+    body: Body,
+    length: float,
+    centres: list[Any],
+    ground: Ground,
+    clock: Clock,
+    gravity: Vector = GRAVITY,
+) -> Scene:
+    """Put a body with contact spheres of a particle's radius on the ground."""
+    spheres = tuple(ContactSphere(body.name, (x, y, z), RADIUS) for x, y, z in centres)
+    return Scene(
+        body.name,
+        (body,),
+        length,
+        gravity=gravity,
+        contacts=spheres,
+        ground=ground,
+        clock=clock,
+    )
+
+
 def ball(
     height: float = 0.0,
     velocity: Vector = _STILL,
     spin: Vector = _STILL,
-    ground: Ground | None = None,
+    ground: Ground = _GROUND,
     steps: int = 50,
     gravity: Vector = GRAVITY,
 ) -> Scene:
     """Make one particle with its lowest point at a height [m]."""
     centre = (0.0, 0.0, RADIUS + height)
     body = Body("ball", particles=(Particle(centre),), velocity=velocity, angular_velocity=spin)
-    return Scene(
-        "ball",
-        (body,),
-        length=1.0,
-        gravity=gravity,
-        contacts=(ContactSphere("ball", centre, RADIUS),),
-        ground=ground or Ground(FRICTION, RESTITUTION),
-        clock=Clock(steps=steps),
-    )
+    return on_ground(body, 1.0, [centre], ground, Clock(steps=steps), gravity)
 
 
 def crate(
-    tilt: float = 0.0,
-    height: float = 0.0,
-    ground: Ground | None = None,
-    steps: int = 50,
+    tilt: float = 0.0, height: float = 0.0, ground: Ground = _GROUND, steps: int = 50
 ) -> Scene:
     """Make a cube with spheres at its corners, turned about z [rad], its bottom at a height [m]."""
     corners = np.array(list(product((-0.2, 0.2), repeat=3)))
     turn = (float(np.cos(tilt / 2)), 0.0, 0.0, float(np.sin(tilt / 2)))
     middle = (0.0, 0.0, height + 0.2 + RADIUS)
     placed = np.array(middle) + rotation.rotate(np.array(turn), corners)
-    body = Body(
-        "crate",
-        inertia=Inertia(30.0, (1.5, 1.5, 1.5)),
-        position=middle,
-        orientation=turn,
-    )
-    return Scene(
-        "crate",
-        (body,),
-        length=0.4,
-        contacts=tuple(ContactSphere("crate", (x, y, z), RADIUS) for x, y, z in placed.tolist()),
-        ground=ground or Ground(FRICTION, RESTITUTION),
-        clock=Clock(steps=steps),
-    )
+    inertia = Inertia(30.0, (1.5, 1.5, 1.5))
+    body = Body("crate", inertia=inertia, position=middle, orientation=turn)
+    return on_ground(body, 0.4, placed.tolist(), ground, Clock(steps=steps))
 
 
 def gaps(scene: Scene, motion: Trajectory) -> Array:

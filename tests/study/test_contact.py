@@ -14,11 +14,12 @@ from mbds_xsim.report.themed import ENGINES
 from mbds_xsim.scene.state import Failure, Trajectory
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice
-from mbds_xsim.studies.contact import FRICTION, PULL, ContactBench, ContactFigure, present
+from mbds_xsim.studies.contact import PULL, ContactBench, ContactFigure, present
 from mbds_xsim.studies.contact.friction import friction, sliding
 from mbds_xsim.studies.contact.impacts import limits, per_bounce
 from mbds_xsim.studies.contact.page import contact_page, words_of
 from mbds_xsim.studies.contact.present import LINES
+from mbds_xsim.testing.contact_cases import FRICTION
 from tests.command_line import CommandLine
 
 

@@ -14,27 +14,16 @@ import numpy as np
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import (
-    GRAVITY,
-    PARTICLE_RADIUS,
-    Body,
-    Clock,
-    ContactSphere,
-    Ground,
-    Inertia,
-    Particle,
-    Scene,
-)
+from mbds_xsim.scene.scene import GRAVITY, Body, Clock, Ground, Inertia, Particle, Scene
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
 from mbds_xsim.simulate.adapter import Profile, Settings
 from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.simulate.timed import checked
+from mbds_xsim.testing.contact_cases import RADIUS, on_ground
 
 PULL = -GRAVITY[2]
 UP = np.array([0.0, 0.0, 1.0])
-RADIUS = PARTICLE_RADIUS
-FRICTION, RESTITUTION = 0.43, 0.9332
 CRATE_MASS = 30.0
 _HALF_EDGE = 0.2
 _CENTRE = (0.0, 0.0, RADIUS)
@@ -167,8 +156,7 @@ def _scene(
     start: dict[str, Array],
 ) -> tuple[Scene, Batch]:
     """Put a body with contact spheres on the ground; positions are offsets, a force is constant."""
-    spheres = tuple(ContactSphere(body.name, (x, y, z), RADIUS) for x, y, z in centres)
-    scene = Scene(body.name, (body,), length, contacts=spheres, ground=ground, clock=clock)
+    scene = on_ground(body, length, centres, ground, clock)
     rows = len(next(iter(start.values()))) if start else 1
     batch = draw_batch(scene, range(rows), noise=False)
     fields: dict[str, Any] = {key: value[:, None] for key, value in start.items()}

@@ -17,16 +17,14 @@ from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import Profile
 from mbds_xsim.studies.contact import (
     CRATE_MASS,
-    FRICTION,
     PULL,
-    RADIUS,
-    RESTITUTION,
     ContactBench,
     ContactFigure,
     ball,
     crate,
     wheel,
 )
+from mbds_xsim.testing.contact_cases import FRICTION, RADIUS, RESTITUTION
 
 _BALL_GROUND = Ground(FRICTION, RESTITUTION)
 # With rebound, the corners would push each other and rattle.

@@ -25,19 +25,9 @@ from mbds_xsim.scene.scene import Body, Ground, Inertia, Joint, Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import Profile
 from mbds_xsim.simulate.registry import load_adapter, load_scene
-from mbds_xsim.studies.contact import (
-    FRICTION,
-    PULL,
-    RADIUS,
-    RESTITUTION,
-    UP,
-    ContactBench,
-    ContactFigure,
-    ball,
-    crate,
-)
+from mbds_xsim.studies.contact import PULL, UP, ContactBench, ContactFigure, ball, crate
+from mbds_xsim.testing.contact_cases import FRICTION, RADIUS, RESTITUTION, RESTITUTIONS
 
-RESTITUTIONS = (0.0, 0.5, RESTITUTION, 1.0)
 SPEEDS = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 DEPTH_SPEEDS = (1.0, 5.0)
 _STARTS = 8

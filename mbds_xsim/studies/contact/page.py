@@ -12,9 +12,9 @@ from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Cell
 from mbds_xsim.report.files import link, table_text
 from mbds_xsim.simulate.claims import ContactLaw
-from mbds_xsim.studies.contact import FRICTION, RADIUS, RESTITUTION, ContactFigure
+from mbds_xsim.studies.contact import ContactFigure
 from mbds_xsim.studies.contact.friction import PUSHES
-from mbds_xsim.studies.contact.impacts import DEPTH_SPEEDS, RESTITUTIONS, SPEEDS
+from mbds_xsim.studies.contact.impacts import DEPTH_SPEEDS, SPEEDS
 from mbds_xsim.studies.contact.present import (
     JUDGED,
     ContactLine,
@@ -23,6 +23,7 @@ from mbds_xsim.studies.contact.present import (
     impact,
     rows_of,
 )
+from mbds_xsim.testing.contact_cases import FRICTION, RADIUS, RESTITUTION, RESTITUTIONS
 
 _PAGE = """\
 # What contact means in each engine

@@ -29,17 +29,10 @@ from mbds_xsim.simulate.choice import Choice, as_profile
 from mbds_xsim.simulate.claims import ContactLaw, Feature
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.simulate.timed import simulate
-from mbds_xsim.studies.contact import FRICTION, RADIUS, RESTITUTION, ContactBench, ContactFigure
+from mbds_xsim.studies.contact import ContactBench, ContactFigure
 from mbds_xsim.studies.contact.friction import PUSHES, friction
-from mbds_xsim.studies.contact.impacts import (
-    DROPS,
-    RESTITUTIONS,
-    SPINS,
-    energy,
-    impacts,
-    limits,
-    rest,
-)
+from mbds_xsim.studies.contact.impacts import DROPS, SPINS, energy, impacts, limits, rest
+from mbds_xsim.testing.contact_cases import FRICTION, RADIUS, RESTITUTION, RESTITUTIONS
 
 _SCENE = "balldrop"
 _REPEATS = 3

@@ -29,7 +29,7 @@ from mbds_xsim.simulate.adapter import Adapter, Profile
 from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.registry import PAPER_SCENES, engine_names, load_adapter, load_scene
 from mbds_xsim.simulate.simulator import EngineMethod, Simulator
-from mbds_xsim.studies.contact import RESTITUTION, ContactBench, reason
+from mbds_xsim.studies.contact import ContactBench, reason
 from mbds_xsim.studies.contact.impacts import rebounds
 from mbds_xsim.studies.releases.environments import add, install, releases_of
 from mbds_xsim.studies.releases.steps import (
@@ -42,6 +42,7 @@ from mbds_xsim.studies.releases.steps import (
 )
 from mbds_xsim.studies.tradeoff.bench import Truth, measure, references
 from mbds_xsim.testing.cases import CASES
+from mbds_xsim.testing.contact_cases import RESTITUTION
 from mbds_xsim.testing.ladder import EXACT, STEPS_PER_FRAME, case_settings, measured_order
 
 PROFILES: tuple[Profile, ...] = ("native", "matched")

@@ -12,7 +12,7 @@ from typing import Literal
 import msgspec
 
 from mbds_xsim.measure.runner import Keyed
-from mbds_xsim.studies.contact import RESTITUTION
+from mbds_xsim.testing.contact_cases import RESTITUTION
 
 SCHEMA = "mbds-xsim/releases/1"
 FACTOR = 2.0
