@@ -208,7 +208,7 @@ def contact_findings(
     motion: Trajectory,
     exact: ReferenceOutcome,
     method: Method,
-    momentum: Array | None = None,
+    momentum: Array | None,
 ) -> list[Finding]:
     """Compare a motion on the ground with the pieces of it that are known exactly.
 

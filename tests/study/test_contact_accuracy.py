@@ -69,7 +69,7 @@ def test_the_exact_motion_is_held_to_what_applies_and_keeps_it(
     name: str, limits: list[str]
 ) -> None:
     scene, _, exact = prepared(name)
-    findings = contact_findings(scene, moved(exact.trajectory), exact, EULER)
+    findings = contact_findings(scene, moved(exact.trajectory), exact, EULER, None)
 
     assert [finding.check for finding in findings] == limits
     for finding in findings:
@@ -107,7 +107,7 @@ def test_a_ball_is_held_to_its_flights(
     place[0, first : None if end is None else frames[end]] += shift
 
     motion = moved(exact.trajectory, position=place)
-    assert broken(contact_findings(scene, motion, exact, EULER)) == said
+    assert broken(contact_findings(scene, motion, exact, EULER, None)) == said
 
 
 @pytest.mark.parametrize(("share", "said"), [(0.97, True), (0.985, False), (1.03, True)])
@@ -123,7 +123,7 @@ def test_a_first_rebound_is_held_to_its_height(share: float, said: bool) -> None
     place[flight] -= (1.0 - share) * energy / G
 
     motion = moved(exact.trajectory, position=place, velocity=speed)
-    findings = {f.check: f for f in contact_findings(scene, motion, exact, EULER)}
+    findings = {f.check: f for f in contact_findings(scene, motion, exact, EULER, None)}
     assert findings["height of the first rebound"].figure[0] == pytest.approx(abs(1.0 - share))
     assert (not findings["height of the first rebound"].passed[0]) == said
 
@@ -137,11 +137,11 @@ def test_joined_bodies_are_held_to_their_flight_and_to_nothing_after_it() -> Non
     fine = moved(truth, position=wild, orientation=turn)
     tilt = rotation.multiply(rotation.from_vector(np.array([0.0, 1.1e-3, 0.0])), turn)
 
-    assert broken(contact_findings(scene, fine, exact, EULER)) == []
+    assert broken(contact_findings(scene, fine, exact, EULER, None)) == []
     off = dataclasses.replace(fine, position=wild + np.array([6e-4, 0.0, 0.0]))
-    assert broken(contact_findings(scene, off, exact, EULER)) == ["error in flight"]
+    assert broken(contact_findings(scene, off, exact, EULER, None)) == ["error in flight"]
     turned = dataclasses.replace(fine, orientation=tilt)
-    assert broken(contact_findings(scene, turned, exact, EULER)) == ["turn in flight"]
+    assert broken(contact_findings(scene, turned, exact, EULER, None)) == ["turn in flight"]
 
 
 def test_momentum_before_an_impact_is_kept_by_the_order_of_the_method() -> None:
@@ -162,7 +162,8 @@ def test_what_was_lost_breaks_the_limit() -> None:
     scene, _, exact = prepared("ballscroll")
     place = exact.trajectory.position.copy()
     place[1, 50:] = np.nan
-    (finding,) = contact_findings(scene, moved(exact.trajectory, position=place), exact, EULER)
+    motion = moved(exact.trajectory, position=place)
+    (finding,) = contact_findings(scene, motion, exact, EULER, None)
 
     assert finding.passed.tolist() == [True, False, True]
     assert finding.frame[1] == 50
