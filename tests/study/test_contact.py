@@ -208,7 +208,7 @@ def test_one_start_that_is_seen_is_drawn_and_what_an_engine_raises_stays_on_its_
         (["--engines", "bullet"], "no engine is called 'bullet'"),
         (
             ["--engines", "pinocchio"],
-            "--engines: got pinocchio: it has no contact: Pinocchio gives",
+            "--engines: got pinocchio: it has no contact: Pinocchio computes",
         ),
         (["--settings", "best"], "no settings profile is called 'best'"),
         (["--markdown", "."], "--markdown: cannot write ."),
