@@ -6,13 +6,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from mbds_xsim.api import audit, generate, load_scene, validate, verify
+    from mbds_xsim.api import audit, generate, load_scene, tradeoff, validate, verify
     from mbds_xsim.base.errors import InputError
     from mbds_xsim.dataset.paired import load_pairs
     from mbds_xsim.dataset.read import load_dataset
     from mbds_xsim.scene.file import save_scene
     from mbds_xsim.scene.scene import Scene
-    from mbds_xsim.studies.tradeoff.study import tradeoff
 
 __all__ = [
     "InputError",
@@ -34,7 +33,6 @@ _HOMES = {
     "load_dataset": "mbds_xsim.dataset.read",
     "load_pairs": "mbds_xsim.dataset.paired",
     "save_scene": "mbds_xsim.scene.file",
-    "tradeoff": "mbds_xsim.studies.tradeoff.study",
 }
 
 

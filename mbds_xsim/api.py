@@ -18,16 +18,18 @@ from mbds_xsim.base.isolate import LIMIT, Conduct
 from mbds_xsim.scene.sampling import Starts
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate import registry
-from mbds_xsim.simulate.choice import Choice, words_of
+from mbds_xsim.simulate.choice import Choice
 
 if TYPE_CHECKING:
     from mbds_xsim.dataset.audit import Audited
     from mbds_xsim.dataset.generate import Generated
     from mbds_xsim.dataset.verify import Verified
     from mbds_xsim.measure.result import Evidence, Validation
+    from mbds_xsim.studies.tradeoff import Tradeoff
 
 _MOST_STARTS = 10_000
 _LARGEST_INDEX = 10**15 - 1  # as on the command line
+_MOST_ROLLOUTS, _LONGEST = 1000, 1e7  # of a trade-off, as there
 
 
 def load_scene(scene: Any) -> Scene:
@@ -48,7 +50,7 @@ def validate(
     scene: Scene | str | Path,
     *,
     engines: str | Iterable[str] = (),
-    settings: str | Iterable[str] = "matched",
+    settings: str | Path | Iterable[str | Path] = "matched",
     trajectories: int = 1,
     seed: int = 0,
     method: str | None = None,
@@ -65,7 +67,7 @@ def validate(
     Args:
         scene: Scene to validate: the scene itself, its name, or its file.
         engines: One name or several; all installed ones when empty.
-        settings: "matched", "native" or both.
+        settings: "matched", "native", the path of a settings file, or several.
         trajectories: Number of starts in each of the intervals low, medium and high.
         seed: Seed of starts and inputs.
         method: Integration method to use; needs a single engine.
@@ -89,9 +91,7 @@ def validate(
     if target is not None:
         check_writable(target, "page")
     word = None if method is None else str(method)
-    choice = Choice.parse(
-        engines=words_of(engines) or None, profiles=settings, method=word, step=step, limit=limit
-    )
+    choice = Choice.parse(engines=engines, profiles=settings, method=word, step=step, limit=limit)
     validation, evidence = validate_with_evidence(
         load_scene(scene),
         choice=choice,
@@ -117,7 +117,7 @@ def generate(
     out: str | Path,
     *,
     engines: str | Iterable[str] = (),
-    settings: str | Iterable[str] = "matched",
+    settings: str | Path | Iterable[str | Path] = "matched",
     trajectories: int = 15_000,
     seed: int = 0,
     noise: bool = True,
@@ -132,7 +132,8 @@ def generate(
         scenes: One or several: scenes, their names, or their files.
         out: Folder of the data, made if needed.
         engines: One name or several; all installed ones when empty.
-        settings: "matched" (certified), "native" (uncertified), or both.
+        settings: "matched" (certified), "native" (uncertified), the path of a settings file, or
+            several.
         trajectories: Number of trajectories to draw; rejected ones are not replaced.
         seed: Seed of starts and inputs.
         noise: Whether random forces act.
@@ -153,7 +154,7 @@ def generate(
     loaded = tuple(map(load_scene, several))
     if not loaded:
         raise InputError("scenes: got none, allowed are scenes, their names, or their files")
-    choice = Choice.parse(engines=words_of(engines) or None, profiles=settings, limit=limit)
+    choice = Choice.parse(engines=engines, profiles=settings, limit=limit)
     request = Request(loaded, choice, trajectories, path_of("--out", out), seed, noise)
     return run(request, workers=workers)
 
@@ -222,6 +223,47 @@ def verify(path: str | Path, *, seed: int | None = None, workers: int | None = N
     return run(path_of("path", path), seed=seed, conduct=Conduct(workers))
 
 
+def tradeoff(
+    scene: Scene | str | Path,
+    *,
+    engines: str | Iterable[str] = (),
+    starts: int = 3,
+    seed: int = 0,
+    limit: float = 30.0,
+    workers: int | None = None,
+    fresh: bool = False,
+) -> Tradeoff:
+    """Measure speed against accuracy of engines on a scene.
+
+    Args:
+        scene: Scene to simulate: the scene itself, its name, or its file.
+        engines: One name or several; all installed ones and the reference if empty.
+        starts: Number of starts, drawn from the medium interval.
+        seed: Seed of starts and inputs.
+        limit: Longest rollout of one start [s]; points that would take longer are only listed.
+        workers: Number of processes at a time; one per core if None, only this one for 0.
+        fresh: Whether points that were measured earlier are measured again.
+
+    Raises:
+        InputError: An argument cannot be used.
+    """
+    from mbds_xsim.studies.tradeoff.study import tradeoff_with_rows
+
+    starts = _whole("starts", starts, 1, _MOST_ROLLOUTS)
+    seed = _whole("seed", seed, 0)
+    _check(workers, limit, 0.1, _LONGEST, fresh=fresh)
+    choice = Choice.parse(engines=engines, also=(registry.REFERENCE,))
+    return tradeoff_with_rows(
+        load_scene(scene),
+        choice=choice,
+        starts=starts,
+        seed=seed,
+        limit=limit,
+        conduct=Conduct(workers, fresh=fresh),
+        command="mbds_xsim.tradeoff",
+    )[0]
+
+
 def _numbers(index: str | int | Iterable[int]) -> tuple[int, ...]:
     """Read the numbers of starts."""
     from mbds_xsim.dataset.read import parse_numbers
@@ -249,12 +291,19 @@ def _seconds(name: str, value: object, least: float | None = None) -> float | No
     return seconds
 
 
-def _check(workers: int | None = None, limit: object = LIMIT, **flags: object) -> None:
+def _check(
+    workers: int | None = None,
+    limit: object = LIMIT,
+    least: float = 1.0,
+    most: float = math.inf,
+    **flags: object,
+) -> None:
     """Refuse bad arguments; a flag may not be another value that Python takes for true."""
     if workers is not None:
         _whole("workers", workers, 0)
-    if not isinstance(limit, int | float) or not limit >= 1.0:
-        raise InputError(f"--limit: got {limit!r}, allowed is 1 or more [s]")
+    if not isinstance(limit, int | float) or not least <= limit <= most:
+        allowed = f"{least:g} or more" if most == math.inf else f"{least:g} to {most:g}"
+        raise InputError(f"--limit: got {limit!r}, allowed is {allowed} [s]")
     for name, value in flags.items():
         if not isinstance(value, bool | np.bool_):
             raise InputError(f"--{name}: got {value!r}, allowed is True or False")

@@ -81,8 +81,11 @@ def test_a_validation_takes_method_step_noise_and_page(tmp_path: Path) -> None:
         ({"limit": 0.5}, "--limit: got 0.5, allowed is 1 or more [s]"),
         ({"limit": float("nan")}, "--limit: got nan"),
         ({"engines": "mujco"}, "no engine is called 'mujco'"),
-        ({"engines": 5}, "allowed are names"),
-        ({"engines": ["mujoco", 5]}, "allowed are names"),
+        ({"engines": 5}, "--engines: got 5, allowed are names"),
+        ({"engines": ["mujoco", 5]}, "--engines: got ['mujoco', 5], allowed are names"),
+        ({"settings": 3}, "--settings: got 3, allowed are names"),
+        ({"settings": Path("no.toml")}, "--settings no.toml: cannot be read"),
+        ({"settings": ["matched", Path("no.toml")]}, "--settings no.toml: cannot be read"),
         ({"settings": "best"}, "no settings profile is called 'best'"),
         ({"settings": []}, "--settings: got none, allowed is"),
         ({"noise": "no"}, "--noise: got 'no', allowed is True or False"),
@@ -126,6 +129,9 @@ def test_what_cannot_be_used_is_told_in_one_line(arguments: dict[str, Any], line
         ("audit", ["x.npz"], {"noise": "no"}, "--noise: got 'no', allowed is True or"),
         ("verify", [""], {}, "path: got ''"),
         ("load_dataset", [3], {}, "path: got 3, allowed is the path"),
+        ("generate", ["2pendulum", "data"], {"settings": 3}, "--settings: got 3"),
+        ("generate", ["2pendulum", "data"], {"settings": Path("no.toml")}, "--settings no.toml:"),
+        ("load_pairs", [], {}, "paths: got none, pairing takes two or more"),
         ("load_pairs", [["a.h5", "b.h5"]], {}, "paths: got ['a.h5', 'b.h5'], allowed is the path"),
         ("save_scene", [load_scene("2pendulum"), None], {}, "path: got None"),
     ],
@@ -139,6 +145,57 @@ def test_other_calls_are_refused_in_one_line_too(
     assert line in str(refused.value)
     assert "\n" not in str(refused.value)
     assert list(here.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        ({"scene": None}, "scene: got None, allowed is a Scene, a name or the path of a file"),
+        ({"scene": Path("no.toml")}, "no.toml"),
+        ({"engines": 5}, "--engines: got 5, allowed are names"),
+        *(({"starts": wrong}, f"--starts: got {wrong!r}") for wrong in (0, -1, 1.5, "1", 1001)),
+        ({"seed": -1}, "--seed: got -1, allowed is a whole number, 0 or more"),
+        *(
+            ({"limit": wrong}, f"--limit: got {wrong!r}, allowed is 0.1 to 1e+07 [s]")
+            for wrong in ("a", 0, None, float("nan"), float("inf"))
+        ),
+        ({"workers": -1}, "--workers: got -1, allowed is a whole number, 0 or more"),
+        ({"fresh": "no"}, "--fresh: got 'no', allowed is True or False"),
+    ],
+)
+def test_a_trade_off_refuses_what_cannot_be_used(arguments: dict[str, Any], line: str) -> None:
+    usual: dict[str, Any] = {"scene": "2pendulum", "engines": "mujoco", "limit": 1.0, "workers": 0}
+    with pytest.raises(InputError) as refused:
+        mbds_xsim.tradeoff(**(usual | arguments))
+
+    assert line in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_trade_off_takes_the_path_of_a_scene(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = []
+
+    def run(scene: Scene, **_: object) -> tuple[str, list[object]]:
+        given.append(scene)
+        return "study", []
+
+    monkeypatch.setattr("mbds_xsim.studies.tradeoff.study.tradeoff_with_rows", run)
+    scene = load_scene("2pendulum")
+    mbds_xsim.save_scene(scene, tmp_path / "two.toml")
+    for place in (tmp_path / "two.toml", str(tmp_path / "two.toml"), scene):
+        mbds_xsim.tradeoff(place, engines="mujoco")
+    assert given == [scene] * 3
+
+
+def test_a_settings_file_may_be_given_as_a_path(here: Path) -> None:
+    path = here / "own.toml"
+    path.write_text('name = "own"\n[mujoco]\nmethod = "RK4"\nsteps_per_frame = 2\n')
+
+    for settings in (path, str(path), [path]):
+        assert Choice.parse(profiles=settings).profiles == ("own",)
+    assert Choice.parse(profiles=["native", path]).profiles == ("native", "own")
 
 
 def test_a_time_limit_is_that_of_each_engine_s_work(

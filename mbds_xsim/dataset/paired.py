@@ -107,7 +107,7 @@ def load_pairs(*paths: str | Path, split: str | None = None) -> PairedData:
             seed, length or starts differ, or no trajectory is in all of them.
     """
     sets = [load_dataset(file) for path in paths for file in joined_files(path_of("paths", path))]
-    source = ", ".join(map(str, paths))
+    source = ", ".join(map(str, paths)) or "paths"
     files = {one.variant: one for one in sets}
     if len(sets) < 2 or len(files) < len(sets):
         names = ", ".join(str(one.path) for one in sets)

@@ -23,7 +23,7 @@ from torch import Tensor
 from torch.nn.modules.module import register_module_parameter_registration_hook
 
 from mbds_xsim.base.errors import InputError, UnknownName
-from mbds_xsim.base.files import check_regular, write_whole
+from mbds_xsim.base.files import check_regular, path_of, write_whole
 from mbds_xsim.learn.graph import Graph, check_edges
 from mbds_xsim.learn.model import LearnedModel, load_model, of_another_package
 from mbds_xsim.learn.statistics import Statistics
@@ -58,7 +58,7 @@ def save_model(
     write_stored(path, whole)
 
 
-def read_model(path: Path, scene: Scene | None = None) -> tuple[LearnedModel, dict[str, str]]:
+def read_model(path: str | Path, scene: Scene | None = None) -> tuple[LearnedModel, dict[str, str]]:
     """Read a model, on the CPU, and the facts that were written with it.
 
     It predicts the given scene, or by default the one that it was trained on.
@@ -68,6 +68,7 @@ def read_model(path: Path, scene: Scene | None = None) -> tuple[LearnedModel, di
         Unsupported: The model cannot represent the scene.
         UnknownName: The model is not registered here.
     """
+    path = path_of("path", path)
     whole = _read(path)
     try:
         kind = load_model(whole.name)
@@ -139,9 +140,9 @@ def _other_code(path: Path, error: Exception) -> InputError:
     return InputError(f"{path}: made by another version of the code ({reason}); train it again")
 
 
-def read_facts(path: Path) -> dict[str, str]:
+def read_facts(path: str | Path) -> dict[str, str]:
     """Read only the facts of a model's file, or raise InputError."""
-    return _read(path).facts
+    return _read(path_of("path", path)).facts
 
 
 class _Whole(msgspec.Struct, frozen=True):

@@ -206,11 +206,11 @@ class Selection:
     @staticmethod
     def parse(settings: str | None, on: str | None, seeds: int | None) -> Selection:
         """Parse a user's words; raise InputError with the allowed ways for an unknown one."""
-        ways = words_of(on or ())
+        ways = words_of(on or (), "--on")
         if unknown := [way for way in ways if way not in _WAYS]:
             msg = f"--on: got {unknown[0]!r}, allowed is {', '.join(_WAYS)}, comma-separated"
             raise InputError(msg)
-        return Selection(words_of(settings or ()), ways, seeds)
+        return Selection(words_of(settings or (), "--settings"), ways, seeds)
 
     def has(self, model: TrainedModel) -> bool:
         """Whether a trained model takes part."""

@@ -68,7 +68,7 @@ class Choice:
     def parse(
         *,
         engines: str | Iterable[str] | None = None,
-        profiles: str | Iterable[str] = MATCHED,
+        profiles: str | Path | Iterable[str | Path] = MATCHED,
         method: str | None = None,
         step: float | None = None,
         limit: float = LIMIT,
@@ -80,11 +80,11 @@ class Choice:
         all installed engines and those in `also`. A profile may be the path of a settings file: as
         `mbds-xsim match --out` writes it, or with a `name` of its own.
         """
-        names = words_of(engines) if engines is not None else ()
+        names = words_of(engines, "--engines") if engines is not None else ()
         for name in names:
             registry.load_adapter(name)
         named = bool(names)
-        words, settings = _profiles(words_of(profiles), names)
+        words, settings = _profiles(words_of(profiles, "--settings"), names)
         listed = dict.fromkeys(name for table in settings.values() for name in table)
         names = names or tuple(listed) or (*registry.installed_engines(), *also)
         if not names:
@@ -188,16 +188,19 @@ def _able_methods(adapter: Adapter, scene: Scene) -> list[str]:
     return [name for name in adapter.methods if not adapter.refusals(scene, name)]
 
 
-def words_of(names: str | Iterable[str]) -> tuple[str, ...]:
-    """Split a text at commas; each word counts once.
+def words_of(names: str | Path | Iterable[str | Path], option: str) -> tuple[str, ...]:
+    """Split a text at commas; each word counts once, and a path is one word.
 
     Raises:
-        InputError: The words are neither a text nor several texts.
+        InputError: The words are neither a text or path nor several; the message names the option.
     """
     words = names.split(",") if isinstance(names, str) else names
-    if not isinstance(words, Iterable) or not all(isinstance(word, str) for word in words):
-        raise InputError(f"got {names!r}, allowed are names, as 'one,other' or ['one', 'other']")
-    return tuple(dict.fromkeys(word.strip() for word in words))
+    words = (words,) if isinstance(words, Path) else words
+    words = tuple(words) if isinstance(words, Iterable) else (None,)
+    if not all(isinstance(word, str | Path) for word in words):
+        msg = f"got {names!r}, allowed are names, as 'one,other' or ['one', 'other']"
+        raise InputError(f"{option}: {msg}")
+    return tuple(dict.fromkeys(str(word).strip() for word in words))
 
 
 class Matched(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

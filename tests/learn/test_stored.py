@@ -69,6 +69,19 @@ def test_absurd_contents_are_refused_in_one_line(change: Change, told: str, tmp_
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 10**6  # [KiB]
 
 
+def test_a_path_may_be_a_text(tmp_path: Path) -> None:
+    path = tmp_path / "model.pt"
+    model_file(path)
+
+    model, facts = read_model(str(path))
+
+    assert (type(model), facts) == (load_model("gns"), FACTS)
+    assert read_facts(str(path)) == FACTS
+    for read in (read_model, read_facts):
+        with pytest.raises(InputError, match="path: got '', allowed is the path of a file"):
+            read("")
+
+
 @pytest.mark.parametrize(
     "content",
     [

@@ -21,7 +21,6 @@ from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.simulator import EngineMethod
 from mbds_xsim.studies.diff.read import read_views
 from mbds_xsim.studies.tradeoff import curves_of
-from mbds_xsim.studies.tradeoff.study import tradeoff
 from mbds_xsim.studies.tradeoff.words import main_curves
 from tests.command_line import CommandLine
 
@@ -92,7 +91,7 @@ def test_contact_without_a_unique_motion_is_refused(name: str) -> None:
 
 def test_its_curve_goes_over_tolerances(scene: Scene, here: Path) -> None:
     del here
-    study = tradeoff(scene, engines=f"{NAME},mujoco", starts=1, limit=1.0, workers=0)
+    study = mbds_xsim.tradeoff(scene, engines=f"{NAME},mujoco", starts=1, limit=1.0, workers=0)
     alone, batch = (curve for curve in study.curves if curve.engine == NAME)
 
     assert [point.rtol for point in alone.points] == [10.0**-n for n in range(5, 13)]
@@ -111,7 +110,7 @@ def test_its_curve_goes_over_tolerances(scene: Scene, here: Path) -> None:
 def test_a_ball_has_a_cost_and_no_error(here: Path) -> None:
     del here
     scene = msgspec.structs.replace(registry.load_scene("balldrop"), clock=Clock(0.02, 60))
-    study = tradeoff(scene, engines=f"{NAME}", starts=1, limit=1.0, workers=0)
+    study = mbds_xsim.tradeoff(scene, engines=f"{NAME}", starts=1, limit=1.0, workers=0)
 
     for point in study.curves[0].points:
         assert point.kind == "done"

@@ -62,7 +62,8 @@ def test_times_are_the_median_of_starts_and_repeats(
 
 
 def test_what_would_take_too_long_is_listed(scene: Scene) -> None:
-    study = studied(scene, "mujoco", limit=1e-6)
+    choice = Choice.parse(engines="mujoco")
+    study = tradeoff_with_rows(scene, choice=choice, starts=1, limit=1e-6, conduct=HERE)[0]
 
     curve = curve_of(study, "mujoco RK4")
     assert [point.kind for point in curve.points] == ["done", *["too slow"] * 5]

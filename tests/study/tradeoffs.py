@@ -6,11 +6,11 @@ from typing import Any
 
 import msgspec
 
+from mbds_xsim import tradeoff
 from mbds_xsim.measure.runner import Store
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate import registry
 from mbds_xsim.studies.tradeoff import Measurement, Tradeoff
-from mbds_xsim.studies.tradeoff.study import tradeoff
 
 ROW = Measurement(
     key="", scene="particlecar", engine="pybullet", version="1", method="semi-implicit-euler",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -15,8 +15,7 @@ from mbds_xsim.scene.sampling import distinct_starts, draw_batch
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, fingerprint
-from mbds_xsim.simulate import registry
-from mbds_xsim.simulate.choice import Choice, words_of
+from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.claims import TRUTH
 from mbds_xsim.simulate.simulator import EngineMethod, Simulator
 from mbds_xsim.studies.tradeoff import SCHEMA, SPAN, CurveRows, Measurement, Tradeoff, curves_of
@@ -36,41 +35,6 @@ _FINE_ENOUGH = 0.1
 """Part of the error budget below which no shorter step is tried."""
 
 
-def tradeoff(
-    scene: Scene | str,
-    *,
-    engines: str | Iterable[str] = (),
-    starts: int = STARTS,
-    seed: int = 0,
-    limit: float = LIMIT,
-    workers: int | None = None,
-    fresh: bool = False,
-) -> Tradeoff:
-    """Measure speed against accuracy of engines on a scene.
-
-    Args:
-        scene: Scene to simulate, or its name or file.
-        engines: One name or several; all installed ones and the reference if empty.
-        starts: Number of starts, drawn from the medium interval.
-        seed: Seed of starts and inputs.
-        limit: Longest rollout of one start [s]; points that would take longer are only listed.
-        workers: Number of processes at a time; one per core if None, only this one for 0.
-        fresh: Whether points that were measured earlier are measured again.
-
-    Raises:
-        InputError: An argument cannot be used.
-    """
-    return tradeoff_with_rows(
-        registry.load_scene(scene) if isinstance(scene, str) else scene,
-        choice=Choice.parse(engines=words_of(engines) or None, also=(registry.REFERENCE,)),
-        starts=starts,
-        seed=seed,
-        limit=limit,
-        conduct=Conduct(workers, fresh=fresh),
-        command="mbds_xsim.tradeoff",
-    )[0]
-
-
 def tradeoff_with_rows(
     scene: Scene,
     *,
@@ -81,7 +45,11 @@ def tradeoff_with_rows(
     conduct: Conduct = USUAL,
     command: str = "",
 ) -> tuple[Tradeoff, list[Measurement]]:
-    """Run `tradeoff`, and return the raw rows as well."""
+    """Measure speed against accuracy of engines on a scene.
+
+    Returns:
+        The study, and the raw rows.
+    """
     begin = time.perf_counter()
     curves, left_out = curves_of(scene, choice.engines)
     left_out |= choice.faulty
