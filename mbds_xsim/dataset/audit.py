@@ -242,6 +242,8 @@ class _Case:
         errors = [np.abs(got[:, 0] - own[:, 0]) for got, own in pairs if got is not None]
         parts[:, 0, 0] = np.stack([error.max(axis=(1, 2)) for error in errors]).max(axis=0)
         rounding = self.rounding("position", "velocity")
+        if rounding > _SAME_INPUT:
+            self.assumptions.append(f"rounding: start may be off by up to {rounding:.0e}")
         return [Finding.of("start", "1", parts, budget=_SAME_START, uncertainty=rounding)]
 
     def _carried(self, states: dict[str, Array | None]) -> list[Finding]:

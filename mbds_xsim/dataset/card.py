@@ -128,8 +128,9 @@ in the speed interval low, medium or high by i mod 3.
 | --- | --- | --- | --- | --- | --- | --- | --- |
 {rows}
 {valid.sum()} of {len(valid)} are published in all of them (`{joint.name}`). *Certified*: every
-check of every trajectory held, and the engine's model read back as the scene. *Uncertified*: what
-an ordinary user of the engine gets; the figures of the checks are stored all the same.
+check of every trajectory held, and the engine's model read back as the scene. *Uncertified*: at an
+engine's native settings, those that an ordinary user gets, or at other named settings; only finite
+numbers and the start decided, and the figures of all checks are stored.
 {_truth(sets)}{rejected}
 ## Split
 
@@ -154,10 +155,10 @@ shows the figures of the checks, `mbds-xsim verify .` checks all of it again fro
 
 ## Limits
 
-Simulated, not measured: what agrees with the reference is the scene's own equations, rigid bodies
-and ideal joints among them. Beyond the time at which neighbouring motions part, a trajectory is one
-of many that the scene allows. Rejected trajectories are missing in the file where they were
-rejected; if hard motions are rejected more often, what is left is biased towards easy ones.
+Simulated, not measured: the reference solves the scene's own equations, which assume rigid bodies
+and ideal joints. Beyond the time at which neighbouring motions part, a trajectory is one of many
+that the scene allows. Rejected trajectories are missing in the file where they were rejected; if
+hard motions are rejected more often, what is left is biased towards easy ones.
 
 ## Versions
 

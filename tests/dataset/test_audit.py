@@ -45,6 +45,21 @@ def test_float32_is_no_fault(rod: Scene, swing: Arrays, audited: Audit) -> None:
     assert any(line.startswith("rounding") for line in result.taken)
 
 
+def test_a_start_rounded_beyond_its_budget_is_told(
+    rod: Scene, swing: Arrays, audited: Audit
+) -> None:
+    """A figure far above its budget may pass only with a word about why."""
+    points = _only(swing, "position")
+    coarse = audited(rod, points | {"position": points["position"].astype(np.float32)})
+    (start,) = (finding for finding in coarse.findings if finding.check == "start")
+
+    assert start.passed
+    assert start.budget is not None
+    assert start.figure > 1e3 * start.budget
+    assert "rounding: start may be off by up to 3e-08" in coarse.taken
+    assert not any(line.startswith("rounding") for line in audited(rod, points).taken)
+
+
 @pytest.mark.parametrize(
     ("name", "fault", "sees"),
     [

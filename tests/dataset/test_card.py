@@ -55,6 +55,7 @@ def test_the_card_tells_what_each_file_is(two: Path) -> None:
             *("6", "6", "0"),
         ]
     assert "6 of 6 are published in all of them (`joint.h5`)" in text
+    assert "those that an ordinary user gets, or at other named settings; only finite" in text
     assert str(two) not in text
 
 
