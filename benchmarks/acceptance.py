@@ -21,7 +21,7 @@ Every trajectory that was drawn is checked, and only what passes is published; r
 counted by the check that failed first, and not replaced. Times are of one core, from the logs of
 the shards: drawing, simulating, checking (and the reference of the audit sample), writing and
 reading back; `of it engine` is the simulation's part. `verify` reads all of it again from the files
-alone. What is published and how is told in
+alone. What is published, and how, is explained in
 [Data sets: files and layout](../docs/dataset-layout.md).
 """
 HEADINGS = (

@@ -124,10 +124,10 @@ _TEXT = f"""\
 The adapter's rollout over 4 s at matched settings, beside the time that it spends in the engine's
 own functions: steps, loads and what is read of the state. Overhead: the rest (inputs handed over,
 states kept and turned into those of bodies) over that time, the median of {ROUNDS[0]} rollouts or
-more; of 50 %: what the middle half of them had. Load: building the model, once for all starts;
-start: what a rollout costs before its first step and after its last, with the state reset and
-nothing built. Both as a part of the rollout's time. Times are the processor's, in one process on
-one thread.
+more; of 50 %: the range of the middle half of the rollouts. Load: building the model, once for all
+starts; start: what a rollout costs before its first step and after its last, with the state reset
+and nothing built. Both as a part of the rollout's time. Times are the processor's, in one process
+on one thread.
 """
 
 

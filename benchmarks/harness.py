@@ -54,7 +54,8 @@ def placed(page: str, name: str, text: str) -> str:
 
 def print_head(title: str, command: str, text: str) -> None:
     """Print the head of a page: its title, the command that writes it, and its introduction."""
-    paragraphs = (textwrap.fill(" ".join(part.split()), 100) for part in text.split("\n\n"))
+    whole = textwrap.TextWrapper(100, break_on_hyphens=False)  # links stay in one piece
+    paragraphs = (whole.fill(" ".join(part.split())) for part in text.split("\n\n"))
     print(f"# {title}\n\n<!-- Written by: {command} -->\n")
     print("\n\n".join(paragraphs), end="\n\n")
 

@@ -24,7 +24,7 @@ _TEXT = """\
 The worst figure of every check, over all starts of all [validated](README.md#validation) scenes, as
 a share of what the scene allows. At 100 % a budget is only just kept; where it is not (bold), the
 trajectories that are over it are counted. Then the figure itself and the scene; without a share it
-is shown and not judged, 0 is exact, and – is nothing to tell. What checks mean:
+is shown and not judged, 0 is exact, and – means that there is no figure. What checks mean:
 [checks](../docs/checks.md).
 """
 

@@ -44,12 +44,12 @@ SHOWN: dict[str, dict[str, str]] = {
 _HEAD = """# What engines' own readers lose
 
 MuJoCo, PyBullet and DART read models themselves, and each reads other things of them.
-`mbds-xsim readers MODEL` lets each load a file, with the options that it has by itself, and holds
-what it then has against what the file says, field by field, and says how far the bodies are after a
-second from where the file has them go. It exits with 1 where one differs.
+`mbds-xsim readers MODEL` lets each engine load a file with its default options, compares what it
+has read with what the file says, field by field, and reports how far the bodies are after one
+second from where the file's own values put them. It exits with 1 if any engine differs.
 
-Each of these losses has a minimal file in `tests/models/losses`. This page is made of them by
-`python -m benchmarks.reader_losses > docs/reader-losses.md`; a test compares the two.
+Each of these losses has a minimal file in `tests/models/losses`. This page is generated from them
+by `python -m benchmarks.reader_losses > docs/reader-losses.md`; a test compares the two.
 """
 
 

@@ -76,7 +76,7 @@ def validate(
         inputs: Whether drawn inputs act: wind, drives.
         cache: Whether stored reference solutions may be used.
         workers: Number of processes; all cores by default. 0 works in this process, without limit.
-        limit: Longest time that one piece of an engine's work may take [s].
+        limit: Time limit of each process that runs an engine [s].
         page: File to write a self-contained page into.
 
     Raises:
@@ -138,7 +138,7 @@ def generate(
         seed: Seed of starts and inputs.
         noise: Whether random forces act.
         workers: Number of processes; all cores by default.
-        limit: Longest time that one piece of an engine's work, a shard, may take [s].
+        limit: Time limit of each shard [s].
 
     Raises:
         InputError: An argument cannot be used.

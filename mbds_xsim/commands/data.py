@@ -225,7 +225,9 @@ def verify(
         Option(help="Seed for choosing what to simulate again; random when left out.", min=0),
     ] = None,
     workers: shared.WorkerCount = None,
-    limit: shared.TimeLimit = LIMIT,
+    limit: Annotated[
+        float, Option(help="Time limit of each file [s].", min=1.0, max=shared.LONGEST)
+    ] = LIMIT,
 ) -> None:
     """Check data again: layout, checksums, pairing, every check; simulate some trajectories anew.
 

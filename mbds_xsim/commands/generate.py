@@ -118,7 +118,9 @@ def generate(
     seed: shared.Seed = 0,
     noise: Annotated[bool, Option(help="Random forces.")] = True,
     workers: shared.WorkerCount = None,
-    limit: shared.TimeLimit = LIMIT,
+    limit: Annotated[
+        float, Option(help="Time limit of each shard [s].", min=1.0, max=shared.LONGEST)
+    ] = LIMIT,
     scheduler: Annotated[
         str | None,
         Option(

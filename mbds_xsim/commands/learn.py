@@ -58,12 +58,8 @@ _Scheduler = Annotated[
     ),
 ]
 _Events = Annotated[Path | None, typer.Option(metavar="DIR", help="Write what TensorBoard reads.")]
-_ModelFolder = Annotated[
-    Path, typer.Argument(metavar="MODELS", help="Folder that train has written.")
-]
-_DataFolder = Annotated[
-    Path, typer.Argument(metavar="DATA", help="Folder that generate has written.")
-]
+_ModelFolder = Annotated[Path, typer.Argument(metavar="MODELS", help="Folder that train wrote.")]
+_DataFolder = Annotated[Path, typer.Argument(metavar="DATA", help="Folder that generate wrote.")]
 _OnlyScenes = Annotated[
     list[str] | None,
     typer.Option(help="Only this scene; may be repeated. All with models when left out."),
@@ -73,7 +69,11 @@ _Trajectories = Annotated[
     typer.Option(help="Most trajectories to test with; all of the test part when left out.", min=1),
 ]
 _OnlySettings = Annotated[
-    str | None, typer.Option(help="Only these: native or matched; both when left out.")
+    str | None,
+    typer.Option(
+        help="Only these, comma-separated: native, matched, or names of settings files; all when "
+        "left out."
+    ),
 ]
 _OnlyOn = Annotated[
     str | None,

@@ -223,7 +223,7 @@ TimeLimit = Annotated[
     float,
     typer.Option(
         "--limit",
-        help="Time limit of one piece of an engine's work [s].",
+        help="Time limit of each process that runs an engine [s].",
         min=1.0,
         max=LONGEST,
     ),

@@ -204,7 +204,11 @@ def releases(
     ],
     since: Annotated[
         str,
-        Option(metavar="VERSION", help="First release of one engine; else that in changes.toml."),
+        Option(
+            metavar="VERSION",
+            help="First release to measure, for one engine; else the one known for it, or its last "
+            "ten releases.",
+        ),
     ] = "",
     last: Annotated[int | None, Option(help="Number of newest releases to measure.", min=1)] = None,
     fresh: Annotated[
