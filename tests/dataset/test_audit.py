@@ -49,7 +49,7 @@ def test_a_start_rounded_beyond_its_budget_is_told(
     rod: Scene, swing: Arrays, audited: Audit
 ) -> None:
     """A figure far above its budget may pass only with a word about why."""
-    points = _only(swing, "position")
+    points = only(swing, "position")
     coarse = audited(rod, points | {"position": points["position"].astype(np.float32)})
     (start,) = (finding for finding in coarse.findings if finding.check == "start")
 
