@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
@@ -17,6 +18,7 @@ __all__ = ["faulty", "installed"]
 _FAULTY = """
 import dataclasses, os, sys, time
 import numpy as np
+from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.scene.state import Failure, Trajectory
 from mbds_xsim_adapters.mujoco import MuJoCo
 
@@ -75,6 +77,11 @@ class Pondering(MuJoCo):
     name = "pondering"
     def settings(self, scene, profile):
         time.sleep(600)
+
+class Refusing(MuJoCo):
+    name = "refusing"
+    def settings(self, scene, profile):
+        raise Unsupported("it needs three bodies")
 
 class Blowing(Moving):
     name = "blowing"
@@ -135,7 +142,7 @@ def installed(
     (metadata / "entry_points.txt").write_text("\n".join(lines))
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(folder)
-        patch.setenv("PYTHONPATH", str(folder))
+        patch.setenv("PYTHONPATH", str(folder), prepend=os.pathsep)
         _forget()
         try:
             yield

@@ -99,7 +99,10 @@ def _without(scene: Scene, choice: Choice) -> list[str]:
 
 def _methods(scene: Scene, adapter: Adapter) -> list[Settings]:
     """List settings to try: the preset, then the engine's own other methods with its options."""
-    preset = adapter.settings(scene, "matched")
+    try:
+        preset = adapter.settings(scene, "matched")
+    except Unsupported:  # `Choice.contenders` says why
+        return []
     names = dict.fromkeys([preset.method, *adapter.methods])
     candidates = []
     for name in names:

@@ -63,6 +63,8 @@ class Choice:
     """Settings by profile and engine, from files or a search, preferred to stored ones."""
     limit: float = LIMIT
     """Time limit of one piece of an engine's work [s]."""
+    every: bool = False
+    """Whether all installed engines take part, so that those that cannot be used are missing."""
 
     @staticmethod
     def parse(
@@ -93,7 +95,8 @@ class Choice:
         if method is not None and len(names) != 1:
             msg = f"--method {method}: methods differ between engines, name one with --engines"
             raise InputError(msg)
-        return Choice(names, words, method, step, named, settings, limit)
+        every = not named and not settings
+        return Choice(names, words, method, step, named, settings, limit, every)
 
     def contenders(self, scene: Scene) -> tuple[list[Contender], dict[str, str]]:
         """Determine the settings of every engine.
@@ -107,26 +110,29 @@ class Choice:
         """
         contenders: list[Contender] = []
         left_out: dict[str, str] = {}
+        without = set[str]()  # engines without settings, whatever the method
         for profile in self.profiles:
             for name in self.engines:
                 if profile != MATCHED and name not in self.settings.get(profile, {name: None}):
                     continue
                 adapter = registry.load_adapter(name)
+                settings = None
                 try:
                     settings = self._settings(scene, adapter, profile)
                     adapter.check(scene, settings)
                 except Unsupported as error:
                     left_out[name] = str(error)
+                    without |= set() if settings else {name}
                 else:
                     contenders.append(Contender(name, profile, settings, self.limit))
         if left_out and (self.named or not contenders):
-            raise Unsupported(self._refusal(scene, left_out))
+            raise Unsupported(self._refusal(scene, left_out, without))
         return contenders, left_out | self.faulty
 
     @property
     def faulty(self) -> dict[str, str]:
         """Adapters that would take part but cannot be used, each with the reason."""
-        return {} if self.named or self.settings else registry.faulty_engines()
+        return registry.faulty_engines() if self.every else {}
 
     def _settings(self, scene: Scene, adapter: Adapter, profile: str) -> Settings:
         matched = self.settings.get(profile, {}).get(adapter.name)
@@ -141,11 +147,16 @@ class Choice:
             preset.options if self.method in (None, preset.method) else {},
         )
 
-    def _refusal(self, scene: Scene, left_out: dict[str, str]) -> str:
+    def _refusal(self, scene: Scene, left_out: dict[str, str], without: set[str]) -> str:
         """Explain what cannot be done, and suggest methods or engines that can."""
         name, reason = next(iter(left_out.items()))
-        methods = _able_methods(registry.load_adapter(name), scene)
-        able = [e for e in self.engines if _able_methods(registry.load_adapter(e), scene)]
+        by_engine = {
+            engine: _able_methods(registry.load_adapter(engine), scene)
+            for engine in self.engines
+            if engine not in without
+        }
+        methods = by_engine.get(name)
+        able = [engine for engine in self.engines if by_engine.get(engine)]
         hint = f"use --method {' or '.join(methods)}" if methods else "no engine given here can"
         if able and not methods:
             hint = f"use --engines {','.join(able)}"

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.base.isolate import HERE, Conduct
 from mbds_xsim.measure import quick
 from mbds_xsim.measure.quick import COUNTS, fewest, searched
@@ -21,6 +21,7 @@ from mbds_xsim.scene.scene import Body, Clock, Force, Inertia, Joint, Scene
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice, Matched, is_stored, settings_for
 from mbds_xsim.studies.validate import validate_with_evidence
+from tests.plugins import faulty
 
 MUJOCO = registry.load_adapter("mujoco")
 DART = registry.load_adapter("dart")
@@ -100,6 +101,40 @@ def test_where_nothing_is_found_in_time_the_presets_stay(monkeypatch: pytest.Mon
 
     (contender,), _ = choice.contenders(scene)
     assert contender.settings == MUJOCO.settings(scene, "matched")
+
+
+def test_an_engine_that_gives_no_settings_is_left_out_with_the_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(quick, "_search", lambda *_: Matched("Euler", 1))
+    scene, engines = cart_pole(), ("refusing", "mujoco")
+    with faulty(tmp_path / "packages", "refusing"):
+        choice = searched(scene, Choice(engines, named=False), HERE)
+        (contender,), left_out = choice.contenders(scene)
+        with pytest.raises(Unsupported) as alone:
+            Choice.parse(engines="refusing").contenders(scene)
+        with pytest.raises(Unsupported) as beside:
+            Choice.parse(engines=engines).contenders(scene)
+
+    reason = "refusing matched: it needs three bodies"
+    assert (contender.engine, contender.settings.method) == ("mujoco", "Euler")
+    assert left_out == {"refusing": reason}
+    assert str(alone.value) == f"{reason}; no engine given here can"
+    assert str(beside.value) == f"{reason}; use --engines mujoco"
+
+
+def test_an_engine_that_cannot_be_used_is_named_after_a_search(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(quick, "_search", lambda *_: Matched("Euler", 1))
+    monkeypatch.setattr(registry, "installed_engines", lambda: ["mujoco"])
+    scene = cart_pole()
+    with faulty(tmp_path / "packages", "brokenly"):
+        choice = searched(scene, Choice.parse(), HERE)
+        _, left_out = choice.contenders(scene)
+
+    assert choice.settings["matched"]
+    assert left_out.keys() == {"brokenly"}
 
 
 def test_a_step_or_native_settings_need_no_search() -> None:
