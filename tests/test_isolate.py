@@ -16,6 +16,7 @@ import pytest
 from mbds_xsim.base import isolate
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.base.process import hold_interruptions
+from mbds_xsim.reference import cache
 from mbds_xsim.simulate import registry, timed
 from tests.command_line import wait
 
@@ -118,6 +119,34 @@ def test_no_workers_run_the_tasks_here_and_raise_their_errors() -> None:
     assert places == [0, 1]
     with pytest.raises(ValueError, match="negative"):
         run_tasks([Task(math.factorial, (-1,))], workers=0)
+
+
+def test_fewer_workers_than_none_are_refused() -> None:
+    with pytest.raises(ValueError, match="workers: got -1, allowed is 0 or more"):
+        run_tasks([Task(math.factorial, (4,))], workers=-1)
+
+
+def test_relative_folders_of_the_environment_are_the_same_for_a_task(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A task works in a folder of its own."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "modules").mkdir()
+    (tmp_path / "modules" / "found_by_a_relative_path.py").touch()
+    monkeypatch.setenv("PYTHONPATH", "modules", prepend=os.pathsep)
+    monkeypatch.setenv("XDG_CACHE_HOME", "elsewhere")
+    monkeypatch.setenv("MBDS_XSIM_CACHE", "kept")
+
+    imported, chosen = run_tasks(
+        [Task(exec, ("import found_by_a_relative_path",)), Task(cache.directory, ())]
+    )
+    own = cache.directory()
+    monkeypatch.delenv("MBDS_XSIM_CACHE")
+    usual = run_tasks([Task(cache.directory, ())])
+
+    assert imported is None
+    assert own == chosen == tmp_path / "kept"
+    assert usual == [tmp_path / "elsewhere" / "mbds-xsim"]
 
 
 def test_an_error_of_many_lines_is_one_line() -> None:

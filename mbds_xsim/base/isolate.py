@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
-from mbds_xsim.base.process import Usage, hold_interruptions, memory_bytes
+from mbds_xsim.base.process import Usage, absolute_folders, hold_interruptions, memory_bytes
 from mbds_xsim.base.text import in_utf8
 
 LIMIT = 3600.0
@@ -126,6 +126,8 @@ def run_tasks(
     Returns:
         One answer or `Crash` for each task, in the order of the tasks.
     """
+    if workers is not None and workers < 0:
+        raise ValueError(f"workers: got {workers}, allowed is 0 or more; one per core if left out")
     if workers == 0:
         return [_run_here(place, task, started, finished) for place, task in enumerate(tasks)]
     answers: list[Any] = [None] * len(tasks)
@@ -199,7 +201,7 @@ class _Starter:
         threads = {key: "1" for key in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
         # Importing a window toolkit takes as long as MuJoCo; numba colours messages it discards.
         plain = {"MUJOCO_GL": "disable", "NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING": "1"}
-        first = {} if packages is None else {"PYTHONPATH": _before(packages)}
+        folders = absolute_folders(packages)  # the process works in another one
         # Arrays of megabytes come and go; to get their memory from the system each time would cost
         # more time than most checks spend on them.
         memory = f"glibc.malloc.mmap_threshold={_REUSE}:glibc.malloc.trim_threshold={4 * _REUSE}"
@@ -210,7 +212,7 @@ class _Starter:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=log,
-                env={"GLIBC_TUNABLES": memory} | plain | os.environ | threads | first,
+                env={"GLIBC_TUNABLES": memory} | plain | os.environ | threads | folders,
                 cwd=folder,  # engines write log files into the current folder
                 bufsize=0,
             )
@@ -320,11 +322,6 @@ class _Process:
             return f"the process that starts tasks ended: {_tail(self._starter.log)}"
         name = signal.Signals(-code).name if code < 0 else f"exit code {code}"
         return f"the process crashed with {name}: {_tail(self._file.with_suffix('.log'))}"
-
-
-def _before(packages: Path) -> str:
-    """Return the value of PYTHONPATH with a folder put before all others."""
-    return os.pathsep.join(filter(None, (str(packages.absolute()), os.environ.get("PYTHONPATH"))))
 
 
 def _tail(log: Path) -> str:

@@ -1,4 +1,4 @@
-"""Time and memory of a process, its interruptions, and output that bypasses Python's streams."""
+"""Time, memory and folders of a process, its interruptions, and output past Python's streams."""
 
 from __future__ import annotations
 
@@ -70,6 +70,21 @@ def memory_bytes() -> float:
 
 def _page() -> int:
     return os.sysconf("SC_PAGE_SIZE")
+
+
+def absolute_folders(packages: Path | None = None) -> dict[str, str]:
+    """Return the environment's folders for a process that works in another folder.
+
+    Args:
+        packages: Folder of packages that it imports in preference to all others.
+    """
+    caches = {key: os.environ.get(key) for key in ("MBDS_XSIM_CACHE", "XDG_CACHE_HOME")}
+    folders = {key: str(Path(value).absolute()) for key, value in caches.items() if value}
+    text = os.environ.get("PYTHONPATH")
+    search = [*([packages] if packages else []), *(text.split(os.pathsep) if text else [])]
+    if search:
+        folders["PYTHONPATH"] = os.pathsep.join(str(Path(each).absolute()) for each in search)
+    return folders
 
 
 class Interruptions:

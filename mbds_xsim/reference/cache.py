@@ -85,15 +85,15 @@ def complete(
 
 
 def directory() -> Path:
-    """Return the folder of the entries."""
+    """Return the folder of the entries, as an absolute path."""
     chosen = os.environ.get("MBDS_XSIM_CACHE")
-    return Path(chosen) if chosen else _home()
+    return Path(chosen).absolute() if chosen else _home()
 
 
 def _home() -> Path:
     """Return the program's folder in the user's cache directory."""
     base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "mbds-xsim"
+    return (Path(base).absolute() if base else Path.home() / ".cache") / "mbds-xsim"
 
 
 @functools.cache
