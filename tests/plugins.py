@@ -153,4 +153,4 @@ def installed(
 def _forget() -> None:
     registry.registered.cache_clear()
     registry._answer.cache_clear()
-    choice._stored.cache_clear()
+    choice._shipped.cache_clear()

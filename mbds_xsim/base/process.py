@@ -81,9 +81,10 @@ def absolute_folders(packages: Path | None = None) -> dict[str, str]:
     caches = {key: os.environ.get(key) for key in ("MBDS_XSIM_CACHE", "XDG_CACHE_HOME")}
     folders = {key: str(Path(value).absolute()) for key, value in caches.items() if value}
     text = os.environ.get("PYTHONPATH")
-    search = [*([packages] if packages else []), *(text.split(os.pathsep) if text else [])]
+    search = [packages] if packages else []
+    search += [Path(each) for each in text.split(os.pathsep)] if text else []
     if search:
-        folders["PYTHONPATH"] = os.pathsep.join(str(Path(each).absolute()) for each in search)
+        folders["PYTHONPATH"] = os.pathsep.join(str(each.absolute()) for each in search)
     return folders
 
 

@@ -37,7 +37,7 @@ version_of = functools.cache(version)
 _REFINABLE = 4
 # Shortest step of a preset [s]: 20 000 in a frame of 20 ms; even shorter ones cost too much.
 _SHORTEST = 1e-6
-_MOST_STEPS = 10**9
+MOST_STEPS = 10**9
 """Largest number of steps in a frame: engines count in 32 bits, and this many take hours."""
 # A body that crosses so many scene lengths in a frame has blown up.
 _LENGTHS_PER_FRAME = 1e3
@@ -56,11 +56,11 @@ class Settings:
     def substeps(self, frame: float) -> int:
         """Return the steps in a frame; raise InputError if the step does not divide it."""
         number = isinstance(self.step, SupportsFloat) and math.isfinite(self.step)
-        count = round(frame / self.step) if number and self.step > frame / _MOST_STEPS else 0
+        count = round(frame / self.step) if number and self.step > frame / MOST_STEPS else 0
         if count < 1 or abs(count * self.step - frame) > 1e-9 * frame:
             raise InputError(
                 f"step: got {self.step!r} s, allowed is the frame interval {frame} s divided by a "
-                f"whole number below {_MOST_STEPS:.0e}"
+                f"whole number below {MOST_STEPS:.0e}"
             )
         return count
 

@@ -11,6 +11,7 @@ import os
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib.resources import files
 from importlib.util import find_spec
@@ -25,7 +26,7 @@ from mbds_xsim.base.isolate import LIMIT
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import fingerprint
 from mbds_xsim.simulate import registry
-from mbds_xsim.simulate.adapter import Adapter, Profile, Settings
+from mbds_xsim.simulate.adapter import MOST_STEPS, Adapter, Profile, Settings
 
 MATCHED, _NATIVE = "matched", "native"
 _NAME = re.compile("[a-z][a-z0-9_]{0,39}")  # no "-", which ends the engine in file names
@@ -236,15 +237,20 @@ def settings_for(scene: Scene, adapter: Adapter, profile: Profile) -> Settings:
     `scenes/matched/`, one file per scene; those of an engine that another package adds are in the
     folder that this package registers. They apply to scenes of the same name and physics.
     For other scenes the adapter makes a careful choice; `mbds_xsim.measure.quick` searches first.
+
+    Raises:
+        Unsupported: The adapter gives no settings, or those that its package ships are wrong.
     """
     if profile == MATCHED and is_stored(scene, adapter.name):
-        return _stored(scene.name)[adapter.name].settings(scene)
+        own = _stored(scene.name).get(adapter.name)
+        return own.settings(scene) if own else _shipped_settings(scene, adapter)
     return adapter.settings(scene, profile)
 
 
 def is_stored(scene: Scene, engine: str) -> bool:
     """Return whether settings are stored for an engine and a scene of this name and physics."""
-    return engine in _stored(scene.name) and _physics(scene) == _built_in(scene.name)
+    found = engine in _stored(scene.name) or _shipped(scene.name, engine) is not None
+    return found and _physics(scene) == _built_in(scene.name)
 
 
 def read_settings(path: Path) -> tuple[str, dict[str, Matched]]:
@@ -257,9 +263,17 @@ def read_settings(path: Path) -> tuple[str, dict[str, Matched]]:
         InputError: The file cannot be read or is no settings file, or the engine of a table is
             unknown or not installed; the message says where.
     """
-    name, settings = _read(path)
-    for engine in settings:
-        registry.load_adapter(engine)
+    try:
+        name, settings = _read(path)
+    except InputError as error:
+        raise InputError(f"--settings {error}") from error
+    for engine, entry in settings.items():
+        method = registry.load_adapter(engine).methods.get(entry.method)
+        if method is not None and method.adaptive and entry.steps_per_frame != 1:
+            raise InputError(
+                f"--settings {path}: {engine}.steps_per_frame: got {entry.steps_per_frame}, "
+                f"allowed is 1, since {entry.method} chooses its steps"
+            )
     return name, settings
 
 
@@ -267,40 +281,68 @@ def _read(path: Path) -> tuple[str, dict[str, Matched]]:
     """Read a settings file, whose engines need not be installed."""
     try:
         name, settings = _tables(read_file(path).decode("utf-8-sig"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"--settings {path}: cannot be read: {error}") from error
     except msgspec.ValidationError as error:
         raise InputError(
-            f"--settings {path}: {error}; each engine needs a table with `method`, "
+            f"{path}: {error}; each engine needs a table with `method`, "
             "`steps_per_frame` and, if any, `options`, as written by `mbds-xsim match --out`"
         ) from error
+    except (OSError, ValueError) as error:  # no file, no UTF-8, no TOML or an endless number
+        raise InputError(f"{path}: cannot be read: {error}") from error
     if not isinstance(name, str) or not _NAME.fullmatch(name) or name == _NATIVE:
         raise InputError(
-            f"--settings {path}: name: got {name!r}, allowed are up to 40 small letters, digits "
+            f"{path}: name: got {name!r}, allowed are up to 40 small letters, digits "
             f"and _, a letter first, and not {_NATIVE}"
         )
     for engine, entry in settings.items():
-        if entry.steps_per_frame < 1:
+        if not 1 <= entry.steps_per_frame < MOST_STEPS:
             raise InputError(
-                f"--settings {path}: {engine}.steps_per_frame: got {entry.steps_per_frame}, "
-                "allowed is 1 or more"
+                f"{path}: {engine}.steps_per_frame: got {entry.steps_per_frame!r:.60}, allowed is "
+                f"1 or more, below {MOST_STEPS:.0e}"
             )
     if not settings:
-        raise InputError(f"--settings {path}: got no settings for any engine")
+        raise InputError(f"{path}: got no settings for any engine")
     return name, settings
 
 
 @functools.cache
 def _stored(scene_name: str) -> Mapping[str, Matched]:
-    """Read stored settings of the toolkit, and of engines whose own package ships them."""
+    """Read the toolkit's stored settings of a scene."""
     entry = files("mbds_xsim_scenes") / "matched" / f"{scene_name}.toml"
-    settings = _tables(entry.read_text("utf-8"))[1] if entry.is_file() else {}
-    for engine, point in registry.registered("mbds_xsim.matched").items():
-        package = find_spec(point.value)  # which imports nothing
-        for folder in (package and package.submodule_search_locations) or ():
-            path = Path(folder) / f"{scene_name}.toml"
-            if engine not in settings and path.is_file():
-                settings |= {name: e for name, e in _read(path)[1].items() if name == engine}
+    return _tables(entry.read_text("utf-8"))[1] if entry.is_file() else {}
+
+
+@functools.cache
+def _shipped(scene_name: str, engine: str) -> Matched | str | None:
+    """Read the settings of a scene that the engine's package ships; a text says what is wrong."""
+    point = registry.registered("mbds_xsim.matched").get(engine)
+    if point is None:
+        return None
+    top, *below = point.value.split(".")
+    try:
+        package = find_spec(top)  # which imports nothing
+        if package is None:
+            return f"there is no package {top}, which its entry point names"
+        for folder in package.submodule_search_locations or ():
+            path = Path(folder, *below, f"{scene_name}.toml")
+            if path.is_file():
+                return _read(path)[1].get(engine)
+    except (InputError, OSError, ValueError) as error:
+        return str(error)
+    return None
+
+
+def _shipped_settings(scene: Scene, adapter: Adapter) -> Settings:
+    """Return the settings that the engine's package ships, if they are right."""
+    entry = _shipped(scene.name, adapter.name)
+    try:
+        if not isinstance(entry, Matched):
+            raise InputError(entry)
+        settings = entry.settings(scene)
+        with suppress(Unsupported):  # another of its methods may support the scene
+            adapter.check(scene, settings)
+    except InputError as error:
+        msg = f"{adapter.name} {MATCHED}: the settings that its package ships: {error}"
+        raise Unsupported(msg) from error
     return settings
 
 
@@ -315,7 +357,11 @@ def _tables(text: str) -> tuple[Any, dict[str, Matched]]:
 
 @functools.cache
 def _built_in(scene_name: str) -> str:
-    return _physics(registry.load_scene(scene_name))
+    """Return the physics of the built-in scene of a name; "" if there is none."""
+    try:
+        return _physics(registry.load_scene(scene_name))
+    except InputError:
+        return ""
 
 
 def _physics(scene: Scene) -> str:

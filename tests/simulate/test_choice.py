@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from mbds_xsim.simulate import choice, registry
 from mbds_xsim.simulate.adapter import Adapter
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.timed import simulate
+from tests.plugins import installed
 
 ENDS = ((0.0, 0.0, 0.0), (0.0, 0.0, -1.0))
 LINKED = Scene(
@@ -58,10 +61,50 @@ def test_settings_of_an_engine_that_is_not_installed_keep_no_other_from_running(
         return load(name)
 
     monkeypatch.setattr(registry, "load_adapter", without)
-    monkeypatch.setattr(choice, "_stored", choice._stored.__wrapped__)
+    monkeypatch.setattr(choice, "_shipped", choice._shipped.__wrapped__)
     (contender,), _ = Choice.parse(engines="mujoco").contenders(registry.load_scene("3ladder"))
     assert contender.settings.step == pytest.approx(0.02 / 3)
     assert choice.is_stored(registry.load_scene("3ladder"), "drake")
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "reason"),
+    [
+        ("steps = 2", "shipped", "6pendulum.toml: Object contains unknown field `steps`"),
+        ("steps_per_frame = 2", "shipped", "no method of outside is called 'RK9'"),
+        ("", "missing.settings", "there is no package missing, which its entry point names"),
+    ],
+)
+def test_wrong_settings_that_a_package_ships_leave_out_its_engine_alone(
+    text: str, place: str, reason: str, tmp_path: Path
+) -> None:
+    folder, scene = tmp_path / "outside", registry.load_scene("6pendulum")
+    (folder / "shipped").mkdir(parents=True)
+    (folder / "shipped" / "6pendulum.toml").write_text(f"[outside]\nmethod = 'RK9'\n{text}\n")
+    module = "from mbds_xsim_adapters.mujoco import MuJoCo\nclass X(MuJoCo): name = 'outside'"
+    with installed(
+        folder, {"outside": module}, {"outside": "outside:X"}, matched={"outside": place}
+    ):
+        alone = Choice.parse(engines="mujoco").contenders(scene)
+        both = Choice(("mujoco", "outside"), named=False).contenders(scene)
+        with pytest.raises(Unsupported, match=r"its package ships.*no engine given here can"):
+            Choice.parse(engines="outside").contenders(scene)
+
+    assert both[0] == alone[0]
+    assert alone[1] == {}
+    assert both[1].keys() == {"outside"}
+    assert both[1]["outside"].startswith("outside matched: the settings that its package ships: ")
+    assert reason in both[1]["outside"]
+
+
+def test_settings_that_a_package_ships_for_no_built_in_scene_are_of_no_account(
+    tmp_path: Path,
+) -> None:
+    folder = tmp_path / "outside"
+    (folder / "shipped").mkdir(parents=True)
+    (folder / "shipped" / "linked.toml").write_text("[mujoco]\nmethod = 3\n")
+    with installed(folder, {}, matched={"mujoco": "shipped"}):
+        assert not choice.is_stored(LINKED, "mujoco")
 
 
 def _hinged(moment: float, mass: float) -> Scene:

@@ -194,7 +194,16 @@ def test_a_file_of_settings_is_used_and_names_its_engines(tmp_path: Path) -> Non
         (None, "cannot be read"),
         ("mujoco = 3", "Expected `object`"),
         ('[mujoco]\nmethod = "RK4"', "missing required field `steps_per_frame`"),
-        ('[mujoco]\nmethod = "RK4"\nsteps_per_frame = 0', "got 0, allowed is 1 or more"),
+        ('[mujoco]\nmethod = "RK4"\nsteps_per_frame = 0', "got 0, allowed is 1 or more, below 1e"),
+        (
+            f'[mujoco]\nmethod = "RK4"\nsteps_per_frame = 1{400 * "0"}',
+            r"my.toml: mujoco.steps_per_frame: got 10{59}, allowed is 1 or more",
+        ),
+        (f'[mujoco]\nmethod = "RK4"\nsteps_per_frame = 1{5000 * "0"}', "cannot be read"),
+        (
+            '[reference]\nmethod = "adaptive"\nsteps_per_frame = 20',
+            "reference.steps_per_frame: got 20, allowed is 1, since adaptive chooses its steps",
+        ),
         ('[muoco]\nmethod = "RK4"\nsteps_per_frame = 1', "no engine is called 'muoco'"),
         (
             '[mujoco]\nmethod = "RK4"\nsteps_per_frame = 1\n[mujoco.option]\nspin = false',
