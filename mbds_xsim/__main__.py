@@ -15,6 +15,7 @@ from importlib import import_module
 from types import FrameType
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.process import discard, unwritten
 
 _INTERRUPTED = 130
 
@@ -54,10 +55,12 @@ def _run(words: list[str]) -> int:
     except MemoryError as error:
         return _complain(f"out of memory: {error}; ask for less at a time", 2)
     except OSError as error:
-        _drop_output()
+        discard(sys.stdout)  # or the interpreter would try again at its exit
         return _complain(str(error), 2)
     except KeyboardInterrupt:
         code = _INTERRUPTED
+    if unwritten and code != _INTERRUPTED:
+        return _complain(str(unwritten.pop()), 2)
     return _complain("interrupted", code) if code == _INTERRUPTED else int(code)
 
 
@@ -81,11 +84,6 @@ def _usage(error: Exception) -> str:
     context = getattr(error, "ctx", None)
     command = context.command_path if context else "mbds-xsim"
     return f"{text.rstrip('.')}; see {command} --help"
-
-
-def _drop_output() -> None:
-    """Discard standard output that cannot be written, or the interpreter would retry at exit."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _complain(text: str, code: int) -> int:

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
+from typing import IO
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _EVERY = 0.05  # shortest time between two looks [s]
@@ -142,6 +143,15 @@ def hold_interruptions() -> Iterator[Interruptions]:
         yield interruptions
     finally:
         interruptions.release()
+
+
+unwritten: list[OSError] = []
+"""Errors because of which output was discarded, to be told at the end."""
+
+
+def discard(stream: IO[str]) -> None:
+    """Discard all further output of a stream, and what it holds: it cannot be written."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 @contextmanager

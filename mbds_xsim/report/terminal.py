@@ -16,6 +16,7 @@ from rich.segment import Segment
 from rich.table import Table as Grid
 from rich.text import Text as Words
 
+from mbds_xsim.base.process import discard, unwritten
 from mbds_xsim.base.text import on_a_line, printable
 from mbds_xsim.report.blocks import Block, Cell, Remark, Remarks, Report, Row, Section, Table, Text
 
@@ -37,7 +38,8 @@ _STYLES = {
 class Outlet(Console):
     """Standard output or error: text is data, and colour is used where it means something.
 
-    If the reader hangs up, the output ends, not the work.
+    If the reader hangs up or the disk is full, the output ends, not the work: results are still to
+    be written to files.
     """
 
     def __init__(self, *, stderr: bool) -> None:
@@ -53,10 +55,16 @@ class Outlet(Console):
             yield Segment(text if control else printable(text), style, control)
 
     def on_broken_pipe(self) -> None:
-        """Fall silent: results are still to be written to files (`… | head`)."""
+        """Fall silent if the reader hangs up, as `… | head` does."""
         self.quiet = True
-        stream = sys.stderr if self.stderr else sys.stdout
-        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        discard(sys.stderr if self.stderr else sys.stdout)
+
+    def _check_buffer(self) -> None:
+        try:
+            super()._check_buffer()
+        except OSError as error:
+            unwritten.append(error)
+            self.on_broken_pipe()
 
 
 def print_report(report: Report, console: Console) -> None:

@@ -344,10 +344,12 @@ def test_the_installed_program_says_it_too(program: CommandLine, here: Path) -> 
     _assert_one_line(program("--frobnicate"), ["No such option: --frobnicate"])
 
 
-def test_a_full_disk_and_an_output_that_hangs_up(program: CommandLine) -> None:
-    with open("/dev/full", "w") as full:
-        ended = program("scenes", stdout=full)
-    assert (ended.code, ended.err) == (2, "mbds-xsim: [Errno 28] No space left on device\n")
+def test_a_full_disk_and_an_output_that_hangs_up(program: CommandLine, here: Path) -> None:
+    for words in ((), ("--json", "scenes.json")):
+        with open("/dev/full", "w") as full:
+            ended = program("scenes", *words, stdout=full)
+        assert (ended.code, ended.err) == (2, "mbds-xsim: [Errno 28] No space left on device\n")
+    assert (here / "scenes.json").read_bytes().startswith(b"[")
 
     reading, writing = os.pipe()
     os.close(reading)
