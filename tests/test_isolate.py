@@ -180,6 +180,70 @@ run_tasks([Task(exec, (code,))])
 """
 
 
+@pytest.mark.parametrize(
+    ("then", "how"), [("time.sleep(60)", "no answer"), ("os.abort()", "SIGABRT"), ("", "")]
+)
+def test_what_a_task_has_started_ends_with_it(then: str, how: str, tmp_path: Path) -> None:
+    file = tmp_path / "number"
+    (answer,) = run_tasks([Task(exec, (_STARTS.format(told=str(file)) + then,), timeout=0.5)])
+
+    assert how in (answer.reason if isinstance(answer, Crash) else "")
+    wait(lambda: not _alive(int(file.read_text())))
+
+
+@pytest.mark.parametrize("culprit", ["parent", "starter"])
+def test_what_a_task_has_started_outlives_no_one(culprit: str, tmp_path: Path) -> None:
+    file, starter = tmp_path / "number", tmp_path / "starter"
+    code = _STARTS.format(told=str(file)) + f"open({str(starter)!r}, 'w').write(str(os.getppid()))"
+    program = f"run_tasks([Task(exec, ({code + _SLEEPS!r},))])"
+    parent = subprocess.Popen([sys.executable, "-c", _IMPORTS + program])
+    wait(lambda: starter.exists() and bool(starter.read_text()))
+
+    os.kill(parent.pid if culprit == "parent" else int(starter.read_text()), signal.SIGKILL)
+    parent.wait()
+
+    wait(lambda: not _alive(int(file.read_text())))
+
+
+def test_tasks_pause_with_the_program_and_go_on_with_it(tmp_path: Path) -> None:
+    """Ctrl-Z and `fg` in a terminal."""
+    file, starter = tmp_path / "number", tmp_path / "starter"
+    code = _STARTS.format(told=str(file)) + f"open({str(starter)!r}, 'w').write(str(os.getppid()))"
+    program = f"run_tasks([Task(exec, ({code + _SLEEPS!r},))])"
+    parent = subprocess.Popen([sys.executable, "-c", _IMPORTS + program], process_group=0)
+    wait(lambda: starter.exists() and bool(starter.read_text()))
+    child = Path(f"/proc/{file.read_text()}/status")
+
+    os.killpg(parent.pid, signal.SIGTSTP)
+    wait(lambda: "State:\tT" in child.read_text())
+    os.killpg(parent.pid, signal.SIGCONT)
+    wait(lambda: "State:\tT" not in child.read_text())
+
+    parent.kill()
+    parent.wait()
+
+
+_IMPORTS = "from mbds_xsim.base.isolate import Task, run_tasks\n"
+_SLEEPS = "\ntime.sleep(60)"
+_STARTS = """
+import os, subprocess, time
+open({told!r}, 'w').write(str(subprocess.Popen(["sleep", "60"]).pid))
+"""
+
+
+def test_files_of_a_task_that_is_ended_vanish(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    code = "import tempfile, time; kept = tempfile.TemporaryDirectory(); time.sleep(60)"
+
+    (crash,) = run_tasks([Task(exec, (code,), timeout=0.5)])
+
+    assert crash == Crash("no answer within 0.5 s")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_an_engine_that_hangs_while_it_is_taken_down_is_not_waited_for() -> None:
     begin = time.monotonic()
 

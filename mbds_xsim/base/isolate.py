@@ -201,7 +201,8 @@ class _Starter:
         threads = {key: "1" for key in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
         # Importing a window toolkit takes as long as MuJoCo; numba colours messages it discards.
         plain = {"MUJOCO_GL": "disable", "NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING": "1"}
-        folders = absolute_folders(packages)  # the process works in another one
+        # The process works in another folder, where files of tasks that are ended vanish, too.
+        folders = absolute_folders(packages) | {"TMPDIR": str(folder)}
         # Arrays of megabytes come and go; to get their memory from the system each time would cost
         # more time than most checks spend on them.
         memory = f"glibc.malloc.mmap_threshold={_REUSE}:glibc.malloc.trim_threshold={4 * _REUSE}"

@@ -5,6 +5,9 @@ them: a task has a process of its own, as fresh as a new interpreter, without th
 imports take. The starter takes orders from standard input, "start PLACE" or "kill PLACE", and
 reports "began PLACE PROCESS" and "ended PLACE CODE" on standard output; PLACE is the index of the
 task. When the starter or the process that gives the orders ends, all tasks end.
+
+Each task has a process group of its own, so that what an engine starts ends with it. A terminal's
+Ctrl-C does not reach it: the process that gives the orders decides how to act on it.
 """
 
 from __future__ import annotations
@@ -35,6 +38,7 @@ class _ForkServer:
         # The process that gives the orders decides how to act on interruptions.
         self._interrupted = signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.signal(signal.SIGCHLD, lambda *_: None)
+        signal.signal(signal.SIGTSTP, self._pause)
         os.set_blocking(self._waking, False)
         signal.set_wakeup_fd(self._waking)
 
@@ -53,23 +57,37 @@ class _ForkServer:
                 for order in orders:
                     self._follow(*order.decode().split())
         for process in self._running.values():
-            os.kill(process, signal.SIGKILL)
+            _tell(process, signal.SIGKILL)
             os.waitpid(process, 0)
+
+    def _pause(self, *_: object) -> None:
+        """Stop all tasks and then this process, as Ctrl-Z asks, until told to continue."""
+        tasks = list(self._running.values())
+        for process in tasks:
+            _tell(process, signal.SIGSTOP)
+        again = signal.signal(signal.SIGTSTP, signal.SIG_DFL)
+        signal.raise_signal(signal.SIGTSTP)  # the system ignores it if no shell can continue it
+        signal.signal(signal.SIGTSTP, again)
+        for process in tasks:
+            _tell(process, signal.SIGCONT)
 
     def _follow(self, order: str, place: str) -> None:
         if order == "start":
             alone = _thread_count() == 1
             if not (process := os.fork()):
                 self._be_the_task(place, alone)
+            with contextlib.suppress(OSError):  # whichever of the two comes first does it
+                os.setpgid(process, process)
             self._running[place] = process
             self._say(f"began {place} {process}")
         elif place in self._running:
-            os.kill(self._running[place], signal.SIGKILL)
+            _tell(self._running[place], signal.SIGKILL)
 
     def _reap(self) -> None:
         for place, process in list(self._running.items()):
             ended, status = os.waitpid(process, os.WNOHANG)
             if ended:
+                _tell(process, signal.SIGKILL)  # what it has started
                 del self._running[place]
                 self._say(f"ended {place} {os.waitstatus_to_exitcode(status)}")
 
@@ -77,8 +95,10 @@ class _ForkServer:
         os.write(self._out, f"{line}\n".encode())
 
     def _be_the_task(self, place: str, alone: bool) -> None:
+        os.setpgid(0, 0)
         signal.set_wakeup_fd(-1)
-        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        for number in (signal.SIGCHLD, signal.SIGTSTP):
+            signal.signal(number, signal.SIG_DFL)
         signal.signal(signal.SIGINT, self._interrupted)
         log = os.open(f"{place}.log", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         for number, target in ((0, self._lifeline), (1, log), (2, log)):
@@ -89,6 +109,12 @@ class _ForkServer:
             command = [sys.executable, "-m", "mbds_xsim.base.worker", "--task", place]
             os.execv(sys.executable, command)
         _carry_out(Path(place).absolute())
+
+
+def _tell(group: int, number: int) -> None:
+    """Send a signal to a task and to all that it has started."""
+    with contextlib.suppress(ProcessLookupError, PermissionError):  # they have ended
+        os.killpg(group, number)
 
 
 def _thread_count() -> int:
@@ -125,10 +151,10 @@ def _be_first_to_go() -> None:
 
 
 def _end_with_starter() -> None:
-    """End this process when standard input ends: the starter has ended or was killed."""
+    """End this task when standard input ends: the starter has ended or was killed."""
     # Not sys.stdin, whose lock a waiting thread would hold when the interpreter shuts down.
     os.read(0, 1)
-    os._exit(1)
+    os.killpg(0, signal.SIGKILL)
 
 
 def _main(words: list[str]) -> None:
