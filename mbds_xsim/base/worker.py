@@ -97,8 +97,8 @@ class _ForkServer:
     def _be_the_task(self, place: str, alone: bool) -> None:
         os.setpgid(0, 0)
         signal.set_wakeup_fd(-1)
-        for number in (signal.SIGCHLD, signal.SIGTSTP):
-            signal.signal(number, signal.SIG_DFL)
+        for caught in (signal.SIGCHLD, signal.SIGTSTP):
+            signal.signal(caught, signal.SIG_DFL)
         signal.signal(signal.SIGINT, self._interrupted)
         log = os.open(f"{place}.log", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         for number, target in ((0, self._lifeline), (1, log), (2, log)):

@@ -12,6 +12,7 @@ import pytest
 
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.isolate import HERE
+from mbds_xsim.measure import quick
 from mbds_xsim.scene.file import write_scene
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import Starts, draw_batch
@@ -62,6 +63,18 @@ def _compound_pendulum(arm: float, moment: float, angle: float) -> Scene:
         length=1.0,
         clock=_SECOND,
     )
+
+
+@pytest.mark.usefixtures("search")
+def test_settings_that_a_search_does_not_find_are_not_searched_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    engines: list[object] = []
+    monkeypatch.setattr(quick, "_search", lambda *task: engines.append(task[3]))
+
+    _ablate(_compound_pendulum(0.5, 0.1, 0.05), "mujoco")
+
+    assert engines == ["mujoco"]
 
 
 def test_the_inertia_of_a_compound_pendulum_is_worth_what_its_period_says() -> None:

@@ -66,7 +66,7 @@ def ablate(
     begin, conduct = time.perf_counter(), replace(conduct, meter=_Phases(conduct.meter))
     chosen = searched(scene, choice or Choice.parse(), conduct)
     validation, evidence = validate_with_evidence(
-        scene, choice=chosen, starts=starts, conduct=conduct
+        scene, choice=chosen, starts=starts, conduct=conduct, search=False
     )
     contenders, _ = chosen.contenders(scene)
     bench, least = Bench(validation, evidence, contenders), least_size(scene)

@@ -40,14 +40,16 @@ def validate_with_evidence(
     starts: Starts = _STARTS,
     conduct: Conduct = USUAL,
     readback: bool = True,
+    search: bool = True,
     command: str = "",
 ) -> tuple[Validation, Evidence]:
     """Validate a scene, and keep the arrays for a page. See `mbds_xsim.validate`.
 
-    Without `readback` the verdict is on the motion alone, not on the engine's native model.
+    Without `readback` the verdict is on the motion alone, not on the engine's native model. Without
+    `search` the choice is used as it is, after a search that the caller made.
     """
     begin, spent = time.perf_counter(), Account(float)
-    chosen = searched(scene, choice, conduct)
+    chosen = searched(scene, choice, conduct) if search else choice
     if chosen.settings != choice.settings:
         spent["search of settings"] = time.perf_counter() - begin
     contenders, left_out = chosen.contenders(scene)
