@@ -118,6 +118,7 @@ def installed(
     *,
     matched: Mapping[str, str] = MappingProxyType({}),
     models: Mapping[str, str] = MappingProxyType({}),
+    writers: Mapping[str, str] = MappingProxyType({}),
 ) -> Iterator[None]:
     """Install a package for this process and those it starts.
 
@@ -127,6 +128,7 @@ def installed(
         engines: Place of the adapter of each engine, "module:Class".
         matched: Folder of the matched settings of each engine.
         models: Place of the class of each learned model.
+        writers: Place of the writer of each format.
     """
     name = folder.name.replace("-", "_")
     metadata = folder / f"{name}-1.0.dist-info"
@@ -135,6 +137,7 @@ def installed(
         (folder / f"{module}.py").write_text(source)
     (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
     groups = {"adapters": engines, "matched": matched, "models": models}
+    groups["model_writers"] = writers
     lines = [
         f"[mbds_xsim.{group}]\n" + "".join(f"{key} = {place}\n" for key, place in points.items())
         for group, points in groups.items()

@@ -56,7 +56,7 @@ def write_whole(path: Path, content: bytes) -> None:
         if _is_stream(path):
             path.write_bytes(content)
         else:
-            _replace(path.resolve(), content)
+            _replace(Path(os.path.realpath(path)), content)  # which a link to itself cannot stop
     except OSError as error:
         raise InputError(f"cannot write {path}: {error.strerror or error}") from error
 

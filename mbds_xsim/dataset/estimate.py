@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Conduct, Crash, Task, run_tasks
 from mbds_xsim.dataset.layout import AUDIT_EVERY, AUDITED, rejected_folder
 from mbds_xsim.dataset.shard import LOG, STAGES, make_shard
@@ -22,6 +23,7 @@ from mbds_xsim.simulate.choice import Choice
 
 _JOINED_BYTES = 9  # index and split of a trajectory in the joined file
 _HOUR = 3600.0
+_MOST = 10**15  # trajectories planned; figures of endless numbers would overflow
 
 
 @dataclass(frozen=True)
@@ -95,8 +97,11 @@ def plan(
         sample: Number of trajectories in a measured shard.
 
     Raises:
-        InputError: The engines cannot simulate the scene.
+        InputError: The engines cannot simulate the scene, or the number is out of range.
     """
+    if not 1 <= trajectories <= _MOST:
+        msg = f"--trajectories: got {trajectories!r:.60}, allowed is 1 to {_MOST}"
+        raise InputError(msg)
     choice = searched(scene, choice, conduct)
     contenders, left_out = choice.contenders(scene)
     variants = [Variant(scene, contender, seed=0, noise=True) for contender in contenders]

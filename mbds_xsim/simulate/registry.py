@@ -3,7 +3,7 @@
 Adapters of other packages are called in separate processes and never imported here, since a
 package may raise, hang, take all memory or end the process when it is imported or called. A first
 process makes its adapter and returns its claims; a class with these claims stands in for it here.
-Readers of models are called in such processes, too.
+Readers of models, and other packages' writers, are called in such processes, too.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ whether its shapes touch the ground. Its entry point is named after the files' s
 Writer = Callable[[Scene], "Written"]
 """Function that writes a scene; raises `InputError` if the format cannot express it."""
 
-_READING = 300.0  # time limit for reading a model [s]
+_READING = 300.0  # time limit for reading or writing a model [s]
 _TIMEOUT = 60.0  # time limit for an adapter's import or answer [s]
 
 
@@ -212,12 +212,28 @@ def write_model(scene: Scene, kind: str) -> Written:
         kind: Name of the format.
 
     Raises:
-        InputError: The format cannot express the scene; the message says why.
+        InputError: The format cannot express the scene, or another package's writer fails; the
+            message says why.
     """
     writers = registered("mbds_xsim.model_writers")
     check_name("format of models", kind, sorted(writers))
-    writer: Writer = writers[kind].load()
-    return writer(scene)
+    if _owner(writers[kind]) == _OURS:
+        return _write(writers[kind], scene)
+    (answer,) = run_tasks([Task(_write, (writers[kind], scene), _READING)], workers=1)
+    if isinstance(answer, Crash):
+        why = "" if answer.refused else f"the writer of {kind}, {writers[kind].value}, fails: "
+        raise InputError(f"{why}{answer.reason}")
+    return answer
+
+
+def _write(point: EntryPoint, scene: Scene) -> Written:
+    from mbds_xsim.scene.imported import Written
+
+    writer: Writer = point.load()
+    written = writer(scene)
+    if not isinstance(written, Written):
+        raise TypeError(f"it gives {written!r:.60}, not {Written.__name__}")
+    return written
 
 
 def package_version(distribution: str) -> str:

@@ -372,9 +372,11 @@ def test_what_nobody_reads_is_written_all_the_same(program: CommandLine, here: P
 def test_devices_and_links_are_written_through(run: CommandLine, here: Path) -> None:
     """Renaming a finished file onto /dev/null would put a file in its place."""
     (here / "link.json").symlink_to("target.json")
+    (here / "loop.json").symlink_to("loop.json")
 
     assert run("scenes", "--json", "/dev/null").code == 0
     assert run("scenes", "--json", "link.json").code == 0
+    assert run("scenes", "--json", "loop.json").code == 0
 
     assert not Path("/dev/null").is_file()
     assert (here / "link.json").is_symlink()

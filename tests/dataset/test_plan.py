@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Conduct, Crash, Silent
 from mbds_xsim.commands.generate import plan_blocks
 from mbds_xsim.dataset.estimate import CostPlan, ShardCost, estimate, measure, plan
@@ -71,6 +72,12 @@ def test_what_is_measured_can_be(measured: ShardCost) -> None:
     assert measured.audit_s is not None
     assert sum(measured.shares.values()) == pytest.approx(1.0)
     assert measured.shares["simulate_s"] > 0
+
+
+@pytest.mark.parametrize("count", [0, 10**15 + 1, 10**400], ids=["none", "more", "endless"])
+def test_no_plan_is_made_for_numbers_beyond_all_use(rod: Scene, count: int) -> None:
+    with pytest.raises(InputError, match=r"^--trajectories: got \d{1,60}, allowed is 1 to 10{15}$"):
+        plan(rod, Choice(("mujoco",)), count, Conduct(0))
 
 
 def test_costs_add_up_at_any_size(variant: Variant) -> None:

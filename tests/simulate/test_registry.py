@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from importlib.metadata import PackageNotFoundError
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from mbds_xsim.base.errors import EngineMissing, UnknownName
+from mbds_xsim.base.errors import EngineMissing, InputError, UnknownName
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.claims import FAMILIES, Method, Sweep, check_claims, own_family
+from tests.plugins import installed
 
 
 def test_the_engines_are_registered() -> None:
@@ -54,6 +56,29 @@ def test_an_engine_whose_package_is_not_there_is_not_installed(
     assert set(registry.engine_names()) - set(registry.installed_engines()) == {"drake"}
     with pytest.raises(EngineMissing, match=r"drake is not installed.*pip install .*\[drake\]"):
         registry.load_adapter("drake")
+
+
+@pytest.mark.parametrize(
+    ("body", "told"),
+    [
+        (
+            "raise KeyError('wheel')",
+            "the writer of odd, odd_writer:write, fails: KeyError: 'wheel'",
+        ),
+        ("import sys; sys.exit('no licence')", "with exit code 1: no licence"),
+        ("return 3", "TypeError: it gives 3, not Written"),
+        ("raise InputError('odd knows no joint')", "^odd knows no joint$"),
+    ],
+)
+def test_a_writer_of_another_package_that_goes_wrong_is_named(
+    body: str, told: str, tmp_path: Path
+) -> None:
+    source = f"from mbds_xsim.base.errors import InputError\ndef write(scene):\n    {body}\n"
+    with (
+        installed(tmp_path / "odd", {"odd_writer": source}, writers={"odd": "odd_writer:write"}),
+        pytest.raises(InputError, match=told),
+    ):
+        registry.write_model(registry.load_scene("1pendulum"), "odd")
 
 
 def test_an_unknown_engine_is_told_what_there_is() -> None:
