@@ -195,11 +195,12 @@ def readers(
         mbds-xsim readers arm.urdf --engines pybullet,dart
     """
     from mbds_xsim.report.terminal import print_report
+    from mbds_xsim.simulate.choice import words_of
     from mbds_xsim.studies.readers import compare, present
 
     with shared.progress_on(to.console) as progress:
         progress.begin(1, f"reading {model}")
-        readings = compare(model, engines.split(","), folder=folder, floating=floating)
+        readings = compare(model, words_of(engines), folder=folder, floating=floating)
     report = present(readings, shared.command_line())
     print_report(report, to.console)
     to.give([report], readings.file, shared.encoded(readings))

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from mbds_xsim.base.errors import Unsupported
+from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.base.isolate import Conduct, Crash, Task, run_tasks
 from mbds_xsim.base.versions import CHECKS
 from mbds_xsim.measure.campaign import run_references
@@ -66,14 +66,19 @@ def searched(scene: Scene, choice: Choice, conduct: Conduct) -> Choice:
         batch = Starts().draw(scene)
         conduct.meter.begin(len(missing))
         reference = run_references(scene, batch, conduct)
+        unkept: list[InputError] = []
 
         def finished(place: int, answer: Matched | Crash | None) -> None:
             name = missing[place]
             conduct.meter.advance(f"settings of {name}")
             if isinstance(answer, Matched):
                 settings[name] = answer
-                if conduct.cache:
-                    _store(keys[name], answer)
+                if conduct.cache and not unkept:
+                    try:
+                        _store(keys[name], answer)
+                    except InputError as error:
+                        unkept.append(error)
+                        conduct.meter.notice(f"settings that were found are not kept: {error}")
 
         tasks = [
             Task(_search, (scene, batch, reference, name), _LIMIT + _GRACE) for name in missing
@@ -186,7 +191,7 @@ def _load(key: str) -> Matched | None:
 
 
 def _store(key: str, settings: Matched) -> None:
-    disk.store(key, {"settings": np.frombuffer(msgspec.json.encode(settings), dtype=np.uint8)})
+    disk.write(key, {"settings": np.frombuffer(msgspec.json.encode(settings), dtype=np.uint8)})
 
 
 COUNTS = (

@@ -167,11 +167,20 @@ def _seal(path: Path, content: bytes) -> bytes:
     return hashlib.sha256(f"{path.parent.name}/{path.name}".encode() + content).digest()
 
 
-def store(key: str, arrays: Arrays) -> None:
-    """Write an entry; other processes see all of it or nothing."""
+def write(key: str, arrays: Arrays) -> None:
+    """Write an entry; other processes see all of it or nothing.
+
+    Raises:
+        InputError: It cannot be written.
+    """
     path = _path(key)
+    write_whole(path, sealed(path, arrays))
+
+
+def store(key: str, arrays: Arrays) -> None:
+    """Write the entry of a reference solution, or warn that it is not kept."""
     try:
-        write_whole(path, sealed(path, arrays))
+        write(key, arrays)
     except InputError as error:
         warnings.warn(f"reference solutions are not kept: {error}", stacklevel=2)
 

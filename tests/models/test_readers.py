@@ -64,6 +64,7 @@ def test_a_loss_is_told_for_those_engines_that_have_it(name: str) -> None:
 def test_a_solid_ball_is_read_alike_by_all(run: CommandLine, here: Path) -> None:
     (here / "arm.urdf").write_text(_ALIKE.format(0.4 * 3 * 0.5**2))
     assert run("readers", "arm.urdf").code == 0
+    assert run("readers", "arm.urdf", "--engines", "mujoco, pybullet").code == 0
 
     (here / "arm.urdf").write_text(_ALIKE.format(0.41 * 3 * 0.5**2))
     ended = run("readers", "arm.urdf", "--json", "arm.json")

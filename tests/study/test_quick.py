@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+import warnings
 from pathlib import Path
 
 import msgspec
@@ -12,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mbds_xsim.base.errors import InputError, Unsupported
-from mbds_xsim.base.isolate import HERE, Conduct
+from mbds_xsim.base.isolate import HERE, Conduct, Silent
 from mbds_xsim.measure import quick
 from mbds_xsim.measure.quick import COUNTS, fewest, searched
 from mbds_xsim.measure.trial import Trial
@@ -135,6 +136,23 @@ def test_an_engine_that_cannot_be_used_is_named_after_a_search(
 
     assert choice.settings["matched"]
     assert left_out.keys() == {"brokenly"}
+
+
+def test_settings_that_cannot_be_kept_are_told_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(quick, "_search", lambda *_: Matched("Euler", 1))
+    monkeypatch.setattr(quick, "run_references", lambda *_: None)
+    monkeypatch.setenv("MBDS_XSIM_CACHE", "/proc/nowhere")
+    told: list[str] = []
+    meter = Silent()
+    monkeypatch.setattr(meter, "notice", told.append)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = _searched(cart_pole(), "mujoco,dart", Conduct(0, meter=meter))
+
+    assert found.keys() == {"mujoco", "dart"}
+    (line,) = told
+    assert line.startswith("settings that were found are not kept: cannot write /proc/nowhere/")
 
 
 def test_a_step_or_native_settings_need_no_search() -> None:

@@ -189,6 +189,21 @@ def test_what_could_not_be_installed_is_tried_again_where_that_is_asked_for(
     assert place == install("toyengine", "1.0") == tmp_path / "releases" / "toyengine-1.0"
 
 
+def test_an_interrupted_installation_leaves_nothing_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path))
+    monkeypatch.setattr(environments, "_install", interrupted)
+
+    with pytest.raises(KeyboardInterrupt):
+        install("toyengine", "1.0")
+
+    assert not list((tmp_path / "releases").iterdir())
+
+
 def test_two_processes_may_install_one_release(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -60,7 +60,11 @@ def install(package: str, version: str, *, fresh: bool = False) -> Path | str:
         return reason_file.read_text("utf-8") if reason_file.is_file() else folder
     folder.parent.mkdir(parents=True, exist_ok=True)
     part = Path(tempfile.mkdtemp(dir=folder.parent, prefix=".part-"))
-    error = _install(part, [f"{package}=={version}"])
+    try:
+        error = _install(part, [f"{package}=={version}"])
+    except BaseException:  # an interruption, too
+        shutil.rmtree(part, ignore_errors=True)
+        raise
     if error:
         shutil.rmtree(part)
         write_whole(part / _REASON_FILE, error.encode())
