@@ -98,7 +98,8 @@ def _link(mechanism: Mechanism, link: Link) -> Iterator[str]:
         law = f"{here}, {joint.rest!r}, {joint.stiffness!r}"
         spring = f"tree.{_SPRINGS[joint.kind]}({law})"
         yield f"laws[{link.body}] = plant.AddForceElement({spring})"
-    if joint.armature:
+    # Drake takes the rotor of a joint with several actuators from one alone: its servos carry it.
+    if joint.armature and not joint.driven:
         yield f"rotors[{link.body}] = plant.AddJointActuator({joint.name!r}, {here})"
         yield f"rotors[{link.body}].set_default_rotor_inertia({joint.armature!r})"
 
@@ -122,10 +123,14 @@ def _servos(mechanism: Mechanism) -> Iterator[str]:
     native = mechanism.carried
     for k, drive in enumerate(mechanism.drives):
         limit = "np.inf" if drive.servo.limit is None else repr(drive.servo.limit)
-        args = f"'servo {k}', joints[{native[drive.joint.index]}], {limit}"
+        body, armature = native[drive.joint.index], drive.joint.armature
+        args = f"'servo {k}', joints[{body}], {limit}"
         yield f"servos.append(plant.AddJointActuator({args}))  # {drive.joint.name!r}"
         gains = f"p={drive.servo.stiffness!r}, d={drive.servo.damping!r}"
         yield f"servos[-1].set_controller_gains(tree.PdControllerGains({gains}))"
+        if armature:
+            yield f"servos[-1].set_default_rotor_inertia({armature!r})"
+            yield f"rotors[{body}] = servos[-1]"
 
 
 def _loops(mechanism: Mechanism) -> Iterator[str]:

@@ -117,6 +117,26 @@ def _saturated() -> Case:
     )
 
 
+def _geared_servo() -> Case:
+    """Saturated servos drive a wheel that has a rotor, which has no momentum of its own."""
+    forth, back, armature = 0.6, 0.2, 0.15
+    inertia = CARRIER * WHEEL / (CARRIER + WHEEL) + armature
+
+    def turned(time: Array) -> Array:
+        return -WHEEL / (CARRIER + WHEEL) * 0.5 * (forth - back) / inertia * time**2
+
+    return on_a_carrier(
+        "geared servo",
+        "armature of a hinge that has servos with limits",
+        turned,
+        Joint("axle", "hinge", "carrier", "wheel", NONE, UP, armature=armature),
+        servos=(
+            Servo("axle", velocity=(50.0,), damping=0.4, limit=forth),
+            Servo("axle", velocity=(-50.0,), damping=0.4, limit=back),
+        ),
+    )
+
+
 def _letting_go() -> Case:
     """A servo pushes a block along a free cart at its limit, until it needs less force.
 
@@ -161,4 +181,4 @@ def _letting_go() -> Case:
     )
 
 
-SERVO_CASES: tuple[Case, ...] = (_saturated(), _letting_go())
+SERVO_CASES: tuple[Case, ...] = (_saturated(), _geared_servo(), _letting_go())
