@@ -15,6 +15,8 @@ from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
 from mbds_xsim.scene.shapes import TENSION, pull_call, shapes
 
 _PAIR = {"fixed": "Weld", "hinge": "Revolute", "slider": "Prismatic", "ball": "Ball"}
+# Least distance of the two pins that close a hinge, over the scene's length.
+_LEAST_REACH = 0.1
 _HEAD = """\
 import dartpy as dart
 import numpy as np
@@ -154,10 +156,10 @@ def _closure(mechanism: Mechanism, joint: PlacedJoint) -> Iterator[str]:
 
 def _reach(mechanism: Mechanism, joint: PlacedJoint) -> float:
     """Return the distance of the two pins [m]: the bodies' size, so that impulses are similar."""
-    arms = [np.linalg.norm(joint.in_child)]
-    if joint.parent != WORLD_INDEX:
-        arms.append(np.linalg.norm(joint.in_parent))
-    return float(max(arms)) or mechanism.scene.length
+    arms = [joint.in_child] if joint.parent == WORLD_INDEX else [joint.in_child, joint.in_parent]
+    # Both bodies may be centred on the hinge: one pin alone would make a ball joint of it.
+    least = _LEAST_REACH * mechanism.scene.length
+    return float(np.linalg.norm(arms, axis=1).max(initial=least))
 
 
 def _vector(v: Array) -> str:

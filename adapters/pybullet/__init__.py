@@ -50,7 +50,7 @@ class PyBullet(Adapter):
 
     name = "pybullet"
     package = "pybullet"
-    revision = 2
+    revision = 3
     methods: ClassVar = named(
         Method("semi-implicit-euler", "semi-implicit Euler", 1, velocity_lag=-0.5)
     )

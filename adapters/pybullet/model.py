@@ -24,14 +24,12 @@ from mbds_xsim.simulate.readback import joint_anchors, joint_axes
 from .client import Client, Constant
 from .contact import BulletContact, flags_of
 from .gears import IMPULSE_CAP, armatures, gear_rotors, speed, tie, with_rotors
-from .parts import Multibody, split
+from .parts import Multibody, hinge_arm, split
 
 SPEED_CAP = 1e6
 """Largest rate of a multibody, to which Bullet cuts faster ones [m/s or rad/s]."""
 RATES = slice(7, 13)
 """Columns of `Multibodies.read` with velocity and angular velocity."""
-# Distance of the two points that close a hinge from its anchor, over the longest arm there.
-_HINGE_ARM = 0.5
 
 _JOINT_TYPES = {
     "ball": "JOINT_SPHERICAL",
@@ -292,6 +290,7 @@ class Multibodies:
                 build(
                     "changeDynamics", number, k,
                     jointLowerLimit=joint.limits[0], jointUpperLimit=joint.limits[1],
+                    jointLimitForce=IMPULSE_CAP,
                 )  # fmt: skip
         gear_rotors(self.client, number, joints)
         return int(number)
@@ -328,7 +327,7 @@ class Multibodies:
             return self._constrain("JOINT_FIXED", joint, np.zeros(3), 6)
         if joint.kind == "ball":
             return self._constrain("JOINT_POINT2POINT", joint, np.zeros(3), 3)
-        arm = _HINGE_ARM * max(np.linalg.norm(joint.in_child), np.linalg.norm(joint.in_parent))
+        arm = hinge_arm(self.mechanism, joint)
         ends = (-arm * joint.axis, arm * joint.axis)
         return sum(self._constrain("JOINT_POINT2POINT", joint, shift, 3) for shift in ends)
 

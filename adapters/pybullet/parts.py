@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
 
@@ -16,6 +18,10 @@ FREEDOMS = {"ball": 3, "hinge": 1, "slider": 1, "fixed": 0}
 _COORDINATES = {"ball": 4, "hinge": 1, "slider": 1, "fixed": 1}
 # Joints that a constraint can replace, best first.
 _CUT_ORDER = {"ball": 0, "hinge": 1, "fixed": 2}
+# Distance of the two points that close a hinge from its anchor, over the longest arm there.
+_HINGE_ARM = 0.5
+# Least such arm over the scene's length: bodies may be centred on the hinge.
+_LEAST_ARM = 0.1
 
 
 @dataclass(frozen=True)
@@ -105,3 +111,9 @@ def _best_cut(mechanism: Mechanism, link: Link, children: list[Link], load: dict
         choices,
         key=lambda child: (_CUT_ORDER[child.joint.kind] if child.joint else 0, -load[child.body]),
     )
+
+
+def hinge_arm(mechanism: Mechanism, joint: PlacedJoint) -> float:
+    """Return how far from the anchor of a hinge the two points lie that close it [m]."""
+    arms = np.linalg.norm([joint.in_child, joint.in_parent], axis=1)
+    return _HINGE_ARM * float(arms.max(initial=_LEAST_ARM * mechanism.scene.length))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ from mbds_xsim.scene.state import Trajectory
 from mbds_xsim.simulate import readback
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.registry import load_adapter, load_scene
-from tests.adapters.exact import worst_gap
+from tests.adapters.exact import gimbal_followed, worst_gap
 
 pytest.importorskip("pybullet")
 
@@ -190,6 +190,22 @@ def test_ball_joints_in_line_make_a_hinge(start_rate: float) -> None:
     )
     one, two = extrapolated(hinged, 100), extrapolated(balls, 100)
     np.testing.assert_allclose(one.position, two.position, rtol=0, atol=2e-5)
+
+
+@pytest.mark.parametrize("off", [0.0, 1e-9])
+def test_a_hinge_closes_a_loop_of_bodies_that_are_centred_on_it(off: float) -> None:
+    gimbal_followed(ENGINE, off)
+
+
+@pytest.mark.parametrize("kind", ["slider", "hinge"])
+def test_a_stop_holds_a_body_however_heavy(kind: Literal["slider", "hinge"]) -> None:
+    ends = []
+    for mass in (1.0, 1e7):
+        block = body("block", inertia=Inertia(mass, (mass,) * 3, com=(0.5, 0.0, 0.0)))
+        axis = (0.0, 0.0, 1.0) if kind == "slider" else (0.0, -1.0, 0.0)
+        joint = Joint("j", kind, "world", "block", (0, 0, 0), axis, limits=(-0.01, 1.0))
+        ends.append(simulate(scene(block, joints=(joint,))).position[0, -1, 0, 2])
+    assert ends[1] == pytest.approx(ends[0], abs=1e-9)
 
 
 @pytest.mark.parametrize("limit", [8, 9, 12])
