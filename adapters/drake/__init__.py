@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.stiffness import spring_step
@@ -11,6 +12,7 @@ from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings, careful_
 from mbds_xsim.simulate.claims import LOOPS, ContactScales, Feature, Method, Option, named
 
 from .contact import CONTACT_LAW, LEAST_REBOUND, MOST_REBOUND, OWN_TIME, STICTION, steps_of_impact
+from .stops import at_least, least_step, most_inertia
 
 __all__ = ["Drake"]
 
@@ -71,7 +73,9 @@ class Drake(Adapter):
     contact_law = CONTACT_LAW
     smallest = (
         "any mass that a scene file allows; a spring needs a rest length above 0, and the ground's "
-        f"restitution must be 0, or {LEAST_REBOUND:g} to {MOST_REBOUND:g}"
+        f"restitution must be 0, or {LEAST_REBOUND:g} to {MOST_REBOUND:g}; at steps of 1 ms joints "
+        f"with limits move at most {most_inertia(1e-3):.3g} kg or kg·m², by the step's square less "
+        "at finer ones: above, their stops would rebound"
     )
 
     def cannot_hold(self, scene: Scene) -> str:
@@ -82,6 +86,10 @@ class Drake(Adapter):
         if restitution and not LEAST_REBOUND <= restitution <= MOST_REBOUND:
             bounds = f"Drake can do 0, or {LEAST_REBOUND:g} to {MOST_REBOUND:g}"
             return f"the ground's restitution is {restitution:g}; {bounds}"
+        if (least := least_step(scene)) > scene.clock.frame:
+            heaviest = f"a joint with limits moves {most_inertia(least):.3g} kg or kg·m²"
+            most = f"{most_inertia(scene.clock.frame):.3g} at steps of a whole frame"
+            return f"{heaviest}; Drake's stops hold {most}, and make more rebound"
         return ""
 
     def contact_scales(self, settings: Settings) -> ContactScales:
@@ -89,10 +97,11 @@ class Drake(Adapter):
         return ContactScales(count * settings.step if count else OWN_TIME, STICTION)
 
     def settings(self, scene: Scene, profile: Profile) -> Settings:
-        frame = scene.clock.frame
+        frame, least = scene.clock.frame, least_step(scene)
         if profile == "native":
             options = {_IMPACT: 0.0} if scene.contacts else {}
-            return Settings(_OWN, nearest_step(frame, _NATIVE_STEP), options)
+            step = at_least(least, nearest_step(frame, _NATIVE_STEP), frame)
+            return Settings(_OWN, step, options)
         springs = spring_step(scene, angle=_SPRING_ANGLE, decay=_DECAY)
         method = next((m for m in self.methods if not self.refusals(scene, m)), _OWN)
         if method != _OWN:
@@ -100,7 +109,8 @@ class Drake(Adapter):
                 method, careful_step(frame, min(_CAREFUL_STEP, springs), _CAREFUL_COUNT)
             )
         if scene.ground is None or not scene.contacts:
-            return Settings(_OWN, careful_step(frame, min(_OWN_STEP, springs), _OWN_COUNT))
+            step = careful_step(frame, min(_OWN_STEP, springs), _OWN_COUNT)
+            return Settings(_OWN, at_least(least, step, frame))
         count = steps_of_impact(scene.ground.restitution)
         step = careful_step(frame, min(_IMPACT_TIME / count, springs), _OWN_COUNT)
         return Settings(_OWN, step, {_IMPACT: count})
@@ -108,5 +118,12 @@ class Drake(Adapter):
     def load(self, scene: Scene, settings: Settings) -> Run:
         from .run import DrakeRun
 
+        step, least = scene.clock.frame / settings.substeps(scene.clock.frame), least_step(scene)
+        if step < least * (1.0 - 1e-9):
+            raise Unsupported(
+                f"drake: step: got {step:.3g} s, allowed is from {least:.3g} s, as joints with "
+                f"limits move up to {most_inertia(least):.3g} kg or kg·m² in {scene.name}: Drake's "
+                "stops make them rebound at finer steps; take longer steps"
+            )
         scheme = "" if settings.method == _OWN else settings.method
         return DrakeRun(scene, settings, scheme, float(self.option(settings, _IMPACT)))

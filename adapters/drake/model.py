@@ -69,11 +69,13 @@ def listing(mechanism: Mechanism, time_step: float, impact_steps: float) -> str:
         impact_steps: Number of steps that an impact takes; 0 for Drake's own contact.
     """
     lines = [_HEAD % (time_step, list(mechanism.scene.gravity))]
+    # Drake refuses names that are empty, or used for a body and its free joint, or for two frames.
+    # So names are numbers, and those of the scene are comments.
     for k, body in enumerate(mechanism.scene.bodies):
         properties = f"{float(mechanism.mass[k])!r}, {mechanism.inertia[k].tolist()}"
-        lines.append(f"bodies[{k}] = add_body({body.name!r}, {properties})")
+        lines.append(f"bodies[{k}] = add_body('body {k}', {properties})  # {body.name!r}")
     for link in mechanism.links:
-        lines += _link(mechanism, link)
+        lines += _link(link)
     lines += _springs(mechanism)
     lines += _servos(mechanism)
     lines += _loops(mechanism)
@@ -82,25 +84,26 @@ def listing(mechanism: Mechanism, time_step: float, impact_steps: float) -> str:
     return "\n".join(lines)
 
 
-def _link(mechanism: Mechanism, link: Link) -> Iterator[str]:
+def _link(link: Link) -> Iterator[str]:
     joint, here = link.joint, f"joints[{link.body}]"
     if joint is None:
-        name = f"{mechanism.scene.bodies[link.body].name!r}"
-        frames = f"world.body_frame(), bodies[{link.body}].body_frame()"
-        yield f"{here} = plant.AddJoint(tree.QuaternionFloatingJoint({name}, {frames}))"
+        ends = f"world.body_frame(), bodies[{link.body}].body_frame()"
+        name = f"'free {link.body}'"
+        yield f"{here} = plant.AddJoint(tree.QuaternionFloatingJoint({name}, {ends}))"
         return
     ends = f"{_frame(link.parent, joint.in_parent)}, {_frame(link.body, joint.in_child)}"
     more = {"ball": "", "fixed": ", RigidTransform()"}.get(
         joint.kind, f", {joint.axis.tolist()}, {_limits(joint)}damping={joint.damping!r}"
     )
-    yield f"{here} = plant.AddJoint(tree.{_KINDS[joint.kind]}({joint.name!r}, {ends}{more}))"
+    args = f"'joint {link.body}', {ends}{more}"
+    yield f"{here} = plant.AddJoint(tree.{_KINDS[joint.kind]}({args}))  # {joint.name!r}"
     if joint.stiffness:
         law = f"{here}, {joint.rest!r}, {joint.stiffness!r}"
         spring = f"tree.{_SPRINGS[joint.kind]}({law})"
         yield f"laws[{link.body}] = plant.AddForceElement({spring})"
     # Drake takes the rotor of a joint with several actuators from one alone: its servos carry it.
     if joint.armature and not joint.driven:
-        yield f"rotors[{link.body}] = plant.AddJointActuator({joint.name!r}, {here})"
+        yield f"rotors[{link.body}] = plant.AddJointActuator('rotor {link.body}', {here})"
         yield f"rotors[{link.body}].set_default_rotor_inertia({joint.armature!r})"
 
 
