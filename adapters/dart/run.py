@@ -115,7 +115,7 @@ class DartRun(Run):
             here, rate = skeleton.getPositions(), skeleton.getVelocities()
             if os.fstat(warnings).st_size > size:
                 return Failure(k + 1, f"DART: {_first_line(warnings, size)}")
-            fastest = float(np.abs(rate).max())
+            fastest = float(np.abs(rate).max(initial=0.0))  # none if all bodies are fixed
             if not (fastest < _BLOW_UP and np.isfinite(here).all()):
                 return Failure(k + 1, f"blow-up: a joint rate of {fastest:.3g} rad/s or m/s")
             if trouble := self._contact.trouble():

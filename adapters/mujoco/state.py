@@ -38,7 +38,9 @@ class Coordinates:
         # MuJoCo numbers bodies depth first, links are breadth first: only names match.
         bodies = [model.body(mechanism.scene.bodies[link.body].name).id for link in mechanism.links]
         first = model.body_jntadr[bodies]
-        qpos, qvel = model.jnt_qposadr[first], model.jnt_dofadr[first]
+        places = model.jnt_qposadr, model.jnt_dofadr
+        # Welded bodies have joint -1. It is not used, but without any joints it is no index.
+        qpos, qvel = (place[first] if model.njnt else first for place in places)
 
         def at(links: Index, places: int, rates: int) -> tuple[Index, Index]:
             return qpos[links, None] + np.arange(places), qvel[links, None] + np.arange(rates)

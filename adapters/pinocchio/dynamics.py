@@ -62,7 +62,8 @@ class PinocchioDynamics:
         joints = [model.frames[k].parentJoint for k in self._frames]
         moving = [joint for joint in range(model.njoints) for _ in range(model.nvs[joint])]
         supports = [set(model.supports[joint]) for joint in joints]
-        self._carries = np.array([[float(j in below) for below in supports] for j in moving])
+        carries = [[float(j in below) for below in supports] for j in moving]
+        self._carries = np.array(carries).reshape(model.nv, len(supports))
         self.torque: Array | float = 0.0
         """Held loads on the velocity coordinates, shape (state, coordinate)."""
         self.push: Array | float = 0.0
