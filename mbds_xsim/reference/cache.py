@@ -25,6 +25,10 @@ from numpy.typing import NDArray
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.files import write_whole
 from mbds_xsim.base.versions import PHYSICS
+from mbds_xsim.reference.elimination import with_short_loops
+from mbds_xsim.reference.tree import tree_of
+from mbds_xsim.scene.constraints import degrees_of_freedom
+from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch
 
@@ -41,6 +45,8 @@ _BRAKES, _LANDING = 5, 6
 joint could stop and move on, or give way and stop, inside one step without being noticed."""
 _DAMPED = 1
 """Extra version of scenes with dampers: before it, one start chose the method of all in a batch."""
+_IDLE = 1
+"""Extra version of scenes whose closures all follow from the tree: before it, one carried loads."""
 _SOURCES = ("compiling", "lanes", "traced", "lane_algebra", "noted", "elimination", "tree")
 _SEAL = hashlib.sha256().digest_size
 
@@ -126,6 +132,7 @@ def key_of(kind: str, scene: Scene, batch: Batch, row: int, rtol: float) -> str:
     damping += [spring.damping for spring in scene.springs]
     damping += [servo.damping for servo in scene.servos]
     physics += ["damped", _DAMPED] if any(damping) else []
+    physics += ["idle", _IDLE] if _has_idle_closures(Mechanism.of(scene)) else []
     # Scenes made in Python may hold numpy numbers.
     digest.update(
         msgspec.json.encode([kind, PHYSICS, rtol, scene.clock.frame, physics], enc_hook=float)
@@ -135,6 +142,15 @@ def key_of(kind: str, scene: Scene, batch: Batch, row: int, rtol: float) -> str:
         digest.update(repr(array.shape).encode())
         digest.update(array.tobytes())
     return digest.hexdigest()
+
+
+@functools.lru_cache(maxsize=64)
+def _has_idle_closures(mechanism: Mechanism) -> bool:
+    """Whether the joints and links that close loops take no freedom from the tree."""
+    if not (mechanism.loops or mechanism.distances):
+        return False
+    tree = tree_of(with_short_loops(mechanism))
+    return tree.size - tree.place_count == degrees_of_freedom(mechanism)
 
 
 def load(key: str) -> Arrays | None:

@@ -195,6 +195,8 @@ def _pivoted(matrix: Array, size: Array) -> tuple[Array, float]:
     """Return the independent rows, and the least independent share of one, squared."""
     from scipy.linalg import lapack  # takes long to import
 
+    if (np.diag(matrix) / size).max() <= _DEPENDENT:
+        return np.zeros(0, dtype=int), 1.0  # the factorisation would always keep one row
     scale = 1.0 / np.sqrt(size)
     factor, pivot, rank, _ = lapack.dpstrf(matrix * scale * scale[:, None], tol=_DEPENDENT, lower=1)
     return pivot[:rank] - 1, float(factor[rank - 1, rank - 1] ** 2)

@@ -18,6 +18,7 @@ from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch
 from mbds_xsim.simulate.registry import load_scene
+from mbds_xsim.testing import CASES
 
 SCENE = load_scene("5pendulum")
 BATCH = draw_batch(SCENE, [0, 1]).truncated(3)
@@ -129,6 +130,18 @@ def test_key_follows_physics_start_inputs_and_tolerance() -> None:
     different = {key(), key(scene=heavier), key(batch=blown), key(batch=moved), key(rtol=1e-12)}
     assert len(different) == 5
     assert key(scene=renamed) == key()
+
+
+def test_closures_that_hold_nothing_have_a_version_of_their_own(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    welded = next(case.scene for case in CASES if case.name == "welded")
+    scenes = welded, load_scene("bricard"), SCENE
+    pairs = [(scene, draw_batch(scene, [0])) for scene in scenes]
+    before = [cache.key_of("solve", *pair, 0, 1e-11) for pair in pairs]
+    monkeypatch.setattr(cache, "_IDLE", 0)
+    after = [cache.key_of("solve", *pair, 0, 1e-11) for pair in pairs]
+    assert [a != b for a, b in zip(before, after, strict=True)] == [True, False, False]
 
 
 def test_sensitivity_is_kept_beside_solutions(tmp_path: Path, computed: list[int]) -> None:

@@ -247,6 +247,35 @@ def test_a_loop_that_turns_as_a_whole_keeps_its_independent_rows(
     assert np.isfinite(whole.states).all()
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_second_hinge_on_the_same_line_holds_nothing(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    scene = random_tree(rng, ["hinge"])
+    (hinge,) = scene.joints
+    anchor, axis = np.array(hinge.anchor), np.array(hinge.axis)
+    x, y, z = (anchor + axis).tolist()
+    second = msgspec.structs.replace(hinge, name="second", anchor=(x, y, z))
+    twice = msgspec.structs.replace(scene, joints=(hinge, second))
+
+    assert not compiled.chosen(Mechanism.of(twice))[0].loaded
+    once, held = (solve(each, draw_batch(each, [0]), cache=False) for each in (scene, twice))
+    np.testing.assert_allclose(held.position, once.position, rtol=0, atol=1e-12)
+
+
+def test_a_loop_of_welds_falls_with_its_rotor() -> None:
+    mass = Inertia(1.0, (0.03, 0.05, 0.04))
+    bodies = (Body("a", inertia=mass, position=(0.3, 0.0, 0.0)), Body("b", inertia=mass))
+    hinge = Joint("pivot", "hinge", "world", "a", (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), armature=0.05)
+    weld = Joint("weld", "fixed", "a", "b", (0.4, 0.1, 0.0))
+    ball = Joint("closing", "ball", "b", "a", (0.4, 0.2, 0.3))
+    tree = Scene("welds", bodies, 1.0, joints=(hinge, weld), clock=Clock(steps=20))
+    loop = msgspec.structs.replace(tree, joints=(hinge, weld, ball))
+
+    assert not compiled.chosen(Mechanism.of(loop))[0].loaded
+    free, closed = (solve(each, draw_batch(each, [0]), cache=False) for each in (tree, loop))
+    np.testing.assert_allclose(closed.position, free.position, rtol=0, atol=1e-12)
+
+
 def test_the_coefficients_of_the_method_are_those_of_scipy() -> None:
     count = dop853.STAGES
     for own, theirs in (
