@@ -296,7 +296,8 @@ def _coupled(mechanism: Mechanism, at: Index, angle_at: Index) -> ClosureRows:
     """Return the rows of couplings, whose points are zero."""
     count, places = len(mechanism.couplings), {}
     for joint, angle in zip(mechanism.counted, angle_at.tolist(), strict=False):
-        places[joint.name] = angle if angle >= 0 else int(at[link_number(mechanism, joint)])
+        if joint.coupled:  # others may close loops and hold no link
+            places[joint.name] = angle if angle >= 0 else int(at[link_number(mechanism, joint)])
     pairs = [(each.follower, each.leader) for each in mechanism.couplings]
     ends = [[link_number(mechanism, joint) for joint in pair] for pair in pairs]
     indices = [[places[joint.name] for joint in pair] for pair in pairs]

@@ -276,6 +276,21 @@ def test_a_loop_of_welds_falls_with_its_rotor() -> None:
     np.testing.assert_allclose(closed.position, free.position, rtol=0, atol=1e-12)
 
 
+def test_a_slider_with_a_spring_may_close_a_loop() -> None:
+    mass, ways = Inertia(1.0, (0.1, 0.1, 0.1)), ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, 1.0))
+    ends = ("world", "carriage"), ("carriage", "block"), ("block", "world")
+    joints = tuple(
+        Joint(f"slider {k}", "slider", *pair, (0.0, 0.0, 0.0), way, stiffness=8.0, rest=0.2)
+        for k, (pair, way) in enumerate(zip(ends, ways, strict=True))
+    )
+    bodies = Body("carriage", inertia=mass), Body("block", inertia=mass)
+    scene = Scene("wedge", bodies, 1.0, joints=joints, clock=Clock(0.02, 25))
+    task = problem(Mechanism.of(scene), draw_batch(scene, [0]), 1e-11)
+    fast, slow = compiled.march_compiled(task), marching.march(task)
+    np.testing.assert_allclose(fast.states, slow.states, rtol=0, atol=1e-9)
+    assert np.abs(fast.states[..., 0, :3]).max() > 0.01
+
+
 def test_the_coefficients_of_the_method_are_those_of_scipy() -> None:
     count = dop853.STAGES
     for own, theirs in (
