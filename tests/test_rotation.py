@@ -137,6 +137,18 @@ def test_half_a_turn_counts_as_plus_pi(sign: float) -> None:
     assert rotation.angle_about(q, np.array([0.0, 0.0, -1.0])) == pytest.approx(np.pi)
 
 
+def test_rounding_does_not_make_minus_pi_of_pi() -> None:
+    axes = RNG.standard_normal((1000, 3))
+    axes /= rotation.norm(axes)[:, None]
+    before = rotation.from_vector(RNG.standard_normal((1000, 3)))
+    after = rotation.multiply(before, rotation.from_vector(np.pi * axes))
+
+    angle = rotation.angle_about(rotation.multiply(rotation.conjugate(before), after), axes)
+    np.testing.assert_allclose(angle, np.pi, rtol=0, atol=1e-14)
+    short = rotation.from_vector((2e-9 - np.pi) * axes)
+    assert (rotation.angle_about(short, axes) < 0).all()
+
+
 @pytest.mark.parametrize("axis", [*np.eye(3), *-np.eye(3), [1.0, 1.0, 1.0], [1e-9, 0.0, 5.0]])
 def test_normals_make_a_right_handed_triad(axis: list[float]) -> None:
     first, second = rotation.normal_to(np.array(axis))

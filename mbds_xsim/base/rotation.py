@@ -12,6 +12,8 @@ from mbds_xsim.base.arrays import Array
 
 IDENTITY: Array = np.array([1.0, 0.0, 0.0, 0.0])
 IDENTITY.flags.writeable = False
+_HALF_TURN = 1e-9
+"""Angles less than this above −π [rad] count as π, of which they are rounding errors."""
 
 
 def cross(a: Array, b: Array) -> Array:
@@ -145,10 +147,15 @@ def between(a: Array, b: Array) -> Array:
 
 
 def angle_about(q: Array, axis: Array) -> Array:
-    """Signed angle in (−π, π] of the part of the rotation q that turns about a unit axis [rad]."""
+    """Signed angle in (−π, π] of the part of the rotation q that turns about a unit axis [rad].
+
+    Rotations by π within rounding give π, or exceed it by at most 1e-9.
+    """
     along = dot(q[..., 1:], axis)
     angle = 2.0 * np.arctan2(along, q[..., 0])
-    return np.asarray(np.pi - (np.pi - angle) % (2.0 * np.pi))
+    wrapped = np.asarray(np.pi - (np.pi - angle) % (2.0 * np.pi))
+    np.add(wrapped, 2.0 * np.pi, out=wrapped, where=wrapped <= _HALF_TURN - np.pi)
+    return wrapped
 
 
 def normal_to(axes: Array) -> tuple[Array, Array]:

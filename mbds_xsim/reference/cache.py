@@ -28,6 +28,7 @@ from mbds_xsim.base.versions import PHYSICS
 from mbds_xsim.reference.elimination import with_short_loops
 from mbds_xsim.reference.tree import tree_of
 from mbds_xsim.scene.constraints import degrees_of_freedom
+from mbds_xsim.scene.joint_space import BodyStates, joint_coordinate
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch
@@ -47,7 +48,11 @@ _DAMPED = 1
 """Extra version of scenes with dampers: before it, one start chose the method of all in a batch."""
 _IDLE = 1
 """Extra version of scenes whose closures all follow from the tree: before it, one carried loads."""
+_HALF_TURN = 1
+"""Extra version of trajectories that start with a sprung, driven or otherwise counted hinge at π:
+before it, rounding could make that −π."""
 _SOURCES = ("compiling", "lanes", "traced", "lane_algebra", "noted", "elimination", "tree")
+_NEAR = 1e-9  # rad
 _SEAL = hashlib.sha256().digest_size
 
 
@@ -133,6 +138,7 @@ def key_of(kind: str, scene: Scene, batch: Batch, row: int, rtol: float) -> str:
     damping += [servo.damping for servo in scene.servos]
     physics += ["damped", _DAMPED] if any(damping) else []
     physics += ["idle", _IDLE] if _has_idle_closures(Mechanism.of(scene)) else []
+    physics += ["half turn", _HALF_TURN] if _starts_at_half_turn(scene, batch, row) else []
     # Scenes made in Python may hold numpy numbers.
     digest.update(
         msgspec.json.encode([kind, PHYSICS, rtol, scene.clock.frame, physics], enc_hook=float)
@@ -151,6 +157,16 @@ def _has_idle_closures(mechanism: Mechanism) -> bool:
         return False
     tree = tree_of(with_short_loops(mechanism))
     return tree.size - tree.place_count == degrees_of_freedom(mechanism)
+
+
+def _starts_at_half_turn(scene: Scene, batch: Batch, row: int) -> bool:
+    mechanism = Mechanism.of(scene)
+    hinges = [joint for joint in mechanism.counted if joint.kind == "hinge"]
+    if not hinges:
+        return False
+    start = BodyStates.of(mechanism, batch[[row]])
+    angles = [joint_coordinate(joint, start.position, start.native) for joint in hinges]
+    return bool(np.max(angles) > np.pi - _NEAR)
 
 
 def load(key: str) -> Arrays | None:

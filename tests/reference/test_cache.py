@@ -15,10 +15,11 @@ from mbds_xsim.reference import cache, sensitivity, solve
 from mbds_xsim.reference.compiled import march_compiled
 from mbds_xsim.reference.marching import Marched
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.scene import Joint, Scene
 from mbds_xsim.scene.state import Batch
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.testing import CASES
+from mbds_xsim.testing.case import even
 
 SCENE = load_scene("5pendulum")
 BATCH = draw_batch(SCENE, [0, 1]).truncated(3)
@@ -132,14 +133,28 @@ def test_key_follows_physics_start_inputs_and_tolerance() -> None:
     assert key(scene=renamed) == key()
 
 
-def test_closures_that_hold_nothing_have_a_version_of_their_own(
-    monkeypatch: pytest.MonkeyPatch,
+def _turned(start: float) -> Scene:
+    hinge = Joint("pivot", "hinge", "world", "a", (0.0,) * 3, (1.0, 1.0, 1.0), start=start)
+    sprung = msgspec.structs.replace(hinge, stiffness=1.0)
+    return Scene("door", (even("a", 1.0, 0.1, (1.0, 0.0, 0.0)),), 1.0, joints=(sprung,))
+
+
+@pytest.mark.parametrize(
+    ("version", "scenes"),
+    [
+        (
+            "_IDLE",
+            (*(case.scene for case in CASES if case.name == "welded"), load_scene("bricard")),
+        ),
+        ("_HALF_TURN", (_turned(np.pi), _turned(3.0))),
+    ],
+)
+def test_only_some_solutions_have_a_version_of_their_own(
+    monkeypatch: pytest.MonkeyPatch, version: str, scenes: tuple[Scene, ...]
 ) -> None:
-    welded = next(case.scene for case in CASES if case.name == "welded")
-    scenes = welded, load_scene("bricard"), SCENE
-    pairs = [(scene, draw_batch(scene, [0])) for scene in scenes]
+    pairs = [(scene, draw_batch(scene, [0])) for scene in (*scenes, SCENE)]
     before = [cache.key_of("solve", *pair, 0, 1e-11) for pair in pairs]
-    monkeypatch.setattr(cache, "_IDLE", 0)
+    monkeypatch.setattr(cache, version, 0)
     after = [cache.key_of("solve", *pair, 0, 1e-11) for pair in pairs]
     assert [a != b for a, b in zip(before, after, strict=True)] == [True, False, False]
 

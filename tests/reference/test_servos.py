@@ -12,11 +12,12 @@ from mbds_xsim.checks.conservation import energy_balance, energy_of
 from mbds_xsim.reference.solution import confirmed, solve
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Joint, Scene
+from mbds_xsim.scene.scene import Clock, Joint, Scene
 from mbds_xsim.scene.servo import Servo
 from mbds_xsim.testing import Case
 from mbds_xsim.testing.case import NONE, even
 from mbds_xsim.testing.limit_cases import SERVO_CASES
+from tests.random_scenes import random_tree
 
 _CASES = pytest.mark.parametrize("case", SERVO_CASES, ids=lambda case: case.name)
 
@@ -67,6 +68,24 @@ def test_a_slider_does_not_turn_however_fast_it_is() -> None:
     saturated = np.sign(off) * (np.abs(off) > 100.0)
 
     assert (record.steady == (saturated[:, 1:] == saturated[:, :-1])).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_hinge_that_starts_at_pi_stays_at_its_target_and_within_its_limits(seed: int) -> None:
+    tree = random_tree(np.random.default_rng(seed), ["ball", "hinge"])
+    law = {"start": np.pi, "stiffness": 5.0, "rest": np.pi, "limits": (0.0, np.pi)}
+    joints = tuple(
+        msgspec.structs.replace(joint, **law) if joint.kind == "hinge" else joint
+        for joint in tree.joints
+    )
+    hinge = next(joint.name for joint in joints if joint.kind == "hinge")
+    servo = Servo(hinge, position=(np.pi,), stiffness=30.0)
+    still = {"gravity": (0.0, 0.0, 0.0), "clock": Clock(0.02, 10)}
+    for changes in ({"joints": joints}, {"joints": joints, "servos": (servo,)}):
+        scene = msgspec.structs.replace(tree, **still, **changes)
+        motion = _record(scene).trajectory
+        assert motion.failures == (None,)
+        np.testing.assert_allclose(motion.position[0, -1], motion.position[0, 0], atol=1e-12)
 
 
 def test_a_limit_that_is_never_reached_changes_nothing() -> None:
