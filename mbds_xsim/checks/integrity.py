@@ -18,6 +18,9 @@ from mbds_xsim.simulate import rounding
 
 _UNIT = 1e-9
 _SAME_START = 1e-12
+_FAR = 16 * 2.0**-53 / _SAME_START
+"""Share of the distance from the origin that counts as an arm of rates: engines that compute
+velocities there round them by 16 units of rate times distance."""
 _SINGLE = (1 << 29) - 1
 """Bits of a float64's significand that are 0 if a float32 has the same value."""
 _ROUND = (1 << 37) - 1
@@ -83,10 +86,12 @@ def precision(record: Record) -> Figures | None:
 def start(record: Record) -> Figures:
     """Compare frame 0 with the drawn start, relative to the largest value of each kind.
 
-    The scale of velocities includes the angular velocity at an arm of the scene's length.
+    The scale of velocities includes the angular velocity at an arm of the scene's length, or of
+    1.8e-3 of the largest position if that is longer.
     """
     batch, motion = record.batch, record.trajectory
-    spin = np.abs(batch.angular_velocity).max(axis=(1, 2)) * record.scene.length
+    arm = np.maximum(record.scene.length, _FAR * np.abs(batch.position).max(axis=(1, 2)))
+    spin = np.abs(batch.angular_velocity).max(axis=(1, 2)) * arm
     alignment = np.sum(motion.orientation[:, 0] * batch.orientation, axis=-1, keepdims=True)
     near = np.where(alignment < 0, -batch.orientation, batch.orientation)
     pairs = (

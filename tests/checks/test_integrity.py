@@ -108,6 +108,24 @@ def test_velocities_may_round_as_much_as_rates_at_an_arm_do(pendulum: Any) -> No
     ]
 
 
+def test_velocities_may_round_as_much_as_rates_at_the_origin_do(pendulum: Any) -> None:
+    """Far away, an engine may compute velocities from those at the origin."""
+    far = {"position": pendulum.exact.position + 1e5}
+    spin = np.ones_like(pendulum.batch.angular_velocity)
+    place = {"position": pendulum.batch.position + 1e5}
+    batch = dataclasses.replace(pendulum.batch, **place, angular_velocity=spin)
+    spins, velocity = (getattr(pendulum.exact, k).copy() for k in ("angular_velocity", "velocity"))
+    spins[:, 0] = spin
+    velocity[0, 0] += 1.7e-10
+    velocity[1, 0] += 1.9e-10
+    motion = dataclasses.replace(pendulum.exact, **far, angular_velocity=spins, velocity=velocity)
+    assert start.finding(Record(pendulum.scene, batch, motion)).passed.tolist() == [
+        True,
+        False,
+        True,
+    ]
+
+
 def test_the_sign_of_a_quaternion_is_no_defect_but_its_order_is(pendulum: Any) -> None:
     negated = dataclasses.replace(pendulum.exact, orientation=-pendulum.exact.orientation)
     assert start.finding(Record(pendulum.scene, pendulum.batch, negated)).passed.all()
