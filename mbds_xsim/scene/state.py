@@ -18,7 +18,7 @@ import numpy as np
 
 from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.base.bounds import Neutral
-from mbds_xsim.scene.sampling_terms import INTERVALS, Interval
+from mbds_xsim.scene.sampling_terms import INTERVALS, Interval, Levels
 from mbds_xsim.scene.scene import Inertia, Scene
 
 STATES = ("position", "orientation", "velocity", "angular_velocity")
@@ -170,8 +170,14 @@ class Trajectory:
 
 _INERT = ("name", "description", "source", "budget", "anchors", "edges")
 """Fields of a scene that do not affect the motion."""
-_ROUNDED, _LEAST = 1e-12, 1e-60  # size below which masses are not rounded; of the smallest mass
-_ROUNDING = 1e-12  # of a body's largest moment: smaller products of inertia are rounding errors
+_SMALL, _LEAST = 1e-6, 1e-60
+"""Sizes of numbers of which 15 decimals keep nine digits, and of the smallest moment."""
+_OWN = (
+    "mass", "inertia", "moments", "stiffness", "damping", "friction", "armature", "limit", "noise",
+)  # fmt: skip
+"""Keys of numbers that affect the motion however small they are."""
+_SHARED = ("series", "torque", "mean")
+"""Keys of loads: small ones next to larger ones are rounding errors."""
 
 
 def fingerprint(scene: Scene) -> str:
@@ -180,30 +186,41 @@ def fingerprint(scene: Scene) -> str:
     Numbers are rounded to nine digits, so that a scene made by a formula has the same
     fingerprint on every machine.
     """
-    plain = {key: _plain(value) for key, value in scene.decisive().items() if key not in _INERT}
+    items = scene.decisive().items()
+    plain = {key: _plain(value, _size(scene, key)) for key, value in items if key not in _INERT}
     return hashlib.sha256(msgspec.json.encode(plain, order="sorted")).hexdigest()[:16]
 
 
-def _plain(value: Any, least: float = math.inf) -> Any:
+def _plain(value: Any, size: float) -> Any:
     """Write out tables including defaults, since these also affect the motion.
 
-    Numbers below 1e-15 count as rounding errors, except those of at least a given size.
+    Numbers keep nine digits of a size, or of their own if that is 0, and at least 15 decimals.
     """
     if isinstance(value, Neutral):
-        items = value.decisive().items()
-        parts = {key: _plain(part, _least(value, key)) for key, part in items}
+        parts = {
+            key: _plain(part, size if isinstance(value, Levels) else _size(value, key))
+            for key, part in value.decisive().items()
+        }
         return [type(value).__name__, parts]
     if isinstance(value, list | tuple):
-        return [_plain(part, least) for part in value]
+        return [_plain(part, size) for part in value]
     if value is None or isinstance(value, str | bool):
         return value
     number = float(value)
-    exact = number if least <= abs(number) < _ROUNDED else round(number, 15)
-    return f"{exact + 0.0:.9g}"
+    size = size or abs(number)
+    decimals = 8 - math.floor(math.log10(size)) if _LEAST <= size < _SMALL else 15
+    return f"{round(number, decimals) + 0.0:.9g}"
 
 
-def _least(table: Neutral, key: str) -> float:
-    """Return the size from which a number of a table affects the motion, however small it is."""
+def _size(table: Neutral, key: str) -> float:
+    """Return the size of which nine digits of a table's numbers matter; 0 for that of each."""
     if isinstance(table, Inertia) and key == "products":
-        return _ROUNDING * max(table.moments)
-    return _LEAST if key in ("mass", "inertia", "moments") else math.inf
+        return max(table.moments)
+    if key in _SHARED:
+        return _largest(getattr(table, key))
+    return 0.0 if key in _OWN else 1.0
+
+
+def _largest(value: Any) -> float:
+    parts = value.decisive().values() if isinstance(value, Levels) else value
+    return abs(parts) if isinstance(parts, int | float) else max(map(_largest, parts))

@@ -10,7 +10,9 @@ import pytest
 
 from mbds_xsim.scene.budget import Budget
 from mbds_xsim.scene.file import read_scene, save_scene, write_scene
-from mbds_xsim.scene.scene import Body, Clock, Inertia, Scene
+from mbds_xsim.scene.sampling_terms import HingeTorque, Levels, Wind
+from mbds_xsim.scene.scene import Body, Clock, Force, Inertia, Joint, Scene, Torque
+from mbds_xsim.scene.servo import Servo
 from mbds_xsim.scene.state import fingerprint
 from mbds_xsim.simulate.registry import load_scene, scene_names
 
@@ -81,6 +83,42 @@ def test_small_bodies_differ_and_rounding_errors_of_large_ones_do_not() -> None:
     assert len({*map(fingerprint, specks)}) == 3
     assert fingerprint(_speck(1e-22, 1e-37)) == fingerprint(specks[0])
     assert fingerprint(_speck(0.1, 1e-17)) == fingerprint(_speck(0.1))
+
+
+@pytest.mark.parametrize("size", [1e-8, 2.0004e-12, 3e-16, 2e-25])
+def test_small_numbers_keep_nine_digits(size: float) -> None:
+    hinge = Joint("hinge", "hinge", "world", "mirror", (0.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+    plain = Scene("mirror", (Body("mirror", inertia=Inertia(1e-9, (1e-19,) * 3)),), 1e-5)
+    sprung = replace(plain, joints=(hinge,))
+
+    def variants(x: float) -> list[Scene]:
+        laws = ("stiffness", "damping", "friction", "armature")
+        servo = Servo("hinge", stiffness=1.0, limit=x)
+        draws = HingeTorque(("hinge",), (0.0, x)), Wind(Levels((0.0, x), (0.0, x), (0.0, x)))
+        return [
+            *(replace(plain, joints=(replace(hinge, **{law: x}),)) for law in laws),
+            replace(plain, bodies=(Body("mirror", inertia=Inertia(x, (x,) * 3)),)),
+            replace(sprung, servos=(servo,)),
+            replace(sprung, torques=(Torque("hinge", (x, -x)),)),
+            replace(sprung, forces=(Force("mirror", ((x, 0.0, 0.0),)),)),
+            *(replace(sprung, sampling=(draw,)) for draw in draws),
+            replace(plain, noise=x),
+        ]
+
+    sizes = size, size * (1 + 1e-12), size * (1 + 1e-7)
+    for scene, same, other in zip(*map(variants, sizes), strict=True):
+        assert fingerprint(scene) == fingerprint(same) != fingerprint(other)
+
+
+def test_loads_next_to_larger_ones_are_rounding_errors() -> None:
+    scene = load_scene("simplecubli")
+    name = next(joint.name for joint in scene.joints if joint.kind == "hinge")
+    series = [(1.0, 0.0), (1.0, 1e-17), (1e-10, 0.0), (1e-10, 1e-25), (1e-10, 1e-17)]
+    prints = [fingerprint(replace(scene, torques=(Torque(name, each),))) for each in series]
+
+    assert prints[0] == prints[1]
+    assert prints[2] == prints[3]
+    assert len(set(prints)) == 3
 
 
 def test_a_file_of_the_scene_is_the_same(tmp_path: Path) -> None:
