@@ -37,7 +37,9 @@ _BARE = re.compile(r"(?<![\w-])[\w-]++(?:[ \t]*+\.[ \t]*+[\w-]++){9,}+")
 _QUOTED = re.compile(r"[\"'][ \t]*+\.|\.[ \t]*+[\"']")
 _PLACE = re.compile(r"(?: - at `\$\.?(?P<path>.*)`)?$", re.DOTALL)
 _STEP = re.compile(r"(\w+)|\[(\d+)\]")
-_FIELD = re.compile(r"Object (?P<fault>contains unknown|missing required) field `(?P<key>.*?)`")
+_FIELD = re.compile(
+    r"Object (?P<fault>contains unknown|missing required) field `(?P<key>.*?)`", re.DOTALL
+)
 _LEADING_KEY = re.compile(r"(\w+): ")
 
 

@@ -240,7 +240,9 @@ def _pivots(hung: _Hung, states: BodyStates, turn: Array, rate: Array) -> tuple[
 
 
 def _turn(term: terms.Turn, drawing: Draft) -> None:
-    axis = np.array(term.axis) / np.linalg.norm(term.axis)
+    axis = np.array(term.axis)
+    axis = np.ldexp(axis, -np.frexp(np.abs(axis).max())[1])  # squares neither under- nor overflow
+    axis /= np.linalg.norm(axis)
     everything = list(range(drawing.mechanism.body_count))
     angle, rate = drawing.uniform(term.angle), drawing.uniform(term.rate)
     point = np.array(term.point)

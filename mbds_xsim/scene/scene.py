@@ -40,6 +40,10 @@ WORLD = "world"
 GRAVITY: Vector = (0.0, 0.0, -9.81)
 MOST_PARTS = 20_000
 """Largest number of bodies, of joints etc.; reading a scene of this size takes 8 s."""
+_LISTS = (
+    "bodies", "joints", "distance_links", "springs", "forces", "torques", "servos", "couplings",
+    "contacts", "sampling",
+)  # fmt: skip
 MOST_STATES = 10_000_000
 """Largest product of bodies and steps; a trajectory of so many states takes 1 GB."""
 PARTICLE_MASS = 1.0
@@ -288,7 +292,7 @@ class Scene(Neutral):
             raise SceneError("name: got '', allowed is any text")
         if not self.bodies:
             raise SceneError("bodies: got none, a scene needs at least one")
-        for key in ("bodies", "joints", "distance_links", "springs", "contacts"):
+        for key in _LISTS:
             bounds.count(key, len(getattr(self, key)), MOST_PARTS, "larger scenes are not tested")
         frames = self.clock.steps * len(self.bodies)
         bounds.count("clock.steps · bodies", frames, MOST_STATES, "a trajectory of more takes 1 GB")

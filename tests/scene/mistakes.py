@@ -78,6 +78,10 @@ MISTAKES: dict[str, tuple[Edit, str]] = {
         "bodies[1].particles[0] (in 'knob'): unknown key 'masss'; did you mean 'mass'? "
         "Allowed are position, mass, inertia",
     ),
+    "unknown key of two lines": (
+        _set("wa\nlls", to=[]),
+        "unknown key 'wa\\nlls'; allowed are name, bodies, ",
+    ),
     "unknown table": (_set("walls", to=[]), "unknown key 'walls'; allowed are name, bodies, "),
     "wrong type": (
         _set("bodies", 1, "particles", 0, "mass", to="1 kg"),

@@ -12,7 +12,8 @@ from mbds_xsim.base.errors import SceneError
 from mbds_xsim.scene.joint_space import BodyStates, to_links
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.sampling_terms import HingeRate, Pose
+from mbds_xsim.scene.sampling_terms import HingeRate, Pose, Turn
+from mbds_xsim.scene.state import STATES
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.testing import CASES
 from tests.random_scenes import Kind, random_tree
@@ -75,3 +76,13 @@ def test_a_chain_starts_the_same_whatever_is_drawn_beside_it() -> None:
         alone = draw_batch(scene, [row], seed=3)
         for one, several in zip(vars(alone).values(), vars(many).values(), strict=True):
             assert np.array_equal(one[0], several[row])
+
+
+@pytest.mark.parametrize("length", [1e-300, 1e-170, 1e170, 1e300])
+def test_a_turn_may_have_an_axis_of_any_length(length: float) -> None:
+    scene = random_tree(np.random.default_rng(3), ["free"])
+    axes = [(k, 2.0 * k, -0.5 * k) for k in (1.0, length)]
+    turns = [Turn((0.0, 0.0, 0.0), axis, angle=(1.0, 1.0), rate=(2.0, 2.0)) for axis in axes]
+    one, other = (draw_batch(msgspec.structs.replace(scene, sampling=(t,)), [0]) for t in turns)
+    for key in STATES:
+        np.testing.assert_allclose(getattr(other, key), getattr(one, key), rtol=0, atol=1e-14)

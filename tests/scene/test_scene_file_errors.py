@@ -70,11 +70,19 @@ def test_what_is_not_toml_is_said_with_its_place(
     assert str(caught.value).count(str(path)) == 1
 
 
-def test_parts_in_one_line_are_counted_as_well(tmp_path: Path) -> None:
-    points = ", ".join(["{body = 'leaf', center = [0, 0, 0], radius = 1}"] * 20_001)
-    (tmp_path / "door.toml").write_text(f"contacts = [{points}]\n" + tomli_w.dumps(swinging_door()))
+@pytest.mark.parametrize(
+    ("table", "part"),
+    [
+        ("contacts", "{body = 'leaf', center = [0, 0, 0], radius = 1}"),
+        ("forces", "{body = 'leaf', series = [[0, 0, 1]]}"),
+        ("torques", "{joint = 'frame', series = [1]}"),
+    ],
+)
+def test_parts_in_one_line_are_counted_as_well(table: str, part: str, tmp_path: Path) -> None:
+    parts = ", ".join([part] * 20_001)
+    (tmp_path / "door.toml").write_text(f"{table} = [{parts}]\n" + tomli_w.dumps(swinging_door()))
 
-    with pytest.raises(SceneError, match="contacts: got 20001, allowed are 20000 at most"):
+    with pytest.raises(SceneError, match=f"{table}: got 20001, allowed are 20000 at most"):
         read_scene(tmp_path / "door.toml")
 
 
