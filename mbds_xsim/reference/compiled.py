@@ -37,6 +37,9 @@ from mbds_xsim.scene.mechanism import Mechanism
 
 _FEWER = 0.1
 _DEPENDENT = 1e-9
+_REPEATED = 1e-16
+"""Largest share of a row that only repeats what the tree holds: rounding leaves 1e-31, gaps of 1e-9
+leave 1e-18; rows that hold a very light body may have little more."""
 
 _ROWS = np.array([*dop853.A, dop853.B, dop853.E5, dop853.E3])
 _NO_SCHEME = Scheme(
@@ -195,7 +198,7 @@ def _pivoted(matrix: Array, size: Array) -> tuple[Array, float]:
     """Return the independent rows, and the least independent share of one, squared."""
     from scipy.linalg import lapack  # takes long to import
 
-    if (np.diag(matrix) / size).max() <= _DEPENDENT:
+    if (np.diag(matrix) / size).max() <= _REPEATED:
         return np.zeros(0, dtype=int), 1.0  # the factorisation would always keep one row
     scale = 1.0 / np.sqrt(size)
     factor, pivot, rank, _ = lapack.dpstrf(matrix * scale * scale[:, None], tol=_DEPENDENT, lower=1)

@@ -20,7 +20,7 @@ from mbds_xsim.scene.coupling import Coupling
 from mbds_xsim.scene.joint_space import to_bodies, to_links
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene, SpringDamper
+from mbds_xsim.scene.scene import Body, Clock, DistanceLink, Inertia, Joint, Scene, SpringDamper
 from mbds_xsim.scene.state import Batch
 from mbds_xsim.simulate.registry import load_scene
 from tests.random_scenes import Kind, random_links, random_tree
@@ -274,6 +274,17 @@ def test_a_loop_of_welds_falls_with_its_rotor() -> None:
     assert not compiled.chosen(Mechanism.of(loop))[0].loaded
     free, closed = (solve(each, draw_batch(each, [0]), cache=False) for each in (tree, loop))
     np.testing.assert_allclose(closed.position, free.position, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("mass", [1e-6, 1e-10, 1e-14])
+def test_a_link_to_a_light_body_holds_the_heavy_one_that_carries_it(mass: float) -> None:
+    heavy = Body("heavy", inertia=Inertia(1.0, (0.03, 0.05, 0.04)), position=(0.3, 0.0, 0.0))
+    light = Body("light", inertia=Inertia(mass, (mass, mass, mass)), position=(0.5, 0.1, 0.0))
+    ball = Joint("pivot", "ball", "world", "heavy", (0.0, 0.0, 0.0))
+    weld = Joint("weld", "fixed", "heavy", "light", (0.4, 0.0, 0.0))
+    link = DistanceLink("rope", ("world", "light"), ((0.5, 0.1, 1.0), (0.5, 0.1, 0.2)))
+    scene = Scene("hung", (heavy, light), 1.0, joints=(ball, weld), distance_links=(link,))
+    assert compiled.chosen(Mechanism.of(scene))[0].loaded == 1
 
 
 def test_a_slider_with_a_spring_may_close_a_loop() -> None:
