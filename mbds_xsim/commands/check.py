@@ -200,7 +200,7 @@ def readers(
 
     with shared.progress_on(to.console) as progress:
         progress.begin(1, f"reading {model}")
-        readings = compare(model, words_of(engines), folder=folder, floating=floating)
+        readings = compare(model, words_of(engines, "--engines"), folder=folder, floating=floating)
     report = present(readings, shared.command_line())
     print_report(report, to.console)
     to.give([report], readings.file, shared.encoded(readings))
