@@ -20,8 +20,7 @@ from .parts import Multibody
 # Bullet treats 2e-16 kg·m² as zero.
 _MOMENT = 1e-15
 IMPULSE_CAP = 1e12
-"""Largest impulse of a constraint in a step [N·s], and force of a joint's stop [N]; Bullet's own
-cap is an impulse of 500 N·s, through which heavy bodies fall."""
+"""Largest impulse of a constraint in a step [N·s]; Bullet's own cap is 500."""
 
 
 def tie(client: Client, ends: Sequence[tuple[int, int]], ratio: float, **more: float) -> None:

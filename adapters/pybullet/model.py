@@ -30,6 +30,8 @@ SPEED_CAP = 1e6
 """Largest rate of a multibody, to which Bullet cuts faster ones [m/s or rad/s]."""
 RATES = slice(7, 13)
 """Columns of `Multibodies.read` with velocity and angular velocity."""
+# Largest force of a stop [N]; by default, bodies of some tonnes fall through.
+_STOP_FORCE = 1e30
 
 _JOINT_TYPES = {
     "ball": "JOINT_SPHERICAL",
@@ -290,7 +292,7 @@ class Multibodies:
                 build(
                     "changeDynamics", number, k,
                     jointLowerLimit=joint.limits[0], jointUpperLimit=joint.limits[1],
-                    jointLimitForce=IMPULSE_CAP,
+                    jointLimitForce=_STOP_FORCE,
                 )  # fmt: skip
         gear_rotors(self.client, number, joints)
         return int(number)

@@ -200,7 +200,7 @@ def test_a_hinge_closes_a_loop_of_bodies_that_are_centred_on_it(off: float) -> N
 @pytest.mark.parametrize("kind", ["slider", "hinge"])
 def test_a_stop_holds_a_body_however_heavy(kind: Literal["slider", "hinge"]) -> None:
     ends = []
-    for mass in (1.0, 1e7):
+    for mass in (1.0, 1e12):
         block = body("block", inertia=Inertia(mass, (mass,) * 3, com=(0.5, 0.0, 0.0)))
         axis = (0.0, 0.0, 1.0) if kind == "slider" else (0.0, -1.0, 0.0)
         joint = Joint("j", kind, "world", "block", (0, 0, 0), axis, limits=(-0.01, 1.0))
