@@ -8,11 +8,12 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mbds_xsim.base.arrays import Index
+from mbds_xsim.base.arrays import Array, Index
 
 from .contact import SphereGeoms
 
 _EULER = mujoco.mjtIntegrator.mjINT_EULER
+_LIMIT = mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT
 # Largest factor; a faster motion has other problems than its steps.
 _MOST = 64
 
@@ -112,6 +113,13 @@ class FinerNearGround:
             " This is the model near the ground. Where no sphere can come down to it, integrator "
             f"{integrator} and timestep {self._step:.9g} are set for a step."
         )
+        self._near, self._far = model.jnt_solref.copy(), _stops_of_step(model, division)
+        self._stops = bool((self._near != self._far).any())
+        if self._stops:
+            self.remark += (
+                f" Stops then take a velocity in that step: solreflimit is divided by {division} "
+                "squared, and by it."
+            )
         self.placed = True  # by looking for the ground
 
     def frame(self, model: Any, data: Any) -> None:
@@ -151,18 +159,22 @@ class FinerNearGround:
         """Advance velocities by a part of a finer step if nothing touches.
 
         Velocities of semi-implicit Euler belong to half a step before its positions. Without this
-        shift every bounce would gain an energy of g h v per mass.
+        shift every bounce would gain an energy of g h v per mass. While a stop acts there is no
+        shift: its impulse, over the step, is a whole change of velocity.
         """
         if low > self._least_gap:
             mujoco.mj_forward(model, data)
-            data.qvel += steps * self._finer * data.qacc
+            if not (self._stops and (data.efc_type[: data.nefc] == _LIMIT).any()):
+                data.qvel += steps * self._finer * data.qacc
 
     def _fly(self, model: Any, data: Any, count: int) -> bool:
         """Take steps in the air; if a sphere comes down, restore the state and return False."""
         before, options = (data.time, data.qpos.copy(), data.qvel.copy()), model.opt
         options.integrator, options.timestep = self._integrator, self._step
+        model.jnt_solref[:] = self._far
         mujoco.mj_step(model, data, count)
         options.integrator, options.timestep = _EULER, self._finer
+        model.jnt_solref[:] = self._near
         gap, low = self._spheres.gaps(model, data)
         if low >= 0.0:
             self._gap, self._low = gap, low
@@ -170,3 +182,13 @@ class FinerNearGround:
         # A sphere was driven down harder than foreseen.
         data.time, data.qpos[:], data.qvel[:] = before
         return False
+
+
+def _stops_of_step(model: Any, division: int) -> Array:
+    """Return the joints' solref for steps that are `division` times as long as the model's.
+
+    Positive ones are time constants and ratios, as in MuJoCo's default, and belong to no step.
+    """
+    law = model.jnt_solref.copy()
+    law[law[:, 0] < 0.0] /= (division**2, division)
+    return np.asarray(law)

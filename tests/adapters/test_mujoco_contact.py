@@ -11,10 +11,20 @@ import msgspec
 import numpy as np
 import pytest
 
+from mbds_xsim import reference
 from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.checks import audit
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Body, Ground, Particle
+from mbds_xsim.scene.scene import (
+    Body,
+    Clock,
+    ContactSphere,
+    Ground,
+    Inertia,
+    Joint,
+    Particle,
+    Scene,
+)
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.registry import load_adapter, load_scene
@@ -208,3 +218,32 @@ def test_friction_of_bodies_so_heavy_that_the_solver_loses_it_is_refused() -> No
         refused = pytest.raises(Unsupported, match=r"at least 0\.12 for bodies this heavy")
         with refused if lost else contextlib.nullcontext():
             ENGINE.open(heavy, settings).close()
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5])
+@pytest.mark.parametrize("gap", [1.4, 1e-3], ids=["in the air", "near the ground"])
+def test_stops_near_and_far_from_the_ground(gap: float, restitution: float) -> None:
+    """An arm with a sphere at its tip falls onto its stop, above the ground."""
+    stop = -0.50014
+    height = R + gap - 0.4 * math.sin(stop)
+    scene = Scene(
+        "arm",
+        (Body("arm", inertia=Inertia(1.0, (0.02,) * 3), position=(0.3, 0.0, height)),),
+        0.5,
+        joints=(
+            Joint(
+                "pin", "hinge", "world", "arm", (0.0, 0.0, height), (0.0, -1.0, 0.0), start=0.0,
+                rate=0.0, limits=(stop, 1.0), restitution=restitution,
+            ),
+        ),
+        contacts=(ContactSphere("arm", (0.4, 0.0, height), R),),
+        ground=Ground(0.3, restitution),
+        clock=Clock(0.02, 14),
+    )  # fmt: skip
+    batch = draw_batch(scene, [0])
+    with ENGINE.open(scene, ENGINE.settings(scene, "matched")) as run:
+        motion = run.rollout(batch)
+        assert "solreflimit" in run.native(batch)
+    exact = reference.solve(scene, batch, cache=False)
+    assert np.abs(motion.position - exact.position).max() < 1e-3
+    assert np.abs(motion.angular_velocity - exact.angular_velocity).max() < 0.02
