@@ -9,7 +9,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.scene.joint_space import LinkStates
+from mbds_xsim.scene.joint_space import LinkStates, representatives
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
 
 from .contact import contact_lines
@@ -141,7 +141,7 @@ def _loops(mechanism: Mechanism) -> Iterator[str]:
     tied = {end for j in mechanism.loops for end in (j.parent, j.child)}
     if WORLD_INDEX in tied.union(*(pair.bodies for pair in mechanism.distances)):
         yield _ANCHOR
-    welded = _representatives(mechanism)
+    welded = representatives(mechanism)
     for joint in mechanism.loops:
         if welded[joint.parent] != welded[joint.child]:  # bodies welded into one need no tie
             yield from _closure(mechanism, joint)
@@ -152,15 +152,6 @@ def _loops(mechanism: Mechanism) -> Iterator[str]:
     for each in mechanism.couplings:
         pair = f"joints[{native[each.follower.index]}], joints[{native[each.leader.index]}]"
         yield f"plant.AddCouplerConstraint({pair}, {each.ratio!r}, {each.offset!r})"
-
-
-def _representatives(mechanism: Mechanism) -> dict[int, int]:
-    """Map each body to the one that represents all bodies welded to it."""
-    first = {WORLD_INDEX: WORLD_INDEX}
-    for link in mechanism.links:
-        fixed = link.joint is not None and link.joint.kind == "fixed"
-        first[link.body] = first[link.parent] if fixed else link.body
-    return first
 
 
 def _closure(mechanism: Mechanism, joint: PlacedJoint) -> Iterator[str]:

@@ -33,7 +33,7 @@ def write(scene: Scene) -> Written:
     for joint in mechanism.loops:
         if joint.kind not in CLOSING_POINTS:
             msg = f"the joint {joint.name!r} is a {joint.kind} that closes a loop; MJCF closes "
-            raise InputError(msg + "them at points, by ball joints and hinges")
+            raise InputError(msg + "them by ball joints, hinges and welds")
     root = Element("mujoco", model=scene.name)
     SubElement(root, "compiler", angle="radian", autolimits="false")
     SubElement(root, "option", gravity=numbers(scene.gravity))

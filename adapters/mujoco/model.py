@@ -17,6 +17,7 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.xml import indented, numbers
+from mbds_xsim.scene.joint_space import representatives
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint, PointPair
 from mbds_xsim.scene.servo import Servo
 
@@ -31,14 +32,12 @@ _ROUNDED = 1e-10
 _DOUBLINGS = 16
 
 # Points of a loop joint's axis that are kept together, in lengths of the scene from the anchor.
-# A hinge's two points make six rows, one more than needed. A fixed joint closes a loop only if the
-# tree has already welded its two bodies.
+# A hinge's two points make six rows, one more than needed. A weld holds directions, too.
 CLOSING_POINTS: dict[str, tuple[float, ...]] = {
     "ball": (0.0,),
     "hinge": (-0.5, 0.5),
-    "fixed": (),
+    "fixed": (0.0,),
 }
-
 
 _NOT_IN_MJCF = (
     " Held over each recorded frame: forces as xfrc_applied, hinge torques as ctrl, and behind "
@@ -115,7 +114,7 @@ def mechanics(
     grip = {f"{key}friction": value for key, value in loops.items()}
     bodies = _bodies(SubElement(root, "worldbody"), mechanism, idle, grip)
     tendons, equalities = Element("tendon"), Element("equality")
-    for joint in mechanism.loops:
+    for joint in open_loops(mechanism):
         equalities.extend(_closing(bodies, joint, mechanism.scene.length, loops))
     for link in mechanism.distances:
         _distance(tendons, equalities, bodies, mechanism, link, links)
@@ -127,6 +126,12 @@ def mechanics(
         SubElement(equalities, "joint", ends | law | loops)
     root.extend(element for element in (tendons, equalities) if len(element))
     return bodies
+
+
+def open_loops(mechanism: Mechanism) -> list[PlacedJoint]:
+    """Return the joints that close loops, but for those whose bodies the tree has welded."""
+    welded = representatives(mechanism)
+    return [joint for joint in mechanism.loops if welded[joint.parent] != welded[joint.child]]
 
 
 def closing_point(joint: PlacedJoint, k: int) -> str:
@@ -294,14 +299,18 @@ def _closing(
     bodies: dict[int, Element], joint: PlacedJoint, length: float, softness: dict[str, str]
 ) -> Iterator[Element]:
     """Mark the points at which a loop joint is closed, and yield the equality of each."""
+    weld = joint.kind == "fixed"
+    kind = "weld" if weld else "connect"
     for k, along in enumerate(CLOSING_POINTS[joint.kind]):
         name, offset = closing_point(joint, k), along * length * joint.axis
         ends = dict(zip(("site1", "site2"), _sites(bodies, joint, offset, name), strict=True))
         if not hasattr(mujoco.MjModel, "eq_objtype"):  # before 3.2.3
             pair = (bodies[joint.parent].get("name", "world"), bodies[joint.child].get("name", ""))
             ends = dict(zip(("body1", "body2"), pair, strict=True))
-            ends["anchor"] = numbers(joint.in_parent + offset)
-        yield Element("connect", {"name": name} | ends | softness)
+            ends["anchor"] = numbers((joint.in_child if weld else joint.in_parent) + offset)
+        # In a weld, an angle counts like a gap at the end of the scene's length.
+        turns = {"torquescale": repr(length)} if weld else {}
+        yield Element(kind, {"name": name} | ends | turns | softness)
 
 
 def _sites(

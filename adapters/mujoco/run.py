@@ -29,7 +29,7 @@ from mbds_xsim.simulate.adapter import (
 from mbds_xsim.simulate.readback import joint_anchors, joint_axes, joint_laws
 
 from .contact import SphereGeoms
-from .model import CLOSING_POINTS, StepOptions, closing_point, mjcf, with_start
+from .model import CLOSING_POINTS, StepOptions, closing_point, mjcf, open_loops, with_start
 from .spinless import Bending
 from .state import Coordinates, Frames, Hanger
 from .steps import FinerNearGround, FinerWhereFast, OneCall, turning_rates
@@ -232,9 +232,9 @@ class ModelRun(Bending):
     def _anchors(self) -> Array:
         """Return the joints' anchors as fixed in the parent and in the child, in W."""
         data, anchors = self.data, joint_anchors(self._mechanism, self._link_anchor)
-        for loop in self._mechanism.loops:
+        for loop in open_loops(self._mechanism):
             points = range(len(CLOSING_POINTS[loop.kind]))
-            for end, side in enumerate(("parent", "child") if points else ()):
+            for end, side in enumerate(("parent", "child")):
                 sites = [data.site(f"{closing_point(loop, k)} {side}").xpos for k in points]
                 anchors[loop.index, end] = np.mean(sites, axis=0)
         return anchors

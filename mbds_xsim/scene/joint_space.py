@@ -92,6 +92,15 @@ def _followed(values: Array, last: Array) -> Array:
     return extended
 
 
+def representatives(mechanism: Mechanism) -> dict[int, int]:
+    """Map each body, and the world, to the one that stands for all that the tree welds to it."""
+    first = {WORLD_INDEX: WORLD_INDEX}
+    for link in mechanism.links:
+        fixed = link.joint is not None and link.joint.kind == "fixed"
+        first[link.body] = first[link.parent] if fixed else link.body
+    return first
+
+
 @dataclass(frozen=True, eq=False)
 class LinkStates:
     """Motion of each body relative to its tree parent, in link order."""

@@ -150,27 +150,38 @@ def _ball_loop() -> Case:
     )
 
 
-def _hooke() -> Case:
+def _hooke(*, divided: bool = False) -> Case:
     """Two shafts at an angle and a cross between them: four hinges through one point.
 
     The last bearing closes the loop and drives it. With a ball joint in its place, the second
-    shaft would turn freely about the point.
+    shaft would turn freely about the point. If that shaft is divided into two and all hinges have
+    rotors, which keep them in the tree, the fixed joint between the halves closes the loop.
     """
     bend = 0.6
     out = (float(np.cos(bend)), 0.0, float(np.sin(bend)))
     across = (-out[2], 0.0, out[0])
+    rotor = 0.02 if divided else 0.0
+    half = [_brick("half", (0.5 * out[0], 0.05, 0.5 * out[2]))] if divided else []
+    sleeve = Joint("sleeve", "fixed", "driving", "half", (0.4 * out[0], 0.0, 0.4 * out[2]))
+    last = "half" if divided else "driving"
     return _referenced(
-        "Hooke's joint",
-        "a loop in space closed by a hinge at the world, which is driven",
+        "divided shaft" if divided else "Hooke's joint",
+        "a loop in space closed by a fixed joint, as all its hinges have rotors"
+        if divided
+        else "a loop in space closed by a hinge at the world, which is driven",
         [
             _brick("driven", (-0.3, 0.1, 0.0)),
             _brick("cross", (0.0, 0.0, 0.05)),
             _brick("driving", (0.3 * out[0], -0.1, 0.3 * out[2])),
+            *half,
         ],
-        Joint("bearing", "hinge", "world", "driven", NONE, (1.0, 0.0, 0.0), rate=4.0),
-        Joint("yoke", "hinge", "driven", "cross", NONE, (0.0, 1.0, 0.0)),
-        Joint("other yoke", "hinge", "cross", "driving", NONE, across),
-        Joint("other bearing", "hinge", "driving", "world", NONE, out),
+        Joint(
+            "bearing", "hinge", "world", "driven", NONE, (1.0, 0.0, 0.0), rate=4.0, armature=rotor
+        ),
+        Joint("yoke", "hinge", "driven", "cross", NONE, (0.0, 1.0, 0.0), armature=rotor),
+        Joint("other yoke", "hinge", "cross", "driving", NONE, across, armature=rotor),
+        Joint("other bearing", "hinge", last, "world", NONE, out, armature=rotor),
+        *([sleeve] if divided else []),
         torques=(Torque("other bearing", (0.5,)),),
         length=0.6,
     )
@@ -226,6 +237,7 @@ LOOPS: tuple[Case, ...] = (
     _chain_of_balls(),
     _ball_loop(),
     _hooke(),
+    _hooke(divided=True),
     _linked(),
     _wedge(),
     _welded(),

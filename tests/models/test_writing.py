@@ -118,6 +118,17 @@ def test_a_scene_with_loops_comes_back_with_its_freedom(name: str, kind: str, he
     assert degrees_of_freedom(Mechanism.of(back)) == degrees_of_freedom(Mechanism.of(scene))
 
 
+def test_a_fixed_joint_that_closes_a_loop_is_a_weld_in_mjcf(here: Path) -> None:
+    scene = next(case.scene for case in CASES if case.name == "divided shaft")
+    scene = msgspec.structs.replace(scene, torques=())
+
+    assert write_model(scene, "mjcf").text.count("<weld ") == 1
+    back = again(scene, "mjcf", here)
+
+    same(scene, back)
+    assert [joint.kind for joint in Mechanism.of(back).loops] == ["fixed"]
+
+
 def test_what_a_format_has_no_place_for_is_named_or_refused(run: CommandLine, here: Path) -> None:
     ended = run("export-model", "3pendulum", "--out", "p.xml", "--json", "p.json")
     assert ended.code == 0
