@@ -74,7 +74,7 @@ class Exudyn(Adapter):
     """Exudyn: rigid bodies with six coordinates each; joints are constraints with multipliers."""
 
     name = "exudyn"
-    revision = 5
+    revision = 6
     package = "exudyn"
     methods: ClassVar = named(
         Method(

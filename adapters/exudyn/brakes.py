@@ -24,6 +24,14 @@ _FIXED = (
     "fixed = mbs.AddMarker(items.MarkerNodeCoordinate("
     "nodeNumber=mbs.AddNode(items.NodePointGround()), coordinate=0))"
 )
+_COUNTER = """
+
+def counter(joint):  # of a hinge's turns; it starts at the hinge's angle at the start
+    node = mbs.AddNode(items.NodeGenericData(numberOfDataCoordinates=1, initialCoordinates=[0]))
+    counters.append((joint, node))
+    return node
+
+"""
 _SATURATED = """
 
 def saturated(limit):
@@ -33,8 +41,19 @@ def saturated(limit):
     return force
 
 """
+_MEMORY = (
+    "nodeNumber=mbs.AddNode(items.NodeGenericData(numberOfDataCoordinates=3, "
+    "initialCoordinates=[0, 0, 0]))"
+)
 _LIMITS = ("limitStopsLower", "limitStopsUpper")
 _KINDS = {"hinge": "Rotation", "slider": "Translation"}
+
+
+def counters_listing(mechanism: Mechanism) -> Iterator[str]:
+    """Yield lines that make `counters`: joints, by place in the scene, and nodes of their turns."""
+    if any(joint.kind == "hinge" for joint in (*mechanism.counted, *mechanism.rotors)):
+        yield "counters = []"
+        yield _COUNTER
 
 
 def brakes_listing(mechanism: Mechanism, step: float) -> Iterator[str]:
@@ -60,7 +79,7 @@ def brakes_listing(mechanism: Mechanism, step: float) -> Iterator[str]:
         parameters = ", ".join(f"{key}={value!r}" for key, value in law.items())
         yield (
             f"brakes.append(mbs.AddObject(items.CoordinateSpringDamperExt(markerNumbers=[fixed, "
-            f"{_coordinate(joint)}], nodeNumber={_data(3)}, {parameters})))"
+            f"{_coordinate(joint)}], {_MEMORY}, {parameters})))"
         )
 
 
@@ -128,18 +147,11 @@ def joined_items(joint: PlacedJoint) -> str:
 
 
 def _coordinate(joint: PlacedJoint) -> str:
-    turns = f"nodeNumber={_data(1)}, " if joint.kind == "hinge" else ""
+    turns = f"nodeNumber=counter({joint.index}), " if joint.kind == "hinge" else ""
     return (
         f"mbs.AddMarker(items.MarkerBodiesRelative{_KINDS[joint.kind]}Coordinate("
         f"bodyNumbers=[{joined_items(joint)}], {turns}localPosition0={joint.in_parent.tolist()!r}, "
         f"localPosition1={joint.in_child.tolist()!r}, axis0={joint.axis.tolist()!r}))"
-    )
-
-
-def _data(count: int) -> str:
-    return (
-        f"mbs.AddNode(items.NodeGenericData(numberOfDataCoordinates={count}, "
-        f"initialCoordinates={[0] * count}))"
     )
 
 

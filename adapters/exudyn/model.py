@@ -20,6 +20,7 @@ from mbds_xsim.scene.shapes import THIN, shapes
 
 from .brakes import (
     brakes_listing,
+    counters_listing,
     couplings_listing,
     drives_listing,
     item,
@@ -149,6 +150,7 @@ class RigidBodies(Formulation):
             yield _ball(joint, nil=_OFFSET * mechanism.scene.length) if ball else _joint(joint)
         for link in mechanism.distances:
             yield f"mbs.CreateDistanceConstraint({self.ends(link)}, distance={link.length!r})"
+        yield from counters_listing(mechanism)
         for joint in mechanism.compliant:
             yield (_turning_law if joint.kind == "hinge" else _sliding_law)(joint)
         yield from brakes_listing(mechanism, self.step)
@@ -275,7 +277,8 @@ def _ball(joint: PlacedJoint, nil: float) -> str:
 def _turning_law(joint: PlacedJoint) -> str:
     return (
         f"laws.append(mbs.CreateTorsionalSpringDamper({_ends(joint)}, "
-        f"stiffness={joint.stiffness!r}, damping={joint.damping!r}, offset={joint.rest!r}))"
+        f"stiffness={joint.stiffness!r}, damping={joint.damping!r}, offset={joint.rest!r}))\n"
+        f"counters.append(({joint.index}, mbs.GetObject(laws[-1])['nodeNumber']))"
     )
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.collisions import count_pairs
-from mbds_xsim.scene.joint_space import BodyStates
-from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.joint_space import BodyStates, joint_coordinate
+from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint
 from mbds_xsim.scene.servo import with_pushes
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import (
@@ -68,6 +68,7 @@ class ExudynRun(Run):
         self.size = ModelSize(data.ODE2Size(), data.AEsize(), count_pairs(mechanism))
         touching = bool(mechanism.scene.contacts)
         self._spheres = TouchingSpheres(mechanism, self._names) if touching else None
+        self._counters = self._find_counters()
         # Includes the multipliers, from which a later trajectory would start Newton's method.
         self._rest = data.GetSystemState(exudyn.ConfigurationType.Initial)
 
@@ -89,8 +90,8 @@ class ExudynRun(Run):
     def _start(self, batch: Batch) -> tuple[Array, Array]:
         return self._model.from_bodies(BodyStates.of(self._mechanism, batch))
 
-    def _put(self, coordinates: Array, velocities: Array) -> None:
-        """Set a start without the solver's memory of an earlier trajectory."""
+    def _put(self, row: Batch, coordinates: Array, velocities: Array) -> None:
+        """Set the start of a single row without the solver's memory of an earlier trajectory."""
         data, kinds = self._mbs.systemData, exudyn.ConfigurationType
         for configuration in (kinds.Initial, kinds.Current):
             data.SetSystemState(self._rest, configuration)
@@ -99,15 +100,30 @@ class ExudynRun(Run):
             data.SetODE2Coordinates_tt(np.zeros_like(velocities), configuration)
         if self._spheres is not None:
             self._names["before"][0] = None
-            memory = self._memory()
+        if len(memory := self._memory(row)):
             data.SetDataCoordinates(memory, kinds.Initial)
             data.SetDataCoordinates(memory, kinds.Current)
 
-    def _memory(self) -> Array:
-        """Return the data coordinates of a start: zeros for joints, then those of contacts."""
-        assert self._spheres is not None
-        memory = self._spheres.memory()
-        return np.concatenate([np.zeros(self._mbs.systemData.DataSize() - len(memory)), memory])
+    def _memory(self, row: Batch) -> Array:
+        """Return the data coordinates of a start: angles of counted hinges, then those of contacts.
+
+        A counter knows an angle up to half a turn from its last one.
+        """
+        memory = np.zeros(self._mbs.systemData.DataSize())
+        bodies = BodyStates.of(self._mechanism, row[[0]])
+        for joint, place in self._counters:
+            memory[place] = joint_coordinate(joint, bodies.position, bodies.native)[0]
+        if self._spheres is not None:
+            contacts = self._spheres.memory()
+            memory[len(memory) - len(contacts) :] = contacts
+        return memory
+
+    def _find_counters(self) -> list[tuple[PlacedJoint, int]]:
+        """Return the hinges whose turns are counted, and where among the data coordinates."""
+        numbers = range(self._mbs.systemData.NumberOfNodes())
+        sizes = [self._mbs.GetNode(k).get("numberOfDataCoordinates", 0) for k in numbers]
+        first, joints = np.cumsum([0, *sizes]).tolist(), self._mechanism.joints
+        return [(joints[k], first[int(node)]) for k, node in self._names.get("counters", ())]
 
     def _record(self, row: Batch, positions: Array, velocities: Array) -> str | None:
         """Step through one trajectory; return why it failed, or None.
@@ -115,7 +131,7 @@ class ExudynRun(Run):
         Every frame is a run of the solver that begins with the accelerations of its own loads.
         With the last frame's, a jump of the loads would cost an order of accuracy.
         """
-        self._put(positions[0], velocities[0])
+        self._put(row, positions[0], velocities[0])
         data, torque = self._mbs.systemData, with_pushes(self._mechanism.drives, row.torque)
         for k in range(row.steps):
             self._load(row.force[0, k], torque[0, k])
@@ -148,7 +164,7 @@ class ExudynRun(Run):
 
     def readback(self, batch: Batch) -> Readback:
         coordinates, velocities = self._start(batch[:1])
-        self._put(coordinates[0], velocities[0])
+        self._put(batch, coordinates[0], velocities[0])
         model = self._model
         mass, inertia, off, gravity = model.mass_properties()
         turn = self._output("RotationMatrix").reshape(-1, 3, 3)
@@ -198,10 +214,10 @@ class ExudynRun(Run):
 
     def native(self, batch: Batch) -> str:
         coordinates, velocities = (values[0] for values in self._start(batch))
-        self._put(coordinates, velocities)
+        self._put(batch, coordinates, velocities)
         start = _START.format(coordinates=coordinates.tolist(), velocities=velocities.tolist())
-        if self._spheres is not None:
-            start += _MEMORY.format(memory=self._memory().tolist())
+        if len(memory := self._memory(batch)):
+            start += _MEMORY.format(memory=memory.tolist())
         shapes = "\n".join(self._model.graphics())
         run = _RUN.format(count=self._mechanism.scene.clock.steps)
         return f"{self._listing}\n{shapes}\n{start}{run}"

@@ -27,6 +27,7 @@ from mbds_xsim.scene.scene import (
     SpringDamper,
     Torque,
 )
+from mbds_xsim.scene.servo import Servo
 from mbds_xsim.scene.state import Trajectory
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.readback import compare
@@ -283,3 +284,25 @@ def test_a_joint_at_a_centre_of_mass_is_that_of_any_point(monkeypatch: pytest.Mo
 
     assert np.abs(by_nodes.position - by_points.position).max() < 1e-12
     assert np.abs(by_nodes.orientation - by_points.orientation).max() < 1e-12
+
+
+@pytest.mark.parametrize(
+    "law", [{"stiffness": 3.0, "rest": 3.0}, {"limits": (0.0, 4.0)}, {}], ids=str
+)
+@pytest.mark.parametrize(("start", "rate"), [(math.pi, 0.0), (3.1415, 2.0)])
+def test_a_hinge_may_start_at_half_a_turn(
+    start: float, rate: float, law: dict[str, float | tuple[float, float]]
+) -> None:
+    pin = Joint("pin", "hinge", "world", "arm", (0, 0, 0), (0, 1, 0), start=start, rate=rate, **law)
+    arm = Body("arm", inertia=Inertia(1.0, (0.02,) * 3), position=(0.0, 0.0, -0.5))
+    servo = Servo("pin", (3.3,), (0.0,), 5.0, 0.2, 1, 4.0)
+    clock = Clock(frame=0.02, steps=10)
+    scene = Scene("arm", (arm,), 0.5, joints=(pin,), servos=() if law else (servo,), clock=clock)
+
+    batch, settings = draw_batch(scene, [0]), ENGINE.settings(scene, "matched")
+    with ENGINE.open(scene, settings) as run:
+        motion = run.rollout(batch)
+        assert "SetDataCoordinates" in run.native(batch)
+
+    exact = reference.solve(scene, batch, cache=False)
+    assert np.abs(motion.position - exact.position).max() < 1e-6
