@@ -38,12 +38,13 @@ import mujoco
 import numpy as np
 
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.base.xml import numbers
 from mbds_xsim.scene.collisions import Collisions
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
 from mbds_xsim.scene.scene import Ground
 from mbds_xsim.simulate.claims import ContactLaw
+
+from .friction import check_friction
 
 CONTACT_LAW = ContactLaw(
     normal="soft: a spring and damper on accelerations (solref, solimp), in one convex problem",
@@ -66,8 +67,6 @@ _SOFT_CONE = 1e-9
 _NOSLIP_ITERATIONS = 100
 # A tighter tolerance uses up all iterations and changes nothing.
 _NOSLIP_TOLERANCE = 1e-9
-# Least μ² times a sphere's yield [1/kg]; its square is the least determinant of `mju_QCQP2`.
-_FRICTIONLESS = 1e-5
 # Safety factor on the path of a sphere within a time, over the straight one.
 _REACH = 2.0
 # Slower spheres are at rest [m/s].
@@ -103,7 +102,9 @@ def add_contacts(
     if scene.ground is not None:
         # The first geom of the world. A plane is a half-space: nothing gets behind it.
         SubElement(bodies[WORLD_INDEX], "geom", masks, name=_GROUND, type="plane", size="0 0 1")
-    contact, yields = SubElement(root, "contact"), _yields(mechanism)
+    if impact.step:
+        check_friction(mechanism)
+    contact = SubElement(root, "contact")
     for k, body in enumerate(mechanism.sphere_body):
         SubElement(
             bodies[int(body)],
@@ -115,31 +116,11 @@ def add_contacts(
             pos=numbers(mechanism.sphere_offset[k]),
         )
         if scene.ground is not None:
-            _check_friction("ground", scene.ground, float(yields[k]), impact)
             _add_pair(contact, (_GROUND, _name(k)), scene.ground, impact)
     hard = dataclasses.replace(impact, hardness=HARDEST)
     for one, other in mechanism.sphere_pairs.tolist():
         assert scene.collisions is not None
-        _check_friction("collisions", scene.collisions, yields[one] + yields[other], impact)
         _add_pair(contact, (_name(one), _name(other)), scene.collisions, hard)
-
-
-def _yields(mechanism: Mechanism) -> Array:
-    """Return the spheres' speeds per impulse along the ground, without joints [1/kg], (sphere,)."""
-    body, radius = mechanism.sphere_body, mechanism.sphere_radius
-    return np.asarray(
-        1.0 / mechanism.mass[body] + radius**2 / np.linalg.eigvalsh(mechanism.inertia[body])[:, 0]
-    )
-
-
-def _check_friction(where: str, law: Ground | Collisions, yields: float, impact: Impact) -> None:
-    """Refuse friction that the noslip solver treats as none: a determinant below 1e-10."""
-    least = math.sqrt(_FRICTIONLESS / yields)
-    if impact.step and 0.0 < law.friction < least:
-        raise Unsupported(
-            f"mujoco: {where}.friction: got {law.friction:g}, allowed is 0, or at least "
-            f"{least:.3g} for bodies this heavy: its friction solver treats less as none"
-        )
 
 
 def _add_pair(

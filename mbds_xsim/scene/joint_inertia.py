@@ -24,7 +24,7 @@ def moved_inertias(
         Inertia against a torque or force on the coordinate, with all other coordinates free, and
         with all others held, which is larger; shapes (…, joint).
     """
-    mass, _ = _mass_matrix(mechanism, bodies)
+    mass, _ = mass_matrix(mechanism, bodies)
     numbers = _numbers(mechanism, joints)
     inverse = np.linalg.inv(mass)
     return np.asarray(1.0 / inverse[..., numbers, numbers]), mass[..., numbers, numbers]
@@ -39,7 +39,7 @@ def kicks(
         Changes of velocities and angular velocities in W, [m/s] and [rad/s] per unit of the rate,
         shapes (…, joint, body, 3).
     """
-    mass, moving = _mass_matrix(mechanism, bodies)
+    mass, moving = mass_matrix(mechanism, bodies)
     numbers = _numbers(mechanism, joints)
     inverse = np.linalg.inv(mass)[..., numbers]
     share = inverse / np.diagonal(inverse[..., numbers, :], axis1=-2, axis2=-1)[..., None, :]
@@ -64,7 +64,7 @@ def poses(mechanism: Mechanism) -> BodyStates:
     return to_bodies(mechanism, start)
 
 
-def _mass_matrix(mechanism: Mechanism, bodies: BodyStates) -> tuple[Array, BodyStates]:
+def mass_matrix(mechanism: Mechanism, bodies: BodyStates) -> tuple[Array, BodyStates]:
     """Return the mass matrix of the tree's freedoms, and the body motions at their unit rates.
 
     Shapes are (…, freedom, freedom) and (…, freedom, body, …).

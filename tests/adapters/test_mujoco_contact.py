@@ -237,7 +237,7 @@ def test_stops_near_and_far_from_the_ground(gap: float, restitution: float) -> N
             ),
         ),
         contacts=(ContactSphere("arm", (0.4, 0.0, height), R),),
-        ground=Ground(0.3, restitution),
+        ground=Ground(0.0, restitution),
         clock=Clock(0.02, 14),
     )  # fmt: skip
     batch = draw_batch(scene, [0])
@@ -247,3 +247,25 @@ def test_stops_near_and_far_from_the_ground(gap: float, restitution: float) -> N
     exact = reference.solve(scene, batch, cache=False)
     assert np.abs(motion.position - exact.position).max() < 1e-3
     assert np.abs(motion.angular_velocity - exact.angular_velocity).max() < 0.02
+
+
+def test_friction_is_refused_by_all_that_is_welded_to_a_sphere() -> None:
+    """A heavy block slides on four spheres of a light plate."""
+    block = Body(
+        "block", inertia=Inertia(1e4, (1e4 / 6,) * 3), position=(0.0, 0.0, 0.3),
+        velocity=(2.0, 0.0, 0.0), angular_velocity=(0.0, 0.0, 0.0),
+    )  # fmt: skip
+    plate = Body("plate", inertia=Inertia(10.0, (1.0, 1.0, 1.9)), position=(0.0, 0.0, 0.06))
+    corners = [(x, y, R) for x in (-0.4, 0.4) for y in (-0.4, 0.4)]
+    scene = Scene(
+        "sledge", (block, plate), 1.0,
+        joints=(Joint("weld", "fixed", "block", "plate", (0.0, 0.0, 0.06)),),
+        contacts=tuple(ContactSphere("plate", corner, R) for corner in corners),
+        ground=Ground(0.1, 0.0), clock=Clock(0.02, 5),
+    )  # fmt: skip
+    with pytest.raises(Unsupported, match=r"at least 0\.2\d+ for bodies this heavy"):
+        ENGINE.open(scene, ENGINE.settings(scene, "matched"))
+    rough = msgspec.structs.replace(scene, ground=Ground(0.25, 0.0))
+    with ENGINE.open(rough, ENGINE.settings(rough, "matched")) as run:
+        speed = run.rollout(draw_batch(rough, [0])).velocity[0, :, 0, 0]
+    assert np.diff(speed) == pytest.approx(-0.25 * G * 0.02, rel=0.02)

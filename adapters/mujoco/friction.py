@@ -1,0 +1,111 @@
+"""Refusal of friction that MuJoCo's noslip solver would lose without a word.
+
+It solves for both tangential impulses of a contact at once, from the matrix of what the bodies
+yield to them. Below a determinant of 1e-10 it takes the friction as 0: on heavy bodies.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.errors import Unsupported
+from mbds_xsim.scene.collisions import Collisions
+from mbds_xsim.scene.joint_inertia import mass_matrix, poses
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Ground
+
+# Least μ² times a contact's yield [1/kg]; its square is the least determinant of `mju_QCQP2`.
+_FRICTIONLESS = 1e-5
+# Poses of which one must let friction act.
+_POSES = 8
+# Smaller shares are rounding.
+_NIL = 1e-9
+
+
+def check_friction(mechanism: Mechanism) -> None:
+    """Raise Unsupported if friction would be lost in all of several poses."""
+    scene = mechanism.scene
+    yields = _free_yields(mechanism)
+    moved = _Moved(mechanism) if mechanism.joints else None
+    for k in range(len(scene.contacts)) if scene.ground else ():
+        _check_mass("ground", scene.ground, float(yields[k]))
+        if moved is not None:
+            _check("ground", scene.ground, moved.by_ground(k))
+    for one, other in mechanism.sphere_pairs.tolist():
+        _check_mass("collisions", scene.collisions, yields[one] + yields[other])
+        if moved is not None:
+            _check("collisions", scene.collisions, moved.by_pair(one, other))
+
+
+def _free_yields(mechanism: Mechanism) -> Array:
+    """Return the spheres' speeds per impulse along the ground, without joints [1/kg], (sphere,)."""
+    body, radius = mechanism.sphere_body, mechanism.sphere_radius
+    return np.asarray(
+        1.0 / mechanism.mass[body] + radius**2 / np.linalg.eigvalsh(mechanism.inertia[body])[:, 0]
+    )
+
+
+def _check_mass(where: str, law: Ground | Collisions | None, yields: float) -> None:
+    assert law is not None
+    least = math.sqrt(_FRICTIONLESS / yields)
+    if 0.0 < law.friction < least:
+        raise Unsupported(
+            f"mujoco: {where}.friction: got {law.friction:g}, allowed is 0, or at least "
+            f"{least:.3g} for bodies this heavy: its friction solver treats less as none"
+        )
+
+
+class _Moved:
+    """Speeds of spheres per impulse in some poses, with joints and what they carry."""
+
+    def __init__(self, mechanism: Mechanism) -> None:
+        self._mechanism, self._bodies = mechanism, poses(mechanism)[:_POSES]
+        mass, self._moving = mass_matrix(mechanism, self._bodies)
+        self._inverse = np.linalg.inv(mass)
+
+    def by_ground(self, k: int) -> Array:
+        """Return the matrices of what a sphere yields along the ground [1/kg], (pose, 2, 2)."""
+        up = np.broadcast_to([0.0, 0.0, 1.0], (_POSES, 3))
+        return self._along(up, self._speeds(k, -up))
+
+    def by_pair(self, one: int, other: int) -> Array:
+        """Return the same for two spheres, along the plane between them."""
+        apart = self._place(one) - self._place(other)
+        normal = apart / np.maximum(rotation.norm(apart)[..., None], np.finfo(float).tiny)
+        return self._along(normal, self._speeds(one, -normal) - self._speeds(other, normal))
+
+    def _place(self, k: int) -> Array:
+        body, offset = int(self._mechanism.sphere_body[k]), self._mechanism.sphere_offset[k]
+        arm = rotation.rotate(self._bodies.native[:, body], offset)
+        return np.asarray(self._bodies.position[:, body] + arm)
+
+    def _speeds(self, k: int, way: Array) -> Array:
+        """Return velocities of a sphere's point at unit rates, shape (pose, freedom, 3).
+
+        Args:
+            k: The sphere.
+            way: Unit vectors from its centre to the point, shape (pose, 3).
+        """
+        body, radius = int(self._mechanism.sphere_body[k]), float(self._mechanism.sphere_radius[k])
+        arm = self._place(k) + radius * way - self._bodies.position[:, body]
+        spin = self._moving.angular_velocity[:, :, body]
+        turned = rotation.cross(spin, np.broadcast_to(arm[:, None], spin.shape))
+        return np.asarray(self._moving.velocity[:, :, body] + turned)
+
+    def _along(self, normal: Array, speeds: Array) -> Array:
+        along = np.array([np.stack(rotation.normal_to(each), axis=-1) for each in normal])
+        rates = speeds @ along
+        return np.asarray(np.swapaxes(rates, -1, -2) @ self._inverse @ rates)
+
+
+def _check(where: str, law: Ground | Collisions | None, yields: Array) -> None:
+    """Refuse friction that is lost in every pose."""
+    assert law is not None
+    small, large = np.linalg.eigvalsh(yields).T
+    share = float((small / np.maximum(large, np.finfo(float).tiny)).max())
+    if share > _NIL:
+        _check_mass(where, law, float(np.sqrt(np.maximum(small * large, 0.0)).max()))
