@@ -54,9 +54,10 @@ CONTACT_LAW = ContactLaw(
     adapter="Spheres and ground are explicit pairs with the pair's friction. Native settings do no "
     "more and ignore restitution. Matched settings divide the steps near a contact and calibrate "
     "the damper on the engine's own steps so that it delivers the restitution; the cone is "
-    "elliptic, and friction is left to the `noslip` solver, which does not lift sliding bodies. If "
-    "all bodies are balls, an impact is a single step. Contacts of wheels are half as hard; "
-    "otherwise their loads would rattle.",
+    "elliptic, and friction is left to the `noslip` solver, which does not lift sliding bodies. "
+    "Friction that it would lose is refused: on heavy bodies, and where joints leave only one line "
+    "to slip along. If all bodies are balls, an impact is a single step. Contacts of wheels are "
+    "half as hard; otherwise their loads would rattle.",
 )
 
 _GROUND = "ground"

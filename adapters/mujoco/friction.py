@@ -1,7 +1,8 @@
 """Refusal of friction that MuJoCo's noslip solver would lose without a word.
 
 It solves for both tangential impulses of a contact at once, from the matrix of what the bodies
-yield to them. Below a determinant of 1e-10 it takes the friction as 0: on heavy bodies.
+yield to them. Below a determinant of 1e-10 it takes the friction as 0: on heavy bodies, and where
+joints let a point move along one line alone.
 """
 
 from __future__ import annotations
@@ -31,14 +32,15 @@ def check_friction(mechanism: Mechanism) -> None:
     scene = mechanism.scene
     yields = _free_yields(mechanism)
     moved = _Moved(mechanism) if mechanism.joints else None
-    for k in range(len(scene.contacts)) if scene.ground else ():
+    for k, sphere in enumerate(scene.contacts) if scene.ground else ():
         _check_mass("ground", scene.ground, float(yields[k]))
         if moved is not None:
-            _check("ground", scene.ground, moved.by_ground(k))
+            _check("ground", scene.ground, moved.by_ground(k), f"the sphere of {sphere.body!r}")
     for one, other in mechanism.sphere_pairs.tolist():
         _check_mass("collisions", scene.collisions, yields[one] + yields[other])
         if moved is not None:
-            _check("collisions", scene.collisions, moved.by_pair(one, other))
+            names = " and ".join(repr(scene.contacts[k].body) for k in (one, other))
+            _check("collisions", scene.collisions, moved.by_pair(one, other), f"those of {names}")
 
 
 def _free_yields(mechanism: Mechanism) -> Array:
@@ -102,10 +104,16 @@ class _Moved:
         return np.asarray(np.swapaxes(rates, -1, -2) @ self._inverse @ rates)
 
 
-def _check(where: str, law: Ground | Collisions | None, yields: Array) -> None:
-    """Refuse friction that is lost in every pose."""
+def _check(where: str, law: Ground | Collisions | None, yields: Array, spheres: str) -> None:
+    """Refuse friction that is lost in every pose, unless nothing can slip in any."""
     assert law is not None
     small, large = np.linalg.eigvalsh(yields).T
     share = float((small / np.maximum(large, np.finfo(float).tiny)).max())
     if share > _NIL:
         _check_mass(where, law, float(np.sqrt(np.maximum(small * large, 0.0)).max()))
+    elif law.friction and large.max() * law.friction**2 > _FRICTIONLESS * _NIL:
+        raise Unsupported(
+            f"mujoco: {where}.friction: got {law.friction:g}, allowed is 0 for {spheres}, as "
+            "joints leave only one line to slip along: its friction solver needs two, and treats "
+            "friction along one as none; free a joint, or take another engine"
+        )

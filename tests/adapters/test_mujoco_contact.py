@@ -269,3 +269,26 @@ def test_friction_is_refused_by_all_that_is_welded_to_a_sphere() -> None:
     with ENGINE.open(rough, ENGINE.settings(rough, "matched")) as run:
         speed = run.rollout(draw_batch(rough, [0])).velocity[0, :, 0, 0]
     assert np.diff(speed) == pytest.approx(-0.25 * G * 0.02, rel=0.02)
+
+
+def test_friction_along_a_line_is_refused() -> None:
+    """A cart on a rail drags an arm; the solver would find a sixth of the friction."""
+    bodies = [("cart", (0.0, 0.0, 0.3)), ("arm", (-0.2, 0.0, 0.175))]
+    scene = Scene(
+        "trailer",
+        tuple(Body(name, inertia=Inertia(1.0, (0.02,) * 3), position=at) for name, at in bodies),
+        1.0,
+        joints=(
+            Joint("rail", "slider", "world", "cart", (0.0, 0.0, 0.3), (1.0, 0.0, 0.0), rate=1.0),
+            Joint("pin", "hinge", "cart", "arm", (0.0, 0.0, 0.3), (0.0, 1.0, 0.0)),
+        ),
+        contacts=(ContactSphere("arm", (-0.4, 0.0, R), R),),
+        ground=Ground(0.3, 0.0),
+        clock=Clock(0.02, 5),
+    )
+    settings = ENGINE.settings(scene, "matched")
+    with pytest.raises(
+        Unsupported, match=r"allowed is 0 for the sphere of 'arm', .* only one line"
+    ):
+        ENGINE.open(scene, settings)
+    ENGINE.open(msgspec.structs.replace(scene, ground=Ground(0.0, 0.0)), settings).close()
