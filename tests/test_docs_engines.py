@@ -10,10 +10,12 @@ import sys
 import tomllib
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from mbds_xsim.report.catalogue import engine_rows, engines_page
 from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.claims import Feature
 
 DOCS = Path(__file__).parent.parent / "docs"
 
@@ -27,6 +29,17 @@ def test_the_table_of_engines_is_what_the_adapters_claim() -> None:
 
     stale = "docs/engines.md is stale; run: mbds-xsim engines --markdown > docs/engines.md"
     assert (DOCS / "engines.md").read_text("utf-8") == page, stale
+
+
+def test_what_the_only_method_refuses_the_engine_cannot_do() -> None:
+    row = next(row for row in engine_rows() if row.engine == "mujoco")
+    one = msgspec.structs.replace(row, methods=row.methods[:1])
+    name = Feature.JOINT_REBOUND.value
+
+    cells = re.search(rf"^\| {name} \| (\w+)\S* \| (\w+)", engines_page([row, one]), re.M)
+
+    assert cells
+    assert cells.groups() == ("some", "no")
 
 
 @pytest.fixture(scope="module")

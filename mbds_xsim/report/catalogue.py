@@ -299,7 +299,8 @@ def _cell(row: EngineRow, feature: str, notes: list[str]) -> str:
         f"not with {', '.join(f'`{name}`' for name in names)}: {reason}"
         for reason, names in by_reason(refusing).items()
     )
-    return f"some{_mark(f'{row.engine}, {reasons}.', notes)}"
+    share = "no" if len(refusing) == len(row.methods) else "some"
+    return f"{share}{_mark(f'{row.engine}, {reasons}.', notes)}"
 
 
 def _mark(note: str, notes: list[str]) -> str:
