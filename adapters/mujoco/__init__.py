@@ -19,6 +19,7 @@ from .contact import CONTACT_LAW, HARDEST, Impact
 from .model import StepOptions
 from .run import ModelRun
 from .spinless import SpinlessRun
+from .state import slim_axes
 
 __all__ = ["MuJoCo"]
 
@@ -47,8 +48,8 @@ _WHEEL_HARDNESS = 0.5
 _OFFSET = 1e-9  # largest offset of a sphere that counts as centred [m]
 # Phase of a spring's oscillation in one step: forty steps a period [rad].
 _SPRING_ANGLE = 0.15
-# Decay of a damper's motion in one step; RK4 is unstable from 2.8.
-_DECAY = 0.5
+# Decay of a damper's motion in one step; RK4 is unstable from 2.8, Euler from 2, and of order 1.
+_DECAY, _EULER_DECAY = 0.5, 0.1
 # Step where joints have limits or dry friction: each stop is off by the distance of a step [s].
 _CAREFUL_LIMIT_STEP, _CAREFUL_REBOUND_STEP = 1e-4, 5e-5
 _NO_REBOUND = "it evaluates a stop four times a step, for which no damper gives the right rebound"
@@ -168,7 +169,9 @@ class MuJoCo(Adapter):
         mechanism = Mechanism.of(scene)
         options: dict[str, float | bool] = {}
         if any(joint.restitution for joint in mechanism.limited):
-            return Settings("Euler", careful_step(frame, _CAREFUL_REBOUND_STEP, _CAREFUL_COUNT))
+            sprung = spring_step(scene, angle=_SPRING_ANGLE, decay=_EULER_DECAY)
+            longest = min(sprung, _CAREFUL_REBOUND_STEP)
+            return Settings("Euler", careful_step(frame, longest, _CAREFUL_COUNT))
         if mechanism.braked:
             longest = min(longest, _CAREFUL_LIMIT_STEP)
         if mechanism.has_only_balls:
@@ -211,7 +214,7 @@ class MuJoCo(Adapter):
         turn = 0.0 if scene.contacts or settings.method != "RK4" else option("turn")
         mechanism = Mechanism.of(scene)
         run = partial(ModelRun, mechanism, stepping, settings.method, substeps, division, turn)
-        idle = idle_axes(scene)
+        idle = slim_axes(mechanism)
         if option("spin") or not idle.any():
             return run()
         return SpinlessRun(mechanism, idle, run(idle), run)

@@ -16,9 +16,11 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.scene.joint_space import BodyStates, LinkStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
+from mbds_xsim.scene.spin import idle_axes
 
-# Moment about a rod's axis over that across it; MuJoCo requires more than 1e-15 kg·m².
-_SLIM = 1e-9
+# Moment about a rod's axis over that across it, and its largest value that has no effect.
+_SLIM, _STOUT = 1e-9, 1e-6
+_LEAST_MOMENT = 2e-14  # [kg·m²]; MuJoCo's compiler requires more than 1e-14
 
 
 class Coordinates:
@@ -143,8 +145,25 @@ class Frames:
 def slim(inertia: Array, axis: Array) -> Array:
     """Return an inertia with almost nothing left about the axis."""
     across = np.eye(3) - np.outer(axis, axis)
-    moment = np.trace(across @ inertia) / 2
-    return np.asarray(moment * (across + _SLIM * np.outer(axis, axis)))
+    moment = _across(inertia, axis)
+    return np.asarray(moment * (across + max(_SLIM, _LEAST_MOMENT / moment) * np.outer(axis, axis)))
+
+
+def slim_axes(mechanism: Mechanism) -> Array:
+    """Return the axes of rods that may be left without spin, zero for other bodies, (body, 3).
+
+    The smallest rods keep it: next to what MuJoCo accepts about their axes they are not slim.
+    """
+    axes = idle_axes(mechanism.scene).copy()
+    for axis, inertia in zip(axes, mechanism.inertia, strict=True):
+        if axis.any() and _STOUT * _across(inertia, axis) < _LEAST_MOMENT:
+            axis[:] = 0.0
+    return axes
+
+
+def _across(inertia: Array, axis: Array) -> float:
+    """Return the mean moment across an axis."""
+    return float(np.trace((np.eye(3) - np.outer(axis, axis)) @ inertia) / 2)
 
 
 class Hanger:

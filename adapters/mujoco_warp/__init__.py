@@ -9,7 +9,6 @@ from typing import ClassVar
 
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
-from mbds_xsim.scene.spin import idle_axes
 from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings
 from mbds_xsim.simulate.claims import CONTACTS, Option, named
 
@@ -50,12 +49,14 @@ class MuJoCoWarp(Adapter):
 
     def load(self, scene: Scene, settings: Settings) -> Run:
         from ..mujoco.spinless import SpinlessRun
+        from ..mujoco.state import slim_axes
         from .run import WarpRun, stepping
 
         option = partial(self.option, settings)
         count = settings.substeps(scene.clock.frame)
         steps = stepping(scene.clock.frame / count, option(_LOOP), option(_LINK))
-        mechanism, idle = Mechanism.of(scene), idle_axes(scene)
+        mechanism = Mechanism.of(scene)
+        idle = slim_axes(mechanism)
         run = partial(WarpRun, mechanism, steps, count, option(_DEVICE))
         # Rods without inertia about themselves make mass matrices too ill-conditioned for 24 bits.
         return SpinlessRun(mechanism, idle, run(idle), run) if idle.any() else run()

@@ -11,7 +11,8 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene
+from mbds_xsim.scene.servo import Servo
 from mbds_xsim.scene.spin import idle_axes
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import readback
@@ -142,3 +143,51 @@ def test_ladders_leave_spin_out_at_matched() -> None:
     assert leaves_out(load_scene("1ladder"))
     assert not leaves_out(load_scene("2pendulum"))
     assert not leaves_out(msgspec.structs.replace(load_scene("balldrop"), name="other"))
+
+
+@pytest.mark.parametrize("share", [1e-4, 1e-6, 1e-9])
+def test_rods_too_small_to_be_slim_move_as_large_ones(share: float) -> None:
+    """Masses have no effect on a ladder that only gravity moves."""
+    scene = load_scene("1ladder")
+    light = tuple(
+        msgspec.structs.replace(
+            body,
+            particles=tuple(
+                msgspec.structs.replace(p, mass=share * p.mass, inertia=share * p.inertia)
+                for p in body.particles
+            ),
+        )
+        for body in scene.bodies
+    )
+    own = msgspec.structs.replace(scene, name="light ladder", bodies=light)
+    batch = draw_batch(scene, [0]).truncated(10)
+    batch.force[...] = 0.0
+    settings = ENGINE.settings(own, "matched")
+    with ENGINE.open(own, settings) as run:
+        motion = run.rollout(batch)
+        assert readback.compare(Mechanism.of(own), batch, settings, run.readback(batch)) == []
+    with ENGINE.open(scene, settings) as run:
+        assert np.abs(motion.position - run.rollout(batch).position).max() < 1e-6
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5])
+def test_stiff_servos_shorten_matched_steps_beside_any_stop(restitution: float) -> None:
+    """A servo turns a link of 5e-5 kg·m² by a damping of 2 N·m·s/rad."""
+    pin = Joint(
+        "pin", "hinge", "world", "link", (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), start=0.0, rate=0.0,
+        limits=(-0.5, 0.5), restitution=restitution,
+    )  # fmt: skip
+    scene = Scene(
+        "link",
+        (Body("link", inertia=Inertia(0.05, (5e-5,) * 3)),),
+        0.1,
+        gravity=(0.0, 0.0, 0.0),
+        joints=(pin,),
+        servos=(Servo("pin", (0.2,), (0.0,), 20.0, 2.0, 1, 3.0),),
+        clock=Clock(0.02, 5),
+    )
+    batch = draw_batch(scene, [0])
+    with ENGINE.open(scene, ENGINE.settings(scene, "matched")) as run:
+        motion = run.rollout(batch)
+    exact = reference.solve(scene, batch, cache=False)
+    assert np.abs(motion.angular_velocity - exact.angular_velocity).max() < 1e-3
