@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import ContactSphere, Ground
+from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Ground, Inertia, Joint, Scene, Torque
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.testing.contact_cases import RADIUS as R
@@ -238,3 +238,33 @@ def test_wrong_requests_are_one_clear_line() -> None:
     for option, value in (("contact_substeps", 0), ("impact_steps", 2), ("slip_speed", 0.0)):
         with pytest.raises(InputError, match=f"option {option} of exudyn: got {value}"):
             ENGINE.open(scene, Settings("trapezoidal", 0.002, {option: value}))
+
+
+@pytest.mark.parametrize("torque", [-10.0, -40.0])
+def test_a_torque_may_drive_an_arm_to_the_ground_within_a_frame(torque: float) -> None:
+    """Nothing else pulls. The first impact takes 1 - e² of what the torque has done by then."""
+    gap = 0.01 if torque < -20.0 else 0.004
+    height, moment = R + gap, 0.01 + 0.4**2
+    pin = Joint(
+        "pin", "hinge", "world", "arm", (0.0, 0.0, height), (0.0, -1.0, 0.0), start=0.0, rate=0.0
+    )
+    scene = Scene(
+        "slap",
+        (Body("arm", inertia=Inertia(1.0, (0.01,) * 3), position=(0.4, 0.0, height)),),
+        0.4,
+        gravity=(0.0, 0.0, 0.0),
+        joints=(pin,),
+        torques=(Torque("pin", (torque,)),),
+        contacts=(ContactSphere("arm", (0.4, 0.0, height), R),),
+        ground=Ground(0.0, 0.8),
+        clock=Clock(0.02, 6),
+    )
+    with ENGINE.open(scene, ENGINE.settings(scene, "matched")) as run:
+        motion = run.rollout(draw_batch(scene, [0]))
+    assert motion.failures == (None,)
+    angle = np.arcsin((motion.position[0, :, 0, 2] - height) / 0.4)
+    energy = 0.5 * moment * motion.angular_velocity[0, :, 0, 1] ** 2 - torque * angle
+    ground = -torque * math.asin(-gap / 0.4)
+    assert energy[1] == pytest.approx((1.0 - 0.8**2) * ground, rel=0.05)
+    assert (energy[1:] < 0.35 * ground).all()
+    assert energy.min() > 1.05 * ground
