@@ -39,7 +39,10 @@ _CAREFUL_COUNT = 4
 # Time constant of MuJoCo's own contact, `solref` [s].
 _DEFAULT_IMPACT = 0.02
 # With fewer steps an impact's restitution depends on where in a step it begins.
-_SHORTEST_IMPACT = 4
+# With many more, the calibration of the damper ends before the sphere has left the ground.
+_SHORTEST_IMPACT, _LONGEST_IMPACT = 4, 500
+# Least and most: time constants in steps, of which even the least are unstable; angles [rad].
+_SOFT, _TURNS = (1e-3, 1e6), (1e-6, 1e3)
 # Smallest body that MuJoCo's compiler accepts: mjMINVAL [kg] and mjEPS [kg·m²].
 _LEAST_MASS, _LEAST_MOMENT = 1e-15, 1e-14
 # Hardness of contacts on wheels, several of which share a load. With spheres off centres of mass,
@@ -83,11 +86,15 @@ class MuJoCo(Adapter):
         "loop_time_constant": Option(
             3.0,
             "of loop constraints, in steps; 0 keeps MuJoCo's default solref and solimp",
-            least=0,
+            *_SOFT,
+            or_zero=True,
         ),
         # MuJoCo leaves J̇·v out of a tendon's row, so a gap of |J̇·v|·τ² stays.
         "link_time_constant": Option(
-            1.5, "of distance links, in steps; 0 keeps MuJoCo's default solref and solimp", least=0
+            1.5,
+            "of distance links, in steps; 0 keeps MuJoCo's default solref and solimp",
+            *_SOFT,
+            or_zero=True,
         ),
         "contact_substeps": Option(
             50,
@@ -100,6 +107,7 @@ class MuJoCo(Adapter):
             "number of these substeps that an impact lasts: 4 or more; or 1, which is right only "
             "if every contact sphere is centred on a free body's centre of mass",
             least=1,
+            most=_LONGEST_IMPACT,
         ),
         "contact_hardness": Option(
             HARDEST,
@@ -124,7 +132,8 @@ class MuJoCo(Adapter):
             0.125,
             "angle [rad] that a joint may turn in a frame before the frame gets more steps; 0 "
             "makes all steps equal; for RK4 without contact",
-            least=0,
+            *_TURNS,
+            or_zero=True,
         ),
     }
     sweeps: ClassVar = {

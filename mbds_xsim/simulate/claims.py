@@ -205,6 +205,8 @@ class Option:
     """Bound that numbers must exceed."""
     names: tuple[str, ...] = ()
     """All names allowed."""
+    or_zero: bool = False
+    """Whether 0 is allowed, whatever the bounds."""
 
     def check(self, label: str, value: object) -> None:
         """Raise InputError, naming the option as `label`, unless the value is allowed."""
@@ -221,7 +223,7 @@ class Option:
         return isinstance(value, number) and not isinstance(value, bool) and math.isfinite(value)
 
     def _is_within(self, value: Any) -> bool:
-        return (
+        return (self.or_zero and value == 0) or (
             (self.least is None or value >= self.least)
             and (self.most is None or value <= self.most)
             and (self.above is None or value > self.above)
@@ -233,7 +235,8 @@ class Option:
         kind = "a whole number" if isinstance(self.default, int) else "a finite number"
         bounds = {"more than": self.above, "at least": self.least, "at most": self.most}
         limits = [f"{word} {bound:g}" for word, bound in bounds.items() if bound is not None]
-        return ", ".join([kind, *([" and ".join(limits)] if limits else [])])
+        zero = "0, or " if self.or_zero else ""
+        return ", ".join([kind, *([zero + " and ".join(limits)] if limits else [])])
 
 
 @dataclass(frozen=True)
