@@ -16,6 +16,7 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.scene.collisions import Collisions
 from mbds_xsim.scene.joint_inertia import mass_matrix, poses
+from mbds_xsim.scene.joint_space import BodyStates, to_bodies, to_links
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Ground
 
@@ -65,7 +66,7 @@ class _Moved:
     """Speeds of spheres per impulse in some poses, with joints and what they carry."""
 
     def __init__(self, mechanism: Mechanism) -> None:
-        self._mechanism, self._bodies = mechanism, poses(mechanism)[:_POSES]
+        self._mechanism, self._bodies = mechanism, _poses(mechanism)
         mass, self._moving = mass_matrix(mechanism, self._bodies)
         self._inverse = np.linalg.inv(mass)
 
@@ -102,6 +103,16 @@ class _Moved:
         along = np.array([np.stack(rotation.normal_to(each), axis=-1) for each in normal])
         rates = speeds @ along
         return np.asarray(np.swapaxes(rates, -1, -2) @ self._inverse @ rates)
+
+
+def _poses(mechanism: Mechanism) -> BodyStates:
+    """Return the start, then random poses of all joints that turn."""
+    links, chance = to_links(mechanism, poses(mechanism)[:_POSES]), np.random.default_rng(0)
+    for k, link in enumerate(mechanism.links):
+        if link.joint is not None and link.joint.kind == "ball":
+            turns = chance.normal(size=(_POSES - 1, 4))
+            links.rotation[1:, k] = turns / rotation.norm(turns)[:, None]
+    return to_bodies(mechanism, links)
 
 
 def _check(where: str, law: Ground | Collisions | None, yields: Array, spheres: str) -> None:

@@ -292,3 +292,9 @@ def test_friction_along_a_line_is_refused() -> None:
     ):
         ENGINE.open(scene, settings)
     ENGINE.open(msgspec.structs.replace(scene, ground=Ground(0.0, 0.0)), settings).close()
+    # On a ball joint the point has one line only where it is level with the joint.
+    level = tuple(msgspec.structs.replace(b, position=(-0.2, 0.0, 0.3)) for b in scene.bodies[1:])
+    hook = Joint("hook", "ball", "world", "arm", (0.0, 0.0, 0.3))
+    tip = ContactSphere("arm", (-0.4, 0.0, 0.3 + R), R)
+    hung = msgspec.structs.replace(scene, bodies=level, joints=(hook,), contacts=(tip,))
+    ENGINE.open(hung, settings).close()
