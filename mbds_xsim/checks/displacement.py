@@ -276,7 +276,7 @@ def _hidden(record: Record, more: Forced | None, angular: bool) -> Array:
     bounds = np.zeros_like(record.bodies.position[:, 1:, :, 0])
     if mechanism.limited:
         bounds += _PATH * kicked(record, 0.0 if more is None else more.pull)[angular]
-    bounds[_struck(record)] = np.inf  # the number of collisions is unknown
+    bounds[_struck(record)] = np.inf  # impulses are unknown
     if not len(mechanism.sphere_body):
         return bounds
     response = responses(mechanism)[angular]
@@ -291,13 +291,21 @@ def _hidden(record: Record, more: Forced | None, angular: bool) -> Array:
 
 
 def _struck(record: Record) -> Mask:
-    """Find bodies that may collide in a step, or hang on such bodies, (trajectory, step, body)."""
+    """Find bodies that impulses of unknown size may move in a step, (trajectory, step, body).
+
+    They may collide, may touch the ground while something else supports them, too, or are joined to
+    such bodies.
+    """
     mechanism, struck = record.mechanism, np.zeros(record.moved.shape[:3], dtype=bool)
     groups = {body: list(group) for group in groups_of(mechanism) for body in group}
     for k, pair in enumerate(mechanism.sphere_body[mechanism.sphere_pairs].tolist()):
         met = ~record.parted[..., k]
         for body in (one for end in pair for one in groups[end]):
             struck[..., body] |= met
+    known = {body for push in pushes_of(record) for body in push.bodies}
+    for k, body in enumerate(mechanism.sphere_body.tolist()):
+        if body not in known:
+            struck[..., groups[body]] |= ~record.clear[..., k, None]
     return struck
 
 

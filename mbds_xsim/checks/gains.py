@@ -30,7 +30,7 @@ _UP: Array = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True, eq=False)
 class Axle:
-    """Hinge along the axis of a body of revolution, and its only joint."""
+    """Hinge along the axis of a body of revolution, its only joint, that collides with no body."""
 
     name: str
     body: int
@@ -130,6 +130,7 @@ def _axle_of(mechanism: Mechanism, push: Push, body: int) -> Axle | None:
     joints = [joint for joint in mechanism.joints if body in (joint.parent, joint.child)]
     tied = any(body in pair.bodies for pair in (*mechanism.distances, *mechanism.springs))
     tied = tied or any(joint.is_loaded for joint in joints)
+    tied = tied or body in mechanism.sphere_body[mechanism.sphere_pairs]
     spheres = np.flatnonzero(mechanism.sphere_body[push.spheres] == body)
     if tied or len(joints) != 1 or joints[0].kind != "hinge" or len(spheres) > 1:
         return None

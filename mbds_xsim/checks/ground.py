@@ -42,7 +42,7 @@ class Push:
     share: Array
     """Masses of the bodies over their sum, shape (body of the group,)."""
     weight: float
-    """Impulse of gravity over a step [N·s]."""
+    """Impulse of gravity over a step, of the earth's in scenes without any [N·s]."""
     over: Spheres
     """Gaps and speeds of the group's spheres, shape (trajectory, frame, sphere of the group)."""
     ball: bool
@@ -127,7 +127,7 @@ def _push(record: Record, name: str, bodies: tuple[int, ...]) -> Push:
         spheres=spheres,
         mass=float(mass.sum()),
         share=mass / mass.sum(),
-        weight=float(mass.sum()) * fall,
+        weight=float(mass.sum()) * record.frame * record.usual_pull,
         over=over,
         ball=_is_ball(mechanism, bodies, spheres),
         impulse=impulse,

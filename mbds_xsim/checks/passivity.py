@@ -17,6 +17,7 @@ from mbds_xsim.checks.collisions import pairs_of_balls
 from mbds_xsim.checks.conservation import energy_of, input_work
 from mbds_xsim.checks.finding import Figures, check
 from mbds_xsim.checks.ground import Impacts, Push, balls_of, impacts_of, pushes_of
+from mbds_xsim.checks.joint_work import losses
 from mbds_xsim.checks.record import Record
 
 _SLOW = 1e-3  # share of the speed √(g · length)
@@ -32,8 +33,9 @@ _LASTING = 4.0  # factor by which a steady gap counts more than that of an impac
 def passivity(record: Record) -> Figures | None:
     """Measure the rise of E − W that the law of impact does not explain, over the energy scale.
 
-    The rise is above the running minimum, among frames in which no contact stores energy. None
-    without contact, or if something else supports a body that may touch.
+    W is the work of inputs, and of dampers, dry friction and servos, whose error is the finding's
+    uncertainty. The rise is above the running minimum, among frames in which no contact stores
+    energy. None without contact, or if something else supports a body that may touch.
     """
     scene, pushes = record.scene, _all_pushes(record)
     if not scene.contacts or (scene.ground is not None and not pushes):
@@ -43,7 +45,9 @@ def passivity(record: Record) -> Figures | None:
     rise, scale = _rise(record, pushes, explained)
     share = np.nan_to_num(explained[:, -1] / scale)
     note = f"impacts may add up to {share.max():.2g} of the scale by their own law"
-    return Figures(rise[..., None], note=note if share.any() else "")
+    return Figures(
+        rise[..., None], note=note if share.any() else "", uncertainty=_doubt(record, scale)
+    )
 
 
 @check("energy rise", None)
@@ -52,8 +56,8 @@ def energy_rise(record: Record) -> Figures | None:
     pushes = _all_pushes(record)
     if all(push.ball for push in pushes):
         return None
-    rise, _ = _rise(record, pushes, np.zeros((1, record.steps)))
-    return Figures(rise[..., None])
+    rise, scale = _rise(record, pushes, np.zeros((1, record.steps)))
+    return Figures(rise[..., None], uncertainty=_doubt(record, scale))
 
 
 def law_gain(record: Record, push: Push) -> Array:
@@ -101,9 +105,19 @@ def _collision_gain(record: Record) -> Array:
     if collisions is None or not collisions.friction or not others:
         return gain
     met = ~record.parted[..., others].all(axis=2)
-    balance = energy_of(record).total - input_work(record)
+    balance = _balance(record)
     gain[met] = np.maximum(np.diff(balance, axis=1), 0.0)[met]
     return np.asarray(np.nan_to_num(gain))
+
+
+def _balance(record: Record) -> Array:
+    """Return E − W: energy less the work of all but contact [J], shape (trajectory, frame)."""
+    return energy_of(record).total - input_work(record) + losses(record)[0]
+
+
+def _doubt(record: Record, scale: Array) -> Array:
+    """Return the error of the work of dampers, friction and servos over the scale."""
+    return np.asarray(losses(record)[1].sum(axis=1) / scale)
 
 
 def _all_pushes(record: Record) -> list[Push]:
@@ -115,15 +129,14 @@ def _all_pushes(record: Record) -> list[Push]:
 
 def _rise(record: Record, pushes: list[Push], explained: Array) -> tuple[Array, Array]:
     """Return the relative rise above the running minimum, NaN if not compared, and scale [J]."""
-    energy = energy_of(record)
-    balance = energy.total - input_work(record)
+    scale, balance = energy_of(record).scale, _balance(record)
     balance[:, 1:] -= explained
     compared, most = record.finite.copy(), balance.copy()
     for push in pushes:
         compared &= settled(push)
         most += stored(record, push)
     compared[:, 1:] &= (record.neighbours.gap[:, 1:] > 0.0).all(axis=2)
-    return risen(balance, most, compared) / energy.scale[:, None], energy.scale
+    return risen(balance, most, compared) / scale[:, None], scale
 
 
 def risen(least: Array, most: Array, compared: Mask) -> Array:

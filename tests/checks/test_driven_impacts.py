@@ -51,3 +51,20 @@ def test_the_exact_motion_passes(scene: Scene) -> None:
     assert np.all([finding.passed.all() for finding in findings]), [
         finding.line(0) for finding in findings if not finding.passed.all()
     ]
+
+
+def test_a_force_beside_no_ground_and_no_gravity_needs_no_friction() -> None:
+    """Rounding of the impulse has no weight to be compared with, and is no friction."""
+    scene = msgspec.structs.replace(
+        ball(1.0, ground=Ground(0.2, _BACK), steps=20),
+        gravity=(0.0, 0.0, 0.0),
+        forces=(Force("ball", ((0.1, 0.05, 0.0), (-0.03, 0.07, 0.0)), 3),),
+    )
+    batch = draw_batch(scene, [0])
+    motion = solve(scene, batch, cache=False)
+    method = load_adapter("mujoco").methods["RK4"]
+
+    findings = audit(scene, batch, motion, method, step=1e-4, contact_time=1e-4)
+
+    failed = [finding.line(0) for finding in findings if not finding.passed.all()]
+    assert not failed, failed
