@@ -14,10 +14,10 @@ from mbds_xsim.checks import (
     displacement,
     eccentric,
     friction,
-    ground,
     integrity,
     kinematics,
     passivity,
+    rebounds,
     stops,
 )
 from mbds_xsim.checks.finding import Check, Finding
@@ -53,7 +53,7 @@ CHECKS: tuple[Check, ...] = (
     friction.friction,
     friction.wheels,
     friction.rolling,
-    ground.restitution,
+    rebounds.restitution,
     eccentric.eccentric_restitution,
     eccentric.eccentric_friction,
     collisions.collision_gap,

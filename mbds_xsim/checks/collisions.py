@@ -17,7 +17,8 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index, Mask, Picked
 from mbds_xsim.checks.balances import groups_of
 from mbds_xsim.checks.finding import Figures, check
-from mbds_xsim.checks.ground import at_impacts, at_touch, restitution_note
+from mbds_xsim.checks.ground import at_touch
+from mbds_xsim.checks.rebounds import at_impacts, restitution_note
 from mbds_xsim.checks.record import Record
 from mbds_xsim.checks.spheres import Neighbours, neighbours_of
 from mbds_xsim.scene.joint_space import BodyStates

@@ -22,24 +22,25 @@ from mbds_xsim.base.arrays import Array, Index, Picked
 from mbds_xsim.checks.finding import Figures, check
 from mbds_xsim.checks.ground import (
     Impacts,
-    at_impacts,
+    Push,
     fast_impacts_of,
-    followed,
+    free_acceleration,
     lowest,
-    one_sphere,
     pushed,
     pushes_of,
-    restitution_note,
 )
+from mbds_xsim.checks.rebounds import at_impacts, dull_impacts_of, dull_note, restitution_note
 from mbds_xsim.checks.record import Record
 from mbds_xsim.checks.spheres import direction
 from mbds_xsim.scene.joint_space import BodyStates
 
 _RESTITUTION = 5.0  # times the budget of balls; springs of few steps are off by up to 0.033
 _FRICTION = 15.0  # times the budget; PyBullet's friction, oblique to the slip, is off by up to 0.24
+# Share of the coefficient that an impact by the compliant law leaves at least; in 60 throws of a
+# cubli in Exudyn and MuJoCo it is 0.63.
+_LEFT = 0.5
 _BLUR = 3.0  # times the rebound's speed that the course does not explain
 _PARTS = 200  # parts of an impact
-_MOMENT = 1e-6  # half the interval of differences for accelerations [s]
 _STILL = 1e-9  # slip too slow to have a direction [m/s]
 _ENOUGH = 8  # least number of impacts
 _FULL = 2.0  # least number of impacts with full slip, for friction
@@ -55,7 +56,8 @@ _EXPLAINED = 3e-3  # share of the arriving speed; smaller errors of the rebound 
 def eccentric_restitution(record: Record) -> Figures | None:
     """Compare the restitution of single eccentric impacts with the scene's coefficient.
 
-    It is that of speed or of normal work, whichever law the impact fits. None if all are balls.
+    It is that of speed or of normal work, whichever law the impact fits. Impacts whose rebound is
+    not seen must allow half of the coefficient. None if all are balls.
     """
     groups = _deviations(record)
     if not groups:
@@ -65,24 +67,32 @@ def eccentric_restitution(record: Record) -> Figures | None:
     if ratios:
         rigid = sum(int(off[2].sum()) for _, _, off in groups)
         note += f"; {rigid} of {len(ratios)} impacts by the rigid law"
-    return _figures(record, 0, note)
+    least = _LEFT * record.ground.restitution
+    dull = [dull_impacts_of(record, push) for push in _groups(record)]
+    errors = [
+        each.beside((hits.row, hits.step, off[0]), least)
+        for each, (_, hits, off) in zip(dull, groups, strict=True)
+    ]
+    names = [name for name, _, _ in groups]
+    return Figures(at_impacts(record, errors), names, note + dull_note(dull, least))
 
 
 @check("eccentric friction", lambda record: _budgets(record)[1])
 def eccentric_friction(record: Record) -> Figures:
     """Compare the friction of single eccentric impacts with Coulomb's law, over μ times normal."""
-    return _figures(record, 1)
-
-
-def _figures(record: Record, kind: int, note: str = "") -> Figures:
     groups = _deviations(record)
-    parts = at_impacts(record, [(hits.row, hits.step, off[kind]) for _, hits, off in groups])
-    return Figures(parts, [name for name, _, _ in groups], note)
+    parts = at_impacts(record, [(hits.row, hits.step, off[1]) for _, hits, off in groups])
+    return Figures(parts, [name for name, _, _ in groups])
 
 
 def _budgets(record: Record) -> tuple[float, float]:
     budget = record.scene.budget
     return _RESTITUTION * budget.restitution, _FRICTION * budget.friction
+
+
+def _groups(record: Record) -> list[Push]:
+    """Return the groups that are not balls."""
+    return [push for push in pushes_of(record) if not push.ball]
 
 
 @functools.lru_cache(maxsize=1)
@@ -92,8 +102,7 @@ def _deviations(record: Record) -> list[tuple[str, Impacts, Array]]:
     The law is the one that an impact fits best. The array, of shape (3, impact), has deviations of
     restitution and friction, and 1 where the rigid law fits best.
     """
-    pushes = [push for push in pushes_of(record) if not push.ball]
-    impacts = [(push.name, fast_impacts_of(record, push)) for push in pushes]
+    impacts = [(push.name, fast_impacts_of(record, push)) for push in _groups(record)]
     return [(name, hits, _least(record, hits)) for name, hits in impacts]
 
 
@@ -155,7 +164,8 @@ def course_of(record: Record, hits: Impacts, coefficient: float) -> Course:
     """
     ends = (hits.before, hits.after)
     yields = [yielding(record, bodies, hits.sphere) for bodies in ends]
-    pulls = [_acceleration(record, hits, bodies) for bodies in ends]
+    touch = hits.row, hits.step, hits.sphere
+    pulls = [free_acceleration(record, *touch, bodies) for bodies in ends]
     duration = np.maximum(hits.duration, 0.0)[:, None] / _PARTS
     velocity = np.column_stack([hits.slip, -hits.arriving])
     friction = np.zeros((len(velocity), 2))
@@ -184,17 +194,6 @@ def yielding(record: Record, bodies: BodyStates, sphere: Index) -> Array:
     arm = lowest(mechanism, bodies.native[each, body], sphere)[:, None]
     turning = rotation.cross(response.angular_velocity[each, :, body], arm)
     return np.moveaxis(response.velocity[each, :, body] + turning, 1, 2)
-
-
-def _acceleration(record: Record, hits: Impacts, bodies: BodyStates) -> Array:
-    """Compute the acceleration of the lowest point without the ground [m/s²], (impact, 3)."""
-    force, torque = record.batch.force[hits.row, hits.step], record.torque[hits.row, hits.step]
-    ends = []
-    for moment in (-_MOMENT, _MOMENT):
-        there = followed(record, bodies, force, torque, np.full(len(hits.row), moment))
-        point = one_sphere(record, there, hits.sphere)
-        ends.append(np.column_stack([point.slip, point.climb]))
-    return np.asarray((ends[1] - ends[0]) / (2.0 * _MOMENT))
 
 
 def _friction(slip: Array, gives: Array, alone: Array, most: Array) -> Array:
@@ -319,7 +318,7 @@ def impact_coefficients(record: Record) -> Figures | None:
 
 def impact_evidence_of(record: Record) -> ImpactEvidence | None:
     """Collect evidence from impacts of all groups that are not balls; None without such groups."""
-    groups = [push for push in pushes_of(record) if not push.ball]
+    groups = _groups(record)
     if not groups:
         return None
     return ImpactEvidence.joined(

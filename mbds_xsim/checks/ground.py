@@ -8,7 +8,7 @@ change between the two states is the impact; its impulse follows from the moment
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -18,7 +18,6 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index, Mask, Picked
 from mbds_xsim.checks.balances import balances_of, groups_of
 from mbds_xsim.checks.coordinates import clear_of_own
-from mbds_xsim.checks.finding import Figures, check
 from mbds_xsim.checks.mismatch import projected
 from mbds_xsim.checks.record import Record
 from mbds_xsim.checks.spheres import Neighbours, Spheres, spheres_of
@@ -197,10 +196,12 @@ def responses(mechanism: Mechanism) -> tuple[Array, Array]:
     return np.asarray(linear), np.asarray(angular)
 
 
+_MOMENT = 1e-6  # half the interval of differences for accelerations [s]
 _REFINEMENTS = 4  # iterations to the time of touch
 _SUBSTEPS = 4  # Runge-Kutta steps to it
 _APART = 0.5  # share of the flight after a rebound; a step with more time left has two impacts
-_SLOW = 3.0  # times what gravity and loads add in a frame; slower impacts show no restitution
+SLOW = 3.0
+"""Times what gravity and loads add in a frame; slower impacts show no restitution."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,46 +231,12 @@ class Impacts(Picked):
     """Distance from the ground at which the two motions meet [m], negative below it."""
 
 
-@check("restitution", "restitution")
-def restitution(record: Record) -> Figures | None:
-    """Compare the delivered coefficient of restitution with the scene's; None without balls.
-
-    Only balls count, whose sphere is around the centre of mass: nothing else affects their rebound.
-    """
-    pushes = balls_of(record)
-    if not pushes:
-        return None
-    wanted = record.ground.restitution
-    impacts = [fast_impacts_of(record, push) for push in pushes]
-    ratios = [hits.leaving / hits.arriving for hits in impacts]
-    errors = [(h.row, h.step, np.abs(r - wanted)) for h, r in zip(impacts, ratios, strict=True)]
-    note = restitution_note(np.concatenate(ratios).tolist(), wanted)
-    return Figures(at_impacts(record, errors), [push.name for push in pushes], note)
-
-
-def at_impacts(record: Record, groups: Sequence[tuple[Index, Index, Array]]) -> Array:
-    """Put values of impacts, by row and step, at the frames after, (trajectory, frame, group)."""
-    parts = np.full((*record.finite.shape, len(groups)), np.nan)
-    parts[:, 0] = 0.0  # not every trajectory bounces
-    for k, (row, step, values) in enumerate(groups):
-        parts[row, step + 1, k] = values
-    return parts
-
-
-def restitution_note(ratios: list[float], wanted: float) -> str:
-    """Describe the coefficients of restitution that were delivered."""
-    if not ratios:
-        return f"no impact shows it, the scene has {wanted:.4f}"
-    text = f"{min(ratios):.4f} to {max(ratios):.4f} delivered, median {np.median(ratios):.4f}"
-    return f"{text}, the scene has {wanted:.4f}"
-
-
 @functools.lru_cache(maxsize=4)
 def fast_impacts_of(record: Record, push: Push) -> Impacts:
     """Find the single impacts that are fast enough to show restitution."""
     hits = impacts_of(record, push)
     loads = record.loads[hits.row, hits.step, record.mechanism.sphere_body[hits.sphere]]
-    return hits[hits.arriving > _SLOW * (record.fall + record.frame * loads)]
+    return hits[hits.arriving > SLOW * (record.fall + record.frame * loads)]
 
 
 @functools.lru_cache(maxsize=4)
@@ -279,7 +246,7 @@ def impacts_of(record: Record, push: Push) -> Impacts:
     No collision, dry friction or stop may act on the group in such a step.
     """
     free = push.untouched
-    alone = (push.reach.sum(axis=2) == 1) & _undisturbed(record, push)
+    alone = (push.reach.sum(axis=2) == 1) & undisturbed(record, push)
     row, step = np.nonzero(free[:, 1:] & free[:, :-1] & alone & (push.impulse[..., 2] > 0.0))
     sphere = push.spheres[push.reach[row, step].argmax(axis=1)]
 
@@ -301,7 +268,7 @@ def impacts_of(record: Record, push: Push) -> Impacts:
     return hits[single]
 
 
-def _undisturbed(record: Record, push: Push) -> Mask:
+def undisturbed(record: Record, push: Push) -> Mask:
     """Find steps in which no bodies of a group may collide and no joint rubs or meets a stop.
 
     Shape (trajectory, step).
@@ -348,6 +315,19 @@ def at_touch(
 def one_sphere(record: Record, bodies: BodyStates, sphere: Index) -> Spheres:
     """Return gap and speeds of one sphere in each state."""
     return spheres_of(record.mechanism, bodies)[np.arange(len(sphere)), sphere]
+
+
+def free_acceleration(
+    record: Record, row: Index, step: Index, sphere: Index, bodies: BodyStates
+) -> Array:
+    """Compute spheres' lowest points' accelerations without the ground [m/s²], (impact, 3)."""
+    force, torque = record.batch.force[row, step], record.torque[row, step]
+    ends = []
+    for moment in (-_MOMENT, _MOMENT):
+        there = followed(record, bodies, force, torque, np.full(len(row), moment))
+        point = one_sphere(record, there, sphere)
+        ends.append(np.column_stack([point.slip, point.climb]))
+    return np.asarray((ends[1] - ends[0]) / (2.0 * _MOMENT))
 
 
 def followed(

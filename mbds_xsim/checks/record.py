@@ -141,15 +141,15 @@ class Record:
         """
         if self.scene.ground is None:
             return np.ones((*self.moved.shape[:2], self.spheres.gap.shape[2]), dtype=bool)
-        return out_of_reach(self.spheres.gap, np.abs(self.spheres.climb), self._pulls, self.frame)
+        return out_of_reach(self.spheres.gap, np.abs(self.spheres.climb), self.pulls, self.frame)
 
     @functools.cached_property
     def loads(self) -> Array:
         """Sizes of held forces over the masses of their bodies [m/s²], (trajectory, step, body)."""
         return np.asarray(rotation.norm(self.force) / self.mechanism.mass)
 
-    @property
-    def _pulls(self) -> Array:
+    @functools.cached_property
+    def pulls(self) -> Array:
         """Largest acceleration of each sphere by loads, gravity and its body's rotation [m/s²].
 
         Shape (trajectory, frame, sphere).
@@ -169,7 +169,7 @@ class Record:
     @functools.cached_property
     def parted(self) -> Mask:
         """Steps in which two contact spheres cannot reach each other, (trajectory, step, pair)."""
-        pulls = self._pulls[:, :, self.mechanism.sphere_pairs].sum(axis=3)
+        pulls = self.pulls[:, :, self.mechanism.sphere_pairs].sum(axis=3)
         return out_of_reach(self.neighbours.gap, self.neighbours.speed, pulls, self.frame)
 
     def flying(self, group: tuple[int, ...] | None = None) -> Mask:

@@ -238,6 +238,14 @@ def test_another_restitution_of_eccentric_impacts_shows(law: Law) -> None:
 
 
 @pytest.mark.parametrize("law", [_State.hit, _State.press])
+def test_eccentric_impacts_that_rebound_little_pass(law: Law) -> None:
+    scene = _club(restitution=0.6)
+    record = Record(scene, *_thrown(scene, 0.43, 0.6, law, 15), RK4, 1e-4, contact_time=1e-4)
+
+    assert eccentric_restitution.finding(record).passed.all()
+
+
+@pytest.mark.parametrize("law", [_State.hit, _State.press])
 @pytest.mark.parametrize("taken", [0.185, 0.0])
 def test_another_friction_of_eccentric_impacts_shows(law: Law, taken: float) -> None:
     _, friction = _eccentric(_bounced(law, friction=taken))
