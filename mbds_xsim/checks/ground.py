@@ -126,7 +126,7 @@ def _push(record: Record, name: str, bodies: tuple[int, ...]) -> Push:
         spheres=spheres,
         mass=float(mass.sum()),
         share=mass / mass.sum(),
-        weight=float(mass.sum()) * record.frame * record.usual_pull,
+        weight=float(mass.sum()) * (record.frame * record.usual_pull),
         over=over,
         ball=_is_ball(mechanism, bodies, spheres),
         impulse=impulse,

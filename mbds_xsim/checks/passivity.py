@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.collisions import pairs_of_balls
 from mbds_xsim.checks.conservation import energy_of, input_work
@@ -22,6 +23,7 @@ from mbds_xsim.checks.record import Record
 
 _SLOW = 1e-3  # share of the speed √(g · length)
 _NEAR = 1e-3  # share of the scene's length
+_SAFE = 0.9  # share of the friction that is needed at most
 _ROUND = 0.95 * np.pi  # widest angle between spheres that surround a point
 # Times the declared duration and the arriving speed. A spring of that duration needs ½; joined
 # bodies make it last up to 2.6 times as long (measured).
@@ -190,11 +192,20 @@ def hop(record: Record) -> Figures | None:
 def resting(record: Record) -> Figures | None:
     """Measure how far bodies move that were at rest, over the scene's length.
 
-    A body is at rest if three or more touching spheres surround its centre of mass and it hardly
-    moves over a step. It must stay there as long as the inputs do not change. None without contact,
-    or with inputs that always change.
+    A body is at rest if it hardly moves over a step, and three or more touching spheres surround
+    the point where its load meets the ground. It must stay there as long as the inputs do not
+    change and friction holds the load safely. With bodies joined to it, they must keep their places
+    on it, and no torques may act. None without contact, if no group has all its spheres on one
+    body, or with inputs that always change.
     """
-    pushes = [push for push in pushes_of(record) if len(push.spheres) >= 3]
+    if not record.steps:
+        return None
+    carrier = record.mechanism.sphere_body
+    pushes = [
+        push
+        for push in pushes_of(record)
+        if len(push.spheres) >= 3 and len(set(carrier[push.spheres].tolist())) == 1
+    ]
     moved = record.by_frame([_moved(record, push) for push in pushes])
     if np.isnan(moved).all():
         return None
@@ -216,19 +227,23 @@ def _hop(record: Record, push: Push, pull: float) -> Array:
 
 def _moved(record: Record, push: Push) -> Array:
     """Compute the largest displacement of spheres since they came to rest [m], NaN without rest."""
-    same = _same_inputs(record)
+    same, held = _same_inputs(record), _held(record, push)
     still = _still(record, push)
-    places = _places(record, push)
+    places, layout = _places(record, push), _layout(record, push)
     displacement = np.full(record.finite.shape, np.nan)
     for row in range(len(displacement)):
-        origin: Array | None = None
+        origin: int | None = None
         for frame in range(1, record.steps + 1):
-            if not same[row, frame - 1]:
+            if not (same[row, frame - 1] and held[row, frame - 1]):
                 origin = None
             if origin is not None:
-                displacement[row, frame] = np.abs(places[row, frame] - origin).max()
-            elif still[row, frame] and still[row, frame - 1]:
-                origin = places[row, frame]
+                shifted = np.abs(layout[row, frame] - layout[row, origin]).max()
+                origin = None if shifted > _NEAR * record.scene.length else origin
+            if origin is not None:
+                moved = np.abs(places[row, frame] - places[row, origin]).max()
+                displacement[row, frame] = moved
+            elif still[row, frame] and still[row, frame - 1] and held[row, frame - 1]:
+                origin = frame
     return displacement
 
 
@@ -239,6 +254,33 @@ def _same_inputs(record: Record) -> Mask:
     changed[:, 1:] = (np.diff(force, axis=1) != 0.0).any(axis=(2, 3))
     changed[:, 1:] |= (np.diff(torque, axis=1) != 0.0).any(axis=2)
     return ~changed
+
+
+def _load(record: Record, push: Push) -> Array:
+    """Return the sum of gravity and held forces on a group [N], shape (trajectory, step, 3)."""
+    weight = push.mass * np.array(record.scene.gravity)
+    return np.asarray(record.force[:, :, list(push.bodies)].sum(axis=2) + weight)
+
+
+def _held(record: Record, push: Push) -> Mask:
+    """Find steps in which friction holds a group's load safely, (trajectory, step).
+
+    Torques may move the bodies of a group on each other, and with them the load.
+    """
+    load = _load(record, push)
+    across = np.hypot(load[..., 0], load[..., 1])
+    held = across < _SAFE * record.ground.friction * -load[..., 2]
+    if len(push.bodies) > 1:
+        held &= ~(record.torque[:, : record.steps] != 0.0).any(axis=2)
+    return np.asarray(held)
+
+
+def _layout(record: Record, push: Push) -> Array:
+    """Return the places of a group's bodies on the one that has its spheres [m], as of bodies."""
+    base, group = int(record.mechanism.sphere_body[push.spheres[0]]), list(push.bodies)
+    bodies = record.bodies
+    apart = bodies.position[:, :, group] - bodies.position[:, :, [base]]
+    return rotation.rotate(rotation.conjugate(bodies.native[:, :, [base]]), apart)
 
 
 def _still(record: Record, push: Push) -> Mask:
@@ -252,9 +294,15 @@ def _still(record: Record, push: Push) -> Mask:
 
 
 def _carried(record: Record, push: Push) -> Mask:
-    """Return whether touching spheres surround the centre of mass, with one in every half-plane."""
+    """Return whether touching spheres surround the load, with one in every half-plane.
+
+    The load acts at the centre of mass and leans towards the ground.
+    """
     middle = push.middle(record.bodies.position)
-    arm = _places(record, push)[..., :2] - middle[:, :, None, :2]
+    load = _load(record, push)
+    load = np.concatenate([load[:, :1], load], axis=1)  # of the step before each frame
+    lean = middle[..., 2:] * load[..., :2] / np.maximum(-load[..., 2:], np.finfo(float).tiny)
+    arm = _places(record, push)[..., :2] - (middle[..., :2] + lean)[:, :, None]
     touching = np.abs(push.over.gap) < _NEAR * record.scene.length
     count = touching.sum(axis=2)
     # Spheres that do not touch repeat the first one that does.
