@@ -40,6 +40,7 @@ import numpy as np
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.xml import numbers
 from mbds_xsim.scene.collisions import Collisions
+from mbds_xsim.scene.fixed import fixed_spheres
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
 from mbds_xsim.scene.scene import Ground
 from mbds_xsim.simulate.claims import ContactLaw
@@ -70,6 +71,7 @@ _NOSLIP_ITERATIONS = 100
 _NOSLIP_TOLERANCE = 1e-9
 # Safety factor on the path of a sphere within a time, over the straight one.
 _REACH = 2.0
+_FAR = 1e9  # gap of what cannot touch [m]
 # Slower spheres are at rest [m/s].
 _TINY = 1e-150
 # Stiffness k h² of the spring that lifts a sphere at rest in the ground, if an impact is a single
@@ -161,6 +163,9 @@ class SphereGeoms:
         self._roots = model.body_rootid[self._bodies]
         self._radius = model.geom_size[self._geoms, 0].copy()
         self._grounded = mechanism.scene.ground is not None
+        # Contact with the ground, whose steps are less accurate, cannot move what is fixed.
+        self._lowered = self._radius.copy()
+        self._lowered[fixed_spheres(mechanism.scene)] = -_FAR
         self._one, self._other = mechanism.sphere_pairs.T
         self._reach = self._radius[self._one] + self._radius[self._other]
         self._gravity, self._load = model.opt.gravity.tolist(), 0.0
@@ -184,7 +189,7 @@ class SphereGeoms:
         Brings positions up to date.
         """
         mujoco.mj_kinematics(model, data)
-        gap = data.geom_xpos[self._places, 2] - self._radius
+        gap = data.geom_xpos[self._places, 2] - self._lowered
         if len(self._one):
             centre = data.geom_xpos[self._places]
             separation = centre[self._one] - centre[self._other]

@@ -20,6 +20,7 @@ from mbds_xsim.checks.finding import Figures, check
 from mbds_xsim.checks.ground import Impacts, Push, balls_of, impacts_of, pushes_of
 from mbds_xsim.checks.joint_work import losses
 from mbds_xsim.checks.record import Record
+from mbds_xsim.scene.fixed import fixed_spheres
 
 _SLOW = 1e-3  # share of the speed √(g · length)
 _NEAR = 1e-3  # share of the scene's length
@@ -125,7 +126,7 @@ def _doubt(record: Record, scale: Array) -> Array:
 def _all_pushes(record: Record) -> list[Push]:
     """Return the groups with contact, or none if the ground's impulse on one is not known."""
     pushes = pushes_of(record)
-    known = sum(len(push.spheres) for push in pushes)
+    known = sum(len(push.spheres) for push in pushes) + len(fixed_spheres(record.scene))
     return pushes if known == len(record.mechanism.sphere_body) else []
 
 
@@ -330,8 +331,10 @@ def penetration(record: Record) -> Figures:
     gaps, radii = [record.neighbours.gap], [mechanism.sphere_radius[mechanism.sphere_pairs].min(1)]
     pairs = [f"{names[one]} and {names[other]}" for one, other in mechanism.sphere_pairs]
     if record.scene.ground is not None:
-        gaps, radii = [record.spheres.gap, *gaps], [mechanism.sphere_radius, *radii]
-        pairs = [*names, *pairs]
+        free = np.setdiff1d(np.arange(len(names)), fixed_spheres(record.scene))
+        gaps = [record.spheres.gap[..., free], *gaps]
+        radii = [mechanism.sphere_radius[free], *radii]
+        pairs = [*(names[k] for k in free), *pairs]
     overlap = np.maximum(-np.concatenate(gaps, axis=2), 0.0)
     share = np.nanmax(overlap / np.concatenate(radii), initial=0.0)
     return Figures(overlap / record.scene.length, pairs, f"{share:.2g} of a radius")

@@ -19,6 +19,7 @@ from mbds_xsim.checks.spheres import (
     out_of_reach,
     spheres_of,
 )
+from mbds_xsim.scene.fixed import fixed_spheres
 from mbds_xsim.scene.joint_space import BodyStates, joint_rate
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Ground, Scene
@@ -137,11 +138,15 @@ class Record:
         """Steps in which a contact sphere cannot reach the ground, (trajectory, step, sphere).
 
         At both ends it must be higher than it can fall in a whole frame, at its own speed and what
-        gravity, held forces and the body's rotation add to it.
+        gravity, held forces and the body's rotation add to it. Spheres that are fixed to the world
+        never hit the ground.
         """
         if self.scene.ground is None:
             return np.ones((*self.moved.shape[:2], self.spheres.gap.shape[2]), dtype=bool)
-        return out_of_reach(self.spheres.gap, np.abs(self.spheres.climb), self.pulls, self.frame)
+        climb = np.abs(self.spheres.climb)
+        clear = out_of_reach(self.spheres.gap, climb, self.pulls, self.frame)
+        clear[..., fixed_spheres(self.scene)] = True
+        return clear
 
     @functools.cached_property
     def loads(self) -> Array:

@@ -28,6 +28,7 @@ from mbds_xsim.base.versions import PHYSICS
 from mbds_xsim.reference.elimination import with_short_loops
 from mbds_xsim.reference.tree import tree_of
 from mbds_xsim.scene.constraints import degrees_of_freedom
+from mbds_xsim.scene.fixed import fixed_spheres
 from mbds_xsim.scene.joint_space import BodyStates, joint_coordinate
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
@@ -51,6 +52,8 @@ _IDLE = 1
 _HALF_TURN = 1
 """Extra version of trajectories that start with a sprung, driven or otherwise counted hinge at π:
 before it, rounding could make that −π."""
+_FIXED = 1
+"""Extra version of scenes with spheres fixed to the world: before it, these ended at the ground."""
 _SOURCES = ("compiling", "lanes", "traced", "lane_algebra", "noted", "elimination", "tree")
 _NEAR = 1e-9  # rad
 _SEAL = hashlib.sha256().digest_size
@@ -139,6 +142,7 @@ def key_of(kind: str, scene: Scene, batch: Batch, row: int, rtol: float) -> str:
     physics += ["damped", _DAMPED] if any(damping) else []
     physics += ["idle", _IDLE] if _has_idle_closures(Mechanism.of(scene)) else []
     physics += ["half turn", _HALF_TURN] if _starts_at_half_turn(scene, batch, row) else []
+    physics += ["fixed", _FIXED] if scene.ground and len(fixed_spheres(scene)) else []
     # Scenes made in Python may hold numpy numbers.
     digest.update(
         msgspec.json.encode([kind, PHYSICS, rtol, scene.clock.frame, physics], enc_hook=float)

@@ -126,7 +126,7 @@ def _check_apart(mechanism: Mechanism, start: Array) -> None:
     lowest, names = int(gap.min(axis=0).argmin()), [body.name for body in mechanism.scene.bodies]
     on = [f"contacts[{k}] on {names[body]!r}" for k, body in enumerate(mechanism.sphere_body)]
     if lowest < len(grounded):
-        subject, place = f"{on[lowest]} starts", "below the ground z = 0"
+        subject, place = f"{on[grounded[lowest]]} starts", "below the ground z = 0"
         hint = "start it with its centre at its radius or higher"
     else:
         subject = " and ".join(on[k] for k in pairs[lowest - len(grounded)]) + " start"

@@ -16,7 +16,9 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Indices
 from mbds_xsim.scene.constraints import Layout, layout_of
+from mbds_xsim.scene.fixed import fixed_spheres
 from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +78,14 @@ def topology_of(mechanism: Mechanism) -> Topology:
         ),
         spring=np.array([(s.length, s.stiffness, s.damping) for s in springs]).reshape(-1, 3),
         sphere=rotation.rotate(back[mechanism.sphere_body], mechanism.sphere_offset),
-        grounded=np.arange(len(mechanism.scene.contacts) if mechanism.scene.ground else 0),
+        grounded=_grounded(mechanism.scene),
     )
+
+
+def _grounded(scene: Scene) -> Indices:
+    """Return the contact spheres that may hit the ground."""
+    every = np.arange(len(scene.contacts) if scene.ground else 0)
+    return np.setdiff1d(every, fixed_spheres(scene))
 
 
 def _principal_axes(mechanism: Mechanism) -> tuple[Array, Array]:

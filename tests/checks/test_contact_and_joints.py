@@ -12,6 +12,7 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.checks import Finding, Record, audit
 from mbds_xsim.checks.displacement import displacement
 from mbds_xsim.checks.passivity import passivity
+from mbds_xsim.reference import solve
 from mbds_xsim.scene.collisions import Collisions
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import (
@@ -162,9 +163,19 @@ def test_what_the_world_holds_must_move_as_it_says_in_flight() -> None:
     assert not displacement.finding(record).passed.any()
 
 
+def _by_mujoco(scene: Scene) -> tuple[Trajectory, list[Finding]]:
+    """Simulate a scene by MuJoCo and check it."""
+    pytest.importorskip("mujoco")
+    adapter, batch = load_adapter("mujoco"), draw_batch(scene, [0])
+    settings = settings_for(scene, adapter, "matched")
+    made = simulate(scene, batch, "mujoco", settings)
+    method, time = adapter.methods[settings.method], made.contact_time
+    motion = made.trajectory
+    return motion, audit(scene, batch, motion, method, step=settings.step, contact_time=time)
+
+
 def test_a_collision_may_turn_a_wheel() -> None:
     """A ball hits a wheel off its middle, above the ground: friction gives it spin."""
-    pytest.importorskip("mujoco")
     hub, start = (0.0, 0.0, 50.0), (-0.6, 0.0, 50.12)
     scene = Scene(
         name="hit",
@@ -180,15 +191,54 @@ def test_a_collision_may_turn_a_wheel() -> None:
         length=1.0,
         clock=Clock(FRAME, 15),
     )
-    adapter, batch = load_adapter("mujoco"), draw_batch(scene, [0])
-    settings = settings_for(scene, adapter, "matched")
-    made = simulate(scene, batch, "mujoco", settings)
-    method = adapter.methods[settings.method]
+    motion, findings = _by_mujoco(scene)
 
-    findings = audit(
-        scene, batch, made.trajectory, method, step=settings.step, contact_time=made.contact_time
-    )
-
-    assert abs(made.trajectory.angular_velocity[0, -1, 1, 1]) > 1.0
+    assert abs(motion.angular_velocity[0, -1, 1, 1]) > 1.0
     failed = [finding.line(0) for finding in findings if not finding.passed.all()]
     assert not failed, failed
+
+
+def _pegged(stiffness: float, damping: float, *, peg: bool) -> Scene:
+    """Hang a bob on a hinge, high above the ground, beside a peg that stands on it."""
+    bodies = [Body("bob", inertia=Inertia(1.0, (0.01,) * 3), position=(0.0, 0.0, 2.0))]
+    law: dict[str, Any] = {"stiffness": stiffness, "damping": damping, "start": 1.0}
+    joints = [Joint("pivot", "hinge", "world", "bob", (0.0, 0.0, 3.0), (0.0, 1.0, 0.0), **law)]
+    spheres = [ContactSphere("bob", (0.0, 0.0, 2.0), 0.1)]
+    if peg:
+        bodies.append(Body("peg", inertia=Inertia(1.0, (0.01,) * 3), position=(5.0, 0.0, 0.1)))
+        joints.append(Joint("weld", "fixed", "world", "peg", (5.0, 0.0, 0.0)))
+        spheres.append(ContactSphere("peg", (5.0, 0.0, 0.1), 0.12))
+    return Scene(
+        "pegged",
+        tuple(bodies),
+        1.0,
+        joints=tuple(joints),
+        contacts=tuple(spheres),
+        ground=Ground(0.4, 0.5),
+        clock=Clock(FRAME, 60),
+    )
+
+
+@pytest.mark.parametrize("peg", [False, True])
+def test_a_sphere_fixed_on_the_ground_hides_nothing(peg: bool) -> None:
+    """It cannot move, so the ground does not hit it."""
+    scene, wrong = _pegged(20.0, 0.0, peg=peg), _pegged(15.0, 0.3, peg=peg)
+    failed = []
+    for made in (scene, wrong):
+        batch = draw_batch(made, [0])
+        motion = solve(made, batch, cache=False)
+        assert motion.failures == (None,)
+        findings = audit(scene, draw_batch(scene, [0]), motion, RK4, step=1e-4, contact_time=1e-4)
+        failed.append({finding.check for finding in findings if not finding.passed.all()})
+
+    assert failed[0] == set()
+    assert {"kinematics", "energy", "coefficients"} <= failed[1]
+
+
+def test_a_sphere_fixed_on_the_ground_takes_mujoco_no_accuracy() -> None:
+    """Steps with contact are of first order, and those of the bob's swing need not be."""
+    _, findings = _by_mujoco(_pegged(20.0, 0.0, peg=True))
+
+    failed = [finding.line(0) for finding in findings if not finding.passed.all()]
+    assert not failed, failed
+    assert max(finding.figure.max() for finding in findings if finding.check == "energy") < 1e-6

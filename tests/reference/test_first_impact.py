@@ -128,6 +128,33 @@ def test_starts_in_contact() -> None:
     assert (failure.frame, failure.time) == (1, 0.0)
 
 
+@pytest.mark.parametrize("friction", [0.0, 0.1])
+def test_what_is_fixed_to_the_world_does_not_hit_the_ground(friction: float) -> None:
+    """A post stands in the ground, and a body that is fixed on it carries a pendulum."""
+    inertia = Inertia(1.0, (0.01,) * 3)
+    scene = Scene(
+        "posts",
+        (
+            Body("foot", inertia=inertia, position=(0.0, 0.0, 0.04)),
+            Body("post", inertia=inertia, position=(0.0, 0.0, 1.0)),
+            Body("bob", inertia=inertia, position=(0.5, 0.0, 2.0)),
+        ),
+        1.0,
+        joints=(
+            Joint("weld", "fixed", "foot", "post", (0.0, 0.0, 0.5)),
+            Joint("floor", "fixed", "world", "foot", (0.0, 0.0, 0.0)),
+            Joint(
+                "pin", "hinge", "post", "bob", (0.0, 0.0, 2.0), (0.0, 1.0, 0.0), friction=friction
+            ),
+        ),
+        contacts=(ContactSphere("foot", (0.0, 0.0, 0.04), RADIUS),),
+        ground=Ground(0.4, 0.9),
+        clock=Clock(0.02, 20),
+    )
+
+    assert run(scene).failures == (None,)
+
+
 def test_starts_in_the_ground() -> None:
     with pytest.raises(InputError, match=r"contacts\[0\] on 'bar' starts 0\.03 m below"):
         run(dumbbell(height=0.02))
