@@ -150,6 +150,8 @@ CAR = (
         "wheels", Change(motion=recorded.cut_spins)),
     _fault("axle damping of 0.001 N·m·s", "particlecar for 0.8 s", "mujoco, dart",
         "balance, balance drift", Change(native=native.axle_damping)),
+    _fault("dampers of axles left out", "particlecar with damped axles", "mujoco, dart",
+        "passivity", to.part("joints", "", to.changed(damping=_as(0.0)), "joints")),
     _fault("one wheel 5 % heavier", "particlecar for 0.8 s", "mujoco, pybullet",
         "balance, balance drift", to.heavier("front_left", 0.05)),
     _fault("chassis 5 % heavier", "particlecar for 0.8 s", "mujoco, pybullet",

@@ -33,6 +33,7 @@ SCENES = {
     "particlecar": 10,
     "particlecar for 0.8 s": 40,
     "particlecar at 100 rad/s": 12,
+    "particlecar with damped axles": 10,
     "ballscroll with another ball": 14,
     "simplecubli": 50,
     "simplecubli for 3 s": 150,
@@ -55,6 +56,7 @@ def scene_of(name: str, frames: int | None = None) -> Scene:
         "ballscroll at 45°": _across,
         "ballscroll with another ball": _colliding,
         "particlecar at 100 rad/s": _fast,
+        "particlecar with damped axles": _damped,
         "simplecubli set down": _set_down,
         "workbench with sprung joints": _sprung,
         "workbench with a limited servo": _driven,
@@ -102,6 +104,12 @@ def _fast(scene: Scene) -> Scene:
     rolling = (scene.contacts[0].radius, 0.0, 0.0)
     rate = HingeRate(wheels, rate=(99.8, 99.9), travel=rolling)
     return _started(scene, rate, HingeTorque(wheels, torque=(1.5, 2.0), hold=scene.clock.steps))
+
+
+def _damped(scene: Scene) -> Scene:
+    """Damp the axles of a car."""
+    joints = (msgspec.structs.replace(joint, damping=0.02) for joint in scene.joints)
+    return msgspec.structs.replace(scene, joints=tuple(joints))
 
 
 def _set_down(scene: Scene) -> Scene:
