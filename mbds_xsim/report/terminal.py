@@ -8,9 +8,10 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 from rich import box, progress
+from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 from rich.table import Table as Grid
@@ -18,7 +19,18 @@ from rich.text import Text as Words
 
 from mbds_xsim.base.process import discard, unwritten
 from mbds_xsim.base.text import on_a_line, printable
-from mbds_xsim.report.blocks import Block, Cell, Remark, Remarks, Report, Row, Section, Table, Text
+from mbds_xsim.report.blocks import (
+    Block,
+    Cell,
+    Column,
+    Remark,
+    Remarks,
+    Report,
+    Row,
+    Section,
+    Table,
+    Text,
+)
 
 _PIPED = 160
 """Number of columns if the width is unknown."""
@@ -27,7 +39,9 @@ _WIDE = 104
 _LEAST = 80
 """Least width of a table [columns]: a narrower terminal folds lines, and no figure is cut."""
 _SHORT = 32
-"""Longest text of a column that is never folded."""
+"""Longest text that is folded only where a table would not fit else; a figure never is."""
+_GAPS = (2, 1)
+"""Spaces between columns of a table: the usual one, and that of a table that is short of room."""
 SIGNS = {"pass": "✓", "warn": "!", "fail": "✗", "over": "✗"}
 _STYLES = {
     "pass": "bold green", "warn": "bold yellow", "fail": "bold red", "over": "bold red",
@@ -109,27 +123,26 @@ def print_blocks(blocks: Iterable[Block], console: Console) -> None:
 def _print_table(table: Table, console: Console) -> None:
     wide = console.width >= _WIDE
     columns = [k for k, column in enumerate(table.columns) if wide or column.narrow]
+    rows = table.rows[: table.most]
+    width, console.width = console.width, max(console.width, _LEAST)
+    widths = [_widths(table.columns[k], [row.cells[k] for row in rows]) for k in columns]
+    fitting, gap = _fitting(widths, console.width - 1)
     grid = Grid(
         title=table.title or None, title_justify="left", title_style="",
-        box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, header_style="bold",
+        box=box.SIMPLE_HEAD, padding=(0, gap - 1, 0, 0), pad_edge=False, header_style="bold",
     )  # fmt: skip
-    for k in columns:
+    for k, wanted in zip(columns, fitting, strict=True):
         column = table.columns[k]
-        longest = max((len(row.cells[k].text) for row in table.rows), default=0)
-        grid.add_column(
-            column.heading,
-            justify="left" if column.words else "right",
-            no_wrap=longest <= _SHORT or not column.words,
-            overflow="fold",
-        )
+        justify: Literal["left", "right"] = "left" if column.words else "right"
+        grid.add_column(column.heading, justify=justify, width=wanted, overflow="fold")
     above = ""
-    for row in table.rows[: table.most]:
+    for row in rows:
         cells = [_words(row.cells[k]) for k in columns]
         if table.grouped and row.cells[0].text == above:
             cells[0] = Words("")
         above = row.cells[0].text
         grid.add_row(*cells, style=_STYLES[row.mark])
-    width, console.width = console.width, max(console.width, _LEAST)
+    console.width = max(console.width, 1 + sum(fitting) + gap * len(fitting))
     console.print(grid)
     console.width = width
     _left_out(len(table.rows), table.most, "rows", console)
@@ -138,6 +151,32 @@ def _print_table(table: Table, console: Console) -> None:
             console.print(_reason(row))
     if table.note:
         console.print(Words(table.note, style="dim"))
+
+
+def _widths(column: Column, cells: Sequence[Cell]) -> tuple[int, int, int]:
+    """Return the least width of a column, that without folded short words, and that of all."""
+    texts = [_words(cell).plain for cell in cells]
+    heading = max(map(cell_len, column.heading.split()), default=0)
+    longest = max(map(cell_len, texts), default=0)
+    word = max((cell_len(word) for text in texts for word in text.split()), default=0)
+    least = min(word, _SHORT) if column.words or longest > _SHORT else longest
+    unfolded = min(longest, _SHORT)
+    return max(least, heading), max(unfolded, heading), max(longest, cell_len(column.heading))
+
+
+def _fitting(widths: Sequence[tuple[int, int, int]], room: int) -> tuple[list[int], int]:
+    """Return widths of columns and the gap between them that fit into the room, if any do."""
+    least, *wider = zip(*widths, strict=True)
+    free = room - sum(least)
+    gap = next((gap for gap in _GAPS if gap * len(least) <= free), 0)
+    if not gap:  # the terminal folds the lines: columns that are folded, too, are hard to read
+        return list(wider[0]), max(_GAPS)
+    fitting, free = list(least), free - gap * len(least)
+    for wanted in wider:
+        for k, most in enumerate(wanted):
+            more = min(free, most - fitting[k])
+            fitting[k], free = fitting[k] + more, free - more
+    return fitting, gap
 
 
 def _words(cell: Cell) -> Words:

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
 import msgspec
 import pytest
 from rich.console import Console
 
-from mbds_xsim.measure.result import Validation
+from mbds_xsim.base.files import read_file
+from mbds_xsim.learn.shift.result import Shift
+from mbds_xsim.measure.result import Validation, from_plain
+from mbds_xsim.report import blocks
 from mbds_xsim.report.files import to_markdown
-from mbds_xsim.report.terminal import Outlet, print_report
+from mbds_xsim.report.terminal import SIGNS, Outlet, print_blocks, print_report
+from mbds_xsim.studies.shift.present import present as present_shift
+from mbds_xsim.studies.tradeoff import Tradeoff
+from mbds_xsim.studies.tradeoff.present import present as present_tradeoff
 from mbds_xsim.studies.validate.present import present
 from mbds_xsim.studies.validate.words import cells_of
 
@@ -43,6 +53,74 @@ def test_no_figure_is_cut_off_where_columns_are_few(
     row = wanted[1 + next(k for k, line in enumerate(wanted) if "──" in line)]
     assert row.split() in [line.split() for line in shown] or columns == "0"
     assert capture.get().strip()
+
+
+_REPORTS = Path(__file__).parents[2] / "reports"
+_STORED = {
+    "2ladder.json": lambda text: present(msgspec.json.decode(text, type=Validation)),
+    "tradeoff/simplecubli.json": lambda text: present_tradeoff(
+        msgspec.json.decode(text, type=Tradeoff)
+    ),
+    "shift/5pendulum-worth.json.gz": lambda text: present_shift(
+        from_plain(msgspec.json.decode(text), Shift)
+    ),
+}
+
+
+def _bare_tables(report: blocks.Report) -> list[blocks.Table]:
+    """Return the tables of a terminal with nothing but headings and cells."""
+    whole = [block for block in report.blocks if isinstance(block, blocks.Table)]
+    for section in report.blocks:
+        if isinstance(section, blocks.Section) and "terminal" in section.on:
+            whole += [block for block in section.blocks if isinstance(block, blocks.Table)]
+    return [
+        replace(
+            each, title="", note="", most=None, grouped=False,
+            rows=tuple(replace(row, reasons=()) for row in each.rows),
+        )
+        for each in whole
+    ]  # fmt: skip
+
+
+def _shown(table: blocks.Table, width: int) -> str:
+    console = Console(width=width, _environ={}, markup=False, highlight=False, emoji=False)
+    with console.capture() as capture:
+        print_blocks([table], console)
+    return capture.get()
+
+
+@pytest.mark.parametrize("width", [80, 104, 120, 160])
+@pytest.mark.parametrize("name", _STORED)
+def test_every_sign_of_every_cell_is_shown(name: str, width: int) -> None:
+    tables = _bare_tables(_STORED[name](read_file(_REPORTS / name)))
+    assert tables
+    for table in tables:
+        shown = [k for k, column in enumerate(table.columns) if column.narrow or width >= 104]
+        cells = [row.cells[k] for row in table.rows for k in shown]
+        words = [table.columns[k].heading for k in shown]
+        words += [f"{cell.text}{SIGNS.get(cell.mark, '')}" for cell in cells]
+        text = _shown(table, width)
+        assert Counter("".join(text.split())) - Counter("─" * len(text)) == Counter(
+            "".join("".join(words).split())
+        )
+        figures = [row.cells[k].text for row in table.rows for k in shown if k]
+        assert [each for each in figures if len(each) < 16 and each not in text] == []
+
+
+def test_a_table_that_is_short_of_room_folds_headings_then_words_never_figures() -> None:
+    columns = (
+        blocks.Column("what it is", words=True),
+        *(blocks.Column("a long heading") for _ in range(6)),
+    )
+    table = blocks.Table(columns, (blocks.row_of(("one two three", *["123.4 mm"] * 6), "pass"),))
+
+    wide, narrow = _shown(table, 120).splitlines(), _shown(table, 80).splitlines()
+
+    assert any(line.split()[:3] == ["what", "it", "is"] for line in wide)
+    row = " ".join(["one two three", *["123.4 mm"] * 6])
+    assert any(" ".join(line.split()) == row for line in wide)
+    assert max(len(line) for line in narrow) <= 80
+    assert any(line.count("123.4 mm") == 6 for line in narrow)
 
 
 def test_the_method_is_left_out_where_space_is_short(case: Case) -> None:
