@@ -100,7 +100,7 @@ class _Picture:
         low, high = (flat - reach[:, None]).min(axis=0), (flat + reach[:, None]).max(axis=0)
         for body in np.flatnonzero(mechanism.particles_per_body == 0).tolist():
             center, half = view.flat(pose.position[body]), outline(mechanism, pose, view, body)
-            size = np.sqrt(np.diag(half))
+            size = np.sqrt(np.maximum(np.diag(half), 0.0))  # a flat body's is 0 but for rounding
             low, high = np.minimum(low, center - size), np.maximum(high, center + size)
         extent = max(float((high - low).max()), 0.3 * scene.length)
         return _Picture(mechanism, bones, pose, view, points, low, high, 0.013 * extent)

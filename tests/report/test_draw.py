@@ -124,6 +124,18 @@ def test_a_homogeneous_box_is_as_wide_and_high_as_its_ellipsoid() -> None:
     assert half == pytest.approx(np.diag([a**2, c**2]), abs=1e-12)
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)])
+def test_a_flat_plate_seen_edge_on_is_drawn(axis: tuple[float, ...], tmp_path: Path) -> None:
+    """Rounding turns the square of its thickness in the picture into -1e-16 m²."""
+    turned = (np.sqrt(0.5), *(np.sqrt(0.5) * np.array(axis)).tolist())
+    moments = (0.1, 0.2, 0.1) if axis[0] else (0.2, 0.1, 0.1)
+    plate = Body("plate", inertia=Inertia(1.0, moments), orientation=turned)
+    scene = Scene(name="plate", bodies=(plate,), length=1.0)
+
+    assert len(_drawn(scene, tmp_path))
+
+
 @pytest.mark.parametrize(
     ("points", "towards"),
     [
