@@ -22,10 +22,11 @@ from mbds_xsim.base.files import write_whole
 from mbds_xsim.learn.shift.answers import MATCHED, ROBUST
 from mbds_xsim.learn.shift.gaps import ALL, LEAVE_ONE_OUT, SINGLE
 from mbds_xsim.learn.shift.interaction import changed
-from mbds_xsim.learn.shift.result import BoundedRatio, Gap, Interaction, Shift
+from mbds_xsim.learn.shift.result import Gap, Interaction, Shift
 from mbds_xsim.report import themed
 from mbds_xsim.report.files import table_lines
-from mbds_xsim.report.quantity import NONE, number
+from mbds_xsim.report.quantity import NONE, number, ratio
+from mbds_xsim.studies.shift.changes import texts_of
 from mbds_xsim.studies.shift.figures import (
     at,
     best_formula,
@@ -174,7 +175,8 @@ def _dearest(shift: Shift, model: str, ends: Ends) -> Interaction | None:
 def _cost(pair: Interaction | None, place: int) -> str:
     if pair is None:
         return NONE
-    return _bounded(pair, place, "**" if pair.resolved[place] else "")
+    (value, low, high), mark = texts_of(pair, place), "**" if pair.resolved[place] else ""
+    return f"{mark}{value}{mark} [{low}, {high}]"
 
 
 def _picture(studies: Sequence[Shift], page: bytes) -> bytes:
@@ -281,13 +283,10 @@ def _change(shift: Shift, model: str, variant: str) -> str:
 def _ratio(shift: Shift, kind: str, model: str, variant: str, place: int) -> str:
     for answer in shift.answers:
         if (answer.kind, answer.variant) == (kind, variant) and model in answer.ratios:
-            return _bounded(answer.ratios[model], place)
+            bounded = answer.ratios[model]
+            figures = (bounded.value[place], bounded.low[place], bounded.high[place])
+            return "{} [{}, {}]".format(*map(ratio, figures))
     return NONE
-
-
-def _bounded(ratio: BoundedRatio | Interaction, place: int, mark: str = "") -> str:
-    value, low, high = (number(x[place]) for x in (ratio.value, ratio.low, ratio.high))
-    return f"{mark}{value}{mark} [{low}, {high}]"
 
 
 def _answers(shift: Shift, page: Path) -> Iterator[str]:

@@ -97,11 +97,14 @@ def test_charts_and_maps_are_those_of_the_stored_results() -> None:
 
 
 def test_the_picture_of_all_scenes_is_of_the_page(tmp_path: Path) -> None:
-    _printed("shift_summary", "reports/shift", "--png", str(tmp_path / "factors.png"))
+    words = ("shift_summary", "reports/shift", "--png")
+    _printed(*words, str(tmp_path / "factors.png"))
     folder = _ROOT / "reports/shift"
     sources = {_told(path / "factors.png") for path in (folder, tmp_path)}
 
-    assert sources == {checksum((folder / "README.md").read_bytes())}, "make reports-shift"
+    wanted = f"python -m benchmarks.{' '.join(words)} reports/shift/factors.png"
+    page = folder / "README.md"
+    assert sources == {checksum(page.read_bytes())}, f"{wanted} > reports/shift/README.md"
 
 
 def test_the_pictures_of_pages_show_what_is_stored() -> None:

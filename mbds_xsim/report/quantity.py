@@ -12,6 +12,8 @@ NONE = "–"
 _PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 _SMALLEST = 0.1
 _PLAIN = ("", "1")
+_THREE_DIGITS = 999.5
+"""Number that needs no digit after the point to be written in three."""
 _ROUNDED = 15
 """Number of digits above which division by a prefix can make two numbers equal."""
 
@@ -47,6 +49,14 @@ def number(value: float | None, digits: int = 2) -> str:
     if digits > 2 or 0.01 <= abs(value) < 99.5:
         return f"{value:.{digits}g}"
     return f"{value:.0f}" if value == 0 or 1 <= abs(value) < 1e4 else f"{value:.1e}"
+
+
+def ratio(value: float | None, *, significant: bool = False) -> str:
+    """Write a ratio in three digits; one that differs from 1 significantly never reads as 1."""
+    if value is None or not math.isfinite(value) or abs(value) >= _THREE_DIGITS:
+        return number(value)
+    texts = (f"{value:.{digits}g}" for digits in range(3, _ROUNDED))
+    return next((text for text in texts if not significant or text != "1"), "1")
 
 
 def with_unit(value: float | None, unit: str, digits: int = 2) -> str:

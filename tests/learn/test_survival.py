@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
-from mbds_xsim.learn.shift.result import Interaction
+from benchmarks.harness import stored
+from mbds_xsim.learn.shift.result import Interaction, Shift
 from mbds_xsim.report.quantity import NONE
-from mbds_xsim.studies.shift.changes import survivors
+from mbds_xsim.studies.shift.changes import change_tables, survivors, texts_of
 
 _PAIR = ("mujoco-native", "dart-native")
 _SEEN = {("gns", frozenset(_PAIR))}
@@ -31,6 +34,10 @@ def _between(
         ((0.5, 0.1, 2.4, True), False, "cannot be told, gains to 0.5, below 2.4"),
         ((1.001, 1.0, 1.002, True), True, "survives, below 1.01"),  # resolved, and yet tiny
         ((1.001, 1.0, 1.002, True), False, "survives, below 1.01"),
+        ((1.3, 1.0004, 1.72, True), True, "1.3 [1.0004, 1.72], mujoco ↔ dart"),  # never [1, …]
+        ((0.996, 0.99, 0.9998, True), True, "survives, gains to 0.996, below 1"),
+        ((1.02, 0.3, 2.004, False), True, "cannot be told, below 2.01"),  # and not below 2
+        ((1.02, 0.3, 23.41, False), True, "cannot be told, below 23.5"),
     ],
 )
 def test_a_change_is_survived_if_it_is_noticed_and_costs_little(
@@ -40,6 +47,28 @@ def test_a_change_is_survived_if_it_is_noticed_and_costs_little(
     interactions = [_between(*_PAIR, value, low, high, resolved=resolved)]
     table = survivors(interactions, 0, "at t = 1", _SEEN if noticed else set())
     assert [row.texts for row in table.rows] == [("another engine on native data", words)]
+
+
+def test_a_significant_ratio_never_reads_as_none() -> None:
+    """Three digits as in the answers, and more where they would read as 1."""
+    loss = _between(*_PAIR, 1.0213, 1.0004, 1234.5, resolved=True)
+    none = _between(*_PAIR, 1.0213, 0.99996, 1.0417, resolved=False)
+
+    assert texts_of(loss, 0) == ("1.02", "1.0004", "1234")
+    assert texts_of(none, 0) == ("1.02", "1", "1.04")
+
+
+def test_no_significant_pair_of_a_stored_study_reads_as_none() -> None:
+    path = Path(__file__).parents[2] / "reports/shift/5pendulum-factors.json.gz"
+    (table, *_) = [
+        table
+        for table in change_tables(stored(path, Shift), 0)
+        if table.columns[2].heading == "ratio"
+    ]
+
+    significant = [row.texts[2:4] for row in table.rows if row.texts[4]]
+    assert significant
+    assert [row for row in significant if "1" in (row[0], *row[1].split())] == []
 
 
 def test_the_dearest_pair_of_a_change_is_named_by_what_differs() -> None:

@@ -8,10 +8,10 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from mbds_xsim.base.text import counted
 from mbds_xsim.learn.shift.evaluation import RESTART
 from mbds_xsim.learn.shift.interaction import BEARABLE, FALSE, OTHER, by_change
-from mbds_xsim.learn.shift.result import INTERVALS, ErrorFloor, Interaction, Shift
+from mbds_xsim.learn.shift.result import INTERVALS, ErrorFloor, Interaction, PairRatio, Shift
 from mbds_xsim.learn.shift.worth import NOTABLE
 from mbds_xsim.report.blocks import Column, Table, table_of
-from mbds_xsim.report.quantity import NONE, number
+from mbds_xsim.report.quantity import NONE, ratio
 
 
 def change_tables(shift: Shift, place: int) -> Iterator[Table]:
@@ -86,8 +86,8 @@ def _cost(own: Sequence[Interaction], noticed: Sequence[Interaction], place: int
     notable = [each for each in losses if (each.high[place] or 0.0) >= NOTABLE]
     if notable:
         most = max(notable, key=lambda each: each.value[place] or 0.0)
-        low, high = number(most.low[place]), number(most.high[place])
-        return f"{number(most.value[place])} [{low}, {high}], {between(most.first, most.second)}"
+        value, low, high = texts_of(most, place)
+        return f"{value} [{low}, {high}], {between(most.first, most.second)}"
     bounds = [bound for each in own if (bound := each.high[place]) is not None]
     if not bounds or len(bounds) < len(own):
         return NONE
@@ -98,10 +98,23 @@ def _cost(own: Sequence[Interaction], noticed: Sequence[Interaction], place: int
         verdict = "cannot be told"
     else:
         verdict = "survives" if noticed or losses else "no significant loss"
-    gain = f", gains to {number(min(gains))}" if gains and not losses else ""
-    # Rounded up: an interval that ends at 1.002 is below 1.01, not below 1.
-    below = f"{math.ceil(100.0 * bound) / 100.0:g}" if bound < BEARABLE else number(bound)
-    return f"{verdict}{gain}, below {below}"
+    gain = f", gains to {ratio(min(gains), significant=True)}" if gains and not losses else ""
+    return f"{verdict}{gain}, below {_rounded_up(bound)}"
+
+
+def _rounded_up(bound: float) -> str:
+    """Write an upper bound: an interval that ends at 1.002 is below 1.01, not below 1."""
+    if bound <= 0.0 or not math.isfinite(bound):
+        return ratio(bound)
+    unit = 10.0 ** (math.floor(math.log10(bound)) - 2)
+    return ratio(math.ceil(bound / unit - 1e-9) * unit)
+
+
+def texts_of(pair: PairRatio, place: int) -> tuple[str, str, str]:
+    """Write a ratio and the ends of its interval."""
+    figures = (pair.value[place], pair.low[place], pair.high[place])
+    value, low, high = (ratio(x, significant=pair.resolved[place]) for x in figures)
+    return value, low, high
 
 
 def between(first: str, second: str, *, where: bool = False) -> str:
@@ -124,15 +137,16 @@ def other_engines(shift: Shift, test: str) -> list[ErrorFloor]:
 
 
 def _pairs(interactions: Sequence[Interaction], place: int, when: str) -> Table:
+    texts = [(each, *texts_of(each, place)) for each in interactions]
     rows = (
         (
             f"{each.model}, {between(each.first, each.second, where=True)}",
             str(each.seeds),
-            number(each.value[place]),
-            f"{number(each.low[place])} … {number(each.high[place])}",
+            value,
+            f"{low} … {high}",
             "significant" if each.resolved[place] else "",
         )
-        for each in interactions
+        for each, value, low, high in texts
     )
     return titled_table(
         f"What a change of engine or settings costs {when}",

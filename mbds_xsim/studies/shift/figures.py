@@ -13,7 +13,7 @@ from mbds_xsim.learn.model import TRIVIAL
 from mbds_xsim.learn.shift.interaction import by_change
 from mbds_xsim.learn.shift.result import INTERVALS, ErrorCell, Shift
 from mbds_xsim.report import themed
-from mbds_xsim.report.quantity import number
+from mbds_xsim.report.quantity import number, ratio
 from mbds_xsim.studies.shift.changes import between, other_engines
 
 Pick = Callable[[ErrorCell], float | None]
@@ -166,8 +166,8 @@ def draw_costs(
     for (row, column), (value, significant) in costs.items():
         logs[row][column] = _log(value)
         axes.text(
-            column, row, f"× {number(value)}", ha="center", va="center", fontsize=8, color="black",
-            weight="bold" if significant else "normal",
+            column, row, f"× {ratio(value, significant=significant)}", ha="center", va="center",
+            fontsize=8, color="black", weight="bold" if significant else "normal",
         )  # fmt: skip
         if significant:
             axes.add_patch(Rectangle((column - 0.46, row - 0.44), 0.92, 0.88, fill=False, lw=1.2))

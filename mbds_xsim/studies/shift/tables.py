@@ -14,7 +14,7 @@ from mbds_xsim.learn.shift.gaps import PAPER, paper_errors
 from mbds_xsim.learn.shift.interaction import changed
 from mbds_xsim.learn.shift.result import INTERVALS, Gap, Shift
 from mbds_xsim.report.blocks import Table
-from mbds_xsim.report.quantity import NONE, number
+from mbds_xsim.report.quantity import NONE, number, ratio
 from mbds_xsim.studies.shift.changes import change_tables, other_engines, titled_table
 from mbds_xsim.studies.shift.figures import Pick, at, best_formula, matrix_of, mean, trained_models
 from mbds_xsim.studies.shift.worth import worth_table
@@ -158,13 +158,16 @@ def _gaps(shift: Shift, place: int) -> Table:
 
 
 def _gap_row(gap: Gap, place: int) -> tuple[str, ...]:
-    figures = (gap.own, gap.transferred, gap.target, gap.ratio)
+    errors = (gap.own, gap.transferred, gap.target)
+    ratios = (gap.ratio, gap.ratio_low, gap.ratio_high)
+    value, low, high = (ratio(x[place], significant=gap.resolved[place]) for x in ratios)
     floors = (gap.engine_floor, gap.noise_floor, gap.chaos_floor)
     return (
         f"{gap.model}, {gap.training} → {gap.test}",
         gap.kind,
-        *(number(figure[place]) for figure in figures),
-        f"{number(gap.ratio_low[place])} … {number(gap.ratio_high[place])}",
+        *(number(error[place]) for error in errors),
+        value,
+        f"{low} … {high}",
         *(number(floor[place]) for floor in floors),
         "resolved" if gap.resolved[place] else f"not resolvable: {gap.why[place]}",
     )

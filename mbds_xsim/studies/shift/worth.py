@@ -15,7 +15,7 @@ from mbds_xsim.learn.shift.worth import HARMFUL, NOTABLE, distances, noise_of, v
 from mbds_xsim.report import themed
 from mbds_xsim.report.blocks import PAGE, Figure, FigureGroup, Section, Table, Text
 from mbds_xsim.report.quantity import number, with_unit
-from mbds_xsim.studies.shift.changes import titled_table
+from mbds_xsim.studies.shift.changes import texts_of, titled_table
 from mbds_xsim.studies.shift.figures import at, matrix_of, trained_models
 
 SIZE = (10.4, 4.6)
@@ -87,7 +87,7 @@ def worth_table(shift: Shift, place: int) -> Table:
 def _harm(before: str, harm: Harm | None, place: int) -> str:
     if harm is None or harm.value[place] is None:
         return ""
-    value, low, high = (number(each[place]) for each in (harm.value, harm.low, harm.high))
+    value, low, high = texts_of(harm, place)
     return f"{before} {value} [{low}, {high}] {verdict(harm, place)}"
 
 
