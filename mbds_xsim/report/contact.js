@@ -119,9 +119,12 @@ function drawTimes(plan) {
 
 function range(kind) {
   const from = state.trajectory * contact.frames;
-  const values = scene.entries.flatMap((entry) => [...entry[kind].subarray(from, from + contact.frames)]);
-  const finite = values.filter(Number.isFinite);
-  const [low, high] = [Math.min(0, ...finite), Math.max(0, ...finite)];
+  let [low, high] = [0, 0];
+  for (const entry of scene.entries) {
+    for (const value of entry[kind].subarray(from, from + contact.frames)) {
+      if (Number.isFinite(value)) [low, high] = [Math.min(low, value), Math.max(high, value)];
+    }
+  }
   return [low, Math.max(high, low + 1e-9)];
 }
 

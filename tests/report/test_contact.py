@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import re
+import shutil
+import subprocess
+from importlib import resources
 
 import msgspec
 import numpy as np
@@ -220,6 +224,26 @@ def test_the_script_gets_what_touches(bouncing: Case) -> None:
         np.testing.assert_array_equal(bits[..., 1], expected.impact)
         gap = numbers(packed["gap"], "<f4").reshape(ROWS, STEPS + 1)
         np.testing.assert_allclose(gap, expected.gap, atol=1e-6)
+
+
+def test_strips_of_many_frames_have_ends() -> None:
+    """Browsers take some 65 000 to 125 000 arguments: figures of frames are never arguments."""
+    script = resources.files("mbds_xsim.report").joinpath("contact.js").read_text("utf-8")
+    (function,) = re.findall(r"^function range\(.*?^}", script, re.DOTALL | re.MULTILINE)
+    assert "..." not in function
+
+    node = shutil.which("node")
+    if node is not None:
+        count = 300_000
+        program = f"""
+        const state = {{ trajectory: 1 }}, contact = {{ frames: {count} }};
+        const gap = new Float32Array(2 * contact.frames).fill(NaN);
+        gap.set([-9, -0.5, 2, Infinity], contact.frames - 1);
+        const scene = {{ entries: [{{ gap }}, {{ gap: new Float32Array(gap.length).fill(0.25) }}] }};
+        {function}
+        console.log(JSON.stringify(range("gap")));"""
+        told = subprocess.run([node, "-e", program], check=True, capture_output=True, text=True)
+        assert json.loads(told.stdout) == [-0.5, 2]
 
 
 def test_a_page_of_contact_has_its_tables_and_its_words(bouncing: Case) -> None:
