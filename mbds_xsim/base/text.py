@@ -72,6 +72,18 @@ def in_utf8(text: str) -> str:
     return text.encode("utf-8", "backslashreplace").decode()
 
 
+def all_in_utf8(value: object) -> object:
+    """Escape what UTF-8 cannot encode in all texts of plain lists and dictionaries, keys too."""
+    match value:
+        case str():
+            return in_utf8(value)
+        case list():
+            return [all_in_utf8(item) for item in value]
+        case dict():
+            return {all_in_utf8(key): all_in_utf8(item) for key, item in value.items()}
+    return value
+
+
 def printable(text: str) -> str:
     """Replace characters that a terminal would obey or hide by `�`."""
     return _UNPRINTABLE.sub("�", in_utf8(text))

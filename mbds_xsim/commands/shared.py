@@ -22,7 +22,7 @@ from typer import BadParameter
 from typer.core import TyperCommand, TyperGroup
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.text import each_once, in_json, in_utf8
+from mbds_xsim.base.text import all_in_utf8, each_once, in_json, in_utf8
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -270,7 +270,7 @@ class Outputs:
         read = named_in(shlex.split(command_line()))
         named = {**vars(self), "opened": None, **others}
         files = {k: v for k, v in named.items() if v and (k, str(v)) != ("json", "-")}
-        targets = {folder.absolute(): "out"} if folder else {}
+        targets = {os.path.realpath(folder): "out"} if folder else {}
         for option, path in files.items():
             check_writable(path, f"--{option}")
             real = os.path.realpath(path)
@@ -278,7 +278,7 @@ class Outputs:
             if path.is_file() and (real in read or inside):
                 raise InputError(f"--{option}: the command reads {path}; name another file")
             check_ending(path, f"--{option}")
-            if (other := targets.setdefault(path.absolute(), option)) != option:
+            if (other := targets.setdefault(real, option)) != option:
                 raise InputError(f"--{other} and --{option} both name {path}; name two places")
 
     def answer(self, blocks: Iterable[Block], result: object, name: str = "") -> None:
@@ -390,4 +390,4 @@ def encoded(value: object, command: str = "") -> bytes:
     plain = msgspec.to_builtins(value)
     schema = {"schema": f"mbds-xsim/{command}/1"} if command else {}
     plain = [schema | item for item in plain] if isinstance(plain, list) else schema | plain
-    return msgspec.json.format(msgspec.json.encode(plain), indent=2)
+    return msgspec.json.format(msgspec.json.encode(all_in_utf8(plain)), indent=2)

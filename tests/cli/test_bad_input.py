@@ -111,6 +111,14 @@ _WORDS: dict[str, tuple[str, list[str]]] = {
     "no place for figures": ("contact --figures /proc/x", ["--figures: cannot write /proc/x"]),
     "a page to standard output": ("validate 2pendulum --html -", ["--html: got -", "--json alone"]),
     "one file for two": ("validate 2pendulum --json x --html x", ["--json and --html both name x"]),
+    "one file for two in other words": (
+        "validate 2pendulum --json x --html sub/../x",
+        ["--json and --html both name sub/../x; name two places"],
+    ),
+    "a folder of data as a file in other words": (
+        "generate 2pendulum --out sub/../x --json ./x",
+        ["--out and --json both name x; name two places"],
+    ),
     "one file for two of three": (
         "validate 2pendulum --json x --html x --markdown y",
         ["mbds-xsim: --json and --html both name x; name two places"],
@@ -318,6 +326,14 @@ def _read_or_told(path: Path) -> Scene | None:
     assert "\n" not in text
     assert "nan" not in text or "nan" in path.read_text()
     return None
+
+
+def test_one_file_for_two_through_a_link_is_refused(run: Callable[..., Any], here: Path) -> None:
+    (here / "link").symlink_to("x")
+
+    ended = run("validate", "2pendulum", "--json", "x", "--html", "link")
+
+    _assert_one_line(ended, ["--json and --html both name link; name two places"])
 
 
 def test_a_missing_engine_is_named_with_the_line_that_installs_it(

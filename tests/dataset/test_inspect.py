@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import json
+import os
 import shutil
 from pathlib import Path
 
@@ -14,6 +16,7 @@ from rich.console import Console
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.commands.data import summary_blocks
+from mbds_xsim.commands.shared import encoded
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.dataset.summary import draw_paths, summaries
 from mbds_xsim.report.terminal import print_blocks
@@ -71,6 +74,18 @@ def test_rejected_ones_are_counted_by_reason(make: Make, tmp_path: Path) -> None
     assert "certified" not in stream.getvalue()
     with pytest.raises(InputError, match="has no trajectories to draw"):
         draw_paths(load_dataset(tmp_path / f"{SET}.h5"), tmp_path / "it.png")
+
+
+def test_a_folder_whose_name_is_no_utf_8_has_a_summary_as_json(whole: Path, tmp_path: Path) -> None:
+    folder = tmp_path / os.fsdecode(b"\xff")
+    shutil.copytree(whole, folder)
+
+    ended = run_command("inspect", str(folder), "--json", str(tmp_path / "it.json"))
+
+    assert ended.code == 0, ended
+    assert "\\udcff" in json.loads((tmp_path / "it.json").read_text())[0]["file"]
+    odd = {os.fsdecode(b"\xff"): [os.fsdecode(b"\xfe")]}
+    assert json.loads(encoded(odd)) == {"\\udcff": ["\\udcfe"]}
 
 
 def test_the_summary_can_be_read(whole: Path) -> None:
