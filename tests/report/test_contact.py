@@ -239,7 +239,8 @@ def test_strips_of_many_frames_have_ends() -> None:
         const state = {{ trajectory: 1 }}, contact = {{ frames: {count} }};
         const gap = new Float32Array(2 * contact.frames).fill(NaN);
         gap.set([-9, -0.5, 2, Infinity], contact.frames - 1);
-        const scene = {{ entries: [{{ gap }}, {{ gap: new Float32Array(gap.length).fill(0.25) }}] }};
+        const level = new Float32Array(gap.length).fill(0.25);
+        const scene = {{ entries: [{{ gap }}, {{ gap: level }}] }};
         {function}
         console.log(JSON.stringify(range("gap")));"""
         told = subprocess.run([node, "-e", program], check=True, capture_output=True, text=True)

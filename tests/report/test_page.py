@@ -212,6 +212,31 @@ def test_a_reference_that_ends_early_leaves_engines_in_view(case: Case) -> None:
     assert [entry["shown"] for entry in packed["entries"]] == [[30] * 3, [101] * 3]
 
 
+@pytest.mark.parametrize("others", [1, 2])
+@pytest.mark.parametrize("ends", [0, 30])
+def test_beyond_the_reference_an_engine_that_flies_off_is_not_the_measure(
+    case: Case, others: int, ends: int
+) -> None:
+    reference, motion = case.evidence.reference, case.evidence.trajectories[1]
+    assert motion is not None
+    cut = dataclasses.replace(reference, position=reference.position.copy())
+    cut.position[:, ends:] = np.nan
+    flown = dataclasses.replace(motion, position=motion.position.copy())
+    flown.position[:, 50:] += np.linspace(0.1, 5e3, 51)[:, None, None]
+    names = ("flown", "x", "y")[: 1 + others]
+    evidence = dataclasses.replace(
+        case.evidence, reference=cut, trajectories=(flown, *[motion] * others),
+        errors=(None,) * len(names),
+    )  # fmt: skip
+
+    packed = pack(evidence, names, (themed.Style(0, False),) * len(names))
+
+    reached, *kept = [entry["shown"] for entry in packed["entries"][1:]]
+    assert kept == [[101] * 3] * others
+    assert all(50 < shown < 60 for shown in reached)
+    assert np.abs([packed["low"], packed["high"]]).max() < 10.0 * case.evidence.scene.length
+
+
 def test_a_blow_up_without_a_reference_leaves_numbers_of_json(case: Case) -> None:
     reference, motion = case.evidence.reference, case.evidence.trajectories[1]
     assert motion is not None

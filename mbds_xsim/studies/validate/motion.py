@@ -71,14 +71,42 @@ def _thinning(evidence: Evidence, points: int, limit: int) -> tuple[int, int]:
 
 
 def _base(motions: list[Array]) -> Array:
-    """Take the first motion that is finite in each frame; if none is, repeat the frame before."""
-    base = motions[0].copy()
-    for motion in motions[1:]:
-        base = np.where(_finite(base)[..., None, None], base, motion)
-    for frame in range(1, base.shape[1]):
-        gone = ~_finite(base[:, frame])
-        base[gone, frame] = base[gone, frame - 1]
-    return np.nan_to_num(base)
+    """Take the reference and, beyond its end, the middle one of the other motions.
+
+    If none is finite, the frame before is repeated.
+    """
+    base, others = motions[0].copy(), motions[1:]
+    gone = ~_finite(base)
+    for motion in others:  # all have the same start
+        base[:, 0] = np.where(_finite(base[:, 0])[:, None, None], base[:, 0], motion[:, 0])
+    base = _held(base)
+    if others and gone.any():
+        base[gone] = _middle(base[gone], [motion[gone] for motion in others])
+    return np.nan_to_num(_held(base))
+
+
+def _held(motion: Array) -> Array:
+    """Repeat the last finite frame where a motion has ended."""
+    held = motion.copy()
+    for frame in range(1, held.shape[1]):
+        gone = ~_finite(held[:, frame])
+        held[gone, frame] = held[gone, frame - 1]
+    return held
+
+
+def _middle(end: Array, motions: list[Array]) -> Array:
+    """Return in each row the motion least far from all others, and from where the reference ended.
+
+    One that flies off is not taken while another is finite; rows without any are NaN.
+    """
+    places = np.stack([np.where(_finite(each)[..., None, None], each, np.nan) for each in motions])
+    with np.errstate(invalid="ignore"):
+        away = [
+            sum(np.nan_to_num(np.abs(one - other).max(axis=(-1, -2))) for other in (end, *places))
+            for one in places
+        ]
+    total = np.where(_finite(places), away, np.inf)
+    return np.asarray(places[total.argmin(axis=0), np.arange(places.shape[1])])
 
 
 def _finite(positions: Array) -> Mask:
