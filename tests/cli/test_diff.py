@@ -108,6 +108,24 @@ def test_figures_of_physics_are_compared_closely(
     assert result["verdict"] == ("changed" if shown else "same")
 
 
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [(1.005, "+5.0e-03"), (1.03, "+3.0e-02"), (0.96, "-4.0e-02"), (1.2, "1.2×")],
+)
+def test_a_factor_that_would_read_1_is_told_as_a_difference(
+    compare: CommandLine, here: Path, factor: float, words: str
+) -> None:
+    def other(result: Json) -> None:
+        _finding(result, "dart", "error at 1 s")["figure"] *= factor
+
+    compare(_validation(), other, "--markdown", "diff.md")
+
+    (row,) = [
+        line for line in (here / "diff.md").read_text().splitlines() if "| error at 1 s |" in line
+    ]
+    assert row.endswith(f"| {words} |")
+
+
 @pytest.mark.parametrize(("factor", "shown"), [(1.4, False), (1.6, True), (0.5, True)])
 def test_times_are_apart_and_never_worse(compare: Compare, factor: float, shown: bool) -> None:
     def slower(result: Json) -> None:

@@ -90,7 +90,7 @@ def _change(figure: FigureChange) -> str:
     """Write the factor, or the relative difference if the factor is close to 1."""
     if figure.ratio is None:
         return quantity.NONE
-    if abs(figure.ratio - 1.0) < 0.01:
+    if abs(figure.ratio - 1.0) < 0.1:  # two digits of the factor would read 1
         return f"{figure.ratio - 1.0:+.1e}"
     return f"{quantity.number(figure.ratio)}×"
 
