@@ -58,7 +58,8 @@ _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?|[-+](inf|nan)", re.IGN
 _ENTITIES = {ord(c): f"&#{ord(c)};" for c in "\\`*$|"} | {ord("<"): "&lt;"}
 _LINK = re.compile(r"^\[|\](?= ?\[|[(:])")
 _ENTITY = re.compile(r"&(?=#?\w+;)")
-_BLOCK = re.compile(r"#+ |[+-] |>|[=~-]{3}")  # at the start of a paragraph
+_EMPHASIS = re.compile(r"(?<!\w)_+|_+(?!\w)")  # within a word it is itself
+_BLOCK = re.compile(r"#+ |[+-] |>|[=~-]{3}|\d+[.)]( |$)")  # at the start of a paragraph
 _COMMANDS = re.compile(r"(\w+_)?command")
 
 
@@ -112,6 +113,11 @@ def in_markdown(value: T) -> T:
     return cast("T", _mapped(value))
 
 
+def in_alt_text(text: str) -> str:
+    """Write the description of a picture of Markdown, which brackets would end."""
+    return in_markdown(text).replace("[", "&#91;").replace("]", "&#93;")
+
+
 def as_code(text: str) -> str:
     """Write a code span of Markdown."""
     line = on_a_line(text)
@@ -145,7 +151,7 @@ def _mapped(value: object) -> object:
     match value:
         case str():
             text = _ENTITY.sub("&amp;", on_a_line(value)).translate(_ENTITIES)
-            text = _LINK.sub(lambda sign: f"&#{ord(sign[0])};", text)
+            text = _EMPHASIS.sub(_as_entities, _LINK.sub(_as_entities, text))
             return f"&#{ord(text[0])};{text[1:]}" if _BLOCK.match(text) else text
         case tuple() | list():
             return type(value)(map(_mapped, value))
@@ -157,6 +163,10 @@ def _mapped(value: object) -> object:
         names = [field.name for field in dataclasses.fields(value)]
         return dataclasses.replace(value, **_fields(value, names))
     return value
+
+
+def _as_entities(signs: re.Match[str]) -> str:
+    return "".join(f"&#{ord(sign)};" for sign in signs[0])
 
 
 def _fields(value: object, names: Iterable[str]) -> dict[str, object]:

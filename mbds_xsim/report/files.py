@@ -12,7 +12,7 @@ from urllib.parse import quote
 import msgspec
 
 from mbds_xsim.base.files import write_whole
-from mbds_xsim.base.text import as_code, csv_text, in_markdown, printable, sentence
+from mbds_xsim.base.text import as_code, csv_text, in_alt_text, in_markdown, printable, sentence
 from mbds_xsim.report import themed
 from mbds_xsim.report.blocks import Block, Cell, Column, Remarks, Report, Section, Table, Text
 from mbds_xsim.report.terminal import SIGNS
@@ -145,7 +145,8 @@ def _chapter(report: Report, explained: set[Column]) -> Iterator[str]:
     answer = f"{sentence(report.conclusion)}{sentence(report.description)}".rstrip()
     yield from (in_markdown(answer), "")
     if report.picture:
-        yield from (f"![{title}, {what}]({report.picture})", "")
+        told = in_alt_text(f"{report.title}, {report.what}")
+        yield from (f"![{told}]({report.picture})", "")
     yield from _blocks(report.blocks, explained, 2)
     origin = f" on {in_markdown(report.made)}" if report.made else ""
     yield from (f"- Made by {as_code(report.command)}{origin}", "")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 import re
 from collections.abc import Iterator
@@ -114,6 +115,36 @@ def test_a_code_span_ends_where_it_should(text: str) -> None:
     assert fence
     assert code.endswith(fence[0])
     assert not re.search(f"(?<!`){fence[0]}(?!`)", code[len(fence[0]) : -len(fence[0])])
+
+
+@pytest.mark.parametrize(
+    ("name", "written"),
+    {
+        "_a_ and __b__": "&#95;a&#95; and &#95;&#95;b&#95;&#95;",
+        "___": "&#95;&#95;&#95;",
+        "_ _ _": "&#95; &#95; &#95;",
+        "R_ij, mbd__node, größe_2": "R_ij, mbd__node, größe_2",
+        "1. rod": "&#49;. rod",
+        "12) rod": "&#49;2) rod",
+        "1.": "&#49;.",
+        "1.5 rods": "1.5 rods",
+        "[a] b": "&#91;a] b",
+    }.items(),
+)
+def test_names_are_no_markup_of_markdown(name: str, written: str) -> None:
+    assert in_markdown(name) == written
+
+
+def test_brackets_of_a_name_do_not_end_the_description_of_a_picture() -> None:
+    stored = read_tradeoff(_REPORTS / "tradeoff" / "2ladder.json")
+    named = msgspec.structs.replace(stored, scene="a]b[c")
+    report = dataclasses.replace(tradeoff.present(named), picture="a.png")
+
+    (line,) = [line for line in to_markdown([report]).splitlines() if line.startswith("![")]
+
+    assert line.startswith("![a&#93;b&#91;c")
+    assert line.endswith("](a.png)")
+    assert (line.count("["), line.count("]")) == (1, 1)
 
 
 def test_sentences_and_results_are_copied_whole() -> None:
