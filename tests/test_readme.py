@@ -18,6 +18,7 @@ from mbds_xsim.report.files import rows_csv, to_markdown
 from mbds_xsim.report.themed import SOURCE, checksum
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.registry import load_scene
+from mbds_xsim.studies.stability import MapCell
 from mbds_xsim.studies.stability.present import present
 from mbds_xsim.studies.stability.studies import STUDIES
 
@@ -150,7 +151,7 @@ def test_the_page_of_a_map_says_what_its_cells_say(study: str) -> None:
 
     fresh, stored = to_markdown([present(sweep)]), base.with_suffix(".md").read_text("utf-8")
 
-    assert rows_csv(sweep.cells, "silent").decode() == table
+    assert rows_csv(MapCell, sweep.cells, "silent").decode() == table
     assert _of_cells(fresh) == _of_cells(stored), f"mbds-xsim stability {study}"
 
 

@@ -230,6 +230,7 @@ def releases(
     from mbds_xsim.report.terminal import StudyBar, print_report
     from mbds_xsim.studies.releases import ReleaseStudy
     from mbds_xsim.studies.releases.present import present, to_png
+    from mbds_xsim.studies.releases.steps import ReleaseRow
 
     if since and len(engines) > 1:
         raise InputError(f"--since: got {since} for {len(engines)} engines; name one ENGINE")
@@ -240,7 +241,9 @@ def releases(
             histories.append(study.history(since, last, command=shared.command_line()))
         print_report(present(histories[-1]), to.console)
     stored = results_json(histories)
-    write_if(to.csv, lambda: rows_csv(row for history in histories for row in history.rows))
+    write_if(
+        to.csv, lambda: rows_csv(ReleaseRow, (row for history in histories for row in history.rows))
+    )
     write_if(to.png, lambda: to_png(histories, stored))
     pictures = [link(to.png, to.markdown), *[""] * len(histories)]
     reports = [present(*pair) for pair in zip(histories, pictures, strict=False)]

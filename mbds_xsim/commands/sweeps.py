@@ -92,7 +92,7 @@ def tradeoff(
         rows += added
         print_report(present(study), console)
     stored = results_json(studies)
-    write_if(to.csv, lambda: rows_csv(rows))
+    write_if(to.csv, lambda: rows_csv(Measurement, rows))
     write_if(to.png, lambda: to_png(studies, stored))
     pictures = [link(to.png, to.markdown), *[""] * len(studies)]
     reports = [present(*pair) for pair in zip(studies, pictures, strict=False)]
@@ -265,9 +265,10 @@ def _mapped(plan: SurveyPlan, console: Console, out: Path | None, *, single: boo
 
 def _write(sweeps: list[Survey], to: shared.Outputs, *, quiet: bool = False) -> None:
     from mbds_xsim.report.files import results_json, rows_csv, write_if
+    from mbds_xsim.studies.stability import MapCell
     from mbds_xsim.studies.stability.present import present, to_png
 
-    rows = rows_csv((cell for sweep in sweeps for cell in sweep.cells), "silent")
+    rows = rows_csv(MapCell, (cell for sweep in sweeps for cell in sweep.cells), "silent")
     write_if(to.csv, lambda: rows)
     write_if(to.png, lambda: to_png(sweeps, rows))
     reports = [present(sweep) for sweep in sweeps]

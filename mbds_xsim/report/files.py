@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -50,15 +51,13 @@ def results_json(results: Sequence[msgspec.Struct]) -> bytes:
     return msgspec.json.format(msgspec.json.encode(content), indent=2)
 
 
-def rows_csv(rows: Iterable[msgspec.Struct], *more: str) -> bytes:
-    """Return CSV with a header and a line per row, all of one kind.
+def rows_csv(kind: type[msgspec.Struct], rows: Iterable[msgspec.Struct], *more: str) -> bytes:
+    """Return CSV with a header and a line per row, all of one kind; without rows, the header.
 
     `more` names properties that are columns too. Blanks separate the numbers of a tuple.
     """
-    listed = list(rows)
-    fields = [f for f in listed[0].__struct_fields__ if f != "key"] if listed else []
-    names = [*fields, *more]
-    cells = ([_csv_cell(getattr(row, name)) for name in names] for row in listed)
+    names = [*(field for field in kind.__struct_fields__ if field != "key"), *more]
+    cells = ([_csv_cell(getattr(row, name)) for name in names] for row in rows)
     return csv_text([names, *cells]).encode()
 
 
@@ -83,6 +82,7 @@ def to_html(reports: Sequence[Report], title: str) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    places = itertools.count()
     environment.filters["sentence"] = sentence
     return environment.get_template("page.html").render(
         light=themed.LIGHT,
@@ -90,7 +90,9 @@ def to_html(reports: Sequence[Report], title: str) -> str:
         reports=reports,
         title=title,
         signs=SIGNS,
-        svg=lambda figure: themed.svg(figure.title, figure.draw, figure.size, figure.tips),
+        svg=lambda figure: themed.svg(
+            figure.title, figure.draw, figure.size, figure.tips, next(places)
+        ),
         motion=next((report.motion.data for report in reports if report.motion), None),
     )
 

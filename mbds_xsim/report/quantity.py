@@ -76,7 +76,7 @@ def with_unit(value: float | None, unit: str, digits: int = 2) -> str:
 
 
 def _two_digits(value: float) -> str:
-    """Write two digits, or all before the point: `1.2`, `12`, `123`, from 10 000 on `1e+04`."""
+    """Write two digits, or all before the point: `1.2`, `12`, `123`, from 10 000 on `1.5e+04`."""
     if abs(value) >= 1e4:
-        return f"{value:.0e}"
+        return f"{value:.1e}"
     return f"{value:.1f}" if abs(value) < 9.95 else f"{value:.0f}"

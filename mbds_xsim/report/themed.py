@@ -148,7 +148,9 @@ def picture(draw: Draw, size: tuple[float, float], layout: Layout, **options: An
     return _saved(draw, size, layout, ON_WHITE, **options)
 
 
-def svg(title: str, draw: Draw, size: tuple[float, float], tips: dict[str, str]) -> Markup:
+def svg(
+    title: str, draw: Draw, size: tuple[float, float], tips: dict[str, str], place: int = 0
+) -> Markup:
     """Draw into an SVG that goes straight into a page.
 
     Args:
@@ -157,9 +159,12 @@ def svg(title: str, draw: Draw, size: tuple[float, float], tips: dict[str, str])
         size: Width and height [in].
         tips: Tool tips by the gid of an artist. A gid's part before the last dash is the
             artist's class.
+        place: Number of the figure on its page: no two figures share the id of a definition, which
+            would not be drawn where the first of them is folded away.
     """
+    style = _STYLE | {"svg.hashsalt": f"{_STYLE['svg.hashsalt']}-{place}"}
     options = {"format": "svg", "transparent": True, "metadata": {"Date": None}}
-    drawn = _saved(draw, size, "constrained", _STYLE, **options)
+    drawn = _saved(draw, size, "constrained", style, **options)
     return _themed(drawn.decode(), title, tips)
 
 

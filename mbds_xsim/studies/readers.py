@@ -192,7 +192,8 @@ def _field(
     for item, read in there:
         ours, theirs = np.atleast_1d(value(item)), np.atleast_1d(value(read))
         if not _same(ours, theirs, scale):
-            wrong.append((item.name, _format(theirs), _format(ours)))
+            has, says = _texts(theirs, ours)
+            wrong.append((item.name, has, says))
     yield from _difference(name, of, len(there), wrong)
 
 
@@ -218,8 +219,16 @@ def _difference(
         yield Difference(field, of, len(wrong), among, *wrong[0])
 
 
-def _format(values: Array) -> str:
-    return " ".join(f"{value:.4g}" for value in values) or "none"
+def _texts(theirs: Array, ours: Array) -> tuple[str, str]:
+    """Write both with so many digits that they differ."""
+    for digits in range(4, 18):
+        read, stated = (
+            " ".join(f"{value:.{digits}g}" for value in values) or "none"
+            for values in (theirs, ours)
+        )
+        if read != stated:
+            break
+    return read, stated
 
 
 _COLUMNS = ("engine", "field", ">wrong", ">of", "for one", "engine has", "file says")

@@ -218,7 +218,7 @@ def test_all_files_have_the_models(
 ) -> None:
     study, rows = both
     (tmp_path / "study.json").write_bytes(results_json([study]))
-    table = list(csv.DictReader(rows_csv(rows).decode().splitlines()))
+    table = list(csv.DictReader(rows_csv(Measurement, rows).decode().splitlines()))
     page, words = to_html([present(study)], ""), to_markdown([present(study)])
 
     assert read_tradeoff(tmp_path / "study.json") == study

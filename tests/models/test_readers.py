@@ -52,6 +52,15 @@ def test_links_that_an_engine_lacks_are_not_compared() -> None:
     assert (difference.count, difference.among, difference.first) == (2, 2, "b")
 
 
+def test_what_differs_little_does_not_read_the_same() -> None:
+    stated = LinkFacts("a", 1.0, (0.0, 0.0, 0.0), (1.0,) * 6)
+    read = msgspec.structs.replace(stated, mass=1.0 + 3e-6)
+
+    (difference,) = readers._field("links", "mass", [(stated, read)], lambda link: link.mass)
+
+    assert (difference.read, difference.stated) == ("1.000003", "1")
+
+
 @pytest.mark.parametrize("name", ["mimic.urdf", "degrees.xml"])
 def test_a_loss_is_told_for_those_engines_that_have_it(name: str) -> None:
     readings = compare(FOLDER / name, ENGINES)

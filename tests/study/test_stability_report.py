@@ -15,7 +15,7 @@ import pytest
 
 from mbds_xsim.base.isolate import HERE, Crash, Task, run_tasks
 from mbds_xsim.report.files import rows_csv, to_html, to_markdown
-from mbds_xsim.studies.stability import FAILED, Survey
+from mbds_xsim.studies.stability import FAILED, MapCell, Survey
 from mbds_xsim.studies.stability import survey as surveys
 from mbds_xsim.studies.stability.present import present, to_png
 from mbds_xsim.studies.stability.studies import STUDIES
@@ -123,7 +123,7 @@ def test_the_picture_is_one(sweep: Survey) -> None:
 
 
 def test_a_cell_a_line(sweep: Survey) -> None:
-    rows = list(csv.DictReader(io.StringIO(rows_csv(sweep.cells, "silent").decode())))
+    rows = list(csv.DictReader(io.StringIO(rows_csv(MapCell, sweep.cells, "silent").decode())))
 
     assert len(rows) == len(sweep.cells)
     assert {row["silent"] for row in rows} == {"True", "False"}

@@ -164,10 +164,11 @@ def test_files_are_written(study: Tradeoff, tmp_path: Path) -> None:
 
 
 def test_raw_rows_keep_every_repeat_and_version() -> None:
-    (line,) = csv.DictReader(io.StringIO(rows_csv([_row()]).decode()))
+    (line,) = csv.DictReader(io.StringIO(rows_csv(Measurement, [_row()]).decode()))
 
     assert line["wall_s"] == "0.01 0.02"
     assert json.loads(line["options"]) == {"solver": "CG"}
+    assert list(line) == rows_csv(Measurement, []).decode().strip().split(",")
     assert line["broken"] == "error at 1 s; gap"
     assert (line["version"], line["machine"], line["error_m"]) == ("4.0.0", "a, machine", "")
 
