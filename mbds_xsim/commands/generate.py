@@ -138,7 +138,7 @@ def generate(
     from mbds_xsim.dataset.cluster import carrier_of
     from mbds_xsim.dataset.generate import Request
     from mbds_xsim.dataset.generate import generate as run
-    from mbds_xsim.report.terminal import GeneratingBar
+    from mbds_xsim.report.progress import GeneratingBar
     from mbds_xsim.simulate.choice import Choice
 
     loaded = tuple(map(shared.scene_named, scenes))

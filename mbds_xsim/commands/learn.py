@@ -157,8 +157,7 @@ def train(
 def _print_left_out(plan: TrainingPlan, console: Console) -> None:
     from mbds_xsim.report.terminal import print_blocks
 
-    left_out = ((f"{name} left out", reason) for name, reason in plan.left_out.items())
-    print_blocks([Remarks.of(left_out)], console)
+    print_blocks([Remarks.of((f"{k} left out", v) for k, v in plan.left_out.items())], console)
 
 
 def _check_plan(*, plan: bool, **places: Path | None) -> None:
@@ -205,7 +204,8 @@ def _trained(
     from mbds_xsim.base.files import locked
     from mbds_xsim.learn.curves import log_whole
     from mbds_xsim.learn.trainings import LONG, carry, diverged
-    from mbds_xsim.report.terminal import TrainingBar, print_blocks
+    from mbds_xsim.report.progress import TrainingBar
+    from mbds_xsim.report.terminal import print_blocks
 
     with locked(request.out):
         long = request.profile.steps > LONG

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from mbds_xsim.report.blocks import Block, Report
-    from mbds_xsim.report.terminal import ProgressBar
+    from mbds_xsim.report.progress import ProgressBar
     from mbds_xsim.scene.scene import Scene
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -368,7 +368,7 @@ def console_for(json: Path | None) -> Console:
 
 def progress_on(console: Console) -> ProgressBar:
     """Return the progress bar of long work."""
-    from mbds_xsim.report.terminal import ProgressBar
+    from mbds_xsim.report.progress import ProgressBar
 
     return ProgressBar(console)
 

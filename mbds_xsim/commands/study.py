@@ -45,7 +45,8 @@ def match(
         mbds-xsim match my.toml --out my-settings.toml --engines mujoco
     """
     from mbds_xsim.base.files import write_whole
-    from mbds_xsim.report.terminal import StudyBar, print_report
+    from mbds_xsim.report.progress import StudyBar
+    from mbds_xsim.report.terminal import print_report
     from mbds_xsim.scene.sampling import Starts
     from mbds_xsim.simulate.choice import Choice
     from mbds_xsim.studies.match import matched_toml, present, settings_there
@@ -227,7 +228,8 @@ def releases(
         mbds-xsim releases mujoco --last 2 --json -
     """
     from mbds_xsim.report.files import link, results_json, rows_csv, write_if
-    from mbds_xsim.report.terminal import StudyBar, print_report
+    from mbds_xsim.report.progress import StudyBar
+    from mbds_xsim.report.terminal import print_report
     from mbds_xsim.studies.releases import ReleaseStudy
     from mbds_xsim.studies.releases.present import present, to_png
     from mbds_xsim.studies.releases.steps import ReleaseRow

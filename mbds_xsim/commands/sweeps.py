@@ -70,7 +70,8 @@ def tradeoff(
         mbds-xsim tradeoff 6pendulum --models models/6pendulum --onto 6pendulum.json --png both.png
     """
     from mbds_xsim.report.files import link, results_json, rows_csv, write_if
-    from mbds_xsim.report.terminal import StudyBar, print_report
+    from mbds_xsim.report.progress import StudyBar
+    from mbds_xsim.report.terminal import print_report
     from mbds_xsim.simulate.choice import Choice
     from mbds_xsim.simulate.registry import REFERENCE
     from mbds_xsim.studies.tradeoff.present import present, to_png
@@ -246,7 +247,8 @@ def _list_studies(to: shared.Outputs, out: Path | None) -> None:
 
 def _mapped(plan: SurveyPlan, console: Console, out: Path | None, *, single: bool) -> Survey:
     """Run and present one study, and write its files before the next one begins."""
-    from mbds_xsim.report.terminal import StudyBar, print_blocks, print_report
+    from mbds_xsim.report.progress import StudyBar
+    from mbds_xsim.report.terminal import print_blocks, print_report
     from mbds_xsim.studies.stability.present import cells_of, present
     from mbds_xsim.studies.stability.survey import survey
 

@@ -113,12 +113,12 @@ def test_figures_of_physics_are_compared_closely(
     [(1.005, "+5.0e-03"), (1.03, "+3.0e-02"), (0.96, "-4.0e-02"), (1.2, "1.2×")],
 )
 def test_a_factor_that_would_read_1_is_told_as_a_difference(
-    compare: CommandLine, here: Path, factor: float, words: str
+    compare: Compare, here: Path, factor: float, words: str
 ) -> None:
     def other(result: Json) -> None:
         _finding(result, "dart", "error at 1 s")["figure"] *= factor
 
-    compare(_validation(), other, "--markdown", "diff.md")
+    compare(stored.validation(), other, "--markdown", "diff.md")
 
     (row,) = [
         line for line in (here / "diff.md").read_text().splitlines() if "| error at 1 s |" in line

@@ -12,7 +12,7 @@ from rich.console import Console
 from mbds_xsim.learn.curves import EventLog, log_whole, read_curve
 from mbds_xsim.learn.train import CurvePoint
 from mbds_xsim.learn.trainings import planned, watched
-from mbds_xsim.report.terminal import TrainingBar
+from mbds_xsim.report.progress import TrainingBar
 from tests.learn.carried import Deaf, carry_out, interrupt
 from tests.learn.conftest import Ask
 

@@ -8,14 +8,14 @@ import time
 import pytest
 from rich.console import Console
 
-from mbds_xsim.report import terminal
-from mbds_xsim.report.terminal import GeneratingBar, ProgressBar
+from mbds_xsim.report import progress as progress_module
+from mbds_xsim.report.progress import GeneratingBar, ProgressBar
 
 
 def test_a_log_gets_a_line_now_and_then(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(terminal, "_EVERY", 0.02)
+    monkeypatch.setattr(progress_module, "_EVERY", 0.02)
     with ProgressBar(Console(file=io.StringIO())) as progress:
         progress.begin(4)
         progress.advance("dart [/x] \x1b[31m matched")
@@ -46,7 +46,7 @@ def test_a_terminal_shows_what_is_done_as_it_is_called() -> None:
 def test_the_rate_of_a_data_set_counts_trajectories_alone(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(terminal, "_EVERY", 0.01)
+    monkeypatch.setattr(progress_module, "_EVERY", 0.01)
     monkeypatch.setattr(GeneratingBar, "_spent", lambda _: 10.0)
     with GeneratingBar(Console(file=io.StringIO())) as progress:
         progress.begin(100, 10)
