@@ -89,7 +89,10 @@ def _usage(error: Exception) -> str:
 def _complain(text: str, code: int) -> int:
     from mbds_xsim.base.text import on_a_line
 
-    print(f"mbds-xsim: {on_a_line(text)}", file=sys.stderr)
+    try:
+        print(f"mbds-xsim: {on_a_line(text)}", file=sys.stderr, flush=True)
+    except OSError:  # the exit code still tells
+        discard(sys.stderr)
     return code
 
 

@@ -36,6 +36,25 @@ run_tasks([Task(exec, (code,))])
 """
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere it ends when C code lets go")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
+def test_a_task_that_hangs_in_c_does_not_outlive_the_programs_group(
+    number: signal.Signals, tmp_path: Path
+) -> None:
+    """As `timeout` and terminals end a program; C code that holds the lock lets no thread run."""
+    file = tmp_path / "number"
+    hang = "import ctypes; ctypes.PyDLL(None).sleep(60)"
+    code = f"import os; open({str(file)!r}, 'w').write(str(os.getpid())); {hang}"
+    program = f"run_tasks([Task(exec, ({code!r},))])"
+    parent = subprocess.Popen([sys.executable, "-c", _IMPORTS + program], process_group=0)
+    wait(lambda: file.exists() and bool(file.read_text()))
+
+    os.killpg(parent.pid, number)
+    parent.wait()
+
+    wait(lambda: not _alive(int(file.read_text())))
+
+
 @pytest.mark.parametrize(
     ("then", "how"), [("time.sleep(60)", "no answer"), ("os.abort()", "SIGABRT"), ("", "")]
 )

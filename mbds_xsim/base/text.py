@@ -58,7 +58,7 @@ _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?|[-+](inf|nan)", re.IGN
 _ENTITIES = {ord(c): f"&#{ord(c)};" for c in "\\`*$|"} | {ord("<"): "&lt;"}
 _LINK = re.compile(r"^\[|\](?= ?\[|[(:])")
 _ENTITY = re.compile(r"&(?=#?\w+;)")
-_EMPHASIS = re.compile(r"(?<!\w)_+|_+(?!\w)")  # within a word it is itself
+_EMPHASIS = re.compile(r"(?<!\w)_+|(?<!_)_++(?!\w)")  # within a word it is itself
 _BLOCK = re.compile(r"#+ |[+-] |>|[=~-]{3}|\d+[.)]( |$)")  # at the start of a paragraph
 _COMMANDS = re.compile(r"(\w+_)?command")
 
@@ -78,7 +78,7 @@ def all_in_utf8(value: object) -> object:
     match value:
         case str():
             return in_utf8(value)
-        case list():
+        case list() | tuple():
             return [all_in_utf8(item) for item in value]
         case dict():
             return {all_in_utf8(key): all_in_utf8(item) for key, item in value.items()}

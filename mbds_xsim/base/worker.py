@@ -13,6 +13,7 @@ Ctrl-C does not reach it: the process that gives the orders decides how to act o
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import gc
 import importlib
 import os
@@ -38,7 +39,9 @@ class _ForkServer:
         # The process that gives the orders decides how to act on interruptions.
         self._interrupted = signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.signal(signal.SIGCHLD, lambda *_: None)
-        signal.signal(signal.SIGTSTP, self._pause)
+        self._paused = signal.getsignal(signal.SIGTSTP)
+        if self._paused is not signal.SIG_IGN:
+            signal.signal(signal.SIGTSTP, self._pause)
         os.set_blocking(self._waking, False)
         signal.set_wakeup_fd(self._waking)
 
@@ -97,8 +100,8 @@ class _ForkServer:
     def _be_the_task(self, place: str, alone: bool) -> None:
         os.setpgid(0, 0)
         signal.set_wakeup_fd(-1)
-        for caught in (signal.SIGCHLD, signal.SIGTSTP):
-            signal.signal(caught, signal.SIG_DFL)
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        signal.signal(signal.SIGTSTP, self._paused)
         signal.signal(signal.SIGINT, self._interrupted)
         log = os.open(f"{place}.log", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         for number, target in ((0, self._lifeline), (1, log), (2, log)):
@@ -127,6 +130,7 @@ def _thread_count() -> int:
 
 def _carry_out(place: Path) -> None:
     threading.Thread(target=_end_with_starter, daemon=True).start()
+    _have_the_system_end_it()
     _be_first_to_go()
     try:
         function, arguments = pickle.loads(place.with_suffix(".task").read_bytes())
@@ -148,6 +152,15 @@ def _be_first_to_go() -> None:
     """Make the system end this process, not the one that waits for it, if memory runs out."""
     with contextlib.suppress(OSError):  # only Linux has this file
         Path("/proc/self/oom_score_adj").write_text("1000")
+
+
+def _have_the_system_end_it() -> None:
+    """Make Linux end this task's group with the starter, even while C code lets no thread run."""
+    with contextlib.suppress(OSError, AttributeError):
+        lifeline = os.open("/proc/self/fd/0", os.O_RDONLY | os.O_NONBLOCK)
+        fcntl.fcntl(lifeline, fcntl.F_SETOWN, -os.getpgrp())
+        fcntl.fcntl(lifeline, fcntl.F_SETSIG, signal.SIGKILL)
+        fcntl.fcntl(lifeline, fcntl.F_SETFL, os.O_ASYNC | os.O_NONBLOCK)
 
 
 def _end_with_starter() -> None:

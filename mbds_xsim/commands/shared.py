@@ -278,7 +278,9 @@ class Outputs:
             if path.is_file() and (real in read or inside):
                 raise InputError(f"--{option}: the command reads {path}; name another file")
             check_ending(path, f"--{option}")
-            if (other := targets.setdefault(real, option)) != option:
+            stream = path.exists() and not path.is_file()  # two of them may lead to one terminal
+            place = os.path.abspath(path) if stream else real
+            if (other := targets.setdefault(place, option)) != option:
                 raise InputError(f"--{other} and --{option} both name {path}; name two places")
 
     def answer(self, blocks: Iterable[Block], result: object, name: str = "") -> None:

@@ -13,6 +13,7 @@ from rich import progress
 from rich.console import Console
 from rich.text import Text as Words
 
+from mbds_xsim.base.process import discard, unwritten
 from mbds_xsim.base.text import on_a_line
 
 _EVERY = 60.0  # between lines of a log [s]
@@ -206,4 +207,8 @@ def _text(form: str) -> progress.ProgressColumn:
 
 
 def _log(line: str) -> None:
-    print(f"mbds-xsim: {on_a_line(line)}", file=sys.stderr, flush=True)
+    try:
+        print(f"mbds-xsim: {on_a_line(line)}", file=sys.stderr, flush=True)
+    except OSError as error:  # the output ends, not the work
+        unwritten.append(error)
+        discard(sys.stderr)

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+import subprocess
 from pathlib import Path
 
+from mbds_xsim.commands.shared import Outputs, encoded
+from tests.cli.conftest import PROGRAM
 from tests.command_line import CommandLine
 
 
@@ -45,3 +48,22 @@ def test_devices_and_links_are_written_through(run: CommandLine, here: Path) -> 
     assert not Path("/dev/null").is_file()
     assert (here / "link.json").is_symlink()
     assert (here / "target.json").read_bytes().startswith(b"[")
+
+
+def test_a_full_stream_of_errors_leaves_the_exit_code() -> None:
+    with open("/dev/full", "w") as full:
+        assert subprocess.run([PROGRAM, "nonsense"], stderr=full, timeout=600).returncode == 2
+
+
+def test_json_of_a_tuple_of_odd_file_names_is_written() -> None:
+    odd = os.fsdecode(b"d\xff")
+
+    assert b"d\\\\udcff" in encoded({"files": (odd,)}, "verify")
+
+
+def test_two_names_may_lead_to_one_stream(here: Path) -> None:
+    """As /dev/stdout and /dev/stderr do in a terminal."""
+    for name in ("one", "other"):
+        (here / name).symlink_to(os.devnull)
+
+    Outputs(json=Path("one"), markdown=Path("other")).check()
