@@ -31,17 +31,23 @@ _NIL = 1e-9
 def check_friction(mechanism: Mechanism) -> None:
     """Raise Unsupported if friction would be lost in all of several poses."""
     scene = mechanism.scene
-    yields = _free_yields(mechanism)
-    moved = _Moved(mechanism) if mechanism.joints else None
+    yields, jointed = _free_yields(mechanism), _jointed(mechanism)
+    moved = _Moved(mechanism, jointed) if mechanism.joints else None
+    on_joints = np.isin(mechanism.sphere_body, list(jointed))
     for k, sphere in enumerate(scene.contacts) if scene.ground else ():
         _check_mass("ground", scene.ground, float(yields[k]))
-        if moved is not None:
+        if moved is not None and on_joints[k]:
             _check("ground", scene.ground, moved.by_ground(k), f"the sphere of {sphere.body!r}")
     for one, other in mechanism.sphere_pairs.tolist():
         _check_mass("collisions", scene.collisions, yields[one] + yields[other])
-        if moved is not None:
+        if moved is not None and on_joints[[one, other]].all():  # others slip in all directions
             names = " and ".join(repr(scene.contacts[k].body) for k in (one, other))
             _check("collisions", scene.collisions, moved.by_pair(one, other), f"those of {names}")
+
+
+def _jointed(mechanism: Mechanism) -> set[int]:
+    """Return the bodies with joints."""
+    return {body for joint in mechanism.joints for body in (joint.parent, joint.child)}
 
 
 def _free_yields(mechanism: Mechanism) -> Array:
@@ -65,9 +71,9 @@ def _check_mass(where: str, law: Ground | Collisions | None, yields: float) -> N
 class _Moved:
     """Speeds of spheres per impulse in some poses, with joints and what they carry."""
 
-    def __init__(self, mechanism: Mechanism) -> None:
+    def __init__(self, mechanism: Mechanism, jointed: set[int]) -> None:
         self._mechanism, self._bodies = mechanism, _poses(mechanism)
-        mass, self._moving = mass_matrix(mechanism, self._bodies)
+        mass, self._moving = mass_matrix(mechanism, self._bodies, jointed)
         self._inverse = np.linalg.inv(mass)
 
     def by_ground(self, k: int) -> Array:
@@ -100,6 +106,9 @@ class _Moved:
         return np.asarray(self._moving.velocity[:, :, body] + turned)
 
     def _along(self, normal: Array, speeds: Array) -> Array:
+        press = np.abs(speeds @ normal[..., None]).max(initial=0.0)
+        if press <= _NIL * np.abs(speeds).max(initial=0.0):  # comes no nearer in any pose
+            return np.zeros((len(normal), 2, 2))
         along = np.array([np.stack(rotation.normal_to(each), axis=-1) for each in normal])
         rates = speeds @ along
         return np.asarray(np.swapaxes(rates, -1, -2) @ self._inverse @ rates)

@@ -164,8 +164,12 @@ class FinerNearGround:
         """
         if low > self._least_gap:
             mujoco.mj_forward(model, data)
-            if not (self._stops and (data.efc_type[: data.nefc] == _LIMIT).any()):
-                data.qvel += steps * self._finer * data.qacc
+            lead = steps * self._finer * data.qacc
+            if self._stops:
+                stopped = data.efc_id[: data.nefc][data.efc_type[: data.nefc] == _LIMIT]
+                roots = model.body_rootid[model.jnt_bodyid[stopped]]
+                lead[np.isin(model.body_rootid[model.dof_bodyid], roots)] = 0.0
+            data.qvel += lead
 
     def _fly(self, model: Any, data: Any, count: int) -> bool:
         """Take steps in the air; if a sphere comes down, restore the state and return False."""

@@ -31,6 +31,7 @@ class Pinocchio(Adapter):
 
     name = "pinocchio"
     package = "pin"
+    revision = 2
     methods: ClassVar = named(Method(_METHOD, "toolkit RK4", 4, own=False))
     options: ClassVar = {
         _DRIFT: Option(

@@ -97,10 +97,11 @@ def dull_impacts_of(record: Record, push: Push) -> DullImpacts:
     If a sphere leaves at a speed u at a time t before the frame ends, and nothing pulls it back by
     more than a, it is then at least u t − a t²/2 high, or has come down again before, so that
     u < a t/2. Impacts count that must have ended: t is longer than the declared contact, and than
-    a rebound takes back a sphere's way into the ground. None count if no contact time is declared.
+    a rebound takes back a sphere's way into the ground. None count if no contact time is declared,
+    or in groups with springs, dampers or drives.
     """
     wanted, time = record.ground.restitution, record.contact_time
-    if time is None or not wanted:
+    if time is None or not wanted or _is_sprung(record, push):
         none = np.zeros(0, dtype=int)
         return DullImpacts(none, none, np.zeros(0))
     alone = (push.reach.sum(axis=2) == 1) & undisturbed(record, push)
@@ -128,3 +129,13 @@ def _pull(record: Record, row: Index, step: Index, sphere: Index) -> Array:
         free = free_acceleration(record, row, step, sphere, record.bodies[row, frame])
         pulls += [record.pulls[row, frame, sphere], _MORE * np.abs(free[:, 2])]
     return np.asarray(np.max(pulls, axis=0))
+
+
+def _is_sprung(record: Record, push: Push) -> bool:
+    """Whether springs, dampers or drives join a group's bodies.
+
+    They may push a sphere back within a step, by forces that neither of its ends shows.
+    """
+    mechanism, group = record.mechanism, {*push.bodies}
+    loaded = [(j.parent, j.child) for j in mechanism.joints if j.complies or j.driven]
+    return any(group & {*pair} for pair in (*loaded, *(s.bodies for s in mechanism.springs)))

@@ -13,10 +13,15 @@ def fixed_spheres(scene: Scene) -> Index:
 
     They cannot move, so the ground cannot hit them.
     """
-    held, joints = {WORLD}, [joint for joint in scene.joints if joint.kind == "fixed"]
-    for _ in joints:
-        for joint in joints:
-            if held & {joint.parent, joint.child}:
-                held |= {joint.parent, joint.child}
+    welded: dict[str, list[str]] = {}
+    for joint in scene.joints:
+        if joint.kind == "fixed":
+            welded.setdefault(joint.parent, []).append(joint.child)
+            welded.setdefault(joint.child, []).append(joint.parent)
+    held, new = {WORLD}, [WORLD]
+    while new:
+        near = [body for body in welded.get(new.pop(), ()) if body not in held]
+        held.update(near)
+        new += near
     fixed = [k for k, sphere in enumerate(scene.contacts) if sphere.body in held]
     return np.array(fixed, dtype=np.int64)

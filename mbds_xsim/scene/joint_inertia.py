@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 
 import numpy as np
 
@@ -64,12 +64,19 @@ def poses(mechanism: Mechanism) -> BodyStates:
     return to_bodies(mechanism, start)
 
 
-def mass_matrix(mechanism: Mechanism, bodies: BodyStates) -> tuple[Array, BodyStates]:
+def mass_matrix(
+    mechanism: Mechanism, bodies: BodyStates, moved: Container[int] | None = None
+) -> tuple[Array, BodyStates]:
     """Return the mass matrix of the tree's freedoms, and the body motions at their unit rates.
 
-    Shapes are (…, freedom, freedom) and (…, freedom, body, …).
+    Shapes are (…, freedom, freedom) and (…, freedom, body, …). Given some bodies, only the freedoms
+    between them and their tree parents count.
     """
-    freedoms = _freedoms(mechanism)
+    freedoms = [
+        (field, place)
+        for field, place in _freedoms(mechanism)
+        if moved is None or mechanism.links[place[0]].body in moved
+    ]
     spread = bodies.each(lambda values: np.repeat(values[..., None, :, :], len(freedoms), axis=-3))
     links = to_links(mechanism, spread)
     for values in (links.rate, links.angular_velocity, links.velocity):
@@ -78,11 +85,21 @@ def mass_matrix(mechanism: Mechanism, bodies: BodyStates) -> tuple[Array, BodySt
         getattr(links, field)[(..., number, *place)] = 1.0
     moving = to_bodies(mechanism, links)
     spin = rotation.rotate(rotation.conjugate(moving.native), moving.angular_velocity)
-    mass = np.einsum("...dbi,b,...ebi->...de", moving.velocity, mechanism.mass, moving.velocity)
-    mass += np.einsum("...dbi,bij,...ebj->...de", spin, mechanism.inertia, spin)
+    momenta = (
+        mechanism.mass[:, None] * moving.velocity,
+        (spin[..., None, :] @ mechanism.inertia)[..., 0, :],
+    )
+    mass = _products(moving.velocity, momenta[0]) + _products(spin, momenta[1])
     armature = [link.joint.armature if link.joint else 0.0 for link in mechanism.links]
     rotors = [armature[place[0]] if field == "rate" else 0.0 for field, place in freedoms]
     return mass + np.diag(rotors), moving
+
+
+def _products(rates: Array, momenta: Array) -> Array:
+    """Return the sums over bodies of products of all pairs of freedoms, (…, freedom, freedom)."""
+    flat = (values.reshape(*values.shape[:-2], -1) for values in (rates, momenta))
+    rates, momenta = flat
+    return np.asarray(rates @ np.swapaxes(momenta, -1, -2))
 
 
 def _freedoms(mechanism: Mechanism) -> list[tuple[str, tuple[int, ...]]]:

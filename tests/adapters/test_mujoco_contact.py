@@ -298,3 +298,32 @@ def test_friction_along_a_line_is_refused() -> None:
     tip = ContactSphere("arm", (-0.4, 0.0, 0.3 + R), R)
     hung = msgspec.structs.replace(scene, bodies=level, joints=(hook,), contacts=(tip,))
     ENGINE.open(hung, settings).close()
+
+
+def test_what_comes_no_nearer_to_the_ground_may_slip_along_one_line() -> None:
+    """As the first link of an arm on a vertical joint, which only turns."""
+    shoulder = Body("shoulder", inertia=Inertia(1.0, (0.1,) * 3), position=(0.3, 0.0, 2.0))
+    turn = Joint("turn", "hinge", "world", "shoulder", (0.0, 0.0, 2.0), (0.0, 0.0, 1.0))
+    scene = Scene(
+        "arm",
+        (shoulder,),
+        1.0,
+        joints=(turn,),
+        contacts=(ContactSphere("shoulder", (0.5, 0.0, 2.0), R),),
+        ground=Ground(MU, 0.5),
+    )
+    ENGINE.open(scene, ENGINE.settings(scene, "matched")).close()
+
+
+def test_a_ball_bounces_alike_beside_an_arm_on_its_stop() -> None:
+    """Velocities of what hangs together with the stop alone are not led."""
+    scene = ball(0.2, ground=Ground(MU, 1.0), steps=100)
+    arm = Body("arm", inertia=Inertia(1.0, (0.02,) * 3), position=(5.3, 0.0, 2.0))
+    pin = Joint("pin", "hinge", "world", "arm", (5.0, 0.0, 2.0), (0.0, -1.0, 0.0))
+    settings, heights = careful(20, 12), []
+    for limits in (None, (0.0, 1.0)):
+        joint = msgspec.structs.replace(pin, limits=limits)
+        both = msgspec.structs.replace(scene, bodies=(*scene.bodies, arm), joints=(joint,))
+        heights.append(alone(both, settings).position[0, :, 0, 2])
+
+    np.testing.assert_allclose(heights[1], heights[0], atol=1e-9)

@@ -12,7 +12,7 @@ from mbds_xsim.checks.eccentric import eccentric_restitution
 from mbds_xsim.checks.rebounds import restitution
 from mbds_xsim.reference import solve
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Clock, Ground
+from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Ground, Inertia, Joint, Scene
 from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.simulate.timed import simulate
@@ -79,3 +79,30 @@ def test_a_cube_that_does_not_rebound_shows(delivered: float | None) -> None:
 
     assert finding.passed.all() == (delivered is None)
     assert ("; 1 more deliver 0.038 at most" in finding.note) == (delivered == 0.0)
+
+
+def test_a_landing_on_a_stiff_damped_joint_is_no_dull_impact() -> None:
+    """What lands on the foot pushes it back within a frame, by forces that neither end shows."""
+    low = 0.05
+    foot = Body("foot", inertia=Inertia(1.0, (0.01,) * 3), position=(0.0, 0.0, 2 * low))
+    foot = msgspec.structs.replace(foot, velocity=(0.0, 0.0, -3.0))
+    top = Body("top", inertia=Inertia(1.0, (0.01,) * 3), position=(0.0, 0.0, 0.4))
+    bush = Joint("bush", "slider", "foot", "top", (0.0, 0.0, 0.25), (0.0, 0.0, 1.0))
+    bush = msgspec.structs.replace(bush, stiffness=3.6e5, damping=1000.0)
+    scene = Scene(
+        "pogo",
+        (foot, top),
+        1.0,
+        joints=(bush,),
+        contacts=(ContactSphere("foot", (0.0, 0.0, 2 * low), low),),
+        ground=Ground(0.3, 0.5),
+        clock=Clock(0.02, 10),
+    )
+    batch, engine = draw_batch(scene, [0]), load_adapter("mujoco")
+    settings = engine.settings(scene, "matched")
+    with engine.open(scene, settings) as run:
+        motion = run.rollout(batch)
+    lasts = engine.contact_scales(settings).time
+    record = Record(scene, batch, motion, RK4, settings.step, contact_time=lasts)
+
+    assert eccentric_restitution.finding(record).passed.all()
