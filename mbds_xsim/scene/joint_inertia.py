@@ -97,9 +97,8 @@ def mass_matrix(
 
 def _products(rates: Array, momenta: Array) -> Array:
     """Return the sums over bodies of products of all pairs of freedoms, (…, freedom, freedom)."""
-    flat = (values.reshape(*values.shape[:-2], -1) for values in (rates, momenta))
-    rates, momenta = flat
-    return np.asarray(rates @ np.swapaxes(momenta, -1, -2))
+    flat = (*rates.shape[:-2], rates.shape[-2] * rates.shape[-1])  # -1 has no meaning without any
+    return np.asarray(rates.reshape(flat) @ np.swapaxes(momenta.reshape(flat), -1, -2))
 
 
 def _freedoms(mechanism: Mechanism) -> list[tuple[str, tuple[int, ...]]]:

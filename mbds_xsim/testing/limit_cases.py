@@ -94,40 +94,20 @@ _APART = _CART * _BLOCK / (_CART + _BLOCK)
 """Reduced mass of the two [kg], for a force between them."""
 
 
-def _saturated() -> Case:
+def _opposed_servos(name: str, covers: str, armature: float = 0.0) -> Case:
     """Two saturated servos drive a wheel in opposite senses: the sum of their torques is constant.
 
-    The momentum of the wheel and its free carrier stays 0.
+    The momentum of the wheel and its free carrier stays 0; a rotor has no momentum of its own.
     """
     forth, back = 0.6, 0.2
-    inertia = CARRIER * WHEEL / (CARRIER + WHEEL)
-
-    def turned(time: Array) -> Array:
-        return -WHEEL / (CARRIER + WHEEL) * 0.5 * (forth - back) / inertia * time**2
-
-    return on_a_carrier(
-        "saturated servo",
-        "limits of servos' torques, several on one joint, their reaction",
-        turned,
-        Joint("axle", "hinge", "carrier", "wheel", NONE, UP),
-        servos=(
-            Servo("axle", velocity=(50.0,), damping=0.4, limit=forth),
-            Servo("axle", velocity=(-50.0,), damping=0.4, limit=back),
-        ),
-    )
-
-
-def _geared_servo() -> Case:
-    """Saturated servos drive a wheel that has a rotor, which has no momentum of its own."""
-    forth, back, armature = 0.6, 0.2, 0.15
     inertia = CARRIER * WHEEL / (CARRIER + WHEEL) + armature
 
     def turned(time: Array) -> Array:
         return -WHEEL / (CARRIER + WHEEL) * 0.5 * (forth - back) / inertia * time**2
 
     return on_a_carrier(
-        "geared servo",
-        "armature of a hinge that has servos with limits",
+        name,
+        covers,
         turned,
         Joint("axle", "hinge", "carrier", "wheel", NONE, UP, armature=armature),
         servos=(
@@ -181,4 +161,10 @@ def _letting_go() -> Case:
     )
 
 
-SERVO_CASES: tuple[Case, ...] = (_saturated(), _geared_servo(), _letting_go())
+SERVO_CASES: tuple[Case, ...] = (
+    _opposed_servos(
+        "saturated servo", "limits of servos' torques, several on one joint, their reaction"
+    ),
+    _opposed_servos("geared servo", "armature of a hinge that has servos with limits", 0.15),
+    _letting_go(),
+)
