@@ -87,10 +87,10 @@ def test_tasks_pause_with_the_program_and_go_on_with_it(tmp_path: Path) -> None:
     program = f"run_tasks([Task(exec, ({code + _SLEEPS!r},))])"
     parent = subprocess.Popen([sys.executable, "-c", _IMPORTS + program], process_group=0)
     wait(lambda: starter.exists() and bool(starter.read_text()))
-    child = Path(f"/proc/{file.read_text()}/status")
+    child, over = (Path(f"/proc/{number.read_text()}/status") for number in (file, starter))
 
     os.killpg(parent.pid, signal.SIGTSTP)
-    wait(lambda: "State:\tT" in child.read_text())
+    wait(lambda: all("State:\tT" in each.read_text() for each in (child, over)))
     os.killpg(parent.pid, signal.SIGCONT)
     wait(lambda: "State:\tT" not in child.read_text())
 
