@@ -133,8 +133,7 @@ def run_tasks(
     answers: list[Any] = [None] * len(tasks)
     if not tasks:
         return answers
-    waiting = list(range(len(tasks)))
-    ended, running = set[int | None]({None}), list[_Process]()
+    waiting, ended, running = list(range(len(tasks))), set[int | None]({None}), list[_Process]()
     with (
         hold_interruptions() as interruptions,
         tempfile.TemporaryDirectory(prefix="mbds-xsim-") as folder,
