@@ -37,7 +37,7 @@ class TrainingGroup:
     variant: str
     """Profile of the settings: `native`, `matched` or that of a settings file."""
     files: Mapping[str, Path]
-    """Data file of each engine, by engine name."""
+    """Data file of each engine that published a trajectory, by engine name; there may be none."""
     left_out: Mapping[str, str]
     """Engines without any published trajectory, with the reason."""
 
@@ -89,7 +89,13 @@ def groups(paths: Sequence[Path]) -> list[TrainingGroup]:
             )
         engines[about["engine"]] = data
     result = [_group(*key, dict(sorted(each.items()))) for key, each in sorted(by_group.items())]
-    for group in result:
+    full = [group for group in result if group.files]
+    if result and not full:
+        lacks = [
+            f"{data.path}: {data.lack}" for each in by_group.values() for data in each.values()
+        ]
+        raise InputError(f"{'; '.join(lacks)}; generate other data")
+    for group in full:
         _check(group)
     return result
 
@@ -97,9 +103,6 @@ def groups(paths: Sequence[Path]) -> list[TrainingGroup]:
 def _group(scene: str, variant: str, engines: Mapping[str, Dataset]) -> TrainingGroup:
     lacking = {engine: data.lack for engine, data in engines.items() if data.lack}
     files = {engine: data.path for engine, data in engines.items() if engine not in lacking}
-    if not files:
-        msg = "; ".join(f"{engines[engine].path}: {lack}" for engine, lack in lacking.items())
-        raise InputError(f"{msg}; generate other data")
     return TrainingGroup(scene, variant, files, lacking)
 
 

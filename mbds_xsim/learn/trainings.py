@@ -101,6 +101,7 @@ def planned(request: TrainingRequest, *, only: bool = False) -> TrainingPlan:
     reasons = {
         (group, model): _refusal(model, group, tracks[model])
         for group in request.groups
+        if group.files
         for model in request.models
     }
     runs = [

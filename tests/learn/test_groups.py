@@ -102,7 +102,22 @@ def test_an_engine_that_published_nothing_is_left_out(
         load_paired(data, "2pendulum")
 
 
-def _publish_nothing(data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_variant_that_published_nothing_is_left_out(
+    made: Path, ask: Ask, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = tmp_path / "data"
+    shutil.copytree(made, data)
+    _publish_nothing(data, monkeypatch, profile="matched")
+    empty, group = groups([data])
+    assert not empty.files
+    plan = planned(dataclasses.replace(ask(on="each"), groups=[empty, group]))
+    assert {run.group.name for run in plan.runs} == {group.name}
+    assert plan.left_out == {f"{empty.name}/exudyn": empty.left_out["exudyn"]}
+
+
+def _publish_nothing(
+    data: Path, monkeypatch: pytest.MonkeyPatch, *, profile: str = "native"
+) -> None:
     """Make data of another engine that loses every trajectory at once."""
 
     def lose(*arguments: Any) -> Simulation:
@@ -114,7 +129,7 @@ def _publish_nothing(data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(shard, "simulate", lose)
     scene = msgspec.structs.replace(load_scene("2pendulum"), clock=Clock(steps=12))
-    choice = Choice.parse(engines="exudyn", profiles="native")
+    choice = Choice.parse(engines="exudyn", profiles=profile)
     generate(DataRequest((scene,), choice, 40, data), workers=0)
 
 
