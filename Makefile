@@ -164,7 +164,7 @@ WAYS = each,leave-one-out,all
 SPEEDS = mujoco-low,mujoco-medium,mujoco-high
 SEEDS ?= 1
 SHIFTED ?= 5pendulum 6pendulum 6pendulum-matched balldrop 3ladder simplecubli $(SCENES:%=%-factors) \
-	2ladder-matched 3ladder-matched 2ladder-fine 2ladder-worth 5pendulum-worth 6pendulum-worth balldrop-worth ballscroll-worth
+	2ladder-matched 3ladder-matched 2ladder-fine 2ladder-worth 3ladder-worth 5pendulum-worth 6pendulum-worth balldrop-worth ballscroll-worth
 drawn = $(BIN)/mbds-xsim generate $(1) --settings $(2) --trajectories $(DRAWN) --out $(STUDY) \
 	--engines $(ENGINES) \
 	|| [ $$? -eq 1 ]
