@@ -114,7 +114,9 @@ def _card(sets: Sequence[Dataset], joint: Path) -> str:
     with open_hdf5(joint) as file:
         valid = np.asarray(file["valid_in_all"][()])
     digest = hashlib.sha256(sets[0].attributes["scene"].encode()).hexdigest()
-    example = sets[0].path.name
+    example = next((data for data in sets if len(data)), sets[0]).path.name
+    empty = " and ".join(f"`{data.path.name}`" for data in sets if data.lack)
+    but = f" but {empty}, without any" if empty else ""
     rows = "".join(_row(data) for data in sets)
     rejected = "".join(_rejections(data) for data in sets)
     return f"""# {in_markdown(scene.name)}: simulated trajectories
@@ -127,7 +129,7 @@ in the speed interval low, medium or high by i mod 3.
 | file | engine | method | step [s] | | drawn | published | rejected |
 | --- | --- | --- | --- | --- | --- | --- | --- |
 {rows}
-{valid.sum()} of {len(valid)} are published in all of them (`{joint.name}`). *Certified*: every
+{valid.sum()} of {len(valid)} are published in all of them{but} (`{joint.name}`). *Certified*: every
 check of every trajectory held, and the engine's model read back as the scene. *Uncertified*: at an
 engine's native settings, those that an ordinary user gets, or at other named settings; only finite
 numbers and the start decided, and the figures of all checks are stored.

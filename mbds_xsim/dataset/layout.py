@@ -132,7 +132,14 @@ _FIELDS = (
         "whether the trajectory of this number is published",
         ("joint",),
     ),
-    Field("valid_in_all", ("number",), "|b1", "1", "the same in all variants", ("joint",)),
+    Field(
+        "valid_in_all",
+        ("number",),
+        "|b1",
+        "1",
+        "the same in all variants, without those in which nothing is published",
+        ("joint",),
+    ),
 )
 FIELDS = {field.name: field for field in _FIELDS}
 """Datasets by name, in the order of the layout."""

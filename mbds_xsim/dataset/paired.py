@@ -99,14 +99,15 @@ def load_pairs(*paths: str | Path, split: str | None = None) -> PairedData:
     Only indices and starts are read now; series are read when they are used.
 
     Args:
-        paths: Data files, or folders of them such as `data/6pendulum`.
+        paths: Data files, or folders of them such as `data/6pendulum`. Of a folder, data sets in
+            which nothing is published are left out.
         split: Part to load: "train", "validation" or "test"; all if None.
 
     Raises:
         InputError: There are fewer than two data sets, or they do not belong together: scene,
             seed, length or starts differ, or no trajectory is in all of them.
     """
-    sets = [load_dataset(file) for path in paths for file in joined_files(path_of("paths", path))]
+    sets = [one for path in paths for one in _sets(path_of("paths", path))]
     source = ", ".join(map(str, paths)) or "paths"
     files = {one.variant: one for one in sets}
     if len(sets) < 2 or len(files) < len(sets):
@@ -119,11 +120,18 @@ def load_pairs(*paths: str | Path, split: str | None = None) -> PairedData:
     index = numbers_in(sets, split)
     if not len(index):
         part = f"{split} trajectory" if split else "trajectory"
-        msg = f"{source}: no {part} is valid in all {len(files)} data sets; generate more"
-        raise InputError(msg)
+        lacks = "; ".join(f"{one.path}: {one.lack}" for one in sets if one.lack)
+        msg = f"no {part} is valid in all {len(files)} data sets; generate more"
+        raise InputError(f"{lacks or source}: {msg}")
     pairs = PairedData(files, index)
     check_paired(sets, pairs.rows, STARTS)
     return pairs
+
+
+def _sets(path: Path) -> list[Dataset]:
+    """Load a data set, or those of a folder in which something is published."""
+    sets = [load_dataset(file) for file in joined_files(path)]
+    return sets if path.is_file() else [one for one in sets if not one.lack]
 
 
 def numbers_in(files: Sequence[Dataset], split: str | None) -> Index:

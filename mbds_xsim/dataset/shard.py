@@ -352,15 +352,19 @@ def _join_scene(folder: Path) -> None:
 
 
 def joint_datasets(folder: Path) -> dict[str, NDArray[Any]]:
-    """Find which of the drawn trajectories are published in each variant, and in all variants."""
+    """Find which of the drawn trajectories are published in each variant, and in all variants.
+
+    A variant in which nothing is published leaves the others paired.
+    """
     paths = variant_files(folder)
     masks = [_published(path) for path in paths]
     common = min(map(len, masks))
     valid = np.stack([mask[:common] for mask in masks])
+    paired = valid[[mask.any() for mask in masks]]
     return {
         "variant": np.array([path.stem for path in paths]),
         "valid": valid,
-        "valid_in_all": np.asarray(valid.all(axis=0)),
+        "valid_in_all": np.asarray(paired.all(axis=0) & valid.any(axis=0)),
     }
 
 

@@ -5,12 +5,16 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+import h5py
+import msgspec
 import numpy as np
 import pytest
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.paired import load_pairs
 from mbds_xsim.dataset.read import Dataset, UnknownDataset, load_dataset
+from mbds_xsim.dataset.verify import recheck
+from mbds_xsim.scene.scene import Scene
 from tests.dataset.conftest import Make
 
 COUNT = 30
@@ -84,6 +88,29 @@ def test_what_cannot_be_paired_is_refused(make: Make, folder: Path, tmp_path: Pa
         load_pairs(other, folder / "mujoco-matched.h5")
     with pytest.raises(InputError, match=r"seed 0, unlike mujoco-matched\.h5"):
         load_pairs(other, folder / "mujoco-native.h5")
+
+
+def test_a_variant_in_which_nothing_is_published_leaves_the_others_paired(
+    make: Make, rod: Scene, tmp_path: Path
+) -> None:
+    strict = msgspec.structs.replace(rod.budget, energy=1e-15, energy_first_order=1e-15)
+    scene = msgspec.structs.replace(rod, budget=strict)
+    settings = "matched,native"
+    make(tmp_path, scene=scene, trajectories=3, engines="exudyn,mujoco", settings=settings)
+    folder = tmp_path / "1pendulum"
+    empty = [folder / f"{name}-matched.h5" for name in ("exudyn", "mujoco")]
+
+    assert [*load_pairs(folder).files] == ["exudyn-native", "mujoco-native"]
+    with h5py.File(folder / "joint.h5") as file:
+        assert file["valid"][()].sum() == 6
+        assert file["valid_in_all"][()].all()
+    card = (folder / "README.md").read_text("utf-8")
+    but = " but `exudyn-matched.h5` and `mujoco-matched.h5`, without any (`joint.h5`)"
+    assert f"3 of 3 are published in all of them{but}" in card
+    assert 'load_dataset("exudyn-native.h5")' in card
+    assert recheck(folder / "joint.h5", "joint").problems == []
+    with pytest.raises(InputError, match=r"none of 3 trajectories drawn passed .*: no traj"):
+        load_pairs(*empty)
 
 
 def test_without_xarray_the_line_that_installs_it(
