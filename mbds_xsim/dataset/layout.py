@@ -175,6 +175,7 @@ ATTRIBUTES: dict[str, Kind] = {
     "noise": "truth",
     "engine": "text",
     "engine_version": "text",
+    "adapter_revision": "natural",
     "method": "text",
     "method_family": "text",
     "method_order": "natural",
@@ -196,8 +197,12 @@ ATTRIBUTES: dict[str, Kind] = {
 }
 """Attributes of a file in addition to its format, layout version and checksum."""
 
-ATTRIBUTE_DEFAULTS: dict[str, Any] = {"checks_version": 0, "single_precision": False}
-"""Defaults of attributes that a file may lack: older ones have no version of the checks."""
+ATTRIBUTE_DEFAULTS: dict[str, Any] = {
+    "adapter_revision": 0,
+    "checks_version": 0,
+    "single_precision": False,
+}
+"""Defaults of attributes that a file may lack: older ones have no revision and no version."""
 
 
 def attribute(

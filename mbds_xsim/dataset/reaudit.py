@@ -219,12 +219,17 @@ def _settings(data: Dataset) -> Settings:
 
 
 def _simulate_again(data: Dataset, report: FileReport, count: int, seed: int) -> None:
-    """Simulate some trajectories again, if the same version of the engine is installed."""
+    """Simulate some trajectories again, if engine and adapter are those that made them."""
     attrs = data.attributes
-    version = _version(attrs["engine"])
+    version, revision = _here(attrs["engine"])
+    made_by = f"{attrs['engine']} {attrs['engine_version']}"
     if version != attrs["engine_version"]:
-        note = f"not simulated again: {attrs['engine']} {attrs['engine_version']} is not installed"
+        note = f"not simulated again: {made_by} is not installed"
         report.notes.append(note + (f", but {version}" if version else ""))
+        return
+    if attrs["adapter_revision"] not in (0, revision):  # 0: unknown, in older files
+        note = f"not simulated again: {made_by} was driven by revision {attrs['adapter_revision']}"
+        report.notes.append(f"{note} of its adapter, here is {revision}")
         return
     rng = np.random.default_rng([seed, attrs["first"]])
     rows = np.sort(rng.choice(len(data), count, replace=False)).tolist()
@@ -262,8 +267,10 @@ def _compare(
         report.notes.append(f"{len(made)} simulated again: {same}")
 
 
-def _version(engine: str) -> str | None:
+def _here(engine: str) -> tuple[str | None, int]:
+    """Return the version of an engine and the revision of its adapter; None if it is missing."""
     try:
-        return load_adapter(engine).version()
+        adapter = load_adapter(engine)
     except (EngineMissing, UnknownName):
-        return None
+        return None, 0
+    return adapter.version(), adapter.revision

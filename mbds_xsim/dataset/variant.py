@@ -69,6 +69,7 @@ class Variant:
             "noise": self.noise,
             "engine": self.contender.engine,
             "engine_version": adapter.version(),
+            "adapter_revision": adapter.revision,
             "profile": self.contender.profile,
             "certification": "certified" if self.certified else "uncertified",
             "method": method.name,

@@ -300,6 +300,16 @@ def test_engines_are_paired(make: Make, tmp_path: Path) -> None:
         assert file["valid_in_all"][()].all()
 
 
+def test_motions_of_two_revisions_of_an_adapter_do_not_mix(
+    make: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make(tmp_path, trajectories=3)
+    adapter = load_adapter("mujoco")
+    monkeypatch.setattr(type(adapter), "revision", adapter.revision + 1)
+    with pytest.raises(InputError, match=r"was made differently: its adapter_revision is \d+, now"):
+        make(tmp_path, trajectories=6)
+
+
 def test_a_set_grows(make: Make, whole: Path, tmp_path: Path) -> None:
     make(tmp_path, trajectories=25)
     progress = Silence()

@@ -298,6 +298,19 @@ def test_an_engine_that_is_not_here_is_told(copy: Path) -> None:
     assert report.notes[0].startswith("not simulated again: mujoco 0.1 is not installed, but ")
 
 
+def test_motions_of_another_revision_of_the_adapter_are_not_blamed(copy: Path) -> None:
+    """Its bits may differ; those of files that are older than the attribute are compared."""
+    for change in (_tell("adapter_revision", 99), lambda arrays, _: _faster(arrays)):
+        _rewrite(copy / SHARD, change)
+    report = recheck(copy / SHARD, "shard", 3)
+    assert report.problems == []
+    assert any("driven by revision 99 of its adapter, here is" in note for note in report.notes)
+
+    _rewrite(copy / SHARD, lambda _, attributes: attributes.pop("adapter_revision"))
+    (problem,) = recheck(copy / SHARD, "shard", 3).problems
+    assert problem.startswith("simulated again: angular_velocity of trajectory")
+
+
 def test_a_shard_that_was_exchanged_is_found(copy: Path) -> None:
     _rewrite(copy / SHARD, _tell("engine_version", "0.1"))
     problems = recheck(copy / FILE, "joined").problems
