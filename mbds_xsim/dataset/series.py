@@ -7,6 +7,7 @@ import math
 import mmap
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from mbds_xsim.dataset.hdf5 import open_hdf5, refuse_other, values_of
 from mbds_xsim.dataset.layout import FIELDS
 
 _OPEN = 256  # files that are mapped at a time
+_FOUND = 2**16  # places of datasets in files that are remembered
 
 Stamp = tuple[int, int, int]
 """Identity of a file: its inode number, its size, and the time of its last change [ns]."""
@@ -74,20 +76,37 @@ def being_extended(path: Path) -> str:
 
 @functools.lru_cache(maxsize=2 * _OPEN)
 def _values(part: MappedFile, name: str) -> NDArray[Any]:
+    place = _place(part, name)
+    if place is not None:
+        offset, dtype, shape = place
+        return np.frombuffer(_bytes_of(part), dtype, math.prod(shape), offset).reshape(shape)
+    with _dataset(part, name) as dataset:
+        values = values_of(dataset)
+    values.flags.writeable = False
+    return values
+
+
+@functools.lru_cache(maxsize=_FOUND)
+def _place(part: MappedFile, name: str) -> tuple[int, np.dtype[Any], tuple[int, ...]] | None:
+    """Find where a file has a dataset, which takes much longer than to map it again."""
+    with _dataset(part, name) as dataset:
+        offset = _offset(dataset, part.stamp)
+        return None if offset is None else (offset, dataset.dtype, dataset.shape)
+
+
+@contextmanager
+def _dataset(part: MappedFile, name: str) -> Iterator[Any]:
     with open_hdf5(part.path) as file:
-        if _stamp(part.path) != part.stamp:
-            msg = f"{part.path} was changed since the data set was opened; open it again"
-            raise InputError(msg)
+        _check_unchanged(part)
         dataset = file.get(name)
         if not isinstance(dataset, h5py.Dataset):
             raise InputError(f"{part.path} has no dataset {name!r}")
-        offset = _offset(dataset, part.stamp)
-        if offset is None:
-            values = values_of(dataset)
-            values.flags.writeable = False
-            return values
-        shape, dtype = dataset.shape, dataset.dtype
-    return np.frombuffer(_bytes_of(part), dtype, math.prod(shape), offset).reshape(shape)
+        yield dataset
+
+
+def _check_unchanged(part: MappedFile) -> None:
+    if _stamp(part.path) != part.stamp:
+        raise InputError(f"{part.path} was changed since the data set was opened; open it again")
 
 
 def _offset(dataset: Any, stamp: Stamp) -> int | None:
@@ -113,7 +132,9 @@ def _offset(dataset: Any, stamp: Stamp) -> int | None:
 
 @functools.lru_cache(maxsize=_OPEN)
 def _bytes_of(part: MappedFile) -> mmap.mmap:
+    refuse_other(part.path)
     with part.path.open("rb") as file:
+        _check_unchanged(part)
         return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
 
 
@@ -316,7 +337,15 @@ class Windows:
             raise IndexError(f"window {outside[0]} of {len(self)}")
         row, frame = self.where(numbers)
         shard = self.series[0].shard_of(row)
-        return tuple(self._gather(series, shard, row, frame) for series in self.series)
+        shapes = [(len(row), self.length, *series.shape[2:]) for series in self.series]
+        windows = [np.empty(s, series.dtype) for s, series in zip(shapes, self.series, strict=True)]
+        for k in np.unique(shard).tolist():
+            here = np.flatnonzero(shard == k)
+            for values, series in zip(windows, self.series, strict=True):
+                first = (row[here] - series.first[k]) * series.shape[1] + frame[here]
+                frames = series.shard(k).reshape(-1, *series.shape[2:])
+                values[here] = frames[first[:, None] + np.arange(self.length)]
+        return tuple(windows)
 
     def __getitem__(self, number: int) -> tuple[NDArray[Any], ...]:
         """Read one window: one array per dataset, of shape (frame, …)."""
@@ -326,12 +355,3 @@ class Windows:
     def __getitems__(self, numbers: Sequence[int]) -> list[tuple[NDArray[Any], ...]]:
         """Read several windows at once."""
         return list(zip(*self.take(numbers), strict=True))
-
-    def _gather(self, series: Series, shard: Index, row: Index, frame: Index) -> NDArray[Any]:
-        windows = np.empty((len(row), self.length, *series.shape[2:]), series.shard(0).dtype)
-        for k in np.unique(shard):
-            here = np.flatnonzero(shard == k)
-            first = (row[here] - series.first[k]) * series.shape[1] + frame[here]
-            frames = series.shard(int(k)).reshape(-1, *series.shape[2:])
-            windows[here] = frames[first[:, None] + np.arange(self.length)]
-        return windows

@@ -13,6 +13,7 @@ import pytest
 import mbds_xsim
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Silent
+from mbds_xsim.dataset import series
 from mbds_xsim.dataset.audit import audit_file
 from mbds_xsim.dataset.export import export
 from mbds_xsim.dataset.foreign import Provenance
@@ -57,9 +58,9 @@ def test_every_layout_has_the_same_numbers(
     was, data = (mbds_xsim.load_dataset(folder / FILE) for folder in (few, copy))
 
     data.check()
-    for series in NAMES:
-        assert np.array_equal(np.asarray(data[series]), np.asarray(was[series]), equal_nan=True)
-        assert not data[series][0].flags.writeable
+    for each in NAMES:
+        assert np.array_equal(np.asarray(data[each]), np.asarray(was[each]), equal_nan=True)
+        assert not data[each][0].flags.writeable
     numbers = [0, 7, 30]
     for got, wanted in zip(
         data.windows(6).take(numbers), was.windows(6).take(numbers), strict=True
@@ -133,6 +134,10 @@ def test_a_file_that_was_exchanged_is_not_read_as_the_old_one(make: Make, tmp_pa
     after = mbds_xsim.load_dataset(tmp_path / "one" / FILE)
 
     assert np.array_equal(before.position[0], first)  # mapped: the old file
+    series._values.cache_clear()
+    series._bytes_of.cache_clear()  # as if it had had to make room for others
+    with pytest.raises(InputError, match="was changed since the data set was opened; open it"):
+        before.position[0]
     assert not np.array_equal(after.position[0], first)
     with pytest.raises(InputError, match="was changed since the data set was opened; open it"):
         before.velocity[0]

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 import mbds_xsim
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.dataset import series
 from mbds_xsim.dataset.read import Dataset, joined_files
 from mbds_xsim.scene.scene import Scene
 
@@ -155,6 +156,19 @@ def test_windows_fetch_as_torch_does(data: Dataset) -> None:
         with pytest.raises(IndexError, match="by whole numbers, got"):
             windows.take(other)  # type: ignore[arg-type]
     assert len(windows.take([])[0]) == 0
+
+
+def test_a_file_that_is_mapped_again_is_not_searched_again(
+    data: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To open it as HDF5 takes a hundred times as long, and only some are mapped at a time."""
+    windows = data.windows(3)
+    before = windows.take(range(len(windows)))
+    monkeypatch.setattr(series, "open_hdf5", lambda path: pytest.fail(f"{path} was opened"))
+    series._values.cache_clear()
+    series._bytes_of.cache_clear()
+    for got, wanted in zip(windows.take(range(len(windows))), before, strict=True):
+        assert np.array_equal(got, wanted)
 
 
 def test_windows_of_a_part(data: Dataset) -> None:
