@@ -17,7 +17,7 @@ from mbds_xsim.base.frame import frame_of
 from mbds_xsim.checks import Finding, Record, audited
 from mbds_xsim.checks.integrity import angle_gap, finite, gap, planarity, start
 from mbds_xsim.checks.passivity import penetration
-from mbds_xsim.dataset.foreign import Foreign, Provenance, read_foreign
+from mbds_xsim.dataset.foreign import Foreign, Provenance, completed, read_foreign
 from mbds_xsim.dataset.gate import COLUMNS
 from mbds_xsim.dataset.points import Points, recover
 from mbds_xsim.measure.campaign import reference_of
@@ -37,6 +37,7 @@ _OF_VELOCITIES = (
 _OF_REFERENCE = ("error at 1 s", "error growth-weighted", "error of turns")
 _OF_CONTACT = tuple(COLUMNS)[list(COLUMNS).index("penetration") + 1 : -len(_OF_REFERENCE)]
 _MOST_COMPARED = 3
+_COARSE = 0.25  # share of the budget of gaps; rounding of places that is larger is told
 _SAME_INPUT = 1e-9
 _SAME_START = 1e-12
 
@@ -134,7 +135,7 @@ class _Case:
     """A file with its starts and inputs; collects the assumptions made and the checks left out."""
 
     def __init__(self, foreign: Foreign, origin: Provenance) -> None:
-        self.foreign, self.origin = foreign, _completed(origin, foreign)
+        self.foreign, self.origin = foreign, completed(origin, foreign)
         self.assumptions: list[str] = []
         self.not_checked: dict[str, str] = {}
         self.orientation: Array | None = None
@@ -160,6 +161,13 @@ class _Case:
         """Run every check that the file allows."""
         arrays, findings = self.foreign.arrays, list[Finding]()
         points = arrays.get("position")
+        turned = self.rounding("body/orientation") * self.foreign.scene.length
+        coarse = max(self.rounding("position", "body/position"), turned)
+        if coarse > _COARSE * self.foreign.scene.budget.gap:
+            self.assumptions.append(
+                f"rounding: places are known to {coarse:.0e} m only, by which gap, rigidity, "
+                "displacement and others may fail; give more digits"
+            )
         if "body/position" in arrays:
             states = {key: arrays.get(f"body/{key}") for key in STATES}
             blur = self.rounding(*(f"body/{key}" for key in STATES))
@@ -250,19 +258,30 @@ class _Case:
         """Compare the particles with the bodies that carry them."""
         scene, arrays, findings = self.foreign.scene, self.foreign.arrays, list[Finding]()
         names = tuple(scene.bodies[body].name for body in self.points.body)
-        own = self.points.motion(self._trajectory(states))
+        trajectory = self._trajectory(states)
+        own, blurs = self.points.motion(trajectory), self._blurs(trajectory)
         scales = (("particles", "m", 1.0), ("particle velocities", "m/s", scene.clock.frame))
-        for key, carried, (check, unit, scale) in zip(
-            ("position", "velocity"), own, scales, strict=True
+        for key, carried, blur, (check, unit, scale) in zip(
+            ("position", "velocity"), own, blurs, scales, strict=True
         ):
             if key in arrays and states[key] is None:
                 self.not_checked[check] = "no velocities of bodies"
             elif key in arrays:
-                off, blur = np.linalg.norm(arrays[key] - carried, axis=-1), self.rounding(key)
+                off = np.linalg.norm(arrays[key] - carried, axis=-1)
                 budget = scene.budget.gap / scale
                 finding = Finding.of(check, unit, off, budget=budget, names=names, uncertainty=blur)
                 findings.append(finding)
         return findings
+
+    def _blurs(self, trajectory: Trajectory) -> tuple[float, float]:
+        """Return how far rounding can take particles, and their velocities, from the bodies."""
+        place, turn, drift, rate = (self.rounding(f"body/{key}") for key in STATES)
+        reach = float(np.linalg.norm(self.points.offset, axis=-1).max())
+        swing = 4.0 * turn * reach  # of a quaternion whose four components are rounded
+        spin = float(np.linalg.norm(trajectory.angular_velocity, axis=-1).max())
+        size = 2.0 * 3.0**0.5 - 1.0  # as three components of both may be rounded, not one
+        position = self.rounding("position") + size * place + swing
+        return position, self.rounding("velocity") + size * (drift + rate * reach) + spin * swing
 
     def _leave_out(self, reason: str, *more: str) -> None:
         touching = _OF_CONTACT if self.foreign.scene.contacts else ()
@@ -341,24 +360,6 @@ def _positional(scene: Scene) -> list[str]:
         "penetration": scene.contacts,
     }
     return [name for name, does in applies.items() if does]
-
-
-def _completed(origin: Provenance, foreign: Foreign) -> Provenance:
-    """Add the file's facts where the user gives none; keep only these trajectories' indices."""
-    first, total = foreign.first, foreign.total
-    facts = {key: value for key, value in vars(origin).items() if value is not None}
-    if origin.index is not None:
-        if len(origin.index) != total:
-            raise InputError(
-                f"--index: got {len(origin.index)} numbers, allowed for {foreign.source} are "
-                f"{total}, one a trajectory"
-            )
-        facts["index"] = origin.index[first : first + foreign.count]
-    elif len(index := foreign.facts.get("index", range(foreign.count))) != foreign.count:
-        msg = f"{foreign.source}: index: got {len(index)} numbers, allowed is one a trajectory"
-        raise InputError(msg)
-    default = {} if origin.index is None else {"seed": 0}
-    return Provenance(**(default | foreign.facts | facts))
 
 
 def _start_assumption(first: _Case, last: _Case) -> str:

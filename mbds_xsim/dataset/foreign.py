@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim.base import bounds
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.errors import InputError, located
 from mbds_xsim.dataset.hdf5 import (
     check_sources,
     datasets_in,
@@ -108,6 +108,24 @@ class Foreign:
     def steps(self) -> int:
         """Number of recorded steps."""
         return len(self.arrays[TIME]) - 1
+
+
+def completed(origin: Provenance, foreign: Foreign) -> Provenance:
+    """Add the file's facts where the user gives none; keep only these trajectories' indices."""
+    first, total = foreign.first, foreign.total
+    facts = {key: value for key, value in vars(origin).items() if value is not None}
+    if origin.index is not None:
+        if len(origin.index) != total:
+            raise InputError(
+                f"--index: got {len(origin.index)} numbers, allowed for {foreign.source} are "
+                f"{total}, one a trajectory"
+            )
+        facts["index"] = origin.index[first : first + foreign.count]
+    elif len(index := foreign.facts.get("index", range(foreign.count))) != foreign.count:
+        msg = f"{foreign.source}: index: got {len(index)} numbers, allowed is one a trajectory"
+        raise InputError(msg)
+    default = {} if origin.index is None else {"seed": 0}
+    return Provenance(**(default | foreign.facts | facts))
 
 
 @dataclass(frozen=True)
@@ -195,7 +213,8 @@ def _trajectories(file: _OpenFile, override: Scene | None, path: Path) -> Iterat
     for first in range(0, total, size):
         arrays = shared | {name: np.asarray(sources[name][first : first + size]) for name in many}
         rounding = {name: rounding_of(array) for name, array in arrays.items()} | file.rounding
-        own, checked = _checked(arrays, scene, rounding[TIME], first, str(path))
+        with located(str(path)):
+            own, checked = _checked(arrays, scene, rounding[TIME], first, str(path))
         facts = _facts_of(arrays, file.facts, f"{path}: ")
         yield Foreign(str(path), scene, own, checked, rounding, facts, first, total)
 
@@ -234,8 +253,9 @@ def _member(file: IO[bytes], path: Path) -> Any:
     except (ValueError, TokenError) as error:  # the latter for a header that is cut off
         msg = f"{path}: holds {file.name}, which is no array; allowed are arrays of numbers"
         raise InputError(msg) from error
-    if dtype.hasobject:
-        raise InputError(f"{path}: holds Python objects; allowed are arrays of numbers")
+    if dtype.hasobject or not dtype.itemsize:
+        got = "Python objects" if dtype.hasobject else f"values of the type {dtype}"
+        raise InputError(f"{path}: holds {got}; allowed are arrays of numbers")
     stream = _Stream(file, shape, dtype)
     return stream.take(shape[::-1]).transpose() if by_columns else stream
 

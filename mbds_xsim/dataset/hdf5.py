@@ -52,6 +52,8 @@ def open_hdf5(path: Path) -> Iterator[Any]:
         with h5py.File(path, "r") as file:
             _check_self_contained(file, path)
             yield file
+    except InputError:  # about what is in the file; that of a scene is a ValueError, too
+        raise
     # HDF5 raises all of these for damage, the last two for damaged types and text.
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
         msg = f"{path} cannot be read as HDF5 ({_brief(error)}); it is truncated or something else"

@@ -115,6 +115,10 @@ def read_csv(
             f"{path}: got {max(len(rows) - 1, 0)} frames, allowed is a line of names and 2 or more"
         )
     names = [name.strip() for name in rows[0]]
+    for frame, row in enumerate(rows[1:]):
+        if any(cell.strip() for cell in row[len(names) :]):
+            msg = f"{path}: frame {frame}: got {len(row)} cells, allowed are {len(names)}, as names"
+            raise InputError(msg)
     arrays, columns = dict[str, NDArray[Any]](), dict[str, list[_Column]]()
     for group in (_TIME, *_sort_columns(scene, names, str(path))):
         frames = rows[1:-1] if FIELDS[group.name].per_step else rows[1:]

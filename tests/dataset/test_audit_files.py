@@ -74,6 +74,22 @@ def test_digits_of_a_constant_column_excuse_nothing(
     assert "finite" in failed[2]
 
 
+@pytest.mark.parametrize("decimals", [4, 3])
+def test_rounded_bodies_still_carry_their_particles(
+    decimals: int, drop: tuple[Scene, Arrays], tmp_path: Path
+) -> None:
+    """What rounding does to the other checks is told; more than it does is found."""
+    scene, arrays = drop
+    one = first_of(arrays)
+    for off in (0.0, 100.0 * 10.0**-decimals):
+        moved = one | {key: one[key] + off for key in ("position", "velocity")}
+        write_csv(tmp_path / "it.csv", scene, moved, f"{{:.{decimals}f}}".format)
+        result = audit_file(tmp_path / "it.csv", scene, FIRST)
+        carried = {"particles", "particle velocities"}
+        assert failed_in(result) & carried == (carried if off else set())
+        assert any(f"known to 5e-0{decimals + 1} m only" in line for line in result.taken)
+
+
 @pytest.mark.parametrize("suffix", ["npz", "h5"])
 def test_the_index_of_one_trajectory_may_be_a_scalar(
     suffix: str, rod: Scene, swing: Arrays, tmp_path: Path

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 
@@ -38,6 +39,7 @@ def _changed(rows: list[list[str]], line: int, column: int, text: str) -> list[l
         (lambda rows: _changed(rows, 3, 1, "snan"), "frame 2, column p0_x: got 'snan'"),
         (lambda rows: _changed(rows, 3, 0, "0.045"), "time is not uniform: frame"),
         (lambda rows: _changed(rows, 3, 0, "inf"), "time: got inf in frame 2; allowed are finite"),
+        (lambda rows: [*rows[:3], [*rows[3], "7"], *rows[4:]], "frame 2: got 5 cells, allowed are"),
         (lambda rows: rows[:2], "got 1 frames"),
         (lambda rows: rows[:1] + rows[1::2], "got 5 steps of 0.04 s"),
         (lambda rows: [*rows, ["0.22", *rows[-1][1:]]], "got 11 steps of 0.02 s"),
@@ -110,6 +112,21 @@ def test_numbers_of_starts_must_fit(rod: Scene, swing: Arrays, audited: Audit) -
         audited(rod, {"time": swing["time"], "index": np.arange(2)} | one, Provenance(seed=7))
 
 
+@pytest.mark.parametrize("suffix", ["npz", "h5"])
+def test_a_frame_that_no_scene_may_have_is_not_called_damage(
+    suffix: str, rod: Scene, tmp_path: Path
+) -> None:
+    path = tmp_path / f"it.{suffix}"
+    arrays = {"time": 1e-10 * np.arange(11), "position": np.zeros((11, 1, 3))}
+    if suffix == "npz":
+        np.savez(path, **arrays)  # type: ignore[arg-type]
+    else:
+        with h5py.File(path, "w") as file:
+            file.update(arrays)
+    with pytest.raises(InputError, match=rf"^{path}: frame: got 1e-10, allowed is 1e-09 or more"):
+        audit_file(path, rod, Provenance())
+
+
 def test_what_is_no_trajectory_at_all_is_one_line(tmp_path: Path) -> None:
     """A packed file that declares gigabytes is refused before it is unpacked."""
     with zipfile.ZipFile(tmp_path / "foreign.npz", "w") as archive:
@@ -121,6 +138,12 @@ def test_what_is_no_trajectory_at_all_is_one_line(tmp_path: Path) -> None:
         archive.writestr("time.npy", b"\x93NUMPY\x01\x00\x10\x00{'descr': garbage")
     with pytest.raises(InputError, match=r"holds time\.npy, which is no array"):
         audit_file(tmp_path / "cut.npz", None, Provenance())
+
+    with zipfile.ZipFile(tmp_path / "sizeless.npz", "w") as archive:
+        header = b"{'descr': '<U0', 'fortran_order': False, 'shape': ()}\n"
+        archive.writestr("note.npy", b"\x93NUMPY\x01\x00" + bytes([len(header), 0]) + header)
+    with pytest.raises(InputError, match=r"holds values of the type <U0; allowed are arrays of"):
+        audit_file(tmp_path / "sizeless.npz", None, Provenance())
 
     with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("position.npy", bytes(2**27))
