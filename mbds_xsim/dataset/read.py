@@ -269,8 +269,12 @@ class Dataset:
             names: Datasets to check; all if None.
 
         Raises:
+            UnknownDataset: The file has no dataset of one of these names.
             InputError: A file is not what was written.
         """
+        names = [names] if isinstance(names, str) else names
+        for name in names or ():
+            self[name]  # refuses unknown names
         for path in dict.fromkeys((self.path, *self.files)):
             fault = check_content(path, names)
             if fault is not None:
@@ -289,7 +293,7 @@ class Dataset:
         *,
         split: str | None = None,
         rows: NDArray[np.int64] | None = None,
-        names: tuple[str, ...] = ("position", "velocity"),
+        names: str | Sequence[str] = ("position", "velocity"),
     ) -> Windows:
         """Return all windows of `length` frames, for training; usable as a torch `Dataset`.
 
@@ -297,7 +301,8 @@ class Dataset:
             length: Number of frames in a window, history and target together.
             split: Part from which windows are taken; all if None.
             rows: Rows of the trajectories to take, or a mask of all rows; all if None.
-            names: Datasets to take, of frames or of steps; of both, the last frame is left out.
+            names: Datasets to take, one name or several, of frames or of steps; of both, the last
+                frame is left out.
 
         Raises:
             InputError: A dataset has neither frames nor steps, or the length does not fit.
@@ -305,7 +310,8 @@ class Dataset:
         chosen = np.arange(len(self)) if split is None else self.rows_of(split)
         if rows is not None:
             chosen = np.intersect1d(chosen, np.arange(len(self))[rows])
-        return Windows(tuple(map(self._series, names)), chosen, length)
+        series = map(self._series, [names] if isinstance(names, str) else names)
+        return Windows(tuple(series), chosen, length)
 
 
 def labelled(arrays: Mapping[str, tuple[tuple[str, ...], Any]], **coordinates: Any) -> Any:

@@ -326,11 +326,12 @@ class Windows:
         """Read windows: one array per dataset, of shape (window, frame, …).
 
         Raises:
-            IndexError: A number is not an integer from 0 to `len(windows)` − 1.
+            IndexError: The numbers are no row of integers from 0 to `len(windows)` − 1.
         """
         indices = np.asarray(numbers)
-        if indices.size and indices.dtype.kind not in "iu":
-            raise IndexError(f"windows are taken by whole numbers, got {indices.dtype}")
+        if indices.ndim != 1 or (indices.size and indices.dtype.kind not in "iu"):
+            got = f"{indices.dtype} of shape {indices.shape}"
+            raise IndexError(f"windows are taken by whole numbers in a row, got {got}")
         numbers = indices.astype(np.int64)
         outside = numbers[(numbers < 0) | (numbers >= len(self))]
         if len(outside):

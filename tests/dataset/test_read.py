@@ -152,9 +152,10 @@ def test_windows_fetch_as_torch_does(data: Dataset) -> None:
         windows.take([len(windows)])
     with pytest.raises(IndexError, match="window -1 of"):
         windows.take([3, -1])
-    for other in ([True, False], [0.5]):  # numpy would make windows 1, 0 and 0 of them
-        with pytest.raises(IndexError, match="by whole numbers, got"):
+    for other in ([True, False], [0.5], [[1, 2]], 3):  # numpy would make windows 1, 0 and 0 of two
+        with pytest.raises(IndexError, match="by whole numbers in a row, got"):
             windows.take(other)  # type: ignore[arg-type]
+    assert np.array_equal(data.windows(3, names="position")[5][0], batch[0])
     assert len(windows.take([])[0]) == 0
 
 
@@ -280,6 +281,8 @@ def test_values_are_held_against_their_checksums(make: Make, tmp_path: Path) -> 
     with h5py.File(shard, "r+") as file:
         file["velocity"][1, 2] += 1e-6
     data.check(["position"])
+    with pytest.raises(InputError, match="no dataset is called 'velocty'; did you mean 'velocity'"):
+        data.check(["velocty"])
     with pytest.raises(InputError, match=r"0\.h5: dataset velocity is not what was written; get"):
         data.check(["position", "velocity"])
 
