@@ -125,7 +125,8 @@ def _off(got: NDArray[Any], wanted: NDArray[Any]) -> NDArray[np.bool_]:
         return np.asarray(got != wanted)
     near = _SAME_DRAW * max(1.0, float(np.abs(wanted).max(initial=0.0)))
     allowed = _ROUNDED * np.abs(wanted) + 1e-14 if got.dtype == np.float32 else near
-    same = (got == wanted) | (np.abs(got - wanted) <= allowed)
+    with np.errstate(over="ignore", invalid="ignore"):  # of motions that blew up
+        same = (got == wanted.astype(got.dtype)) | (np.abs(got - wanted) <= allowed)
     return np.asarray(~(same | (np.isnan(got) & np.isnan(wanted))))
 
 

@@ -16,6 +16,7 @@ import pytest
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import HERE
 from mbds_xsim.base.versions import CHECKS
+from mbds_xsim.dataset import shard
 from mbds_xsim.dataset.encoding import encode
 from mbds_xsim.dataset.gate import COLUMNS, judge_rows
 from mbds_xsim.dataset.hdf5 import CONTENT
@@ -107,6 +108,20 @@ def test_a_set_of_which_all_was_rejected_is_sound(make: Make, tmp_path: Path) ->
         "card": 0,
         "metadata": 0,
     }
+
+
+def test_a_motion_beyond_float32_is_sound_among_the_rejected(
+    make: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def blown_up(*arguments: Any) -> Simulation:
+        done = simulate(*arguments)
+        done.trajectory.position[:, 5:] = 1e40
+        return done
+
+    monkeypatch.setattr(shard, "simulate", blown_up)
+    with np.errstate(over="ignore"):
+        make(tmp_path, trajectories=1)
+        assert _problems(_verify(tmp_path)) == []
 
 
 def _rewrite(path: Path, change: Change) -> None:
