@@ -216,10 +216,13 @@ def locked(folder: Path) -> Iterator[None]:
     with os.fdopen(handle, "r+b", buffering=0) as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
+        except BlockingIOError as error:
             owner = file.read(64).decode(errors="replace").strip() or "another process"
             msg = f"{folder} is in use by {owner}; wait until that run has ended or name another"
             raise InputError(f"{msg} --out") from error
+        except OSError as error:
+            msg = f"--out: cannot lock {folder}: {error.strerror}; name a folder of a file system"
+            raise InputError(f"{msg} that has locks (flock)") from error
         file.truncate(0)
         file.write(f"process {os.getpid()}".encode())
         yield

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import itertools
 import os
 import random
@@ -285,6 +287,17 @@ def test_two_runs_at_once(make: Make, tmp_path: Path) -> None:
     ):
         make(tmp_path)
     assert make(tmp_path, trajectories=3).made == 3
+
+
+def test_a_file_system_without_locks_is_not_called_another_run(
+    make: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOSYS, "Function not implemented")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with pytest.raises(InputError, match=r"cannot lock .*: Function not implemented; name a f"):
+        make(tmp_path)
 
 
 def test_a_shard_that_is_cut_off_is_named_and_left_alone(make: Make, tmp_path: Path) -> None:
