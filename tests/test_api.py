@@ -134,6 +134,7 @@ def test_what_cannot_be_used_is_told_in_one_line(arguments: dict[str, Any], line
         ("load_pairs", [], {}, "paths: got none, pairing takes two or more"),
         ("load_pairs", [["a.h5", "b.h5"]], {}, "paths: got ['a.h5', 'b.h5'], allowed is the path"),
         ("save_scene", [load_scene("2pendulum"), None], {}, "path: got None"),
+        ("save_scene", ["2pendulum", "it.toml"], {}, "scene: got '2pendulum', allowed is a Scene"),
     ],
 )
 def test_other_calls_are_refused_in_one_line_too(

@@ -21,7 +21,7 @@ from msgspec import inspect
 
 from mbds_xsim.base import bounds
 from mbds_xsim.base.bounds import Neutral
-from mbds_xsim.base.errors import SceneError
+from mbds_xsim.base.errors import InputError, SceneError
 from mbds_xsim.base.files import path_of, read_bounded, write_whole
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import INTERVALS
@@ -76,8 +76,10 @@ def save_scene(scene: Scene, path: str | Path) -> None:
     """Write a scene file atomically.
 
     Raises:
-        InputError: The file cannot be written.
+        InputError: The file cannot be written, or an argument is something else.
     """
+    if not isinstance(scene, Scene):
+        raise InputError(f"scene: got {scene!r:.60}, allowed is a Scene, as load_scene returns it")
     write_whole(path_of("path", path), write_scene(scene).encode())
 
 
