@@ -5,7 +5,6 @@ Shards are made in processes of their own, so that an engine that crashes does n
 
 from __future__ import annotations
 
-import json
 import shutil
 import threading
 import time
@@ -32,7 +31,16 @@ from mbds_xsim.base.isolate import (
 from mbds_xsim.checks.kernels import CHECKS
 from mbds_xsim.dataset.card import write_card
 from mbds_xsim.dataset.layout import rejected_folder
-from mbds_xsim.dataset.shard import LOG, Crashes, VariantCount, claim, join, make_shards, try_out
+from mbds_xsim.dataset.shard import (
+    LOG,
+    Crashes,
+    VariantCount,
+    claim,
+    join,
+    make_shards,
+    read_log,
+    try_out,
+)
 from mbds_xsim.dataset.variant import Item, Variant, check_same_draws, folder_name, pending
 from mbds_xsim.measure.quick import searched
 from mbds_xsim.reference.kernels import REFERENCE, compile_once
@@ -311,7 +319,7 @@ def _watched(folders: Sequence[Path], progress: ShardProgress) -> Iterator[None]
         look()
 
 
-def _added(path: Path, places: dict[Path, int]) -> list[dict[str, int]]:
+def _added(path: Path, places: dict[Path, int]) -> list[dict[str, Any]]:
     """Read the lines added to a log since the last call, and note how far it has been read."""
     if not path.exists():
         return []
@@ -320,7 +328,7 @@ def _added(path: Path, places: dict[Path, int]) -> list[dict[str, int]]:
         text = file.read()
     whole = text[: text.rfind(b"\n") + 1]
     places[path] += len(whole)
-    return [json.loads(line) for line in whole.splitlines()]
+    return [*read_log(whole)]
 
 
 @contextmanager

@@ -9,6 +9,7 @@ import re
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ from mbds_xsim.dataset.gate import (
     judge_rows,
     limit_faults,
 )
-from mbds_xsim.dataset.hdf5 import CONTENT, open_hdf5, values_of, variant_files
+from mbds_xsim.dataset.hdf5 import CONTENT, attributes_of, open_hdf5, values_of, variant_files
 from mbds_xsim.dataset.layout import (
     FIELDS,
     JOINT,
@@ -233,15 +234,23 @@ def _log(folder: Path, facts: Mapping[str, Any]) -> None:
 def stage_times(joined: Path) -> dict[str, float]:
     """Return the processor time over all shards of a joined file [s], by stage of their log.
 
-    If a shard was made twice, the last time counts. The result is empty if there is no log, as with
-    data that were fetched from elsewhere.
+    If a shard was made twice, the last time counts. The result is empty if there is no log, as of
+    data fetched from elsewhere, or if it lacks a shard, as after a kill or on a full disk.
     """
     path = joined.with_suffix("") / LOG
-    lines = path.read_text("utf-8").splitlines() if path.is_file() else []
-    shards = {facts["first"]: facts for facts in map(json.loads, lines)}
-    entries = shards.values()
+    lines = read_log(path.read_bytes()) if path.is_file() else ()
+    entries = {facts["first"]: facts for facts in lines}.values()
+    if not entries or sum(facts["count"] for facts in entries) != attributes_of(joined)["count"]:
+        return {}
     stages = [stage for stage in (*STAGES, ROLLOUT) if all(stage in facts for facts in entries)]
-    return {stage: sum(facts[stage] for facts in entries) for stage in stages} if shards else {}
+    return {stage: sum(facts[stage] for facts in entries) for stage in stages}
+
+
+def read_log(text: bytes) -> Iterator[dict[str, Any]]:
+    """Read the lines of a log, without those that a full disk cut off."""
+    for line in text.splitlines():
+        with suppress(ValueError):
+            yield json.loads(line)
 
 
 @dataclass(frozen=True)

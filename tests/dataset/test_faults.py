@@ -27,6 +27,7 @@ from mbds_xsim.base.files import locked
 from mbds_xsim.dataset import shard
 from mbds_xsim.dataset.hdf5 import check_content
 from mbds_xsim.dataset.read import joined_files, load_dataset
+from mbds_xsim.dataset.shard import stage_times
 from mbds_xsim.scene.file import save_scene
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.registry import load_adapter
@@ -278,6 +279,17 @@ def test_a_file_too_large_for_the_system_is_one_line(make: Make, tmp_path: Path)
 
     assert _in_a_child(work) == KILLED
     assert contents(tmp_path) == {}
+
+
+@pytest.mark.parametrize("lost", [b'{"first": 16, "cou', b""])
+def test_a_log_that_lacks_a_shard_gives_no_times(lost: bytes, make: Make, tmp_path: Path) -> None:
+    """A full disk cuts a line off, or a kill comes before it; the shards are whole."""
+    made = tmp_path / make(tmp_path, trajectories=20).variants[0].file
+    assert stage_times(made)["write_s"] > 0
+    log = made.with_suffix("") / "log.jsonl"
+    first, _ = log.read_bytes().splitlines(keepends=True)
+    log.write_bytes(first + lost)
+    assert stage_times(made) == {}
 
 
 def test_two_runs_at_once(make: Make, tmp_path: Path) -> None:
