@@ -195,6 +195,7 @@ _FALLING = 5e-4
 _BOUNCING = 2e-2
 _BOUNCES = 3
 _REBOUND = 2e-2
+_LOWEST_REBOUND = 0.25  # relative to the height of the fall: lower ones count as that high
 _FLYING = 1.25e-3
 _TURNING = 1e-3  # [rad]
 _MOMENTUM = 1e-3  # relative to the check's scale
@@ -315,4 +316,5 @@ def _rebounds(
         run.position[..., 2] - radius + run.velocity[..., 2] ** 2 / (2 * pull)
         for run in (motion, exact)
     )
-    return np.abs(height / np.where(tops, exact_height, 1.0) - 1.0), tops
+    scale = np.maximum(exact_height, _LOWEST_REBOUND * exact_height[:, :1])
+    return np.abs(height - exact_height) / np.where(tops, scale, 1.0), tops

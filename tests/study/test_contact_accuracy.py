@@ -16,7 +16,7 @@ from mbds_xsim.measure.campaign import run_references
 from mbds_xsim.measure.outcome import ReferenceOutcome
 from mbds_xsim.measure.trial import contact_findings
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Clock, Scene
+from mbds_xsim.scene.scene import Clock, Ground, Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Adapter
@@ -126,6 +126,21 @@ def test_a_first_rebound_is_held_to_its_height(share: float, said: bool) -> None
     findings = {f.check: f for f in contact_findings(scene, motion, exact, EULER, None)}
     assert findings["height of the first rebound"].figure[0] == pytest.approx(abs(1.0 - share))
     assert (not findings["height of the first rebound"].passed[0]) == said
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.05])
+def test_a_ball_that_hardly_rebounds_is_held_to_its_fall(restitution: float) -> None:
+    scene, batch, _ = prepared("balldrop")
+    scene = msgspec.structs.replace(scene, ground=Ground(0.43, restitution))
+    exact = run_references(scene, batch, HERE)
+    settings = settings_for(scene, registry.load_adapter("dart"), "matched")
+    motion = simulate(scene, batch, "dart", settings).trajectory
+
+    assert broken(contact_findings(scene, motion, exact, EULER, None)) == []
+
+    place = motion.position + np.array([0.0, 0.0, 0.01])
+    findings = contact_findings(scene, moved(motion, position=place), exact, EULER, None)
+    assert "height of the first rebound" in broken(findings)
 
 
 def test_joined_bodies_are_held_to_their_flight_and_to_nothing_after_it() -> None:
