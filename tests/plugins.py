@@ -20,6 +20,7 @@ import dataclasses, os, sys, time
 import numpy as np
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.scene.state import Failure, Trajectory
+from mbds_xsim.simulate.adapter import ModelSize
 from mbds_xsim_adapters.mujoco import MuJoCo
 
 class Aborting(MuJoCo):
@@ -83,6 +84,13 @@ class Refusing(MuJoCo):
     def settings(self, scene, profile):
         raise Unsupported("it needs three bodies")
 
+class Choosy(MuJoCo):
+    name = "choosy"
+    def settings(self, scene, profile):
+        if len(scene.bodies) > 5:
+            raise Unsupported("it takes five bodies at most")
+        return super().settings(scene, profile)
+
 class Blowing(Moving):
     name = "blowing"
     def motion(self, scene, batch):
@@ -90,6 +98,16 @@ class Blowing(Moving):
         whole = Trajectory.empty(time, len(batch), len(scene.bodies))
         fields = (whole.position, whole.orientation, whole.velocity, whole.angular_velocity)
         return Trajectory(time, *fields, (Failure(1, "a number is not finite"),))
+
+class Losing(Moving):
+    name = "losing"
+    def load(self, scene, settings):
+        run = super().load(scene, settings)
+        run.size = ModelSize(np.int64(3), np.int64(0))
+        return run
+    def motion(self, scene, batch):
+        time = scene.clock.frame * np.arange(batch.steps + 1)
+        return Trajectory.empty(time, len(batch), len(scene.bodies))
 """
 _MODULES = {
     "faulty_engines": _FAULTY,

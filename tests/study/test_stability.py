@@ -312,7 +312,19 @@ def test_methods_that_cannot_do_a_scene_are_left_out_with_the_reason() -> None:
     }  # fmt: skip
 
 
+def test_settings_that_an_engine_refuses_at_one_value_leave_the_others(tmp_path: Path) -> None:
+    study = dataclasses.replace(STUDIES["chain-length"], known=False)
+
+    with faulty(tmp_path / "packages", "choosy"):
+        sweep = _sweep(study, "choosy", "Euler", values=(1.0, 16.0), counts=(50,))
+
+    told = [(cell.outcome, cell.reason) for cell in sweep.cells]
+    assert told == [("stable", ""), ("refused", "choosy matched: it takes five bodies at most")]
+
+
 def test_what_cannot_be_run_is_refused_with_the_choice() -> None:
+    with pytest.raises(InputError, match="reference adaptive chooses its steps, which a map sets"):
+        _sweep(_BLIND, "reference", "adaptive")
     with pytest.raises(UnknownName, match="RK4"):
         _sweep(_BLIND, "mujoco", "RK5")
     with pytest.raises(InputError, match="nothing to run in loops"):

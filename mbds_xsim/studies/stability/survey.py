@@ -142,11 +142,17 @@ def simulators_of(plan: SurveyPlan) -> tuple[list[Simulator], dict[str, str]]:
             left_out[name] = str(error)
             continue
         variation = NATIVE if profile == "native" else ""
-        candidates += [
-            EngineMethod(name, method, variation=variation, counts=plan.counts, profile=profile)
-            for method in ([usual] if profile == "native" else adapter.methods)
-            if not plan.methods or method in plan.methods
-        ]
+        for method in [usual] if profile == "native" else adapter.methods:
+            if plan.methods and method not in plan.methods:
+                continue
+            if adapter.methods[method].adaptive:
+                left_out[f"{name} {method}"] = (
+                    f"{name} {method} chooses its steps, which a map sets"
+                )
+                continue
+            candidates.append(
+                EngineMethod(name, method, variation=variation, counts=plan.counts, profile=profile)
+            )
     simulators: list[Simulator] = []
     for simulator in [*candidates, *plan.others]:
         reasons = [_refusal(plan.study, simulator, scene) for scene in scenes]
@@ -222,16 +228,22 @@ def _panels(
     """Run all cells, those of most bodies first as they take longest, and arrange the panels."""
     grid = [
         [
-            [_case(plan, simulator, instance, count) for count in simulator.counts]
+            _row(plan, simulator, instance)
             for instance in instances[simulator.clock(plan.study.clock)]
         ]
         for simulator in simulators
     ]
-    cases = [case for panel in grid for row in panel for case in row]
+    planned = [each for panel in grid for row in panel for each in row]
+    cases = [each for each in planned if isinstance(each, StudyCase)]
     cases.sort(key=lambda case: -len(case.arguments()[1].bodies))
-    cells = dict(zip(map(id, cases), runner.rows(cases), strict=True))
+    ran = dict(zip(map(id, cases), runner.rows(cases), strict=True))
     return tuple(
-        Panel(**_names(s), cells=tuple(tuple(cells[id(case)] for case in row) for row in panel))
+        Panel(
+            **_names(s),
+            cells=tuple(
+                tuple(e if isinstance(e, MapCell) else ran[id(e)] for e in row) for row in panel
+            ),
+        )
         for s, panel in zip(simulators, grid, strict=True)
     )
 
@@ -242,25 +254,38 @@ def _names(simulator: Simulator) -> dict[str, Any]:
     return {field: getattr(simulator, field) for field in fields}
 
 
-def _case(
-    plan: SurveyPlan, simulator: Simulator, instance: Instance, count: int
-) -> StudyCase[MapCell]:
+def _row(
+    plan: SurveyPlan, simulator: Simulator, instance: Instance
+) -> list[StudyCase[MapCell] | MapCell]:
+    """Return the case of each cell of a row, or the cell itself if the scene is refused."""
+    refusal = _refusal(plan.study, simulator, instance.scene)
+    return [_planned(plan, simulator, instance, count, refusal) for count in simulator.counts]
+
+
+def _planned(
+    plan: SurveyPlan, simulator: Simulator, instance: Instance, count: int, refusal: str
+) -> StudyCase[MapCell] | MapCell:
     scene, batch, truth = instance.scene, instance.batch, instance.truth
+    cell = MapCell(
+        key="",
+        study=plan.study.name,
+        value=instance.value,
+        **_names(simulator),
+        options={} if simulator.source or refusal else simulator.options(scene),
+        step_s=scene.clock.frame / count,
+        duration_s=scene.clock.duration,
+        limit_s=plan.limit,
+        machine=machine(),
+        outcome="refused",
+        told="process",
+        reason=" ".join(refusal.split()),
+        source=simulator.source,
+    )
+    if refusal:
+        return cell
+    key = row_key(scene, batch, simulator, count, truth is None, batch.steps)
     return StudyCase(
-        row=MapCell(
-            key=row_key(scene, batch, simulator, count, truth is None, batch.steps),
-            study=plan.study.name,
-            value=instance.value,
-            **_names(simulator),
-            options={} if simulator.source else simulator.options(scene),
-            step_s=scene.clock.frame / count,
-            duration_s=scene.clock.duration,
-            limit_s=plan.limit,
-            machine=machine(),
-            outcome="crashed",
-            told="process",
-            source=simulator.source,
-        ),
+        row=msgspec.structs.replace(cell, key=key),
         name=f"{simulator.name}, {text_of(instance.value, plan.study.unit)}",
         function=run_cell,
         arguments=lambda: (simulator, scene, batch, count, truth),
