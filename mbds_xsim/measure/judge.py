@@ -157,7 +157,9 @@ def _result(
     failures = tuple(outcome.failures)
     differences = _readback_differences(outcome) if native else []
     reasons = (*failures, *differences, *failed_lines(batch, findings))
-    simulated = sum(len(s.trajectory) for s in simulations) * scene.clock.duration
+    ends = [end for s in simulations for end in s.trajectory.failures]
+    frames = sum(batch.steps if end is None else min(end.frame, batch.steps) for end in ends)
+    simulated = float(frames * scene.clock.frame)
     size = simulations[0].size if simulations else None
     agreement_s = None if error is None else _agreed(scene, error, reference.trajectory)
     return EngineResult(
@@ -172,7 +174,7 @@ def _result(
         verdict="fail" if reasons else "pass",
         reasons=reasons,
         error_1s_m=_worst_of(by_name, "error at 1 s"),
-        error_max_m=None if error is None else _finite(np.nanmax(error, initial=0.0)),
+        error_max_m=None if error is None else _finite(np.nanmax(error, initial=-np.inf)),
         error_weighted_m=_worst_of(by_name, "error growth-weighted"),
         constraint_gap_m=_worst_of(by_name, "gap"),
         energy_balance=_worst_of(by_name, "energy"),

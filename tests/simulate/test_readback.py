@@ -14,9 +14,11 @@ from mbds_xsim.base.isolate import Crash
 from mbds_xsim.measure.campaign import reference_of
 from mbds_xsim.measure.judge import judge
 from mbds_xsim.measure.outcome import Outcome
+from mbds_xsim.measure.result import EngineResult
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Failure
 from mbds_xsim.simulate import readback
 from mbds_xsim.simulate.adapter import Adapter, Readback
 from mbds_xsim.simulate.choice import Choice, settings_for
@@ -151,3 +153,22 @@ def test_where_a_part_crashed_the_others_are_held_against_their_own_starts() -> 
 
     assert result.reasons[0] == "crash: gone"
     assert not [line for line in result.reasons if line.startswith("read-back")]
+
+
+def test_a_motion_that_ends_early_has_the_cost_of_what_there_is() -> None:
+    scene = load_scene("2pendulum")
+    batch = draw_batch(scene, range(2))
+    (contender,), _ = Choice.parse(engines="mujoco", profiles="matched").contenders(scene)
+    whole = simulate(scene, batch, "mujoco", contender.settings)
+    truth = reference_of(scene, batch, True)
+
+    def ended(*frames: int | None) -> EngineResult:
+        ends = tuple(None if frame is None else Failure(frame, "lost") for frame in frames)
+        motion = dataclasses.replace(whole.trajectory[[0, 1]], failures=ends).cut_at_failures()
+        part = dataclasses.replace(whole, trajectory=motion, rollout_s=1.0)
+        return judge(Outcome(contender, scene, batch, [part], [[0, 1]]), truth).result
+
+    frame = scene.clock.frame
+    assert ended(None, 50).wall_per_simulated_s == pytest.approx(1.0 / (frame * (batch.steps + 50)))
+    lost = ended(0, 0)
+    assert (lost.wall_per_simulated_s, lost.error_max_m) == (None, None)
