@@ -24,7 +24,7 @@ from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import ModelSize, Profile, Settings
 from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.claims import RTOL, Method
-from mbds_xsim.simulate.timed import WARM_UP, checked, stopwatch
+from mbds_xsim.simulate.timed import WARM_UP, checked, size_of, stopwatch
 
 Options = Mapping[str, float | int | bool | str]
 
@@ -245,7 +245,7 @@ class EngineMethod(Simulator):
                 cpu,
                 simulated_s=scene.clock.frame * start.steps * self.together,
                 setup_s=setup,
-                size=run.size,
+                size=size_of(run),
                 method=adapter.methods[settings.method],
                 step=settings.step,
                 contact_time=adapter.contact_scales(settings).time,

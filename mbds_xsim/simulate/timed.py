@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import operator
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -85,7 +86,7 @@ def simulate(scene: Scene, batch: Batch, engine: str, settings: Settings) -> Sim
             settings=settings,
             trajectory=trajectory,
             readback=readback,
-            size=_size(run),
+            size=size_of(run),
             contact_time=adapter.contact_scales(settings).time,
             setup_s=loaded - begin,
             rollout_s=wall,
@@ -163,11 +164,16 @@ def _check_array(verb: str, source: object, name: str, shape: tuple[int, ...] | 
         raise ValueError(f"the adapter {verb} {name} as {got}, not as float64 {shape or ''}")
 
 
-def _size(run: Run) -> ModelSize:
+def size_of(run: Run) -> ModelSize:
+    """Return the size of a run's native model in Python's own whole numbers.
+
+    Raises:
+        TypeError: It is no `ModelSize` of whole numbers.
+    """
     size: object = run.size
     if not isinstance(size, ModelSize):
         raise TypeError(f"the adapter gave its size as {size!r:.60}, not as a ModelSize")
-    return size
+    return ModelSize(*map(operator.index, dataclasses.astuple(size)))
 
 
 @dataclass(frozen=True)

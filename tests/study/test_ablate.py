@@ -308,6 +308,14 @@ def test_a_scene_that_ends_before_1_s_has_no_distance_there(end: float, told: st
 
 
 @pytest.mark.parametrize(
+    ("end", "compared"), [(1.0, True), (3.3, True), (20.0, True), (0.9, False)]
+)
+def test_a_frame_near_1_s_stands_for_it(end: float, compared: bool) -> None:
+    change = _judged(5e-4, 11, 1e-4, end=end).change_1s_m
+    assert change == (pytest.approx(5e-4) if compared else None)
+
+
+@pytest.mark.parametrize(
     ("change", "lost_from", "verdict"),
     [(5e-4, 11, "not needed"), (5e-4, 4, "not resolvable"), (2e-3, 4, "needed")],
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import msgspec
@@ -11,6 +12,7 @@ import pytest
 from mbds_xsim import reference
 from mbds_xsim.base.isolate import HERE
 from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Clock
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.simulator import EngineMethod
 from mbds_xsim.studies.tradeoff import bench
@@ -63,6 +65,26 @@ def test_contact_from_the_start_holds_each_method_to_its_own_limit() -> None:
     assert [OWN_LIMIT in point.broken for point in points] == [e > allowed for e in errors]
     assert max(point.steps_per_frame for point in points) < LIMIT_COUNT
     assert studied(short, "pybullet").measured == 0
+
+
+def test_a_limit_of_other_options_is_another_and_its_time_is_a_frame() -> None:
+    short = shortened("particlecar", 4)
+    slow = msgspec.structs.replace(short, clock=Clock(0.3, 4))
+    starts = draw_batch(slow, [1], seed=0)
+    unknown = bench.Truth(reference.solve(slow, starts), np.ones((1, 5)))
+    curve = EngineMethod("exudyn", "trapezoidal", own_options={})
+
+    def key(usual: float, own: float) -> str:
+        usually = replace(curve, own_options={"slip_speed": usual})
+        known = {("exudyn", "trapezoidal"): usually}
+        workbench = bench.StartBench(slow, starts, [unknown], 0, 30.0, HERE, usual=known)
+        changed = replace(curve, own_options={"slip_speed": own})
+        row = workbench._case(bench.Job(changed, 2, 0)).row
+        assert row.horizon_s == workbench.horizon == pytest.approx(0.9)
+        return row.key
+
+    assert key(1e-3, 1e-4) == key(1e-3, 1e-4)
+    assert len({key(1e-3, 1e-4), key(1e-4, 1e-4), key(1e-2, 1e-4)}) == 3
 
 
 @pytest.mark.parametrize("own_limit", [True, False])

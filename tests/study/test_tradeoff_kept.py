@@ -136,6 +136,19 @@ def _impatient(function: Callable[..., Any], arguments: tuple[Any, ...], timeout
     return Task(function, arguments, _HANG if simulator.engine == "hanging" else timeout)
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_numbers_that_are_none_are_no_error(scene: Scene, tmp_path: Path, known: bool) -> None:
+    scene = scene if known else shortened("particlecar", 4)
+    with faulty(tmp_path / "packages", "losing"):
+        study = studied(scene, "losing")
+        again = studied(scene, "losing")
+
+    assert (again.measured, again.curves) == (0, study.curves)
+    points = (point for curve in study.curves for point in curve.points)
+    told = {(point.kind, point.error_m, "finite" in point.broken) for point in points}
+    assert told == {("done", None, True)}
+
+
 @pytest.mark.usefixtures("faulty_engines")
 @pytest.mark.slow
 def test_crash_time_out_and_nan_are_listed_results(

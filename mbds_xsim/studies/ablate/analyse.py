@@ -23,6 +23,7 @@ from mbds_xsim.scene.state import Trajectory
 from mbds_xsim.simulate.adapter import ModelSize, Settings
 from mbds_xsim.simulate.choice import Contender
 from mbds_xsim.simulate.registry import load_adapter
+from mbds_xsim.simulate.timed import size_of
 from mbds_xsim.studies.ablate.effects import Effect
 
 SCHEMA = "mbds-xsim/ablate/1"
@@ -162,9 +163,13 @@ class Window:
         return bool(self.spans.max() >= min(_INSTANT, self.time[-1]) * (1 - 1e-9))
 
     def at_instant(self, error: Array) -> Array:
-        """Return errors at 1 s [m] of the regular starts that are judged there, shape (count,)."""
-        frame = int(np.argmin(np.abs(self.time - _INSTANT)))
-        if abs(self.time[frame] - _INSTANT) > 1e-9:
+        """Return errors at 1 s [m] of the regular starts that are judged there, shape (count,).
+
+        As in `validate`, the frame nearest to 1 s counts, or the first if it is later.
+        """
+        instant = max(_INSTANT, self.time[1])
+        frame = int(np.argmin(np.abs(self.time - instant)))
+        if abs(self.time[frame] - instant) >= 0.5 * self.time[1]:
             return np.zeros(0)
         return np.asarray(error[self.regular & self.judged[:, frame], frame])
 
@@ -361,7 +366,7 @@ def sizes_of(
 
 def _native_size(scene: Scene, engine: str, settings: Settings) -> ModelSize:
     with load_adapter(engine).open(scene, settings) as run:
-        return run.size
+        return size_of(run)
 
 
 def _planar_freedom(mechanism: Mechanism, moving: tuple[int, ...]) -> int:

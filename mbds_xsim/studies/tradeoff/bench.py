@@ -65,9 +65,12 @@ class Truth:
 
         If a frame is longer than 1 s, it is the first; 0 if only the start is known.
         """
-        times, first = self.trajectory.time[self.known], float(self.trajectory.time[:2].max())
-        before = times[times <= max(INSTANT, first) * (1 + 1e-9)]
-        return float(before[-1]) if len(before) else 0.0
+        return _horizon(self.trajectory.time, self.known)
+
+
+def _horizon(time: Array, known: Mask) -> float:
+    before = time[known & (time <= max(INSTANT, time[:2].max()) * (1 + 1e-9))]
+    return float(before[-1]) if len(before) else 0.0
 
 
 def references(scene: Scene, batch: Batch, conduct: Conduct) -> list[Truth]:
@@ -170,7 +173,8 @@ class StartBench:
     def horizon(self) -> float:
         """Time of the charted error [s], the earliest of all starts."""
         if self.are_limits:
-            return min(max(INSTANT, self.scene.clock.frame), self.scene.clock.duration)
+            time = self.references[0].trajectory.time
+            return _horizon(time, np.isfinite(time))
         return min(truth.horizon for truth in self.references)
 
     @property
@@ -239,7 +243,11 @@ class StartBench:
 
     def _bare(self, job: Job, lost: bool = False) -> Measurement:
         """Return a row without figures; `lost` if there is no limit to compare it with."""
-        simulator, more = job.simulator, (_LOST_LIMIT,) if lost else ()
+        simulator, more = job.simulator, [_LOST_LIMIT] if lost else []
+        options = simulator.options(self.scene)
+        if self.are_limits:  # the limit is that of the usual options
+            usual = self.usual[job.place[:2]].options(self.scene)
+            more += [str(sorted(usual.items()))] if usual != options else []
         return Measurement(
             key=row_key(self.scene, self.batch[[job.start]], simulator, job.count, *more),
             scene=self.scene.name,
@@ -247,7 +255,7 @@ class StartBench:
             version=simulator.version,
             method=simulator.method,
             variation=simulator.variation,
-            options=simulator.options(self.scene),
+            options=options,
             steps_per_frame=1 if simulator.digits else job.count,
             step_s=self.scene.clock.frame / (1 if simulator.digits else job.count),
             rtol=10.0**-job.count if simulator.digits else None,
@@ -304,7 +312,7 @@ def _of_bodies(
     errors = _errors(scene, error, truth)
     findings = audit(scene, start, motion, run.method, step=run.step, contact_time=run.contact_time)
     by_check = {finding.check: finding for finding in findings}
-    if errors and truth.judged:
+    if truth.horizon > 0.0 and truth.compared and truth.judged:
         known = truth.trajectory, truth.growth
         findings = [*reference_findings(scene, start, motion, error, *known), *findings]
     return errors | {
@@ -327,13 +335,16 @@ def _of_particles(scene: Scene, signs: Signs, truth: Truth) -> dict[str, Any]:
 
 
 def _errors(scene: Scene, error: Array, truth: Truth) -> dict[str, float]:
-    """Return the error at the horizon and the growth-weighted one [m]; `error` is (1, frame)."""
-    frame = round(truth.horizon / scene.clock.frame)
-    if frame == 0 or not truth.compared:
+    """Return the finite ones of the error at the horizon and the growth-weighted one [m].
+
+    `error` has shape (1, frame).
+    """
+    if truth.horizon == 0.0 or not truth.compared:
         return {}
-    known = truth.known
+    frame, known = round(truth.horizon / scene.clock.frame), truth.known
     (weighted,) = agreement.growth_weighted(error[:, known], truth.growth[:, known])
-    return {"error_m": float(error[0, frame]), "error_weighted_m": float(weighted)}
+    figures = {"error_m": float(error[0, frame]), "error_weighted_m": float(weighted)}
+    return {name: figure for name, figure in figures.items() if np.isfinite(figure)}
 
 
 def _figure(findings: dict[str, Finding], check: str) -> float | None:

@@ -19,7 +19,7 @@ FLOOR = 1e-11
 _ROUNDING = 1e-9
 """Largest error that an engine's rounding may cause, over the scene's length."""
 _WORST = ("setup_s", "error_m", "error_weighted_m", "gap_m", "energy")
-"""Figures of a point that are the worst of its starts."""
+"""Figures of a point that are the worst of its starts, and None if one has none."""
 OWN_LIMIT = "distance to its own limit"
 """Check that is broken if a method has not converged and there is no reference."""
 
@@ -141,8 +141,8 @@ def _pair(cost: float | None, error: float | None) -> tuple[float, float] | None
 
 
 def _worst(rows: Iterable[Measurement], figure: str) -> float | None:
-    values = (getattr(row, figure) for row in rows)
-    return max((value for value in values if value is not None), default=None)
+    values = [getattr(row, figure) for row in rows]
+    return None if None in values else max(values)
 
 
 def _reason(bad: Measurement, rows: Sequence[Measurement]) -> str:
