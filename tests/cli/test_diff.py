@@ -24,6 +24,9 @@ _RESULTS = {
     "tradeoff": stored.tradeoff,
     "match": stored.match,
     "stability": stored.stability,
+    "ablate": stored.ablation,
+    "contact": stored.contact,
+    "releases": stored.history,
 }
 
 

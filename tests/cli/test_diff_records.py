@@ -1,9 +1,13 @@
-"""Comparison of results of any command, record by record."""
+"""Comparison of results of any command, record by record, and of what studies judge."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import pytest
 
+from tests.cli import stored
 from tests.cli.stored import Compare, Json
 
 
@@ -36,53 +40,88 @@ def test_results_of_any_command_are_compared(compare: Compare) -> None:
     assert compare(exported, lambda _: None)[1]["verdict"] == "same"
 
 
-def _records(command: str, place: str, *records: Json) -> Json:
-    return {"schema": f"mbds-xsim/{command}/1", place: list(records)}
-
-
-_ABLATED = {"effect": "joint friction", "factor": 0.0, "verdict": "needed", "change_m": 1e-3}
-_ABLATED |= {"sentence": "motion changes by 1.8 × the floor"}
-_REBOUND: Json = {"engine": "dart", "profile": "native", "quantity": "spin", "value": 49.7}
-_REBOUND |= {"at": {"speed": 1.0}, "note": "silent at 10 rad/s: 9.8"}
-_RELEASED = {"key": "0a", "release": "1.0", "case": "pair", "way": "native", "error_m": 1e-3}
-_STEP = {"release": "1.0", "name": "pair", "what": "gap", "new": 1e-3, "explanation": "a"}
-_NAMED: dict[str, tuple[Json, Json]] = {
-    "ablate": (_records("ablate", "rows", _ABLATED), {"sentence": "9 × the floor", "change_m": 1}),
-    "contact": (_records("contact", "figures", _REBOUND), {"note": "silent", "value": None}),
-    "releases": (_records("releases", "rows", _RELEASED), {"key": "0b", "error_m": 1.0}),
-    "releases steps": (_records("releases", "steps", _STEP), {"explanation": "", "new": 1.0}),
+_STEP: Json = {
+    "release": "1.0",
+    "before": "0.9",
+    "name": "pair, native",
+    "what": "gap",
+    "unit": "m",
+}
+_STEP |= {"old": 1e-6, "new": 1e-3, "factor": 1e3, "course": "worse"}
+_WORSE: dict[str, tuple[Json, Callable[[Json], Any], list[str]]] = {
+    "engine fails": (
+        stored.ablation(),
+        lambda new: new["failed"].update(dart="gap: 1 mm"),
+        ["dart: pass → fail"],
+    ),
+    "engine is left out": (
+        stored.ablation(),
+        lambda new: new.update(floor_engines=["mujoco"], left_out={"dart": "no"}),
+        ["dart: was pass, is left out now: no"],
+    ),
+    "rebound": (
+        stored.contact(),
+        lambda new: new["figures"][1].update(value=0.48),
+        ["dart native restitution, restitution 0.5, speed 2: as asked → not as asked"],
+    ),
+    "silence": (
+        stored.contact(),
+        lambda new: new["figures"][2].update(note="silent at 10 rad/s: 9"),
+        ["dart native free spin: as asked → not as asked"],
+    ),
+    "row is lost": (
+        stored.history(),
+        lambda new: new["rows"][0].update(kind="crashed", error_m=None),
+        ["release 1.0, pair, native: done → crashed"],
+    ),
+    "step to the worse": (
+        stored.history(),
+        lambda new: new["steps"].append(_STEP),
+        ["newest release: pass → fail"],
+    ),
 }
 
 
-@pytest.mark.parametrize("kind", _NAMED)
-def test_records_keep_their_names_where_results_change(compare: Compare, kind: str) -> None:
-    result, edit = _NAMED[kind]
-    place = list(result)[-1]
+@pytest.mark.parametrize("kind", _WORSE)
+def test_what_a_study_marks_is_worse(compare: Compare, kind: str) -> None:
+    result, edit, worse = _WORSE[kind]
 
-    _, diff = compare(result, lambda new: new[place][0].update(edit))
+    ended, diff = compare(result, edit)
 
-    (scene,) = diff["scenes"]
-    (entry,) = scene["entries"]
-    assert (diff["verdict"], scene["only_old"], scene["only_new"]) == ("changed", [], [])
-    assert [figure["what"] for figure in entry["figures"]] == [list(edit)[-1]]
+    assert (ended.code, diff["scenes"][0]["worse"]) == (1, worse)
+    assert compare(result, lambda _: None)[1]["verdict"] == "same"
 
 
-def test_records_are_told_apart_by_name_where_some_are_gone(compare: Compare) -> None:
-    fast = _REBOUND | {"at": {"speed": 2.0}}
-    other = _REBOUND | {"engine": "mujoco"}
-    result = _records("contact", "figures", other, _REBOUND, fast)
+@pytest.mark.parametrize(
+    ("result", "edit", "entry"),
+    [
+        (stored.ablation(), lambda new: new["rows"][1].update(change_1s_m=9.0), "noise × 0.5"),
+        (stored.ablation(), lambda new: new["rows"][0].update(verdict="not needed"), "noise × 0"),
+        (
+            stored.contact(),
+            lambda new: new["figures"][0].update(value=0.501),
+            "dart native restitution, restitution 0.5, speed 1",
+        ),
+        (
+            stored.history(),
+            lambda new: new["rows"][0].update(error_m=9.0),
+            "release 1.0, pair, native",
+        ),
+    ],
+)
+def test_figures_that_a_study_does_not_judge_only_change(
+    compare: Compare, result: Json, edit: Callable[[Json], Any], entry: str
+) -> None:
+    ended, diff = compare(result, edit)
 
-    _, diff = compare(result, lambda new: new["figures"].pop(0))
-
-    (scene,) = diff["scenes"]
-    assert scene["entries"] == []
-    assert [one["name"] for one in scene["only_old"]] == ["figures mujoco native spin speed 1.0"]
+    assert (ended.code, diff["verdict"]) == (0, "changed")
+    assert [one["name"] for one in diff["scenes"][0]["entries"]] == [entry]
 
 
-def test_a_stored_key_is_no_result(compare: Compare) -> None:
-    result = _records("releases", "rows", _RELEASED)
+def test_times_and_keys_of_rows_are_no_change(compare: Compare) -> None:
+    edit = compare(stored.history(), lambda new: new["rows"][0].update(key="0b", cpu_s=9.0))
 
-    assert compare(result, lambda new: new["rows"][0].update(key="0b"))[1]["verdict"] == "same"
+    assert edit[1]["verdict"] == "same"
 
 
 def test_flags_are_words_and_only_times_are_in_seconds(compare: Compare) -> None:

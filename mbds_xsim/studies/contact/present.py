@@ -199,6 +199,21 @@ _WAYS: dict[str, tuple[Callable[[float], str], Callable[[float], bool]]] = {
 """Functions that format and judge a figure, keyed by quantity without the body."""
 
 
+def is_as_asked(measured: ContactFigure) -> bool | None:
+    """Return whether a figure is close to what was asked for; None if there is none.
+
+    A limit is, unless the engine is wrong beyond it without saying so.
+    """
+    way = _WAYS.get(measured.quantity.rpartition(": ")[2])
+    if way is None:
+        return not measured.note.startswith("silent")
+    if measured.value is None:
+        return None
+    bounced = measured.quantity == "restitution"
+    other = measured.at["restitution"] - RESTITUTION if bounced else 0.0
+    return way[1](measured.value - other)
+
+
 @dataclass(frozen=True)
 class ContactLine:
     """A line of a table: one quantity under one condition."""

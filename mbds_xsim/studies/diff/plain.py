@@ -14,19 +14,8 @@ _CIRCUMSTANCES = ("versions", "machine", "workers")
 _TIMINGS = re.compile(r"wall|cpu|core|setup|elapsed|rate|seconds|bytes|_mb\b")
 """Pattern of the names of figures that the machine decides."""
 _REASONS = ("reasons", "reason", "failures", "left_out")
-_KEY = "key"
-"""Name of the hash under which a study stores a row; it says nothing of the result."""
-_NO_LABEL = (*_REASONS, _KEY, "verdict", "sentence", "note", "explanation")
+_NO_LABEL = (*_REASONS, "verdict", "note")
 """Texts that are results, or made of results, so that they do not tell which record it is."""
-_IDENTITIES = (
-    ("effect", "factor"),
-    ("engine", "profile", "quantity", "at"),
-    ("release", "case", "way"),
-    ("release", "name", "what"),
-    ("engine", "package"),
-)
-"""Fields that tell a record from others of its list: in results of `ablate`, `contact` and
-`releases` (rows, steps, and whole results)."""
 
 
 def plain_view(parts: list[Any]) -> View:
@@ -64,25 +53,18 @@ def _holds_records(value: Any) -> bool:
 
 
 def _label_records(records: list[dict[str, Any]]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Label records by what identifies them if that is unique, or else by their position."""
-    labels = list(map(_label, records))
+    """Label records by their texts if these are unique, or else by their position."""
+    labels = [
+        " ".join(v for k, v in record.items() if isinstance(v, str) and k not in _NO_LABEL)
+        for record in records
+    ]
     unique = len(set(labels)) == len(labels)
     for place, (label, one) in enumerate(zip(labels, records, strict=True)):
         yield label if unique and label else str(place), one
 
 
-def _label(record: Mapping[str, Any]) -> str:
-    """Join the fields that identify a record of a known kind, or else its texts."""
-    known = next((keys for keys in _IDENTITIES if record.keys() >= set(keys)), None)
-    if known is None:
-        texts = (v for k, v in record.items() if isinstance(v, str) and k not in _NO_LABEL)
-        return " ".join(texts)
-    leaves = (leaf for key in known for leaf in _leaves(record[key]))
-    return " ".join(f"{name} {value}".lstrip() for name, value in leaves)
-
-
 def _entry(own: Mapping[str, Any]) -> Entry:
-    leaves = dict(_leaves({key: own[key] for key in own if key not in (*_REASONS, _KEY)}))
+    leaves = dict(_leaves({key: own[key] for key in own if key not in _REASONS}))
     passed = own.get("passed", own.get("ok"))
     failed = passed is False or own.get("verdict") == "fail"
     numbers = {

@@ -16,7 +16,7 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.files import read_bounded
 from mbds_xsim.measure import result
 from mbds_xsim.studies import match, stability, tradeoff
-from mbds_xsim.studies.diff import FAILING, Entry, PhysicalFigure, Value, View
+from mbds_xsim.studies.diff import FAILING, Entry, PhysicalFigure, Value, View, records
 from mbds_xsim.studies.diff.plain import plain_view
 
 T = TypeVar("T")
@@ -305,5 +305,8 @@ READERS: dict[str, Callable[[Any], View]] = {
     tradeoff.SCHEMA: _tradeoff,
     match.SCHEMA: _match,
     stability.SCHEMA: _stability,
+    records.ABLATION: records.ablation_view,
+    records.CONTACT: records.contact_view,
+    records.RELEASES: records.history_view,
 }
 """Readers by `schema` that know ranks and budgets; `plain_view` reads all other results."""
