@@ -11,8 +11,8 @@ import msgspec
 import numpy as np
 
 from mbds_xsim.base import bounds, rotation
-from mbds_xsim.base.errors import InputError, located
-from mbds_xsim.scene.coupling import Coupling
+from mbds_xsim.base.errors import InputError, SceneError, located
+from mbds_xsim.scene.coupling import Coupling, check_couplings
 from mbds_xsim.scene.imported import Fate, Imported, Outcome, gathered
 from mbds_xsim.scene.scene import WORLD, Body, DistanceLink, Inertia, Joint, Scene, SpringDamper
 from mbds_xsim.scene.servo import Servo
@@ -29,6 +29,7 @@ _NOTES = {"limits": "stops of the joint, which give nothing of a speed back"}
 _SCALAR = "the scene description has it for hinges and sliders alone"
 _NOTHING = Mass(0.0, np.zeros(3), np.zeros((3, 3)))
 _TIES_NOTHING = "it holds what does not move, or is not there"
+_NO_LINE = "its ends are at one point at the reference pose, or its force law is negative"
 _TOGETHER = 1e-9  # [m]: anchors this close count as one point
 _INDEPENDENT = 1e-3  # least volume spanned by three independent unit axes
 
@@ -270,6 +271,9 @@ class _Builder:
             self._report("dropped", "tendon", _TIES_NOTHING, line.name, moves=False)
             return
         points = (line.points[0].tolist(), line.points[1].tolist())
+        if math.dist(*points) < _TOGETHER or min(line.stiffness, line.damping) < 0:
+            self._report("dropped", "tendon", _NO_LINE, line.name)
+            return
         if line.rigid:
             self.links.append(DistanceLink(line.name, ends, points, line.length))
             reason = "a rigid distance link, where the engine's own is soft"
@@ -305,7 +309,12 @@ class _Builder:
         elif any(higher) or not ratio:
             reason = "not in proportion to the other's coordinate"
         else:
-            self.couplings.append(Coupling(follower, leader, ratio, offset))
+            couplings = [*self.couplings, Coupling(follower, leader, ratio, offset)]
+            try:
+                check_couplings(tuple(couplings))
+                self.couplings = couplings
+            except SceneError:
+                reason = "it follows another joint, or itself, by others that are kept"
         outcome, note = _outcome(reason, "a rigid coupling")
         self.fates.append(Fate(element, (attribute,), outcome, note, True, (place,)))
 

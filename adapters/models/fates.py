@@ -28,7 +28,7 @@ _NONE: Entry = ("kept", True, "none, or zero")
 _MJCF: tuple[Row, ...] = (
     ("kept", True, "as the compiler resolves it",
      "mujoco compiler default model attach body inertial frame replicate joint freejoint "
-     "option@gravity joint@ref"),
+     "option@gravity joint@ref asset contact"),
     ("kept", True, "what it switches off in MuJoCo is not in the scene either",
      "flag@gravity flag@spring flag@damper flag@passive flag@limit flag@frictionloss "
      "flag@equality flag@constraint flag@contact flag@actuation flag@clampctrl "
@@ -41,13 +41,14 @@ _MJCF: tuple[Row, ...] = (
     ("dropped", False, _SOLVER,
      "geom@solmix geom@solref geom@solimp geom@margin geom@gap option flag size statistic "
      "joint@solreflimit joint@solimplimit joint@solreffriction joint@solimpfriction joint@margin "
-     "body@sleep"),
+     "body@sleep lengthrange"),
     ("dropped", True, "there is no fluid", "option@density option@viscosity option@wind "
      "geom@fluidshape geom@fluidcoef"),
     ("dropped", True, "there are no magnetic fields", "option@magnetic"),
     ("dropped", True, "gravity acts on all bodies alike", "body@gravcomp"),
-    ("dropped", False, "for actuators only", "joint@actuatorfrcrange joint@actuatorfrclimited "
-     "joint@actuatorgravcomp"),
+    ("kept", True, "it limits the servos of the joint",
+     "joint@actuatorfrcrange joint@actuatorfrclimited"),
+    ("dropped", False, "for actuators only", "joint@actuatorgravcomp"),
     ("dropped", False, _VISUAL,
      "visual site camera light texture material skin geom@material geom@rgba geom@group "
      "joint@group mesh@material bone layer geom@castshadow freejoint@group mesh@texcoord "
@@ -56,7 +57,8 @@ _MJCF: tuple[Row, ...] = (
      "body@user joint@user geom@user"),
     ("dropped", False, "a pose beside the reference pose, at which the scene starts", "keyframe"),
     ("kept", True, "as the compiler resolves it for each actuator",
-     "motor position velocity intvelocity general damper cylinder muscle adhesion dcmotor"),
+     "motor position velocity intvelocity general damper cylinder muscle adhesion dcmotor pid "
+     "orientation"),
     ("dropped", True, "a plugin may exert anything", "extension plugin"),
     ("dropped", True, "bodies are rigid", "deformable flex flexcomp composite"),
 )  # fmt: skip
@@ -66,9 +68,9 @@ _KNOWN = {
     "default": "class",
     "model": "name file content_type",
     "attach": "model body frame prefix",
-    "body": f"name childclass mocap fuse {_PLACED}",
+    "body": f"name childclass mocap fuse simple {_PLACED}",
     "inertial": f"mass diaginertia fullinertia {_PLACED}",
-    "frame": f"name childclass {_PLACED}",
+    "frame": f"name childclass scale scaling massscale {_PLACED}",
     "replicate": f"count offset sep childclass {_PLACED}",
     "freejoint": "name align",
     "joint": "name class type pos axis range limited ref springref stiffness damping springdamper "

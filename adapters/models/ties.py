@@ -16,6 +16,7 @@ from .parts import Closing, Line, ModelCoupling
 
 _APART = 1e-9  # [m or turn]: largest gap of an equality that is met at the reference pose
 _NOT_YET = "not yet in the scene description"
+SWITCHED_OFF = "switched off in MuJoCo, and not in the scene either"
 HIGHER = f"terms that are not linear in place and rate are {_NOT_YET}"
 _SWITCHES = {
     "stiffness": "SPRING",
@@ -45,9 +46,14 @@ def higher(model: Any, kind: str, k: int, off: Mapping[str, bool]) -> tuple[str,
 
 
 def element_name(mujoco: Any, model: Any, kind: str, k: int) -> str:
-    """Return the name of an element, or its kind and number if it has none."""
+    """Return the name of an element, or one of its kind and number that no other has."""
     object_type = getattr(mujoco.mjtObj, f"mjOBJ_{kind}")
-    return mujoco.mj_id2name(model, object_type, k) or f"{kind.lower()} {k}"
+    if name := mujoco.mj_id2name(model, object_type, k):
+        return str(name)
+    name = f"{kind.lower()} {k}"
+    while mujoco.mj_name2id(model, object_type, name) >= 0:
+        name += "_"
+    return name
 
 
 class Ties:
@@ -132,6 +138,9 @@ class Ties:
     def fates(self) -> Iterator[Fate]:
         """Report equalities and tendons that are not converted, with the reasons."""
         model = self._model
+        for e in {*range(model.neq)}.difference(self._active):
+            place = (self._name("EQUALITY", e),)
+            yield Fate("equality", (), "kept", SWITCHED_OFF, True, place)
         for e in self._active:
             couples = model.eq_type[e] == self._mujoco.mjtEq.mjEQ_JOINT and model.eq_obj2id[e] >= 0
             if not (self._holds(e) or self._rigid(e) or couples):

@@ -117,6 +117,33 @@ def test_armature_and_damping_of_actuators_are_on_their_joint(option: str, here:
     }
 
 
+_LINE = '<tendon><spatial name="{}" stiffness="{}"><site site="p"/><site site="{}"/></spatial>'
+_JOINTS = '<joint joint1="j" joint2="k"/><joint name="again" joint1="k" joint2="j"/>'
+
+
+@pytest.mark.parametrize(
+    ("rest", "outcome", "place"),
+    [
+        (_LINE.format("point", 5, "q") + "</tendon>", "dropped", "point"),
+        (_LINE.format("push", -5, "r") + "</tendon>", "dropped", "push"),
+        (f"<equality>{_JOINTS}</equality>", "dropped", "k follows j"),
+        ('<equality><weld name="idle" active="false" body1="b"/></equality>', "kept", "idle"),
+    ],
+)
+def test_what_no_scene_can_have_is_told(rest: str, outcome: str, place: str, here: Path) -> None:
+    fates = _read(here, _model(rest=rest)).fates
+
+    assert [f.outcome for f in fates if place in f.places] == [outcome]
+
+
+def test_what_the_compiler_resolves_is_not_lost(here: Path) -> None:
+    xml = _model(rest='<default><pid kp="2"/></default><asset/><contact/>')
+    xml = xml.replace("<body", '<frame scale="2" scaling="geometry" massscale="3"><body', 1)
+    xml = xml.replace("</worldbody>", "</frame></worldbody>")
+
+    assert not [f for f in _read(here, xml).fates if "unknown" in f.reason]
+
+
 def test_an_attribute_that_no_reader_knows_is_dropped() -> None:
     text = (
         '<mujoco><body name="b" pos="0 0 1" later="1"><joint axis="0 0 1" new="2"/></body></mujoco>'
@@ -150,6 +177,44 @@ def test_what_flags_switch_off_exerts_nothing(here: Path) -> None:
     assert [servo.position for servo in bare.scene.servos] == [(0.0,), (1.0,)]
     assert len(bare.scene.springs) == 1
     assert "switched off" in _fates(imported, "actuator")[()].reason
+
+
+def test_what_has_no_name_is_not_taken_for_another_of_the_name_it_gets(here: Path) -> None:
+    xml = _model(rest='<actuator><position joint="joint 1" kp="7"/></actuator>')
+    xml = xml.replace('name="j"', 'name="joint 1"').replace('name="k"', "")
+
+    scene = _read(here, xml).scene
+
+    assert [joint.name for joint in scene.joints] == ["joint 1", "joint 1_"]
+    assert scene.servos[0].joint == "joint 1"
+
+
+_SERVO = '<position joint="j" kp="7" gear="2" ctrlrange=".5 1"/>'
+
+
+@pytest.mark.parametrize(
+    ("actuators", "law"),
+    [
+        ('<orientation site="p" refsite="r" kp="2"/>' + _SERVO, ("j", 28, 0, 0.25, None)),
+        ('<pid tendon="t" velrange="-1 1"/>' + _SERVO, ("j", 28, 0, 0.25, None)),
+        ('<pid joint="j" kp="8" kv="2" gear="2" posrange="1 2" velrange="1 2"/>',
+         ("j", 32, 8, 0.625, None)),
+        ('<pid joint="j" kp="8" kv="2" input="pos ff" posrange="1 2" ffrange="4 5"/>',
+         ("j", 8, 2, 1.5, None)),
+        ('<position joint="k" kp="7" gear="2"/><motor tendon="t"/><motor joint="k"/>',
+         ("k", 28, 0, 0, 3)),
+    ],
+)  # fmt: skip
+def test_an_actuator_is_a_servo_whatever_stands_beside_it(
+    actuators: str, law: tuple[Any, ...], here: Path
+) -> None:
+    """Tendon 0 and joint 0 have nothing to do with each other, and motors share no limit."""
+    tendon = '<tendon><spatial name="t"><site site="p"/><site site="r"/></spatial></tendon>'
+    xml = _model(rest=f"{tendon}<actuator>{actuators}</actuator>")
+    imported = _read(here, xml.replace('"k" axis', '"k" actuatorfrcrange="-3 3" axis'))
+
+    servo = imported.scene.servos[-1]
+    assert (servo.joint, servo.stiffness, servo.damping, *servo.position, servo.limit) == law
 
 
 @pytest.mark.parametrize(
