@@ -26,6 +26,8 @@ _RATES = (0.1, 0.5, 1.0)
 """Largest rates of hinges and free bodies in these intervals [rad/s]."""
 _HEIGHTS = (0.01, 0.05, 0.1, 0.2)
 """Heights above the ground that bound these intervals, over the scene's length."""
+_ROUNDED = 1e-9
+"""Deviation from a limit that starts are allowed [rad or m]."""
 _STARTS = 30
 """Number of starts that are checked not to be in the ground."""
 
@@ -150,5 +152,5 @@ def _violated_limits(scene: Scene) -> Iterator[str]:
     start = assemble(mechanism) if undrawn else None
     for joint in undrawn:
         assert start is not None
-        if joint.beyond(joint_coordinate(joint, start.position, start.native)) > 0.0:
+        if joint.beyond(joint_coordinate(joint, start.position, start.native)) > _ROUNDED:
             yield joint.name

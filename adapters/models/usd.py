@@ -25,7 +25,7 @@ from .usd_shapes import Shapes
 
 _UNLIMITED = 3e38  # limit of a drive; single precision has no larger number
 _LARGEST_FILE = 64 * 10**6  # bytes
-_GAP = 1e-5  # largest gap of a joint's frames over the extent: positions are in single precision
+_GAP = 1e-5  # largest gap of a joint's frames over the extent, and of turns [rad]: single precision
 _LABELS = {"limits": ("Physics…Joint", "physics:lowerLimit"), "drive": ("drive", "")}
 _KINDS = {"RevoluteJoint": "hinge", "PrismaticJoint": "slider", "SphericalJoint": "ball",
           "FixedJoint": "fixed", "D6Joint": "several"}  # fmt: skip
@@ -159,6 +159,11 @@ class _Reading:
     def _part(self, desc: Any) -> Part:
         prim = self._stage.GetPrimAtPath(desc.primPath)
         place, turn = self._frame(desc.primPath)
+        if np.linalg.norm(turn.T @ turn - np.eye(3)) > _GAP or np.linalg.det(turn) < 0:
+            raise InputError(
+                f"the frame of {desc.primPath} is mirrored or sheared by scales, allowed are "
+                "rotations and scales along its axes; scale its shapes and places instead"
+            )
         local = mass_of(prim, self._all, desc, self._metre, self._kilogram)
         mass = Mass(local.mass, place + turn @ local.com, turn @ local.inertia @ turn.T)
         return Part(self._name(desc.primPath), -1, place, rotation.from_matrix(turn), mass, ())
@@ -205,7 +210,7 @@ class _Reading:
         aligned = {"ball": [], "hinge": [column]}.get(kind, [0, 1, 2])  # axes of both frames
         tilt = float(np.linalg.norm((other_axes - axes)[:, aligned]))
         if kind == "hinge":
-            start = _angle(axes, other_axes, column)
+            start = _standing(_angle(axes, other_axes, column), desc.limit, desc.drive)
         _check_frames(name, gap, tilt, extent)
         if kind == "fixed":
             return Tie(name, ends, (), point)
@@ -233,9 +238,12 @@ class _Reading:
             for k in free[letter]:
                 axis, start = "XYZ"[k], starts[letter][k]
                 label = f"{name} {letter.lower()} {axis.lower()}"
-                if (drive := drives.pop(f"{letter}{axis}", None)) is not None:
+                drive, limit = drives.pop(f"{letter}{axis}", None), limits.get(f"{letter}{axis}")
+                if kind == "hinge" and start:
+                    start = _standing(start, limit, drive)
+                if drive is not None:
                     self._lead(drive, label, kind, start)
-                bounds_of = self._limits(limits.get(f"{letter}{axis}"), kind, start)
+                bounds_of = self._limits(limit, kind, start)
                 yield Freedom(label, kind, anchor, axes[:, k], bounds_of)  # type: ignore[arg-type]
 
         for freedom in drives:
@@ -297,7 +305,9 @@ class _Reading:
                 continue
             ends = [index.get(body, -1) for body in (desc.body0, desc.body1)]
             first, second = (order[k] if k >= 0 else -1 for k in ends)
-            yield Line(name, (first, second), (point, other), low, rigid=True)
+            apart = float(np.linalg.norm(other - point))
+            length = apart if abs(apart - low) < _GAP * max(apart, low) else low
+            yield Line(name, (first, second), (point, other), length, rigid=True)
 
 
 def _locks(limit: Any) -> bool:
@@ -308,6 +318,28 @@ def _angle(axes: Array, other_axes: Array, column: int) -> float:
     """Return the angle of one frame to another about an axis that they share [rad]."""
     first, second = axes[:, column - 2], other_axes[:, column - 2]
     return math.atan2(float(np.cross(first, second) @ axes[:, column]), float(first @ second))
+
+
+def _standing(angle: float, limit: Any, drive: Any) -> float:
+    """Return the angle of a hinge with as many whole turns as put it within its limits.
+
+    Half a turn may count either way: it is the one nearer to the target, or else the positive one.
+
+    Args:
+        angle: Angle up to whole turns, in [−π, π].
+        limit: Limits as the library of OpenUSD parses them [degrees]; None if there are none.
+        drive: The drive of the hinge; None if it has none.
+    """
+    low, high = (-math.inf, math.inf) if limit is None else (limit.lower, limit.upper)
+    led = drive is not None and drive.enabled and drive.stiffness > 0
+    target = math.radians(drive.targetPosition) if led else math.pi
+    middle = target if math.pi - abs(angle) < _GAP else 0.0
+
+    def unlikely(each: float) -> tuple[bool, float]:
+        beyond = max(math.radians(low) - each, each - math.radians(high))
+        return beyond > _GAP, abs(each - middle)
+
+    return min((angle, angle + 2 * math.pi, angle - 2 * math.pi), key=unlikely)
 
 
 def _starts(

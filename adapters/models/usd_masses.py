@@ -51,7 +51,7 @@ def mass_of(
         return _information(UsdPhysics, *shapes[shape_prim.GetPath()])
 
     total_mass, moments, centre, axes = UsdPhysics.RigidBodyAPI(prim).ComputeMassProperties(solid)
-    if not (mass and has_moments):
+    if not has_moments:  # stated ones are along stated axes, not along those of the shapes
         turn = matrix_of(axes)
         inertia = turn @ np.diag(np.array(moments, dtype=float)) @ turn.T
     centre = np.array(centre, dtype=float)

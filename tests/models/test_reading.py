@@ -25,6 +25,7 @@ mujoco = pytest.importorskip("mujoco")
 pytestmark = pytest.mark.usefixtures("in_process")
 
 _LAW = 'damping="0.7" stiffness="30" springref="20" ref="5"'
+_SECOND = (('<link name="rod"', "<joint"), ("<joint", "</robot>"))
 _INERTIA = '<inertia ixx="{}" iyy="{}" izz="{}" ixy="{}" ixz="{}" iyz="{}"/>'
 
 
@@ -115,6 +116,22 @@ def test_limits_of_a_urdf_are_stops_or_dropped(
     dropped = _fates(imported, "dropped").get("limit lower")
     assert (dropped.places if dropped else ()) == ((place,) if place else ())
     assert dropped is None or dropped.reason == "the lower one is not below the upper one"
+
+
+def test_a_coupled_joint_may_start_at_its_limit_but_for_rounding(here: Path) -> None:
+    text = _urdf('<mass value="1"/>' + _INERTIA.format(1, 1, 1, 0, 0, 0))
+    limit = '<limit lower="0.15" upper="1" effort="1" velocity="1"/>'
+    text = text.replace("continuous", "revolute").replace("</joint>", f"{limit}</joint>")
+    link, joint = (text[text.index(a) : text.index(b)] for a, b in _SECOND)
+    mimic = '<mimic joint="pivot" multiplier="-1" offset="0.3"/></joint>'
+    again = (
+        (link + joint.replace("</joint>", mimic))
+        .replace("rod", "tip")
+        .replace('"pivot" t', '"tip" t')
+    )
+    scene = _read(here, text.replace("</robot>", f"{again}</robot>"), "arm.urdf").scene
+
+    assert [joint.limits for joint in scene.joints] == [(0.15, 1.0)] * 2
 
 
 def test_welded_bodies_are_one_by_the_parallel_axis_theorem(here: Path) -> None:

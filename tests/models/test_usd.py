@@ -143,6 +143,19 @@ def test_a_centre_of_mass_that_is_not_stated_is_that_of_the_shapes(here: Path, i
     assert (body.inertia.mass, body.inertia.moments) == (2, (1, 1, 1.5))
 
 
+def test_stated_moments_without_axes_are_along_those_of_the_body(here: Path) -> None:
+    turned = _ASIDE.replace("Sphere", "Capsule").replace(
+        'uniform token[] xformOpOrder = ["', 'double3 xformOp:rotateXYZ = (10, 20, 30)\n'
+        'uniform token[] xformOpOrder = ["xformOp:rotateXYZ", "'
+    )  # fmt: skip
+    inside = "float3 physics:diagonalInertia = (1, 1, 1.5)\n" + turned
+    (body,) = read(here, rigid("rod", "(0, 0, 0)", inside=inside)).scene.bodies
+
+    assert body.inertia is not None
+    assert body.inertia.moments == pytest.approx((1, 1, 1.5))
+    assert body.inertia.products == pytest.approx((0, 0, 0))
+
+
 def test_a_body_without_shapes_has_what_is_stated(here: Path) -> None:
     centre = "float physics:mass = 2\npoint3f physics:centerOfMass = (0.25, 0, 0)\n"
     moments = "float3 physics:diagonalInertia = (1, 2, 2.5)\n"
@@ -215,6 +228,11 @@ _BAD = {
     ),
     "reference": ('def "a" (references = @gone.usda@)\n{\n}\n', "'gone.usda', which is not there"),
     "outside": ('def "a" (references = @../outside.usda@)\n{\n}\n', "import` a --folder"),
+    "mirrored": (
+        f'def Xform "a"\n{{\ndouble3 xformOp:scale = (1, -1, 1)\nuniform token[] xformOpOrder = '
+        f'["xformOp:scale"]\n{rigid("rod", "(0, 0, 0)")}}}\n',
+        "the frame of /a/rod is mirrored or sheared by scales",
+    ),
     "nothing": ('def Xform "a"\n{\n}\n', "nothing in it moves"),
 }
 

@@ -32,6 +32,34 @@ def test_limits_count_from_where_the_bodies_stand(here: Path) -> None:
     np.testing.assert_allclose([low, high], [-np.pi / 2 - standing, np.pi - standing], atol=1e-6)
 
 
+@pytest.mark.parametrize("sign", ["", "-"])
+@pytest.mark.parametrize(
+    ("low", "high", "standing"),
+    [(0, 180, 180), (-180, 0, -180), (90, 270, 180), (-190, -170, -180), (-180, 180, 180)],
+)
+def test_half_a_turn_counts_as_limits_say(
+    sign: str, low: float, high: float, standing: float, here: Path
+) -> None:
+    limits = f"    float physics:lowerLimit = {low}\n    float physics:upperLimit = {high}\n"
+    turn = f"(1e-9, {sign}1, 0, 0)"
+    (joint,) = read(
+        here, rigid("rod", "(0, 0, 0)", turn), joined("Revolute", "hip", ("", "rod"), limits)
+    ).scene.joints
+
+    assert joint.limits == pytest.approx(np.radians([low - standing, high - standing]), abs=1e-6)
+
+
+def test_a_drive_to_half_a_turn_does_not_wind_up(here: Path) -> None:
+    for target in (180, -180):
+        inside = (
+            "    float drive:angular:physics:stiffness = 3\n"
+            f"    float drive:angular:physics:targetPosition = {target}\n"
+        )
+        hip = _driven("Revolute", "angular", inside)
+        (servo,) = read(here, rigid("rod", "(1, 2, 3)", "(0, 1, 0, 0)"), hip).scene.servos
+        assert servo.position == pytest.approx((0,), abs=1e-6)
+
+
 def test_limits_that_are_upside_down_are_dropped(here: Path) -> None:
     limits = "    float physics:lowerLimit = 1\n    float physics:upperLimit = -1\n"
     joint = joined("Prismatic", "rail", ("", "rod"), PLACE + limits)
@@ -149,6 +177,17 @@ def test_limits_of_a_joint_that_closes_a_loop_are_told(here: Path) -> None:
     (fate,) = (each for each in imported.fates if "physics:lowerLimit" in each.properties)
     assert (fate.outcome, fate.moves, fate.places) == ("dropped", True, ("loop",))
     assert fate.reason == "its joint closes a loop"
+
+
+def test_a_rod_is_as_long_as_its_ends_are_apart_but_for_rounding(here: Path) -> None:
+    """Its length is in single precision; a and b only turn about the axis of one of its ends."""
+    hinges = [joined("Revolute", f"to_{name}", ("", name)) for name in "ab"]
+    length = "".join(f"    float physics:{side}Distance = 1.1401754\n" for side in ("min", "max"))
+    place = "    point3f physics:localPos1 = (0, 0.7, 0.9)\n"
+    rod = joined("Distance", "rod", ("a", "b"), length + place)
+    scene = read(here, rigid("a", "(0, 0, 0)"), rigid("b", "(0, 0, 0)"), *hinges, rod).scene
+
+    assert scene.distance_links[0].length == pytest.approx(1.3**0.5, abs=1e-7)
 
 
 def test_a_loop_that_no_joint_closes_is_refused(here: Path) -> None:
