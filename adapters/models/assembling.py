@@ -106,7 +106,9 @@ class _Builder:
         self._own = [_NOTHING] * len(self._parts)
         for k, owner in enumerate(self._owner):
             if owner >= 0:
-                self._own[owner] += self._parts[k].mass
+                part = self._parts[k]
+                bounds.at_least_zero(f"mass of {part.name!r}", part.mass.mass)
+                self._own[owner] += part.mass
         self._carried = list(self._own)
         for k in reversed(range(len(self._parts))):
             if self._owner[k] == k and (above := self._above(k)) >= 0:
@@ -169,7 +171,7 @@ class _Builder:
         name = self._unique_name(part.name)
         for freedom in between:
             middle = self._unique_name(f"{part.name} after {freedom.name}")
-            self.bodies.append(_body(middle, part, small(carried, freedom.anchor)))
+            self.bodies.append(_body(middle, part, small(carried, freedom.anchor, self.length)))
             self._join(freedom, above, middle)
             above = middle
         if between:
@@ -192,7 +194,7 @@ class _Builder:
         if own.mass <= 0 and np.trace(own.inertia) <= 0:
             reason = f"no mass: it gets {SHARE:g} of the mass and inertia that it carries"
             self._report("approximated", "inertial", reason, part.name)
-            return small(carried, part.position)
+            return small(carried, part.position, self.length)
         if own.mass <= 0:
             reason = f"inertia without mass: it gets {SHARE:g} of the mass that it carries"
             self._report("approximated", "inertial", reason, part.name)

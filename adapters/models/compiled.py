@@ -64,6 +64,7 @@ _TOUCHING = {
     "collision": [("collision", ""), ("collision", "name")],
 }
 """Elements and attributes reported for each shape on the ground, by the format's word for it."""
+_NO_FOLLOWER = "it, or what it follows, is no hinge or slider"
 _NAMING_NOTHING = ("Element name ''", "Element name '', id 0")
 """Lines of the compiler's messages that say nothing."""
 _ALIASES = {
@@ -99,7 +100,7 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     reported = {label: key in parts.stated for key, label in _LABELS[root.tag].items()}
     reported |= {label: key in parts.stated for label, key in _ALIASES.items()}
     reported |= dict.fromkeys(_TOUCHING.get(shape, ()), True)
-    own = [*reading.fates()]
+    own = [*reading.fates(), *_lost_mimics(root, parts)]
     of_joints = [fate.properties for fate in own if fate.element == "joint"]
     reported |= {("joint", key): True for keys in of_joints for key in keys}
     fates = [*mends, *fates_of(root, reported), *own]
@@ -200,6 +201,16 @@ def _stated_limits(root: Element) -> dict[str, tuple[float, float]]:
     return limits
 
 
+def _lost_mimics(root: Element, parts: Parts) -> Iterator[Fate]:
+    """Report joints of a URDF that the compiler does not let follow another."""
+    followers = {coupling.joint for coupling in parts.couplings}
+    names = [
+        each.get("name", "") for each in root.findall("joint") if each.find("mimic") is not None
+    ]
+    if lost := tuple(name for name in names if name not in followers):
+        yield Fate("mimic", (), "dropped", _NO_FOLLOWER, True, lost, len(lost))
+
+
 def _replace_masses(spec: Any, floating: bool) -> dict[str, Any]:
     """Replace all masses in a spec by a unit mass and inertia; free its bases if `floating`.
 
@@ -220,10 +231,12 @@ def _replace_masses(spec: Any, floating: bool) -> dict[str, Any]:
         body.mass, body.inertia, body.ipos, body.iquat = 1.0, np.ones(3), np.zeros(3), [1, 0, 0, 0]
         body.fullinertia = [math.nan] + 5 * [0.0]
         body.explicitinertial = True
-    if floating:
-        for body in [body for body in spec.bodies[1:] if body.parent.name == "world"]:
-            if not body.joints:
-                body.add_freejoint()
+    bases = [each for each in spec.bodies[1:] if each.parent.name == "world" and not each.joints]
+    if floating and not bases:
+        msg = "--floating frees the root link, but joints move all links on the link 'world'"
+        raise InputError(f"{msg}; leave it out")
+    for body in bases if floating else ():
+        body.add_freejoint()
     return masses
 
 

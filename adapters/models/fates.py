@@ -100,7 +100,7 @@ _SDF: tuple[Row, ...] = (
      "sdf@version world@name model@name link@name link pose joint@name joint@type parent child "
      "axis axis2 xyz use_parent_model_frame static gravity"),
     ("kept", True, "as the format says", "inertial mass inertia ixx ixy ixz iyy iyz izz"),
-    ("kept", True, "it names no frame", "pose@frame"),
+    ("kept", True, "it says what holds without it", "pose@frame pose@degrees pose@rotation_format"),
     ("dropped", False, _VISUAL, "visual light scene gui material"),
     ("dropped", True, COLLISION, "collision"),
     ("dropped", False, 'it counts only with auto="true"', "density inertial@auto"),

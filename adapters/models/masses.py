@@ -30,7 +30,13 @@ def physical(inertia: Array) -> Array | None:
     return np.asarray(np.trace(second_moments) * np.eye(3) - second_moments)
 
 
-def small(carried: Mass, com: Array) -> Mass:
-    """Return a small share of the carried mass at a point, with an isotropic inertia."""
-    moment = SHARE * np.trace(carried.inertia) / 3
+def small(carried: Mass, com: Array, length: float) -> Mass:
+    """Return a small share of the carried mass at a point, with an isotropic inertia.
+
+    Args:
+        carried: Mass that is carried.
+        com: The point [m].
+        length: Extent of the model [m], for the inertia if what is carried has none.
+    """
+    moment = SHARE * (np.trace(carried.inertia) / 3 or SHARE * carried.mass * length**2)
     return Mass(SHARE * carried.mass, com, moment * np.eye(3))

@@ -23,7 +23,7 @@ from .assembling import assemble
 from .fates import fates_of
 from .parts import Freedom, Mass, Part, Parts, Property, Solid, Solids, bounded
 from .sdf_shapes import REPORTED, pair, shapes_of
-from .sdf_values import masses_of, numbers
+from .sdf_values import masses_of, number, numbers
 from .source import read_source
 
 _LABELS = {
@@ -38,7 +38,11 @@ _KINDS = {"RevoluteJoint": "hinge", "PrismaticJoint": "slider", "BallJoint": "ba
 _WITHOUT_AXIS = ("BallJoint", "FreeJoint")
 _VERSIONS = ("1.5", "1.6", "1.7", "1.8", "1.9", "1.10", "1.11")
 """Accepted versions. Up to 1.4, axes were in the model's frame, a difference that DART ignores."""
-_FRAMES = ("relative_to", "expressed_in", "frame", "degrees", "rotation_format")
+_FRAMES = (
+    "relative_to", "expressed_in", "frame", "placement_frame", "degrees", "rotation_format",
+)  # fmt: skip
+_PLAIN = ("", "0", "false", "euler_rpy")
+"""Values of these attributes that change nothing."""
 _ONE = "DART's parser takes one joint per link, and only between existing links"
 _INERTIAL = (
     "<inertial><mass>1</mass><inertia><ixx>1</ixx><ixy>0</ixy><ixz>0</ixz><iyy>1</iyy><iyz>0</iyz>"
@@ -46,8 +50,14 @@ _INERTIAL = (
 )
 _KILOGRAM = "not stated: 1 kg, the specification's default"
 _MOMENTS = "not all are stated: moments of 1 kg·m², the specification's default"
+_NO_GRAVITY = "not stated: 9.8 m/s² downwards, the specification's default"
 _OFF = ("0", "false")
 _LAW = ("damping", "friction", "spring_stiffness", "spring_reference")
+_AXES = {
+    "axis": ("revolute", "continuous", "prismatic", "revolute2", "universal"),
+    "axis2": ("revolute2", "universal"),
+}
+"""Types of joints that need each of the two axes."""
 _UNSUPPORTED = ("include", "frame", "experimental:params")
 
 
@@ -91,6 +101,8 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     if skipped:
         fates.append(Fate("joint", (), "dropped", _ONE, True, tuple(skipped), len(skipped)))
     fates += _defaults(moving)
+    if _states_no_gravity(root):
+        fates.append(Fate("gravity", (), "approximated", _NO_GRAVITY, True))
     return assemble(model, file=path.name, kind="SDF", reader=reader, fates=fates)
 
 
@@ -162,7 +174,14 @@ def _skeletons(parser: Any, root: Element) -> tuple[list[Any], Array]:
 def _gravity(root: Element, parsed: Array) -> Array:
     """Return the world's own gravity (an element since SDF 1.6), which DART's parser ignores."""
     world = root.find("world")
+    if _states_no_gravity(root):
+        return np.array([0.0, 0.0, -9.8])
     return parsed if world is None else numbers(world, "gravity", (*parsed,))
+
+
+def _states_no_gravity(root: Element) -> bool:
+    worlds = root.findall("world")
+    return any(w.find("gravity") is None and w.find("physics/gravity") is None for w in worlds)
 
 
 def _refuse(root: Element) -> None:
@@ -176,7 +195,7 @@ def _refuse(root: Element) -> None:
         msg = f"<world> has a <joint> {joint.get('name', '')!r}, which DART's parser does not read"
         raise InputError(f"{msg}; make one <model> of all that it joins")
     for element in root.iter():
-        frame_keys = [key for key in _FRAMES if element.get(key)]
+        frame_keys = [key for key in _FRAMES if element.get(key, "") not in _PLAIN]
         nested = element.tag not in ("sdf", "world") and element.find("model") is not None
         if element.tag in _UNSUPPORTED or frame_keys or nested:
             construct = f"a model in a {element.tag}" if nested else element.tag
@@ -191,9 +210,17 @@ def _check_numbers(model: Element) -> None:
     for element in (model, *model.findall("link"), *joints):
         numbers(element, "pose", (0.0,) * 6)
     for joint, axis in itertools.product(joints, ("axis", "axis2")):
+        name, kind = joint.get("name", ""), joint.get("type", "")
+        if joint.find(axis) is None and kind in _AXES[axis]:
+            raise InputError(f"<joint> {name!r} is {kind} and has no <{axis}>, which it needs")
         numbers(joint, f"{axis}/xyz", (0.0, 0.0, 1.0))
+        for side in ("lower", "upper"):
+            numbers(joint, f"{axis}/limit/{side}", (0.0,), endless=True)
         for key in _LAW:
-            numbers(joint, f"{axis}/dynamics/{key}", (0.0,))
+            value = number(joint, f"{axis}/dynamics/{key}", 0.0)
+            if value < 0.0 and key != "spring_reference":
+                msg = f"<{key}> of <joint> {name!r} is {value:g}, allowed is 0 or more"
+                raise InputError(msg)
 
 
 def _skipped_joints(skeleton: Any, model: Element) -> list[str]:

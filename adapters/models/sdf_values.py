@@ -14,13 +14,16 @@ from mbds_xsim.base.errors import InputError
 from .parts import Mass
 
 
-def numbers(element: Element, path: str, unstated: tuple[float, ...]) -> Array:
+def numbers(
+    element: Element, path: str, unstated: tuple[float, ...], *, endless: bool = False
+) -> Array:
     """Read the numbers in an element below another.
 
     Args:
         element: The element to start from.
         path: Path to the element that is read, such as `surface/friction/ode/mu`.
         unstated: Values if that element is absent; if present, it must have as many.
+        endless: Whether numbers may be infinite.
 
     Raises:
         InputError: There are fewer or more numbers, or one is not finite.
@@ -32,7 +35,8 @@ def numbers(element: Element, path: str, unstated: tuple[float, ...]) -> Array:
         values = [float(word) for word in text.split()]
     except ValueError:
         values = []
-    if len(values) != len(unstated) or not all(map(math.isfinite, values)):
+    sound = [math.isfinite(value) or (endless and math.isinf(value)) for value in values]
+    if len(values) != len(unstated) or not all(sound):
         tag = path.rpartition("/")[2]
         count = {1: "a number", 3: "three numbers", 6: "six numbers"}[len(unstated)]
         msg = f"<{tag}> of <{element.tag}> {element.get('name', '')!r} is {text!r}, "

@@ -134,6 +134,32 @@ def test_a_coupled_joint_may_start_at_its_limit_but_for_rounding(here: Path) -> 
     assert [joint.limits for joint in scene.joints] == [(0.15, 1.0)] * 2
 
 
+def test_a_point_mass_on_several_joints_gets_an_inertia(here: Path) -> None:
+    text = _urdf('<mass value="1"/>' + _INERTIA.format(0, 0, 0, 0, 0, 0))
+    imported = _read(here, text.replace("continuous", "planar").replace("0 1 0", "0 0 1"), "a.urdf")
+
+    assert len(imported.scene.bodies) == 3
+    assert "mass without inertia" in " ".join(f.reason for f in imported.fates)
+
+
+def test_a_mimic_of_what_does_not_move_is_dropped_by_name(here: Path) -> None:
+    text = _urdf('<mass value="1"/>' + _INERTIA.format(1, 1, 1, 0, 0, 0))
+    clip = '<link name="b"/><joint name="clip" type="fixed">'
+    clip += '<parent link="base"/><child link="b"/></joint>'
+    text = text.replace("</joint>", '<mimic joint="clip"/></joint>' + clip)
+
+    assert _fates(_read(here, text, "arm.urdf"), "dropped")["mimic"].places == ("pivot",)
+
+
+def test_what_a_urdf_cannot_mean_is_refused(here: Path) -> None:
+    text = _urdf('<mass value="-1"/>' + _INERTIA.format(1, 1, 1, 0, 0, 0))
+    with pytest.raises(InputError, match=r"mass of 'rod': got -1.0, allowed is .* 0 or more"):
+        _read(here, text, "arm.urdf")
+    world = text.replace("-1", "1").replace("base", "world")
+    with pytest.raises(InputError, match="joints move all links on the link 'world'; leave it out"):
+        _read(here, world, "arm.urdf", floating=True)
+
+
 def test_welded_bodies_are_one_by_the_parallel_axis_theorem(here: Path) -> None:
     imported = _read(
         here,

@@ -110,6 +110,32 @@ def test_gravity_is_that_of_the_world(here: Path) -> None:
     assert {("gravity", "kept"), ("link/gravity", "dropped")} <= outcomes
 
 
+@pytest.mark.parametrize(
+    ("inside", "down"), [("", 9.8), ("<physics><gravity>0 0 -1</gravity></physics>", 1)]
+)
+def test_gravity_that_no_world_states_is_the_specifications(
+    inside: str, down: float, here: Path
+) -> None:
+    model = '<model name="robot">' + _ARM.format("", "revolute", "") + "</model>"
+    (here / "model.sdf").write_text(
+        f'<sdf version="1.6"><world name="w">{inside}{model}</world></sdf>'
+    )
+
+    imported = read_model(here / "model.sdf")
+
+    assert imported.scene.gravity == (0, 0, -down)
+    told = [f.outcome for f in imported.fates if (f.element, f.properties) == ("gravity", ())]
+    assert told == (["approximated"] if not inside else [])
+
+
+def test_a_pose_may_say_what_holds_anyway(here: Path) -> None:
+    said = '<pose degrees="false" rotation_format="euler_rpy">1 2'
+    sound, plain = (_read(here, text) for text in (_SOUND.replace("<pose>1 2", said), _SOUND))
+
+    assert sound.scene == plain.scene
+    assert not [fate for fate in sound.fates if "unknown" in fate.reason]
+
+
 def test_a_continuous_joint_is_a_hinge_without_limits(here: Path) -> None:
     """DART does not know the type, and reads nothing that hangs on such a joint."""
     limit = "<limit><lower>-1</lower><upper>2</upper></limit>"
@@ -198,6 +224,11 @@ _BAD = {
     "turned": (_SOUND.replace("1 0 0</xyz>", "nan 0 0</xyz>"), "<xyz> of <joint> 'pivot' is 'nan"),
     "damper": (_ARM.format("", "revolute", "<dynamics><damping>inf</damping></dynamics>"),
                "<damping> of <joint> 'pivot' is 'inf', allowed is a number"),
+    "no axis": (_SOUND.replace("axis>", "gone>"), "'pivot' is revolute and has no <axis>, which"),
+    "stop": (_ARM.format("", "revolute", "<limit><lower>-1,5</lower></limit>"),
+             "<lower> of <joint> 'pivot' is '-1,5', allowed is a number"),
+    "pusher": (_ARM.format("", "revolute", "<dynamics><damping>-1</damping></dynamics>"),
+               "<damping> of <joint> 'pivot' is -1, allowed is 0 or more"),
     "axis": (_SOUND.replace("1 0 0</xyz>", "0 0 0</xyz>"), "joint 'pivot': axis: got [0.0, 0.0, 0"),
     "frames": (_ARM.format("", "revolute", "").replace("<pose>1", '<pose relative_to="b">1'),
                "does not read (relative_to=)"),
