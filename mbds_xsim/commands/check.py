@@ -169,9 +169,12 @@ def export_model(
     """
     from mbds_xsim.base.files import write_whole
     from mbds_xsim.report.losses import loss_blocks
-    from mbds_xsim.simulate.registry import write_model
+    from mbds_xsim.simulate.registry import registered, write_model
 
     to.check(out=out)
+    ending = out.suffix[1:].lower()
+    if ending != kind and ending in registered("mbds_xsim.model_writers"):
+        raise InputError(f"--out: got {out} for the format {kind}; add --format {ending}")
     written = write_model(shared.scene_named(scene), kind)
     write_whole(out, written.text.encode())
     file = in_utf8(str(out))

@@ -123,7 +123,7 @@ def test_gravity_that_no_world_states_is_the_specifications(
 
     imported = read_model(here / "model.sdf")
 
-    assert imported.scene.gravity == (0, 0, -down)
+    assert imported.scene.gravity == pytest.approx((0, 0, -down))
     told = [f.outcome for f in imported.fates if (f.element, f.properties) == ("gravity", ())]
     assert told == (["approximated"] if not inside else [])
 

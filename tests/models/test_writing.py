@@ -139,6 +139,9 @@ def test_what_a_format_has_no_place_for_is_named_or_refused(run: CommandLine, he
         "export-model", "3pendulum", "--format", "urdf", "--out", "p.urdf"
     ).refusal  # fmt: skip
     assert not (here / "p.urdf").exists()
+    assert "got p.usda for the format mjcf; add --format usda" in run(
+        "export-model", "3pendulum", "--out", "p.usda"
+    ).refusal  # fmt: skip
     assert "there are: mjcf, sdf, urdf, usda" in run(
         "export-model", "3pendulum", "--format", "step", "--out", "p.step"
     ).refusal  # fmt: skip
