@@ -42,8 +42,8 @@ from mbds_xsim.dataset.points import Points
 from mbds_xsim.dataset.variant import Item, Variant, folder_name
 from mbds_xsim.measure.campaign import reference_of
 from mbds_xsim.scene.mechanism import Mechanism
-from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.sampling_terms import INTERVALS, Wind
+from mbds_xsim.scene.sampling import draw_batch, has_known_forces
+from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import STATES, Batch, Failure, Trajectory
 from mbds_xsim.simulate.readback import compare
@@ -208,7 +208,7 @@ def derived(
         "input/torque": batch.torque,
         **points.graph(),
     }
-    if scene.forces or any(isinstance(term, Wind) for term in scene.sampling):
+    if has_known_forces(scene):
         known = draw_batch(scene, batch.index.tolist(), seed=seed, noise=False)
         datasets["input/known_force"] = known.force
     return datasets

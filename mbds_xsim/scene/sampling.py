@@ -117,6 +117,12 @@ class Starts:
         return draw_batch(scene, range(count), seed=self.seed, noise=self.noise, inputs=self.inputs)
 
 
+def has_known_forces(scene: Scene) -> bool:
+    """Whether forces other than the noise act: the scene's own, wind, or servos of sliders."""
+    windy = any(isinstance(term, terms.Wind) for term in scene.sampling)
+    return windy or bool(scene.forces) or bool(_scene_inputs(Mechanism.of(scene))[0].any())
+
+
 def noise_components(scene: Scene) -> list[int]:
     """Return the components of W in which the scene moves and the noise acts."""
     return [0, 1, 2][_MOVING[scene.dimension]]

@@ -21,7 +21,8 @@ from mbds_xsim.dataset.variant import Item, Variant
 from mbds_xsim.scene.file import write_scene
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import Levels, Turn
-from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.scene import Body, Joint, Particle, Scene
+from mbds_xsim.scene.servo import Servo
 from mbds_xsim.scene.state import Batch, Failure
 from mbds_xsim.simulate import timed
 from mbds_xsim.simulate.adapter import Settings
@@ -88,12 +89,25 @@ def test_points_of_a_plane_scene_have_two_components(make: Make, tmp_path: Path)
         assert np.allclose(speed, means, atol=5e-2)  # in free fall still, turning
 
 
-def test_known_forces_are_those_without_the_noise(make: Make, tmp_path: Path) -> None:
-    ladder = load_scene("1ladder")
-    short = msgspec.structs.replace(ladder, clock=msgspec.structs.replace(ladder.clock, steps=4))
+def _pushed() -> Scene:
+    """A cart that a servo moves along a slider on the world."""
+    return Scene(
+        "cart",
+        (Body("cart", particles=(Particle((0.0, 0.0, 0.0)),)),),
+        1.0,
+        joints=(Joint("rail", "slider", "world", "cart", (0.0, 0.0, 0.0), (1.0, 0.0, 0.0)),),
+        servos=(Servo("rail", velocity=(0.0, 1.0), damping=5.0, hold=2),),
+        noise=0.1,
+    )
+
+
+@pytest.mark.parametrize("scene", [load_scene("1ladder"), _pushed()], ids=lambda scene: scene.name)
+def test_known_forces_are_those_without_the_noise(scene: Scene, make: Make, tmp_path: Path) -> None:
+    short = msgspec.structs.replace(scene, clock=msgspec.structs.replace(scene.clock, steps=4))
     make(tmp_path, scene=short, trajectories=2)
-    with h5py.File(tmp_path / "1ladder/mujoco-matched.h5") as file:
+    with h5py.File(tmp_path / scene.name / "mujoco-matched.h5") as file:
         known = draw_batch(short, [0, 1], noise=False).force
+        assert known.any()
         assert np.array_equal(file["input/known_force"][()], known)
         assert np.abs(file["input/force"][()] - known).max() > 0.05
 
