@@ -355,13 +355,13 @@ def shift(
     part = Selection.parse(settings, on, seeds)
     names = map(folder_name, scene or _scenes(models, data))
     # Check all at once: a missing input of the last is reported before the first starts.
-    questions = [question_of(models, data, n, trajectories=trajectories, part=part) for n in names]
+    questions = [question_of(models, data, name, trajectories, part, at) for name in names]
     studies = []
     for question in questions:
         with shared.progress_on(to.console) as meter:
             conduct = Conduct(workers, cache, meter=meter)
             command = shared.command_line()
-            result = study(question, at=at, conduct=conduct, device=device, command=command)
+            result = study(question, conduct=conduct, device=device, command=command)
         print_report(present(result.shift), to.console)
         studies.append(result)
     stored = results_json([result.shift for result in studies])

@@ -55,5 +55,5 @@ def train(folder: Path, training: str, engines: tuple[str, ...], seed: int, **mo
 
 def shift_of(folder: Path, at: int | None = None) -> Shift:
     """Test the models of a folder on the data next to them."""
-    question = study.question_of(folder / "models", folder / "data", SCENE)
-    return study.study(question, at=at, conduct=HERE).shift
+    question = study.question_of(folder / "models", folder / "data", SCENE, at=at)
+    return study.study(question, conduct=HERE).shift

@@ -31,11 +31,17 @@ pytestmark = pytest.mark.usefixtures("apart")
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["--settings", "natural"], "no data of natural settings; generate some"),
+        (["--settings", "natural"], "no data of natural settings there, only of native; generate"),
+        (["--settings", "native,mached"], "no data of mached settings there, only of native; gen"),
         (["--on", "mujoco"], "--on: got 'mujoco', allowed is each, leave-one-out, all"),
+        (["--at", "15"], r"--at: got 15, allowed in 1pendulum is 1, 10$"),
+        (["--scene", SCENE, "--scene", "balldrop"], "balldrop: no data files"),
     ],
 )
-def test_a_part_that_is_not_known_is_refused(studied: Path, words: list[str], line: str) -> None:
+def test_what_is_not_there_is_refused_before_the_first_scene_is_studied(
+    studied: Path, words: list[str], line: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mbds_xsim.learn.shift.study.study", pytest.fail)
     with pytest.raises(InputError, match=line):
         app(
             ["shift", str(studied / "models"), str(studied / "data"), *words], standalone_mode=False
@@ -221,15 +227,6 @@ def test_fewer_test_trajectories_than_intervals_do(
 
     assert '<script type="application/json" id="data">' in (tmp_path / "html").read_text()
     assert (tmp_path / "rollouts").read_bytes().startswith(b"\x89PNG")
-
-
-def test_all_scenes_are_checked_before_the_first_is_studied(
-    studied: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("mbds_xsim.learn.shift.study.study", pytest.fail)
-    words = ["shift", str(studied / "models"), str(studied / "data")]
-    with pytest.raises(InputError, match="balldrop"):
-        app([*words, "--scene", SCENE, "--scene", "balldrop"], standalone_mode=False)
 
 
 def test_a_part_of_the_models_and_domains(studied: Path) -> None:

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from mbds_xsim.base.errors import InputError
 from mbds_xsim.commands import app
 from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.studies.shift.figures import draw_curves
@@ -85,8 +84,6 @@ def test_answers_and_tables_are_given_at_the_frame_asked_for(studied: Path, shif
     assert early.gaps == shift.gaps
     titles = [next(tables(result)).title for result in (shift, early)]
     assert titles == [f"Which model survives which change at t = {frame}" for frame in (10, 1)]
-    with pytest.raises(InputError, match=r"--at: got 15, allowed is 1, 10$"):
-        shift_of(studied, at=15)
 
 
 def test_the_command_writes_all_files(

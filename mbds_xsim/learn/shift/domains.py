@@ -158,9 +158,11 @@ def load_paired(
     if not files:
         msg = f"{place}: no data files; make some: mbds-xsim generate {scene} --out {folder}"
         raise InputError(msg)
+    there = dict.fromkeys(file.attributes["profile"] for file in files)
+    if unknown := ", ".join(variant for variant in variants if variant not in there):
+        msg = f"{place}: no data of {unknown} settings there, only of {', '.join(there)}"
+        raise InputError(f"{msg}; generate some, or leave {unknown} out of --settings")
     files = [file for file in files if not variants or file.attributes["profile"] in variants]
-    if not files:
-        raise InputError(f"{place}: no data of {', '.join(variants)} settings; generate some")
     check_alike(files)
     frames = int(files[0].attributes["steps"]) + 1
     if frames <= HISTORY:

@@ -77,8 +77,8 @@ _AT = 10
 _SINCE = " after the first contact"
 
 
-ShiftQuestion = tuple[Paired, list[TrainedModel]]
-"""Data and models of one scene that belong together."""
+ShiftQuestion = tuple[Paired, list[TrainedModel], int]
+"""Data and models of one scene that belong together, and the frame of answers and tables."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,13 +93,14 @@ def question_of(
     models: Path,
     data: Path,
     scene: str,
-    *,
     trajectories: int | None = None,
     part: Selection = WHOLE,
+    at: int | None = None,
 ) -> ShiftQuestion:
     """Find the models and data of a scene for a study, and check that they belong together.
 
-    Raises InputError with the reason if something is missing or does not belong.
+    Answers and tables are for frame `at`; by default 10, or the last if there are fewer. Raises
+    InputError with the reason if something is missing or does not belong.
     """
     check_writable(directory() / "shift" / f"{scene}.npz", "MBDS_XSIM_CACHE")
     test = load_paired(data, scene, trajectories, part.variants)
@@ -108,28 +109,24 @@ def question_of(
     check_data(trained, test)
     for model in trained:
         curve_of(model)  # a damaged one is refused now, not after all the work
-    return test, trained
+    return test, trained, _frame_of(test, at)
 
 
 def study(
     question: ShiftQuestion,
     *,
-    at: int | None = None,
     conduct: Conduct = USUAL,
     device: str = "cpu",
     command: str = "",
 ) -> ShiftStudy:
     """Test all models of a scene on all domains, and assess the effect of a change of engine.
 
-    Answers and tables are for frame `at`; by default 10, or the last if there are fewer. Stored
-    predictions and simulations are reused if `conduct.cache` allows it.
+    Stored predictions and simulations are reused if `conduct.cache` allows it.
     """
     begin = time.perf_counter()
-    test, trained = question
+    test, trained, at = question
     models = [*trivial_models(), *trained]
     plan = RolloutPlan(min(max(FRAMES), test.batch.steps + 1 - HISTORY), device=device)
-    frames = tuple(frame for frame in FRAMES if frame <= plan.horizon)
-    at = _frame_of(frames, at)
     solved, reason = solve_domain(test, plan.horizon, conduct)
     domains: tuple[Domain, ...] = (*test.domains, *([solved] if solved else []))
     figures = evaluate(test.scene, models, domains, plan, conduct)
@@ -139,7 +136,7 @@ def study(
         truth = read_reference(solved.path)
         floors["noise"] = noise_floor(truth, plan.horizon)
         floors["chaos"] = chaos_floor(test, truth, plan.horizon)
-    evaluation = Evaluation(test, frames, figures, engine_figures, restart_figures, floors)
+    evaluation = Evaluation(test, _frames(test), figures, engine_figures, restart_figures, floors)
     shift = _shift(
         evaluation,
         plan,
@@ -222,12 +219,19 @@ def _facts(evaluation: Evaluation, model: TrainedModel) -> TrainedFacts:
     return msgspec.structs.replace(facts, to_floor_s=seconds, trajectories=count)
 
 
-def _frame_of(frames: tuple[int, ...], at: int | None) -> int:
+def _frames(test: Paired) -> tuple[int, ...]:
+    """Return the reported frames that the data reach."""
+    return tuple(frame for frame in FRAMES if frame <= test.batch.steps + 1 - HISTORY)
+
+
+def _frame_of(test: Paired, at: int | None) -> int:
     """Choose the frame of the answers, early enough that not all motion is chaotic."""
+    frames = _frames(test)
     if at is None:
         return _AT if _AT in frames else frames[-1]
     if at not in frames:
-        raise InputError(f"--at: got {at}, allowed is {', '.join(map(str, frames))}")
+        allowed = ", ".join(map(str, frames))
+        raise InputError(f"--at: got {at}, allowed in {test.scene.name} is {allowed}")
     return at
 
 
