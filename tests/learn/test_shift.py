@@ -25,7 +25,15 @@ from mbds_xsim.learn.shift.domains import (
     load_paired,
     solve_domain,
 )
-from mbds_xsim.learn.shift.evaluation import ENGINE, RESTART, cells_of, chaos_floor, noise_floor
+from mbds_xsim.learn.shift.evaluation import (
+    ENGINE,
+    RESTART,
+    cells_of,
+    chaos_floor,
+    floors_of,
+    nearest_engine,
+    noise_floor,
+)
 from mbds_xsim.learn.shift.gaps import (
     LONELY,
     UNKNOWN,
@@ -117,9 +125,12 @@ def test_a_restarted_engine_that_is_lost_does_not_widen_the_floor() -> None:
     error[1] = 2.0 * study.largest
     restarted = {pair: figures_of(error) for pair in study.oracles}
     study = dataclasses.replace(study, restarted=restarted)
-    floor = study.floor("a-native", "b-native")
+    floor, mean = study.floor("a-native", "b-native"), (2 * 0.5 + (COUNT - 2) * 0.25) / COUNT
     assert (floor[:2] == 0.5).all()
     assert (floor[2:] == 0.25).all()
+    assert nearest_engine(study, "a-native") == pytest.approx(mean)
+    told = [error for each in floors_of(study) if each.kind == RESTART for error in each.mse]
+    assert told == pytest.approx([mean] * len(told))
     assert {why for gap in measured_gaps(study) for why in gap.why} == {
         "own error exceeds the engine floor"
     }

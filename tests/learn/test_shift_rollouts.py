@@ -12,14 +12,15 @@ import numpy as np
 import pytest
 import torch
 
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import HERE, Conduct, Crash, Silent, Task
 from mbds_xsim.learn.model import LearnedModel
-from mbds_xsim.learn.particles import RolloutFigures, figures_on
+from mbds_xsim.learn.particles import RolloutFigures, figures_on, read_figures
 from mbds_xsim.learn.shift import rollouts, study
 from mbds_xsim.learn.shift.domains import load_paired
 from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.learn.trained import trivial_models
-from mbds_xsim.learn.window import Motions
+from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.scene.state import Batch
 from tests.learn.shifts import SCENE, SEEDS, TRAININGS, shift_of
 
@@ -91,6 +92,29 @@ def test_nothing_goes_on_where_no_motion_is_known(studied: Path) -> None:
     predicted = rollouts._predicted(rollouts.Restart(one, two, 3), unknown, paired.batch, 3)
     assert predicted.shape[:2] == (len(motions), 3)
     assert torch.isnan(predicted).all()
+
+
+def test_a_start_that_an_engine_refuses_later_does_not_lose_its_rollout(
+    studied: Path, shift: Shift, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An example is a disc that has sunk into the ground: only the teacher-forced error is lost."""
+    one, two = load_paired(studied / "data", SCENE).domains
+    restart, predicted = rollouts.Restart(one, two, shift.horizon), rollouts._predicted
+    whole = read_figures(restart.path)
+    assert whole is not None
+
+    def refusing(*words: Any) -> torch.Tensor:
+        if words[4:] and words[4] > HISTORY:
+            raise InputError("starts below the ground")
+        return predicted(*words)
+
+    monkeypatch.setattr(rollouts, "_predicted", refusing)
+    rollouts._go_on(load_paired(studied / "data", SCENE).batch, [restart])
+    again = read_figures(restart.path)
+    restart.path.unlink()
+    assert again is not None
+    np.testing.assert_array_equal(again.error, whole.error)
+    assert (again.one_step == np.inf).all()
 
 
 class Count(Silent):

@@ -233,6 +233,22 @@ def test_without_data_of_the_reference_nothing_is_asked() -> None:
     assert "×" not in to_markdown([present(shift)])
 
 
+def test_harm_is_told_where_the_cost_of_data_is_not_known() -> None:
+    """Data that were fetched have no log; the picture is then that of the changes."""
+    priced = _study({"a-coarse": 4.0})
+    free = tuple(msgspec.structs.replace(domain, cost_s=None) for domain in priced.domains)
+    shift = msgspec.structs.replace(priced, domains=free)
+    (answer,) = answer_of_harms(shift)
+    assert answer.answer.startswith(
+        "At t = 5 no data of known cost are known to harm none of gns. Data that harm are at least "
+    )
+    harms = [
+        {row.texts[0]: row.texts[3] for row in worth_table(s, 1).rows} for s in (priced, shift)
+    ]
+    assert harms[0] == harms[1]
+    assert to_png([shift]) != to_png([priced])
+
+
 def test_table_page_and_picture_show_it() -> None:
     shift = _study({"a-coarse": 4.0})
     table = worth_table(shift, 1)

@@ -88,16 +88,21 @@ class Evaluation:
         return self.counted(np.stack(errors))
 
     def floor(self, first: str, test: str) -> Array:
-        """Return an engine's squared distance from a domain at `frames` [m²], (trajectory, frame).
+        """Return `apart` at the reported frames."""
+        return self.counted(self.apart(first, test))
+
+    def apart(self, first: str, test: str) -> Array:
+        """Return an engine's squared distance from a domain [m²], shape (trajectory, frame).
 
         Both share the window if the engine could go on from it, else only the start: an engine that
         is lost, as on a state that its constraints forbid, does not measure the distance of two.
         """
-        distance = self.oracles[first, test].error
         if (first, test) not in self.restarted:
-            return self.counted(distance)
+            return self.oracles[first, test].error
         error = self.restarted[first, test].error
-        return self.counted(np.where(self.exploded(error), distance, error))
+        if first == test:
+            return error
+        return np.asarray(np.where(self.exploded(error), self.oracles[first, test].error, error))
 
     def counted(self, error: Array) -> Array:
         """Return errors at `frames`, at their assigned value from the frame on that lost them."""
@@ -260,11 +265,8 @@ def chaos_floor(test: Paired, truth: ReferenceFrames, horizon: int) -> Array:
 
 def floors_of(evaluation: Evaluation) -> Iterator[ErrorFloor]:
     """Yield all floors."""
-    errors = {
-        (kind, first, test): figures.error
-        for (kind, first, _, test), figures in evaluation.rolled()
-        if kind in (ENGINE, RESTART)
-    }
+    errors = {(ENGINE, *pair): figures.error for pair, figures in evaluation.oracles.items()}
+    errors |= {(RESTART, *pair): evaluation.apart(*pair) for pair in evaluation.restarted}
     errors |= {(kind, REFERENCE, REFERENCE): error for kind, error in evaluation.floors.items()}
     for key, error in errors.items():
         yield ErrorFloor(
@@ -284,11 +286,10 @@ def nearest_engine(evaluation: Evaluation, home: str) -> float:
 
     In m²; engines go on from the domain's last known frame; infinite if none does.
     """
-    distances = [
-        float(np.nanmean(np.minimum(figures.error[:, :_FRAMES], evaluation.largest)))
-        for (first, test), figures in evaluation.restarted.items()
-        if test == home and first.rpartition("-")[0] != home.rpartition("-")[0]
-    ]
+    engine = home.rpartition("-")[0]
+    others = [i for i, j in evaluation.restarted if j == home and i.rpartition("-")[0] != engine]
+    errors = (evaluation.apart(other, home)[:, :_FRAMES] for other in others)
+    distances = (float(np.nanmean(np.minimum(each, evaluation.largest))) for each in errors)
     return min(distances, default=np.inf)
 
 

@@ -247,13 +247,16 @@ def _one_step(restart: Restart, motions: Motions, inputs: Batch) -> Array:
     """Return the one-frame error of restarts from all over the motions [m²], (trajectory,).
 
     Models are tested in the same way; the first windows alone would contain no contact. The error
-    is infinite if a restart is lost.
+    is infinite if a restart is lost, or refused, as from a state inside the ground.
     """
     assert motions.body is not None
     errors = []
     for last in range(HISTORY - 1, HISTORY - 1 + restart.horizon, _STRIDE):
-        predicted = _predicted(restart, motions, inputs, 1, last)[:, 0]
         truth = motions.position[:, last + 1]
+        try:
+            predicted = _predicted(restart, motions, inputs, 1, last)[:, 0]
+        except InputError:
+            predicted = torch.full_like(truth, torch.nan)
         parts = (truth, motions.body[:, last])
         known = torch.stack([part.isfinite().flatten(1).all(1) for part in parts]).all(0)
         error = (predicted - truth).square().sum(-1).mean(-1)

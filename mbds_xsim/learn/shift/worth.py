@@ -130,7 +130,7 @@ def _unsure(words: Mapping[str, str]) -> str:
 
 
 def _cheapest(shift: Shift, harms: Sequence[Harm], place: int, when: str) -> str:
-    """Name the cheapest data of each engine that harm no model; "" if none are known to."""
+    """Name the cheapest data of each engine that harm no model; "" if no harm is known."""
     if all(harm.value[place] is None for harm in harms):
         return ""
     worst, cheapest = verdicts(harms, place), dict[str, DomainFacts]()
@@ -138,9 +138,9 @@ def _cheapest(shift: Shift, harms: Sequence[Harm], place: int, when: str) -> str
     for domain in by_cost:
         if worst[domain.name] == HARMLESS:
             cheapest.setdefault(domain.engine, domain)
-    if not cheapest:
-        return ""
     models = ", ".join(dict.fromkeys(harm.model for harm in harms))
+    if not cheapest:
+        return f"{when} no data of known cost are known to harm none of {models}"
     first, *others = (f"{d.name}, {_milliseconds(d):.3g} ms" for d in cheapest.values())
     none = [f"none of {e}" for e in dict.fromkeys(d.engine for d in by_cost) if e not in cheapest]
     return (

@@ -25,7 +25,7 @@ from mbds_xsim.report.themed import LIGHT, Style, model_style
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.studies.shift import figures
 from mbds_xsim.studies.shift.tables import tables
-from mbds_xsim.studies.shift.worth import SIZE, costs_of, draw_worth, worth_section
+from mbds_xsim.studies.shift.worth import SIZE, draw_worth, has_costs, worth_section
 
 _ENOUGH = 3  # seeds
 _ABREAST = 2  # heat maps: more would be too small to read on a page
@@ -61,8 +61,7 @@ def _blocks(shift: Shift, samples: Samples | None, *, played: bool) -> Iterator[
     yield Text(protocol(shift))
     change = [_change(shift)] if shift.interactions else []
     models = figures.trained_models(shift)
-    several = any(len(costs_of(shift, model)) > 1 for model in models)
-    worth = [worth_section(shift)] if several else []
+    worth = [worth_section(shift)] if has_costs(shift) else []
     yield from worth + change if shift.harms else change + worth
     yield blocks.Remarks.of(answers(shift))
     if samples is not None:
@@ -211,11 +210,11 @@ def _curves(shift: Shift, model: str) -> FigureGroup:
 
 
 def to_png(studies: Sequence[Shift], stored: bytes = b"") -> bytes:
-    """Return a PNG with a block for each study: harms if all have them, else costs, else errors.
+    """Return a PNG with a block for each study: harms if all can be drawn, else costs, else errors.
 
     `stored` is the JSON behind it.
     """
-    if all(shift.harms for shift in studies):
+    if all(shift.harms and has_costs(shift) for shift in studies):
         worths = [(partial(_draw_worth, shift=shift), SIZE) for shift in studies]
         return themed.stacked(worths, stored)
     if all(shift.interactions for shift in studies):

@@ -35,6 +35,11 @@ def costs_of(shift: Shift, model: str) -> list[Point]:
     return _points(shift, model, costs)
 
 
+def has_costs(shift: Shift) -> bool:
+    """Whether the costs of several data that a model learned from are known."""
+    return any(len(costs_of(shift, model)) > 1 for model in trained_models(shift))
+
+
 def _points(shift: Shift, model: str, places: dict[str, float | None]) -> list[Point]:
     matrix = matrix_of(shift, model, at(shift, shift.at))
     points = [(name, places.get(name), matrix.entry(name, REFERENCE)) for name in matrix.homes]
@@ -46,7 +51,7 @@ def worth_table(shift: Shift, place: int) -> Table:
     """Make a table of the data's cost and accuracy, and of the errors of models trained on them."""
     models, pick = trained_models(shift), at(shift, shift.frames[place])
     matrices = [matrix_of(shift, model, pick) for model in models]
-    domains = [d for d in shift.domains if d.cost_s is not None]
+    domains = [d for d in shift.domains if d.cost_s is not None or shift.harms]
     harms, later = (
         {(harm.model, harm.first): harm for harm in each}
         for each in (shift.harms, shift.harms_after_contact)
