@@ -87,7 +87,7 @@ class Draws:
         self.evaluation, self._rows = evaluation, evaluation.rows(interval)
         self._resampler = Resampler(int(self._rows.sum()))
         self.mean = functools.cache(self._mean)
-        self.drawn = functools.cache(self._drawn)
+        self.drawn, self.reseeded = map(functools.cache, (self._drawn, self._reseeded))
 
     def bounded(self, figure: Callable[[Look], Array]) -> Bounded:
         """Compute a figure from errors of trainings on domains, and its interval."""
@@ -97,8 +97,15 @@ class Draws:
         return np.asarray(self._errors(training, test).mean(axis=(0, 1)))
 
     def _drawn(self, training: TrainedModel, test: str) -> Array:
-        seeds = [run.seed for run in self.evaluation.runs(training)]
-        return self._resampler.means(self._errors(training, test), f"{training.model} {seeds}")
+        return self._resampler.means(self._errors(training, test), self._runs(training))
+
+    def _reseeded(self, training: TrainedModel, test: str) -> Array:
+        """Return the means of as many draws of the seeds alone."""
+        means = self._errors(training, test).mean(axis=1)
+        return self._resampler.seeds(self._runs(training), len(means)) @ means
+
+    def _runs(self, training: TrainedModel) -> str:
+        return f"{training.model} {[run.seed for run in self.evaluation.runs(training)]}"
 
     def _errors(self, training: TrainedModel, test: str) -> Array:
         return self.evaluation.errors(training, test)[:, self._rows]
@@ -234,10 +241,13 @@ class Resampler:
         """
         if errors.shape[1] < _SEVERAL:
             return np.full((self._draws, errors.shape[2]), np.nan)
-        rng = np.random.default_rng([_SEED, zlib.crc32(runs.encode())])
-        seeds = _weights(rng, self._draws, len(errors))
         each = np.einsum("dt,stf->dsf", self._weights, errors, optimize=True)
-        return np.einsum("ds,dsf->df", seeds, each)
+        return np.einsum("ds,dsf->df", self.seeds(runs, len(errors)), each)
+
+    def seeds(self, runs: str, count: int) -> Array:
+        """Return the weights of so many seeds in each draw, (draw, seed)."""
+        rng = np.random.default_rng([_SEED, zlib.crc32(runs.encode())])
+        return _weights(rng, self._draws, count)
 
 
 def bounds_of(draws: Array) -> tuple[Array, Array]:

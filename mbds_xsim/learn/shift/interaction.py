@@ -26,7 +26,7 @@ from typing import TypeVar
 
 import msgspec
 import numpy as np
-from scipy.stats import false_discovery_control, norm
+from scipy.stats import false_discovery_control, t
 
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.learn.shift.gaps import Bounded, Draws, Look, own_and_floor, singles_of
@@ -78,26 +78,35 @@ def compared(
     """Bound a ratio of errors for pairs of trainings, and find which are significant together."""
     ratios = [partial(ratio, *pair) for pair in pairs]
     bounded = [draws.bounded(each) for each in ratios]
-    chances = [_chance(draws, *each) for each in zip(ratios, bounded, strict=True)]
+    seeds = [min(len(draws.evaluation.runs(each)) for each in pair) for pair in pairs]
+    chances = [_chance(draws, *each) for each in zip(ratios, bounded, seeds, strict=True)]
     resolved = _kept(np.array(chances)).tolist() if chances else []
     return tuple(
         kind(
             model=first.model,
             first=first.domains[0],
             second=second.domains[0],
-            seeds=min(len(draws.evaluation.runs(each)) for each in (first, second)),
+            seeds=count,
             **bounds.rounded(),
             resolved=tuple(row),
         )
-        for (first, second), bounds, row in zip(pairs, bounded, resolved, strict=True)
+        for (first, second), count, bounds, row in zip(pairs, seeds, bounded, resolved, strict=True)
     )
 
 
-def _chance(draws: Draws, ratio: Callable[[Look], Array], bounded: Bounded) -> Array:
-    """Compute the p-value of the ratio's logarithm, from its spread over the draws."""
+def _chance(draws: Draws, ratio: Callable[[Look], Array], bounded: Bounded, seeds: int) -> Array:
+    """Compute the p-value of the ratio's logarithm, from its spread over the draws.
+
+    The spread of three seeds is known roughly only. Student's t allows for that, by Satterthwaite's
+    degrees of freedom of a sum of two variances (1946, Biometrics Bull. 2, 110).
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
-        spread = np.log(ratio(draws.drawn)).std(axis=0) + _ROUNDING
-        return np.asarray(2.0 * norm.sf(np.abs(np.log(bounded.value)) / spread))
+        whole, part = (np.log(ratio(look)).var(axis=0) for look in (draws.drawn, draws.reseeded))
+        rest, trajectories = np.maximum(whole - part, 0.0), len(draws.evaluation.test.index)
+        parts = part**2 / max(seeds - 1, 1) + rest**2 / max(trajectories - 1, 1)
+        freedom = np.where(parts > 0.0, (part + rest) ** 2 / parts, np.inf)
+        size = np.abs(np.log(bounded.value)) / (np.sqrt(whole) + _ROUNDING)
+        return np.asarray(2.0 * t.sf(size, freedom))
 
 
 def interaction(first: TrainedModel, second: TrainedModel, look: Look) -> Array:
