@@ -63,7 +63,7 @@ class MuJoCo(Adapter):
 
     name = "mujoco"
     package = "mujoco"
-    revision = 4
+    revision = 5
     methods: ClassVar = named(
         # A loop is as stiff as the step h allows. The stages of a step see it open by h² and push
         # with accelerations that do not vanish with h, so velocities are off in proportion to h.

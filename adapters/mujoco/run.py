@@ -29,6 +29,7 @@ from mbds_xsim.simulate.adapter import (
 from mbds_xsim.simulate.readback import joint_anchors, joint_axes, joint_laws
 
 from .contact import SphereGeoms
+from .loops import soften_loops
 from .model import CLOSING_POINTS, StepOptions, closing_point, mjcf, open_loops, with_start
 from .spinless import Bending
 from .state import Coordinates, Frames, Hanger
@@ -80,6 +81,7 @@ class ModelRun(Bending):
         elif turn and (turning := turning_rates(self.model)).size:
             self._stepper = FinerWhereFast(self.model, turning, count, turn)
         mujoco.mj_forward(self.model, self.data)
+        self._remark = soften_loops(self.model, self.data)
         self.size = ModelSize(
             coordinates=self.model.nv,
             constraints=self.data.ne,
@@ -297,7 +299,8 @@ class ModelRun(Bending):
         qpos, qvel = self.start(batch)
         inputs = np.zeros((1, len(self._mechanism.hinges)))
         command = with_pushes(self._mechanism.drives, inputs)[0]
-        return with_start(self._xml, qpos[0], qvel[0], command, self._stepper.remark)
+        remark = f"{self._stepper.remark}{self._remark}"
+        return with_start(self._xml, qpos[0], qvel[0], command, remark)
 
     def close(self) -> None:
         self.model = self.data = None

@@ -28,7 +28,7 @@ class MuJoCoWarp(Adapter):
 
     name = "mujoco-warp"
     package = "mujoco-warp"
-    revision = 2
+    revision = 3
     methods: ClassVar = named(dataclasses.replace(MuJoCo.methods[_METHOD], single=True))
     options: ClassVar = {
         **{name: MuJoCo.options[name] for name in _SHARED},

@@ -43,6 +43,7 @@ _FEW = 10.0  # least number of steps that count
 _NEAR = 4  # steps to either side that show how well a step is balanced
 _CLOSE = 3  # the same for the test of single steps
 _FAINT = 1e-9  # share of the largest residual; smaller ones are rounding
+_SLIGHT = 1e-5  # range of the weights' energies over the energy scale; a smaller one is no matter
 _LEAST = 6.0  # times the residual of neighbours; smaller inputs of single steps are not tested
 _NONE = 3.0  # times nearer to a motion without the input than to one with it
 _ENOUGH = 4  # least number of trajectories
@@ -187,6 +188,8 @@ def _parts(
     moving, lifted = change[..., :bodies], change[..., bodies:]
     faint = _FAINT * every.scale[:, None]
     gravity = lifted.sum(axis=-1)
+    heights = numbers(gravity).cumsum(axis=1)
+    gravity[np.ptp(heights, axis=1) < _SLIGHT * every.scale] = 0.0
     late = _LATE * (record.step or 0.0) / record.frame if record.order == 1 else 0.0
     exchanged = np.concatenate([energy, every.others, losses(record)[0][..., None]], axis=-1)
     exchange = late * np.abs(np.diff(exchanged, axis=1)).sum(axis=-1)

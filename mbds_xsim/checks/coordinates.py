@@ -14,6 +14,8 @@ from mbds_xsim.scene.mechanism import WORLD_INDEX, PlacedJoint
 if TYPE_CHECKING:
     from mbds_xsim.checks.record import Record
 
+_RESTING = 1e-9  # gap of a stop that is none [rad, or m over the scene's length]
+
 
 def coordinate_of(record: Record, joint: PlacedJoint) -> Array:
     """Return a hinge's or slider's coordinate [rad or m], shape (trajectory, frame).
@@ -43,11 +45,15 @@ def clear_of_stops(record: Record, group: tuple[int, ...] | None = None) -> Mask
 
 
 def clear_of_own(record: Record, joint: PlacedJoint) -> Mask:
-    """Find the steps in which one joint cannot reach its stops, shape (trajectory, step)."""
+    """Find the steps in which one joint cannot reach its stops, shape (trajectory, step).
+
+    A joint that rests on its stop may be off it by rounding.
+    """
     gap, rate = stop_gap(record, joint), joint_rate(joint, record.world)
     begin, end = rate[:, :-1], rate[:, 1:]
     travel = record.frame * (np.maximum(np.abs(begin), np.abs(end)) + np.abs(end - begin))
-    return np.asarray(np.minimum(gap[:, :-1], gap[:, 1:]) > travel)
+    least = _RESTING * (1.0 if joint.kind == "hinge" else record.scene.length)
+    return np.asarray(np.minimum(gap[:, :-1], gap[:, 1:]) > travel + least)
 
 
 def stop_gap(record: Record, joint: PlacedJoint) -> Array:

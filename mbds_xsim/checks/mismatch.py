@@ -294,6 +294,8 @@ class Flow:
         if not mechanism.loops or all(joint.kind == "ball" for joint in mechanism.joints):
             return states
         known = known_states(states)
+        if not known.any():
+            return states
         tree = to_bodies(mechanism, to_links(mechanism, states[known]))
         closed = projected(mechanism, tree)
         filled = states.each(lambda values: np.full_like(values, np.nan))

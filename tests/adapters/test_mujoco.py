@@ -31,7 +31,7 @@ from mbds_xsim.simulate import readback
 from mbds_xsim.simulate.adapter import Profile, Settings
 from mbds_xsim.simulate.registry import load_adapter, load_scene, write_model
 from mbds_xsim.testing.case import NONE, case_of, even
-from tests.adapters.exact import worst_gap
+from tests.adapters.exact import gimbal_followed, worst_gap
 from tests.random_scenes import Kind, random_links, random_tree
 
 mujoco: Any = pytest.importorskip("mujoco")
@@ -374,3 +374,8 @@ def test_flat_bodies_turned_in_their_frames_run(moments: Vector, products: Vecto
     stated = " ".join(map(repr, (*moments, *products)))
     text = write_model(scene, "mjcf").text
     assert (f'fullinertia="{stated}"' in text) == (not any(products))
+
+
+@pytest.mark.parametrize("off", [0.0, 1e-3])
+def test_a_hinge_closes_a_loop_of_bodies_whose_centres_hardly_move(off: float) -> None:
+    gimbal_followed(ENGINE, off)

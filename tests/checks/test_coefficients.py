@@ -190,3 +190,13 @@ def test_what_a_method_takes_late_of_rotors_and_dampers_is_no_error_of_masses(na
     assert not moved(light, RK4, light).passed.any()
     pull = msgspec.structs.replace(heavy, gravity=(0.0, 0.0, -1.01 * 9.81))
     assert not moved(heavy, method, pull).passed.any()
+
+
+def test_a_gap_at_a_balanced_rotor_is_no_error_of_gravity() -> None:
+    rotor = Body("rotor", inertia=Inertia(2.0, (0.004, 0.004, 0.006)))
+    axle = Joint("axle", "hinge", "world", "rotor", (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), rate=30.0)
+    scene = Scene("rotor", (rotor,), 0.6, joints=(axle,), clock=Clock(0.01, 30))
+    batch = draw_batch(scene, [0])
+    motion = reference.solve(scene, batch, cache=False)
+    motion.position[0, :, 0, 2] += 1e-7 * np.sin(np.arange(31.0))
+    assert coefficients.finding(Record(scene, batch, motion, RK4, 2e-3)).passed.all()

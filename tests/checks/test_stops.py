@@ -8,11 +8,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from mbds_xsim.checks import Record
+from mbds_xsim.checks import CHECKS, Record, audited
 from mbds_xsim.checks.conservation import energy_balance
 from mbds_xsim.checks.stops import past_limits, stop_passivity
 from mbds_xsim.reference.solution import solve
 from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene
+from mbds_xsim.simulate.registry import load_adapter
 from mbds_xsim.testing.case import Case
 from mbds_xsim.testing.limit_cases import STOP_CASES
 
@@ -59,3 +61,28 @@ def test_a_stop_that_gives_energy_is_seen() -> None:
 
     finding = stop_passivity.finding(Record(case.scene, record.batch, thrown))
     assert not finding.passed.any()
+
+
+@pytest.mark.parametrize(("hinges", "rate"), [(1, 3.0), (2, 0.0)])
+def test_the_rest_on_a_stop_is_no_fault(hinges: int, rate: float) -> None:
+    """An arm on one hinge or two rests on its stop by rounding, some or all of the time."""
+    held = Inertia(1.0, (0.02, 0.02, 0.02))
+    ways = {"stop": {"start": 0.1, "limits": (0.1, 2.0)}, "loop": {}}
+    joints = [
+        Joint(name, "hinge", "world", "arm", (0.0, 0.2 * k, 0.0), (0.0, -1.0, 0.0), **more)
+        for k, (name, more) in enumerate(ways.items())
+    ]
+    pin = Joint("pin", "hinge", "arm", "bob", (0.3, 0.0, 0.0), (0.0, 1.0, 0.0), rate=rate)
+    bodies = [("arm", 0.0), ("bob", -0.4)]
+    scene = Scene(
+        "arm",
+        tuple(Body(name, inertia=held, position=(0.3, 0.0, z)) for name, z in bodies),
+        1.0,
+        joints=(*joints[:hinges], pin),
+        clock=Clock(0.02, 20),
+    )
+    batch = draw_batch(scene, [0])
+    motion = solve(scene, batch, cache=False)
+    method = load_adapter("reference").methods["adaptive"]
+    findings = audited(Record(scene, batch, motion, method, scene.clock.frame, 0.0), CHECKS)
+    assert [finding.line(0) for finding in findings if not finding.passed.all()] == []
