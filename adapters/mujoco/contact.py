@@ -45,8 +45,6 @@ from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
 from mbds_xsim.scene.scene import Ground
 from mbds_xsim.simulate.claims import ContactLaw
 
-from .friction import check_friction
-
 CONTACT_LAW = ContactLaw(
     normal="soft: a spring and damper on accelerations (solref, solimp), in one convex problem",
     restitution="no coefficient: set by the damper",
@@ -56,9 +54,10 @@ CONTACT_LAW = ContactLaw(
     "more and ignore restitution. Matched settings divide the steps near a contact and calibrate "
     "the damper on the engine's own steps so that it delivers the restitution; the cone is "
     "elliptic, and friction is left to the `noslip` solver, which does not lift sliding bodies. "
-    "Friction that it would lose is refused: on heavy bodies, and where joints leave only one line "
-    "to slip along. If all bodies are balls, an impact is a single step. Contacts of wheels are "
-    "half as hard; otherwise their loads would rattle.",
+    "Friction that it would lose is refused on heavy bodies; where joints leave only one line to "
+    "slip along, contact at the start is refused, and a later touch ends the trajectory. If all "
+    "bodies are balls, an impact is a single step. Contacts of wheels are half as hard; otherwise "
+    "their loads would rattle.",
 )
 
 _GROUND = "ground"
@@ -105,8 +104,6 @@ def add_contacts(
     if scene.ground is not None:
         # The first geom of the world. A plane is a half-space: nothing gets behind it.
         SubElement(bodies[WORLD_INDEX], "geom", masks, name=_GROUND, type="plane", size="0 0 1")
-    if impact.step:
-        check_friction(mechanism)
     contact = SubElement(root, "contact")
     for k, body in enumerate(mechanism.sphere_body):
         SubElement(
@@ -263,6 +260,10 @@ class SphereGeoms:
         a, b, c = data.subtree_com[self._roots[sphere]].tolist()
         x, y, z = x - a, y - b, z - c
         return math.hypot(u + q * z - r * y, v + r * x - p * z, w + p * y - q * x)
+
+    def geoms(self, spheres: tuple[int, ...]) -> frozenset[int]:
+        """Return the geoms of two spheres, or of one and the ground, which is the first of all."""
+        return frozenset([*self._geoms[list(spheres)].tolist(), 0][:2])
 
     def readback(self, model: Any, data: Any) -> dict[str, Array]:
         """Return the fields of `Readback` on contact; restitution, which MuJoCo lacks, is NaN."""

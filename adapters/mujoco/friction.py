@@ -1,8 +1,9 @@
-"""Refusal of friction that MuJoCo's noslip solver would lose without a word.
+"""Friction that MuJoCo's noslip solver would lose without a word.
 
 It solves for both tangential impulses of a contact at once, from the matrix of what the bodies
-yield to them. Below a determinant of 1e-10 it takes the friction as 0: on heavy bodies, and where
-joints let a point move along one line alone.
+yield to them. Below a determinant of 1e-10 it takes the friction as 0: on heavy bodies, which are
+refused, and where joints let a point move along one line alone. There a scene is refused if it
+starts in contact; otherwise a trajectory ends at the first touch.
 """
 
 from __future__ import annotations
@@ -24,25 +25,46 @@ from mbds_xsim.scene.scene import Ground
 _FRICTIONLESS = 1e-5
 # Poses of which one must let friction act.
 _POSES = 8
-# Smaller shares are rounding.
+# Smaller shares, and gaps [m], are rounding.
 _NIL = 1e-9
+_ONE_LINE = (
+    "joints leave only one line to slip along: MuJoCo's friction solver needs two, and treats "
+    "friction along one as none; free a joint, or take another engine"
+)
 
 
-def check_friction(mechanism: Mechanism) -> None:
-    """Raise Unsupported if friction would be lost in all of several poses."""
-    scene = mechanism.scene
+def lost_friction(mechanism: Mechanism) -> dict[tuple[int, ...], str]:
+    """Find contacts whose friction would be lost in all of several poses.
+
+    Returns:
+        Reason why a trajectory ends at a touch, by the sphere on the ground or the two spheres.
+
+    Raises:
+        Unsupported: Friction would be lost on heavy bodies, or in contact at the start.
+    """
+    scene, lost = mechanism.scene, dict[tuple[int, ...], str]()
     yields, jointed = _free_yields(mechanism), _jointed(mechanism)
     moved = _Moved(mechanism, jointed) if mechanism.joints else None
     on_joints = np.isin(mechanism.sphere_body, list(jointed))
     for k, sphere in enumerate(scene.contacts) if scene.ground else ():
         _check_mass("ground", scene.ground, float(yields[k]))
-        if moved is not None and on_joints[k]:
-            _check("ground", scene.ground, moved.by_ground(k), f"the sphere of {sphere.body!r}")
+        if (
+            moved is not None
+            and on_joints[k]
+            and _loses("ground", scene.ground, moved.by_ground(k))
+        ):
+            spheres = f"the sphere of {sphere.body!r}"
+            _refuse_touching("ground", scene.ground, moved.height(k), spheres)
+            lost[(k,)] = f"{spheres} meets the ground, and {_ONE_LINE}"
     for one, other in mechanism.sphere_pairs.tolist():
         _check_mass("collisions", scene.collisions, yields[one] + yields[other])
         if moved is not None and on_joints[[one, other]].all():  # others slip in all directions
             names = " and ".join(repr(scene.contacts[k].body) for k in (one, other))
-            _check("collisions", scene.collisions, moved.by_pair(one, other), f"those of {names}")
+            if _loses("collisions", scene.collisions, moved.by_pair(one, other)):
+                gap = moved.distance(one, other)
+                _refuse_touching("collisions", scene.collisions, gap, f"those of {names}")
+                lost[one, other] = f"spheres of {names} meet, and {_ONE_LINE}"
+    return lost
 
 
 def _jointed(mechanism: Mechanism) -> set[int]:
@@ -87,6 +109,15 @@ class _Moved:
         normal = apart / np.maximum(rotation.norm(apart)[..., None], np.finfo(float).tiny)
         return self._along(normal, self._speeds(one, -normal) - self._speeds(other, normal))
 
+    def height(self, k: int) -> float:
+        """Return a sphere's gap to the ground at the start [m]."""
+        return float(self._place(k)[0, 2] - self._mechanism.sphere_radius[k])
+
+    def distance(self, one: int, other: int) -> float:
+        """Return the gap between two spheres at the start [m]."""
+        apart = np.linalg.norm(self._place(one)[0] - self._place(other)[0])
+        return float(apart - self._mechanism.sphere_radius[[one, other]].sum())
+
     def _place(self, k: int) -> Array:
         body, offset = int(self._mechanism.sphere_body[k]), self._mechanism.sphere_offset[k]
         arm = rotation.rotate(self._bodies.native[:, body], offset)
@@ -124,16 +155,21 @@ def _poses(mechanism: Mechanism) -> BodyStates:
     return to_bodies(mechanism, links)
 
 
-def _check(where: str, law: Ground | Collisions | None, yields: Array, spheres: str) -> None:
-    """Refuse friction that is lost in every pose, unless nothing can slip in any."""
+def _loses(where: str, law: Ground | Collisions | None, yields: Array) -> bool:
+    """Return whether friction is lost in every pose, though something can slip in one."""
     assert law is not None
     small, large = np.linalg.eigvalsh(yields).T
     share = float((small / np.maximum(large, np.finfo(float).tiny)).max())
     if share > _NIL:
         _check_mass(where, law, float(np.sqrt(np.maximum(small * large, 0.0)).max()))
-    elif law.friction and large.max() * law.friction**2 > _FRICTIONLESS * _NIL:
+        return False
+    return law.friction > 0.0 and float(large.max()) * law.friction**2 > _FRICTIONLESS * _NIL
+
+
+def _refuse_touching(where: str, law: Ground | Collisions | None, gap: float, spheres: str) -> None:
+    assert law is not None
+    if gap <= _NIL:
         raise Unsupported(
-            f"mujoco: {where}.friction: got {law.friction:g}, allowed is 0 for {spheres}, as "
-            "joints leave only one line to slip along: its friction solver needs two, and treats "
-            "friction along one as none; free a joint, or take another engine"
+            f"mujoco: {where}.friction: got {law.friction:g}, allowed is 0 for {spheres}, in "
+            f"contact at the start, as {_ONE_LINE}"
         )

@@ -29,6 +29,7 @@ from mbds_xsim.simulate.adapter import (
 from mbds_xsim.simulate.readback import joint_anchors, joint_axes, joint_laws
 
 from .contact import SphereGeoms
+from .friction import lost_friction
 from .loops import soften_loops
 from .model import CLOSING_POINTS, StepOptions, closing_point, mjcf, open_loops, with_start
 from .spinless import Bending
@@ -77,7 +78,8 @@ class ModelRun(Bending):
         self._spheres = SphereGeoms(self.model, mechanism)
         self._stepper: OneCall | FinerNearGround | FinerWhereFast = OneCall(count)
         if division:
-            self._stepper = FinerNearGround(self.model, self._spheres, method, count, division)
+            more = count, division, lost_friction(mechanism)
+            self._stepper = FinerNearGround(self.model, self._spheres, method, *more)
         elif turn and (turning := turning_rates(self.model)).size:
             self._stepper = FinerWhereFast(self.model, turning, count, turn)
         mujoco.mj_forward(self.model, self.data)
@@ -140,7 +142,8 @@ class ModelRun(Bending):
         for k in range(one.steps):
             push[...] = force[k]
             drive[...] = torque[k]
-            frame(model, data)
+            if reason := frame(model, data):
+                warnings.append(reason)
             if warnings:
                 return
             frames.keep(row, k + 1, placed=placed)

@@ -22,16 +22,18 @@ class OneCall:
     """A stepper with equal steps, whatever touches.
 
     Like the others it has a `remark` on the steps, for the model's text, and `placed`, whether
-    bodies and geoms are where the coordinates place them after a frame.
+    bodies and geoms are where the coordinates place them after a frame. `frame` steps to the next
+    frame and returns why the trajectory ends there, "" if it does not.
     """
 
     def __init__(self, count: int) -> None:
         self._count = count
         self.remark, self.placed = "", False
 
-    def frame(self, model: Any, data: Any) -> None:
+    def frame(self, model: Any, data: Any) -> str:
         """Step to the next frame; after a warning the state is useless."""
         mujoco.mj_step(model, data, self._count)
+        return ""
 
 
 class FinerWhereFast:
@@ -60,17 +62,18 @@ class FinerWhereFast:
         )
         self.placed = False
 
-    def frame(self, model: Any, data: Any) -> None:
+    def frame(self, model: Any, data: Any) -> str:
         rates = data.qvel[self._turning]
         # Their sum of squares is quicker to test and seldom too large. NaN counts as slow.
         if not rates.dot(rates) > self._square:
             mujoco.mj_step(model, data, self._count)
-            return
+            return ""
         fastest = max(map(abs, rates.tolist())) / self._rate
         times = max(1, math.ceil(min(fastest, _MOST)))
         model.opt.timestep = self._step / times
         mujoco.mj_step(model, data, self._count * times)
         model.opt.timestep = self._step
+        return ""
 
 
 def turning_rates(model: Any) -> Index:
@@ -97,13 +100,21 @@ class FinerNearGround:
         integrator: MuJoCo's name of the method in the air.
         count: Number of steps of a frame.
         division: Number of finer steps of a step.
+        lost: Reasons why a touch ends a trajectory, by spheres.
     """
 
     def __init__(
-        self, model: Any, spheres: SphereGeoms, integrator: str, count: int, division: int
+        self,
+        model: Any,
+        spheres: SphereGeoms,
+        integrator: str,
+        count: int,
+        division: int,
+        lost: dict[tuple[int, ...], str],
     ) -> None:
         self._spheres, self._count, self._division = spheres, count, division
         self._integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
+        self._lost = {spheres.geoms(pair): reason for pair, reason in lost.items()}
         self._finer = float(model.opt.timestep)
         self._step = division * self._finer  # in the air
         # A sphere with a smaller gap than it falls in a finer step rattles and does not fly.
@@ -122,7 +133,7 @@ class FinerNearGround:
             )
         self.placed = True  # by looking for the ground
 
-    def frame(self, model: Any, data: Any) -> None:
+    def frame(self, model: Any, data: Any) -> str:
         remaining = self._count
         # Results of the last frame stay valid unless the state was set anew.
         if data.time != self._end_time:
@@ -132,10 +143,12 @@ class FinerNearGround:
         while remaining:
             count = self._aloft(model, data, remaining)
             if not (count and self._fly(model, data, count)):
-                self._step_near(model, data)
+                if reason := self._step_near(model, data):
+                    return reason
                 count = 1
             remaining -= count
         self._end_time = data.time
+        return ""
 
     def _look(self, model: Any, data: Any) -> None:
         self._gap, self._low = self._spheres.gaps(model, data)
@@ -149,11 +162,16 @@ class FinerNearGround:
             self._until = data.time + time
         return int(min(remaining, time / self._step))  # all that remain if it is NaN
 
-    def _step_near(self, model: Any, data: Any) -> None:
+    def _step_near(self, model: Any, data: Any) -> str:
         self._lead(model, data, self._low, -0.5)
-        mujoco.mj_step(model, data, self._division)
+        for _ in range(self._division if self._lost else 1):
+            mujoco.mj_step(model, data, 1 if self._lost else self._division)
+            for pair in data.contact.geom.tolist() if self._lost else ():
+                if reason := self._lost.get(frozenset(pair)):
+                    return reason
         self._look(model, data)
         self._lead(model, data, self._low, 0.5)
+        return ""
 
     def _lead(self, model: Any, data: Any, low: float, steps: float) -> None:
         """Advance velocities by a part of a finer step if nothing touches.

@@ -103,6 +103,31 @@ def test_friction_along_a_line_is_refused() -> None:
     ENGINE.open(hung, settings).close()
 
 
+@pytest.mark.parametrize("height", [1.0, 0.3])
+def test_a_touch_with_friction_along_a_line_ends_the_trajectory(height: float) -> None:
+    """An arm swings down in a plane, high above the ground or down to it."""
+    scene = Scene(
+        "arm",
+        (Body("arm", inertia=Inertia(1.0, (0.02,) * 3), position=(0.3, 0.0, height)),),
+        0.5,
+        joints=(Joint("pin", "hinge", "world", "arm", (0.0, 0.0, height), (0.0, 1.0, 0.0)),),
+        contacts=(ContactSphere("arm", (0.4, 0.0, height), R),),
+        ground=Ground(MU, 0.0),
+        clock=Clock(0.02, 25),
+    )
+    batch = draw_batch(scene, [0, 0])
+    exact = reference.solve(scene, batch, cache=False)
+    with ENGINE.open(scene, ENGINE.settings(scene, "matched")) as run:
+        motion = run.rollout(batch)
+    known = exact.known
+    assert (motion.known == known).all()
+    assert known.all() == (height > 0.5)
+    assert np.abs(motion.position - exact.position)[known].max() < 1e-6
+    for failure in motion.failures:
+        assert failure is None or "'arm' meets the ground, and joints leave" in failure.reason
+        assert (failure is None) == known.all()
+
+
 def test_what_comes_no_nearer_to_the_ground_may_slip_along_one_line() -> None:
     """As the first link of an arm on a vertical joint, which only turns."""
     shoulder = Body("shoulder", inertia=Inertia(1.0, (0.1,) * 3), position=(0.3, 0.0, 2.0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -67,7 +68,7 @@ def test_a_stop_that_gives_energy_is_seen() -> None:
 def test_the_rest_on_a_stop_is_no_fault(hinges: int, rate: float) -> None:
     """An arm on one hinge or two rests on its stop by rounding, some or all of the time."""
     held = Inertia(1.0, (0.02, 0.02, 0.02))
-    ways = {"stop": {"start": 0.1, "limits": (0.1, 2.0)}, "loop": {}}
+    ways: dict[str, dict[str, Any]] = {"stop": {"start": 0.1, "limits": (0.1, 2.0)}, "loop": {}}
     joints = [
         Joint(name, "hinge", "world", "arm", (0.0, 0.2 * k, 0.0), (0.0, -1.0, 0.0), **more)
         for k, (name, more) in enumerate(ways.items())
