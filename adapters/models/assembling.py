@@ -30,6 +30,7 @@ _SCALAR = "the scene description has it for hinges and sliders alone"
 _NOTHING = Mass(0.0, np.zeros(3), np.zeros((3, 3)))
 _TIES_NOTHING = "it holds what does not move, or is not there"
 _NO_LINE = "its ends are at one point at the reference pose, or its force law is negative"
+_ROUNDING = 1e-24  # inertia that rounding of centres of mass leaves, over mass times the reach²
 _TOGETHER = 1e-9  # [m]: anchors this close count as one point
 _INDEPENDENT = 1e-3  # least volume spanned by three independent unit axes
 
@@ -199,7 +200,7 @@ class _Builder:
             reason = f"inertia without mass: it gets {SHARE:g} of the mass that it carries"
             self._report("approximated", "inertial", reason, part.name)
             own = dataclasses.replace(own, mass=SHARE * (carried.mass or 1.0))
-        if np.trace(own.inertia) <= 0:
+        if np.trace(own.inertia) <= _ROUNDING * own.mass * self.length**2:
             reason = f"mass without inertia: it gets {SHARE:g} of its mass times the model's reach²"
             self._report("approximated", "inertial", reason, part.name)
             moment = SHARE * own.mass * self.length**2

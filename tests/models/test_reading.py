@@ -190,6 +190,22 @@ def test_moments_that_no_body_has_are_raised_least(here: Path) -> None:
     np.testing.assert_allclose(float(fate.places[0].split()[2]), (0.5 / 11) ** 0.5, rtol=0.02)
 
 
+_FRAME = """<link name="frame"/><joint name="flange" type="fixed"><parent link="rod"/>
+<child link="frame"/></joint>"""
+
+
+@pytest.mark.parametrize("rest", ["", _FRAME])
+def test_a_mass_without_inertia_gets_a_small_one_whatever_frames_it_carries(
+    here: Path, rest: str
+) -> None:
+    inertial = '<origin xyz="0.02 0 0.7"/><mass value="1.095"/>' + _INERTIA.format(*6 * "0")
+    imported = _read(here, _urdf(inertial, rest), "arm.urdf")
+
+    wanted = 1.095e-6 * imported.scene.length**2 * np.eye(3)
+    np.testing.assert_allclose(Mechanism.of(imported.scene).inertia[0], wanted, atol=1e-15)
+    assert "mass without inertia" in _fates(imported, "approximated")["inertial"].reason
+
+
 def test_what_the_scene_has_no_place_for_is_dropped_by_name_with_its_value(here: Path) -> None:
     geom = '<geom type="capsule" size=".05" fromto="0 0 0 0 0 1"/>'
     imported = _read(
