@@ -58,6 +58,8 @@ def searched(scene: Scene, choice: Choice, conduct: Conduct) -> Choice:
     if MATCHED not in choice.profiles or choice.step is not None or choice.method is not None:
         return choice
     keys = {name: _key(scene, registry.load_adapter(name)) for name in _without(scene, choice)}
+    if choice.named and _refuses(scene, choice, [n for n in choice.engines if n not in keys]):
+        return choice
     settings = {
         name: entry for name in keys if conduct.cache and (entry := _load(keys[name])) is not None
     }
@@ -100,6 +102,15 @@ def _without(scene: Scene, choice: Choice) -> list[str]:
         and not is_stored(scene, name)
         and _methods(scene, registry.load_adapter(name))
     ]
+
+
+def _refuses(scene: Scene, choice: Choice, engines: Sequence[str]) -> bool:
+    """Whether one of the engines cannot simulate the scene: `Choice.contenders` will say so."""
+    try:
+        dataclasses.replace(choice, engines=tuple(engines)).contenders(scene)
+    except Unsupported:
+        return True
+    return False
 
 
 def _methods(scene: Scene, adapter: Adapter) -> list[Settings]:

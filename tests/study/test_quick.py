@@ -112,6 +112,8 @@ def test_an_engine_that_gives_no_settings_is_left_out_with_the_reason(
     with faulty(tmp_path / "packages", "refusing"):
         choice = searched(scene, Choice(engines, named=False), HERE)
         (contender,), left_out = choice.contenders(scene)
+        monkeypatch.setattr(quick, "_search", lambda *_: pytest.fail("it is refused in any case"))
+        assert not _searched(scene, "mujoco,refusing")
         with pytest.raises(Unsupported) as alone:
             Choice.parse(engines="refusing").contenders(scene)
         with pytest.raises(Unsupported) as beside:
