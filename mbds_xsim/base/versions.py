@@ -14,5 +14,5 @@ PHYSICS = 4
 CHECKS = 23
 """Version of the checks' figures and verdicts, and of the studies' results from them."""
 
-MODELS = 5
+MODELS = 6
 """Version of the predictions of learned models and of the figures computed from them."""

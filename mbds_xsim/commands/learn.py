@@ -167,13 +167,14 @@ def _check_plan(*, plan: bool, **places: Path | None) -> None:
             raise InputError(f"--{option}: nothing is trained with --plan; leave one out")
 
 
-def _models(names: str | None, track: str | None, profile: str) -> list[str]:
+def _models(names: str | None, track: str | None, profile: str) -> Sequence[str]:
     """Return the named models; without names, all that have the track, or else the profile's."""
     from mbds_xsim.learn.model import load_model, trainable
     from mbds_xsim.learn.recipe import TRACKS
+    from mbds_xsim.simulate.choice import words_of
 
     if names is not None:
-        return [word.strip() for word in dict.fromkeys(names.split(","))]
+        return words_of(names, "--models")
     track = track or TRACKS.get(profile)
     able = [name for name in trainable() if track in load_model(name).tracks]
     return able or trainable()  # their refusal lists the available tracks
@@ -263,12 +264,11 @@ def _carrier(
 
 def _draw(curves: Sequence[Path], png: Path | None, console: Console) -> None:
     """Draw the curves that exist; copied models may lack theirs."""
-    existing = [path for path in curves if path.exists()]
     if png is None:
         return
-    for path in curves:
-        if path not in existing:
-            console.print(f"{path}: not there, and not drawn", highlight=False)
+    existing = [path for path in curves if path.exists()]
+    for path in sorted({*curves} - {*existing}):
+        console.print(f"{path}: not there, and not drawn", highlight=False)
     from mbds_xsim.base.files import write_whole
     from mbds_xsim.learn.curves import read_curve, to_png
 

@@ -1,11 +1,11 @@
 """Models of bodies, which predict the motion of a scene's bodies frame by frame.
 
 Most of them correct smooth motion. A frame then begins with smooth motion on the joints under the
-known inputs, by `BodyMechanics`, which is exact for flying bodies, or by a learned energy. A
-network adds the rest, from its view of the frame (`BodyView`): for each body a displacement and a
-change of its twist, for each contact sphere two impulses on its body, one that displaces it and one
-that changes its twist. The least mass-weighted change removes the part that joints forbid, so that
-rods keep their lengths; no step waits for a GPU.
+known inputs, by `BodyMechanics`, which is exact for flight without tumbling, or by a learned
+energy. A network adds the rest, from its view of the frame (`BodyView`): for each body a
+displacement and a change of its twist, for each contact sphere two impulses on its body, one that
+displaces it and one that changes its twist. The least mass-weighted change removes the part that
+joints forbid, so that rods keep their lengths; no step waits for a GPU.
 
 The loss compares displacement and twist with the teacher's body by body, not particle by particle:
 an impact of a disc is one wrench, not nineteen accelerations.

@@ -26,7 +26,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from mbds_xsim.base import rotation
+from mbds_xsim.base import bounds, rotation
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.learn.energy import (
@@ -60,6 +60,9 @@ class EnergySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     as log(1 + e / floor) − log(1 + e): by its logarithm, and ever less beyond 1, where no step of
     the integrator resolves the motion. None: the loss is the mean of e."""
     recipe: Recipe = Recipe(rate=1e-3, batch=100, skip=True)
+
+    def __post_init__(self) -> None:
+        bounds.at_least_one("substeps", self.substeps)
 
 
 class NodeDynamics(nn.Module, ABC):

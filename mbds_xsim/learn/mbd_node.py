@@ -4,8 +4,10 @@ Wang, Wang, Unjhawala, Wu and Negrut, "MBD-NODE: Physics-informed data-driven mo
 simulation of constrained multibody systems", Nonlinear Dynamics, 2024 (arXiv 2407.08664): one fully
 connected network sees the whole state and the inputs, the classical Runge-Kutta method integrates
 its accelerations, and constraints hold because it moves only independent coordinates. Here these
-are each body's motions on the joint of the tree that carries it (`Links`); the least mass-weighted
-change removes once per frame the part of them that a closed loop forbids.
+are each body's motions on the joint of the tree that carries it (`Links`). Within a frame twists do
+not turn with the bodies; at its end the least mass-weighted change puts them on the joints again,
+and removes what closed loops forbid. This follows free motion on joints to first order in the
+frame, whatever the number of substeps: the network must learn what is left.
 
 The network sees neither masses nor laws, and no contact: it must learn a floor as a stiff force
 from the state. It learns from one frame at a time, as all models here do.

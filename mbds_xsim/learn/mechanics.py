@@ -149,7 +149,7 @@ class _Solved(torch.autograd.Function):
 class Mechanics(TensorModule):
     """Nodes, constraints, mass matrix and known forces of one scene, without contact.
 
-    Springs, dampers and rotors in joints raise Unsupported.
+    Springs, dampers, rotors, friction, limits, couplings and servos in joints raise Unsupported.
     """
 
     moved_mass: Tensor
@@ -167,8 +167,9 @@ class Mechanics(TensorModule):
         loaded = [joint.name for joint in self.mechanism.joints if joint.is_loaded]
         if loaded:
             raise Unsupported(
-                f"joint {loaded[0]!r}: got a spring, damper or rotor, allowed is "
-                "none: HGNN and LGNN know points and no joint coordinates; " + instead(scene)
+                f"joint {loaded[0]!r}: got a spring, damper, rotor, friction, limits, coupling or "
+                "servo, allowed is none: HGNN and LGNN know points and no joint coordinates; "
+                + instead(scene)
             )
         self.points = points = points_of(self.mechanism)
         self.free, springs = points.free, self.mechanism.springs

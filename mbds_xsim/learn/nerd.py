@@ -28,7 +28,7 @@ from mbds_xsim.learn.graph import DIMENSION, Graph
 from mbds_xsim.learn.layers import keep, mlp, silence
 from mbds_xsim.learn.model import Symmetry
 from mbds_xsim.learn.recipe import Cosine, Recipe
-from mbds_xsim.learn.rigid import Q, V, W, X
+from mbds_xsim.learn.rigid import TWIST, Q, V, W, X
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Start
 from mbds_xsim.scene.mechanism import WORLD_INDEX
@@ -112,12 +112,14 @@ class NeRD(BodyModel):
         tokens = self.embed(self._seen(state, inputs, origin, frame).to(place)) + place
         outputs = self.read(self.blocks(tokens)[:, -1]).to(state)
         outputs = outputs.unflatten(-1, (-1, ADDED, 2, DIMENSION)) @ frame[:, -1, None, None].mT
-        last, units = state[:, -1], (self.viewer.speed * self.graph.frame_s, self.viewer.change)
-        hold = self.rigid.hold(last)
-        added = [
-            hold.kept(unit * self.on_joints(last, outputs[:, :, k])) for k, unit in enumerate(units)
-        ]
-        return last, torch.stack(added, dim=1)
+        last, unit = state[:, -1], self.viewer.speed * self.graph.frame_s
+        moved = self.rigid.hold(last).kept(unit * self.on_joints(last, outputs[:, :, 0]))
+        # Twists are on the joints where the bodies then are: a pendulum's turns with it.
+        after = self.rigid.moved(last, moved.detach())
+        hold = self.rigid.hold(after)
+        gain = hold.kept(self.viewer.change * self.on_joints(after, outputs[:, :, 1]))
+        smooth = torch.cat([last[..., :7], hold.kept(last[..., TWIST])], dim=-1)
+        return smooth, torch.stack([moved, gain], dim=1)
 
     def _base(self, state: Tensor) -> tuple[Tensor, Tensor]:
         """Return the origin (batch, 6, 3) and frame (batch, 6, 3, 3) from which states are seen."""

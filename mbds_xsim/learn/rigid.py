@@ -2,8 +2,8 @@
 
 The step is RATTLE (Andersen, J. Comput. Phys. 52 (1983) 24): impulses at the step's start put
 positions onto the joints, impulses at its end put velocities there. It is of second order, exact
-for a flying body, and turns a body by its angular momentum, so that a wheel may turn by whole
-radians in a step. It includes neither contact nor random forces.
+for flight without tumbling, and turns a body by its angular momentum, so that a wheel may turn by
+whole radians in a step. It includes neither contact nor random forces.
 
 A state is (batch, body, 13): centre of mass [m], rotation of the native frame (wxyz), velocity
 [m/s], angular velocity [rad/s], in W.

@@ -16,7 +16,7 @@ from mbds_xsim.learn.model import build, load_model, rollout, track_of
 from mbds_xsim.learn.nerd import NeRD
 from mbds_xsim.learn.particles import RigidPairs
 from mbds_xsim.learn.recipe import Profile
-from mbds_xsim.learn.rigid import Q, W
+from mbds_xsim.learn.rigid import TWIST, Q, W
 from mbds_xsim.learn.statistics import Moments, Statistics
 from mbds_xsim.learn.train import train
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Motions
@@ -149,6 +149,22 @@ def test_a_wheel_turns_about_a_centre_of_mass_that_the_world_holds(name: str) ->
     with torch.no_grad():
         smooth, _ = model.predict(state, sample.inputs.at(0))
     torch.testing.assert_close(smooth[..., W], state[..., W], rtol=1e-3, atol=1e-3)
+
+
+def test_twists_of_nerd_stay_on_the_joints() -> None:
+    """After 20 frames, with noise for corrections, a thousandth of a twist opens joints."""
+    motions = motions_of(load_model("nerd"), load_scene("3pendulum"))
+    model = _built("nerd", motions)
+    sample = motions.sample(torch.arange(len(motions)), HISTORY - 1, 20)
+    state = model.begin(sample.start)
+    with torch.no_grad():
+        for parameter in model.parameters():
+            parameter.add_(0.03 * torch.randn(parameter.shape).to(parameter))
+        for frame in range(20):
+            state = model.advance(state, sample.inputs.at(frame))
+    twist = state[:, -1, :, TWIST]
+    off = twist - model.rigid.hold(state[:, -1]).kept(twist)
+    assert off.norm() < 1e-3 * twist.norm()
 
 
 @pytest.mark.parametrize("name", ["hgnn+", "lgnn+"])

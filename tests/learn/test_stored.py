@@ -69,6 +69,15 @@ def test_absurd_contents_are_refused_in_one_line(change: Change, told: str, tmp_
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 10**6  # [KiB]
 
 
+def test_no_steps_per_frame_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "model.pt"
+    whole = model_file(path, "hgnn")
+    whole["settings"] = whole["settings"].replace('"substeps":1', '"substeps":0')
+    torch.save(whole, path)
+    with pytest.raises(InputError, match=r"another version of the code .*substeps.* got 0"):
+        read_model(path)
+
+
 def test_a_path_may_be_a_text(tmp_path: Path) -> None:
     path = tmp_path / "model.pt"
     model_file(path)

@@ -137,8 +137,8 @@ def test_a_plan_tells_the_cost_and_trains_nothing(
 
     monkeypatch.setattr("mbds_xsim.base.isolate.run_tasks", here)
     monkeypatch.setitem(PROFILES, "smoke", TINY)
-    words = ["train", str(made), "--models", "gns", "--profile", "smoke", "--plan", "--json", "-"]
-    ended = run(*words, "--out", str(tmp_path / "models"))
+    words = ["train", str(made), "--models", "gns, gns", "--profile", "smoke", "--plan"]
+    ended = run(*words, "--json", "-", "--out", str(tmp_path / "models"))
     assert ended.code == 0
     (cost,) = json.loads(ended.out)["cost"]
     assert (cost["group"], cost["model"]) == ("2pendulum/native", "gns")
