@@ -58,6 +58,8 @@ class LearnedModel(TensorModule, ABC):
     """Whether it sees only by the graph's edges what joins bodies."""
     mixes: ClassVar[bool] = False
     """Whether its networks may compute in bfloat16; False if they carry positions."""
+    revision: ClassVar[int] = 0
+    """Number to raise in a change that gives trained parameters another meaning."""
 
     @abstractmethod
     def __init__(self, graph: Graph, statistics: Statistics, settings: Any) -> None:

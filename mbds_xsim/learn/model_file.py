@@ -49,6 +49,7 @@ def save_model(
     whole = {
         "format": _FORMAT,
         "name": name,
+        "revision": model.revision,
         "scene": write_scene(model.graph.scene, defaults=True),
         "settings": msgspec.json.encode(settings).decode(),
         "statistics": statistics.to_state(),
@@ -72,6 +73,8 @@ def read_model(path: str | Path, scene: Scene | None = None) -> tuple[LearnedMod
     whole = _read(path)
     try:
         kind = load_model(whole.name)
+        if whole.revision != kind.revision:
+            raise ValueError(f"revision {whole.revision} of {whole.name}, now {kind.revision}")
         settings = _settings(kind, whole)
         own = msgspec.toml.decode(whole.scene, type=Scene)
         statistics = Statistics.from_state(arrays(whole.statistics))
@@ -156,6 +159,7 @@ class _Whole(msgspec.Struct, frozen=True):
     statistics: dict[str, Any]
     parameters: dict[str, Any]
     facts: dict[str, str]
+    revision: int = 0
 
 
 def _read(path: Path) -> _Whole:

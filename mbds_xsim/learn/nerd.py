@@ -62,6 +62,7 @@ class NeRD(BodyModel):
         ),
     }
     symmetries: ClassVar[frozenset[Symmetry]] = frozenset({"shift", "turn"})
+    revision: ClassVar[int] = 1
 
     def __init__(self, graph: Graph, statistics: Statistics, settings: NerdSettings) -> None:
         super().__init__(graph, statistics, settings)

@@ -122,7 +122,7 @@ class TrainingRun:
         starts = hashlib.sha256()  # they depend on what all engines of the group have
         for split in ("train", "validation"):
             starts.update(self.share.numbers(self.group, split).astype("<i8").tobytes() + b"|")
-        interval = self.share.interval
+        interval, revision = self.share.interval, load_model(self.model).revision
         return {
             "scene": self.group.scene_name,
             "variant": self.group.variant,
@@ -138,6 +138,7 @@ class TrainingRun:
             "drawn": json.dumps(self.group.drawn),
             "device": self.request.device,
             **({"interval": interval} if interval else {}),
+            **({"revision": str(revision)} if revision else {}),
         }
 
 

@@ -42,6 +42,7 @@ def _width(whole: dict[str, Any], width: int) -> None:
         (lambda whole: whole.pop("parameters"), "missing required field `parameters`"),
         (lambda whole: whole.pop("scene"), "missing required field `scene`"),
         (lambda whole: whole.update(facts={"seed": 3}), r"Expected `str`, got `int`"),
+        (lambda whole: whole.update(revision=3), r"\(revision 3 of gns, now 0\); train it again"),
         (lambda whole: whole.update(settings="{"), "another version of the code"),
         (lambda whole: whole.update(name="oracle"), "no model is called 'oracle'; there are: gns"),
         (lambda whole: whole.update(scene="gravity = 3"), "another version of the code"),

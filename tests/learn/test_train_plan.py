@@ -63,7 +63,7 @@ def test_damaged_data_are_not_trained_on(made: Path, ask: Ask, tmp_path: Path) -
     planned(dataclasses.replace(request, on="pybullet"))  # reads none of these data
 
 
-def test_another_run_in_its_place_is_refused(ask: Ask) -> None:
+def test_another_run_in_its_place_is_refused(ask: Ask, monkeypatch: pytest.MonkeyPatch) -> None:
     carry_out(ask())
     longer = msgspec.structs.replace(TINY, steps=16)
     plan = planned(dataclasses.replace(ask(), profile=longer), only=True)
@@ -75,6 +75,9 @@ def test_another_run_in_its_place_is_refused(ask: Ask) -> None:
         planned(dataclasses.replace(ask(), track="native"))
     with pytest.raises(InputError, match=r"a model of another device;"):
         planned(dataclasses.replace(ask(), device="cuda"))
+    monkeypatch.setattr("mbds_xsim.learn.gns.GNS.revision", 1)
+    with pytest.raises(InputError, match=r"a model of another revision;"):
+        planned(ask())
 
 
 def test_a_file_that_states_no_device_fits_any(ask: Ask) -> None:
