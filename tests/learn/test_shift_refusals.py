@@ -90,6 +90,17 @@ def test_unpaired_domains_are_refused(
         load_paired(data, SCENE)
 
 
+def test_data_that_share_no_test_trajectory_are_refused(
+    studied: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = Dataset.rows_of
+    monkeypatch.setattr(
+        Dataset, "rows_of", lambda self, split: rows(self, split)[: 2 * (self.variant[0] == "m")]
+    )
+    with pytest.raises(InputError, match=r"in all 2 files \(exudyn-native has fewest, 0\); make"):
+        load_paired(studied / "data", SCENE)
+
+
 def test_other_seeds_are_refused(studied: Path, tmp_path: Path) -> None:
     data = _copied(studied, tmp_path)
     with h5py.File(data / SCENE / "mujoco-native.h5", "r+") as file:

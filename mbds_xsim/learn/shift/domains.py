@@ -174,8 +174,10 @@ def load_paired(
         raise InputError(f"{place}: no trajectory was published; generate other data")
     index = numbers_in(files, _TEST)
     if not len(index):
-        msg = f"{place}: no test trajectory is valid in all {len(files)} files; make more"
-        raise InputError(msg)
+        counts = {len(numbers_in([file], _TEST)): file.variant for file in reversed(files)}
+        msg = f"{place}: no test trajectory is valid in all {len(files)} files"
+        least = f"{counts[min(counts)]} has fewest, {min(counts)}"
+        raise InputError(f"{msg} ({least}); make more, or select others by --settings")
     for file in files:
         file.check({*_PAIRED, *names_read(bodies=True)})
     index = index[:trajectories]
