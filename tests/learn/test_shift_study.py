@@ -179,3 +179,7 @@ def test_models_of_intervals_tell_what_speed_costs(studied: Path, tmp_path: Path
     ]
     # All are the same untrained model: only the hardness of the intervals remains.
     assert [row.texts[4:] for row in table.rows] == [("1", "1", "1")] * 3
+    for path in {*(tmp_path / "models").rglob("*.pt")} - {entry.path for entry in parts}:
+        path.unlink()
+    # Where no change of engine can be asked about, what can be told comes first.
+    assert [each.kind for each in shift_of(tmp_path).answers] == ["speed", "resolvable"]

@@ -40,7 +40,10 @@ _BLIND = (
     "where no gap is resolved, ratios tell how well trainings went, not what a change of engine "
     "does"
 )
-_ALONE = "This cannot be asked: no model was trained on two of the tested engines, each alone"
+_ALONE = (
+    "What a change of engine costs cannot be asked: no model was trained on two of the tested "
+    "engines, each alone"
+)
 _PAIR = 2  # least number of engines of which one can be changed for another
 _UNTOLD = f"this cannot be told: {_BLIND}"
 
@@ -334,9 +337,9 @@ def answers_by_interval(evaluation: Evaluation, at: int) -> Iterator[Answer]:
         }
         if ratios:
             text = (
-                f"At t = {at} on {domain.name}, trained on the starts of another interval of speed "
-                "a model errs by so many times what the one errs that was trained on the interval "
-                f"tested, the worst pair of three intervals: {_texts(ratios, place)}"
+                f"At t = {at} on {domain.name}, a model that was trained on the starts of another "
+                "interval of speed has so many times the error of the one that was trained on the "
+                f"interval tested, in the worst pair of three intervals: {_texts(ratios, place)}"
             )
             question = f"What does a change of speed cost ({domain.name})?"
             yield Answer(SPEED, question, text, domain.variant, _results(ratios))

@@ -165,6 +165,7 @@ def _shift(evaluation: Evaluation, plan: RolloutPlan, at: int, **facts: Any) -> 
     later = from_contact(evaluation)
     later_draws = Draws(later) if later else None
     after_contact = interactions_of(later_draws) if later_draws else ()
+    told, speeds = tuple(answers_of(draws, gaps, at)), tuple(answers_by_interval(evaluation, at))
     return Shift(
         scene=test.scene.name,
         description=test.scene.description,
@@ -195,8 +196,7 @@ def _shift(evaluation: Evaluation, plan: RolloutPlan, at: int, **facts: Any) -> 
         answers=(
             *_changes(interactions, evaluation.frames, at),
             *(_changes(after_contact, later.frames, at, _SINCE) if later else ()),
-            *answers_of(draws, gaps, at),
-            *answers_by_interval(evaluation, at),
+            *(told + speeds if gaps else speeds + told),
         ),
         wall_s=0.0,
         **facts,
