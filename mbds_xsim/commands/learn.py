@@ -344,7 +344,7 @@ def shift(
     from mbds_xsim.dataset.variant import folder_name
     from mbds_xsim.learn.recipe import check_device
     from mbds_xsim.learn.shift.evaluation import to_csv
-    from mbds_xsim.learn.shift.study import question_of, samples_of, study
+    from mbds_xsim.learn.shift.study import question_of, study
     from mbds_xsim.learn.trained import Selection
     from mbds_xsim.report.files import link, results_json, write_if
     from mbds_xsim.report.terminal import print_report
@@ -353,7 +353,7 @@ def shift(
     to.check(rollouts=rollouts)
     check_device(device)
     part = Selection.parse(settings, on, seeds)
-    names = map(folder_name, scene or _scenes(models, data))
+    names = dict.fromkeys(map(folder_name, scene or _scenes(models, data)))
     # Check all at once: a missing input of the last is reported before the first starts.
     questions = [question_of(models, data, name, trajectories, part, at) for name in names]
     studies = []
@@ -367,20 +367,19 @@ def shift(
     stored = results_json([result.shift for result in studies])
     write_if(to.csv, lambda: to_csv([result.evaluation for result in studies]))
     write_if(to.png, lambda: to_png([result.shift for result in studies], stored))
-    write_if(rollouts, lambda: samples_png([samples_of(result.evaluation) for result in studies]))
+    write_if(rollouts, lambda: samples_png([result.samples for result in studies]))
     title = "Learned models under a change of engine"
     to.give(_reports(studies, link(to.png, to.markdown), paged=to.paged), title, stored)
 
 
 def _reports(studies: list[ShiftStudy], picture: str, *, paged: bool) -> list[Report]:
     """Return a report for each study, on pages with motions; those of a single study play."""
-    from mbds_xsim.learn.shift.study import samples_of
     from mbds_xsim.studies.shift.present import present
 
     return [
         present(
             study.shift,
-            samples_of(study.evaluation) if paged else None,
+            study.samples if paged else None,
             played=len(studies) == 1,
             picture="" if k else picture,
         )

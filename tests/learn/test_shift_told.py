@@ -18,7 +18,7 @@ from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.studies.shift.figures import draw_curves
 from mbds_xsim.studies.shift.present import present, protocol
 from mbds_xsim.studies.shift.tables import tables
-from tests.learn.shifts import SEEDS, TRAININGS, shift_of
+from tests.learn.shifts import SCENE, SEEDS, TRAININGS, shift_of
 
 pytestmark = pytest.mark.usefixtures("apart")
 
@@ -91,6 +91,7 @@ def test_the_command_writes_all_files(
 ) -> None:
     names = {kind: str(tmp_path / f"out.{kind}") for kind in ("json", "csv", "html", "png", "md")}
     words = ["shift", str(studied / "models"), str(studied / "data"), "--workers", "2"]
+    words += 2 * ["--scene", SCENE]  # named twice, it is studied once
     words += ["--json", names["json"], "--csv", names["csv"], "--html", names["html"]]
     words += ["--png", names["png"], "--markdown", names["md"]]
     words += ["--rollouts", str(tmp_path / "rollouts.png")]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -87,6 +88,11 @@ class ShiftStudy:
 
     shift: Shift
     evaluation: Evaluation
+
+    @functools.cached_property
+    def samples(self) -> Samples:
+        """Rollouts to look at, predicted once for all pages and pictures."""
+        return samples_of(self.evaluation)
 
 
 def question_of(
