@@ -159,9 +159,9 @@ def load_paired(
         msg = f"{place}: no data files; make some: mbds-xsim generate {scene} --out {folder}"
         raise InputError(msg)
     there = dict.fromkeys(file.attributes["profile"] for file in files)
-    if unknown := ", ".join(variant for variant in variants if variant not in there):
-        msg = f"{place}: no data of {unknown} settings there, only of {', '.join(there)}"
-        raise InputError(f"{msg}; generate some, or leave {unknown} out of --settings")
+    if unknown := [variant for variant in variants if variant not in there]:
+        msg = f"--settings: got {unknown[0]!r}, {place} has data of {', '.join(there)} alone"
+        raise InputError(f"{msg}; generate others, or leave it out")
     files = [file for file in files if not variants or file.attributes["profile"] in variants]
     check_alike(files)
     frames = int(files[0].attributes["steps"]) + 1
