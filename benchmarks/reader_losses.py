@@ -20,7 +20,7 @@ SHOWN: dict[str, dict[str, str]] = {
     "inertia-without-shape.urdf": {"pybullet": "inertia"},
     "no-inertial.urdf": {"pybullet": "mass", "dart": "mass"},
     "mass-from-shape.urdf": {"mujoco": "mass"},
-    "mimic.urdf": {"pybullet": "coupling", "dart": "coupling"},
+    "mimic.urdf": {"pybullet": "coupling"},
     "long-axis.urdf": {"pybullet": "axis"},
     "limits.urdf": {"dart": "enforcement of limits"},
     "package.urdf": {"mujoco": "", "pybullet": "", "dart": ""},

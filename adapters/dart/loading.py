@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.scene.imported import JointFacts, LinkFacts, ModelFacts
 from mbds_xsim.simulate.adapter import version_of
@@ -56,7 +55,9 @@ def load(path: Path, floating: bool) -> ModelFacts:
     nodes = [node for skeleton in skeletons for node in skeleton.getBodyNodes()]
     links = tuple(_link(node) for node in nodes)
     joints = tuple(joint for node in nodes for joint in _joints(node))
-    return ModelFacts(f"DART {version_of('dartpy')}", links, joints)
+    mimic = dartpy.dynamics.ActuatorType.MIMIC
+    couplings = sum(node.getParentJoint().getActuatorType() == mimic for node in nodes)
+    return ModelFacts(f"DART {version_of('dartpy')}", links, joints, couplings)
 
 
 def _link(node: Any) -> LinkFacts:
@@ -73,18 +74,21 @@ def _joints(node: Any) -> Iterator[JointFacts]:
     if kind == "fixed":
         return
     place = node.getTransform().multiply(joint.getTransformFromChildBodyNode())
-    axis: Array = np.zeros(3)
+    axes: list[Any] = [None]
     if kind in ("hinge", "slider"):
-        axis = place.rotation() @ joint.getAxis()
-    limits = (joint.getPositionLowerLimit(0), joint.getPositionUpperLimit(0))
-    yield JointFacts(
-        name=joint.getName(),
-        kind=kind,
-        anchor=place.translation().tolist(),
-        axis=axis.tolist(),
-        damping=joint.getDampingCoefficient(0),
-        friction=joint.getCoulombFriction(0),
-        stiffness=joint.getSpringStiffness(0),
-        limits=limits if any(map(math.isfinite, limits)) and limits != (0.0, 0.0) else None,
-        enforced=joint.areLimitsEnforced(),
-    )
+        axes = [joint.getAxis()]
+    elif kind == "UniversalJoint":  # two hinges, as the format's reader calls them
+        kind, axes = "hinge", [joint.getAxis1(), joint.getAxis2()]
+    for k, axis in enumerate(axes):
+        limits = (joint.getPositionLowerLimit(k), joint.getPositionUpperLimit(k))
+        yield JointFacts(
+            name=joint.getName() if len(axes) == 1 else f"{joint.getName()} {k + 1}",
+            kind=kind,
+            anchor=place.translation().tolist(),
+            axis=(0.0, 0.0, 0.0) if axis is None else (place.rotation() @ axis).tolist(),
+            damping=joint.getDampingCoefficient(k),
+            friction=joint.getCoulombFriction(k),
+            stiffness=joint.getSpringStiffness(k),
+            limits=limits if any(map(math.isfinite, limits)) and limits != (0.0, 0.0) else None,
+            enforced=joint.areLimitsEnforced(),
+        )

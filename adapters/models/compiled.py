@@ -117,7 +117,7 @@ def load(path: Path, floating: bool) -> ModelFacts:
         raise InputError("MuJoCo reads MJCF and URDF alone")
     with _refusals(mujoco):
         spec = mujoco.MjSpec.from_file(str(path))
-        spec.compiler.fusestatic = False  # keeps the links' names; the motion stays the same
+        spec.compiler.fusestatic = False
         if floating:
             spec.worldbody.first_body().add_freejoint()
         reading = Reading(mujoco, spec.compile())
@@ -142,6 +142,7 @@ def _compile(mujoco: Any, root: Element, path: Path) -> tuple[Any, Any, list[Fat
     """Return spec and model of an MJCF file, and the repairs made if the compiler refused it."""
     try:
         spec = mujoco.MjSpec.from_file(str(path))
+        spec.compiler.fusestatic = False  # keeps the links' names; the motion stays the same
         return spec, spec.compile(), []
     except ValueError as error:
         mends: list[Fate] = []
@@ -151,6 +152,7 @@ def _compile(mujoco: Any, root: Element, path: Path) -> tuple[Any, Any, list[Fat
             try:
                 spec = mujoco.MjSpec.from_string(tostring(root, encoding="unicode"))
                 spec.modelfiledir = str(path.parent)
+                spec.compiler.fusestatic = False
                 return spec, spec.compile(), mends
             except ValueError as again:
                 latest = [*remove_unknown(root, str(again))]

@@ -91,11 +91,36 @@ _ONE_SIDED = (
 )
 
 
-def test_a_limit_on_one_side_is_read_alike(here: Path) -> None:
-    (here / "m.sdf").write_text(_ONE_SIDED)
-    (dart,) = compare(here / "m.sdf", ["dart"]).readings
+_UNIVERSAL = (
+    _ONE_SIDED.replace("revolute", "universal")
+    .replace("<limit><lower>0</lower></limit>", "")
+    .replace("</axis>", "</axis><axis2><xyz>1 0 0</xyz></axis2>")
+)
+_FUSED = (
+    '<mujoco><compiler fusestatic="true"/><worldbody><body name="a"><joint name="j" axis="0 1 0"/>'
+    '<geom size=".1"/><body name="b" pos="0 0 1"><geom size=".1"/></body></body></worldbody>'
+    "</mujoco>"
+)
+_FOLLOWING = (FOLDER / "mimic.urdf").read_text()
 
-    assert dart.alike
+
+@pytest.mark.parametrize(
+    ("reader", "ending", "text"),
+    [
+        ("dart", "sdf", _ONE_SIDED),
+        ("dart", "sdf", _UNIVERSAL),
+        ("dart", "urdf", _FOLLOWING),
+        ("mujoco", "xml", _FUSED),
+    ],
+    ids=["limit on one side", "universal joint", "coupling", "fused bodies"],
+)
+def test_what_an_engine_reads_in_its_way_is_read_alike(
+    reader: str, ending: str, text: str, here: Path
+) -> None:
+    (here / f"m.{ending}").write_text(text)
+    (reading,) = compare(here / f"m.{ending}", [reader]).readings
+
+    assert reading.alike
 
 
 def test_a_reader_leaves_other_connections_to_pybullet_alone(tmp_path: Path) -> None:
