@@ -100,6 +100,8 @@ class _Builder:
         self.limits: dict[str, tuple[float, float]] = {}
         """Limits of hinges and sliders, keyed by joint name."""
         self._names: set[str] = {WORLD}
+        self._taken: set[str] = set()
+        """Names of joints."""
         self._joint_names: dict[str, str] = {}
         """Joint names in the scene, keyed by those in the model."""
         self._owner = self._owners()
@@ -247,7 +249,8 @@ class _Builder:
             self.fates.append(Fate(element, (attribute,), outcome, note, True, (place,)))
         if freedom.kind == "free":
             return
-        name = _unique(freedom.name, {joint.name for joint in self.joints})
+        name = _unique(freedom.name, self._taken)
+        self._taken.add(name)
         self._joint_names[freedom.name] = name
         axis = freedom.axis.tolist() if freedom.kind in ("hinge", "slider") else None
         if "limits" in properties:
@@ -261,7 +264,8 @@ class _Builder:
         if ends is None:
             self._report("dropped", "equality", _TIES_NOTHING, closing.name, moves=False)
             return
-        name = _unique(closing.name, {joint.name for joint in self.joints})
+        name = _unique(closing.name, self._taken)
+        self._taken.add(name)
         axis = None if closing.axis is None else closing.axis.tolist()
         anchor = closing.anchor.tolist()
         self.joints.append(Joint(name, closing.kind, *ends, anchor=anchor, axis=axis))

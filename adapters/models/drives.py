@@ -67,16 +67,14 @@ def mechanics_of_drives(mujoco: Any, model: Any) -> Iterator[Fate]:
 
 
 def _own(model: Any, key: str) -> Array:
-    """Return a property of all actuators, which is 0 in releases that do not know it."""
-    return np.asarray(getattr(model, f"actuator_{key}", np.zeros(len(model.actuator_trntype))))
+    """Return a property of all actuators."""
+    return np.asarray(getattr(model, f"actuator_{key}"))
 
 
 def _switched_off(model: Any, k: int) -> bool:
     """Whether an actuator belongs to a group that is switched off."""
     group = int(model.actuator_group[k])
-    return 0 <= group <= _LAST_GROUP and bool(
-        int(getattr(model.opt, "disableactuator", 0)) >> group & 1
-    )
+    return 0 <= group <= _LAST_GROUP and bool(model.opt.disableactuator >> group & 1)
 
 
 def _drive(mujoco: Any, model: Any, k: int, *, clamps: bool) -> Drive | str:
@@ -97,7 +95,7 @@ def _drive(mujoco: Any, model: Any, k: int, *, clamps: bool) -> Drive | str:
     if stiffness < 0 or damping < 0 or not (stiffness or damping):
         return "it has a negative gain, or none"
     start = float(model.qpos0[model.jnt_qposadr[joint]])
-    shared = any(
+    shared = bool(model.jnt_actfrclimited[joint]) and any(
         _law(mujoco, model, other, clamps=clamps) not in _NO_LAW
         for other in range(len(model.actuator_trntype))
         if other != k
@@ -160,10 +158,18 @@ def _commands(model: Any, k: int, *, clamps: bool) -> list[float]:
 
 
 def _limits(model: Any, k: int, joint: int, gear: float, *, shared: bool) -> dict[str, Any]:
-    """Return the torque limit of an actuator, or why it is not kept, as fields of `Drive`."""
+    """Return the torque limit of an actuator, or why it is not kept, as fields of `Drive`.
+
+    Args:
+        model: The compiled model.
+        k: Index of the actuator.
+        joint: Index of its joint.
+        gear: Size of its gear.
+        shared: Whether the limit of the joint holds for several actuators together.
+    """
     own = gear * model.actuator_forcerange[k] if model.actuator_forcelimited[k] else _NO_LIMIT
     whole = model.jnt_actfrcrange[joint] if model.jnt_actfrclimited[joint] else _NO_LIMIT
-    if shared and np.isfinite(whole).any():
+    if shared:
         return {"limit_loss": "several actuators share the limit of their joint"}
     low, high = max(own[0], whole[0]), min(own[1], whole[1])
     if np.isinf(high) and np.isinf(low):

@@ -59,7 +59,8 @@ def starts(scene: Scene, limits: Mapping[str, tuple[float, float]]) -> tuple[Dra
     spin = _levels(-1.0, 1.0, _RATES)
     throws = [Throw(body, angular_velocity=(spin, spin, spin)) for body in _free(mechanism)]
     heights = Levels(*((low * length, high * length) for low, high in pairwise(_HEIGHTS)))
-    lifts = [Lift(body, heights) for body in _liftable_bodies(mechanism)]
+    liftable = _liftable_bodies(mechanism) if scene.contacts else ()
+    lifts = [Lift(body, heights) for body in liftable]
     return (*poses, *rates, *throws, *lifts)
 
 

@@ -18,9 +18,6 @@ fates_of: Any = importlib.import_module("mbds_xsim_adapters.models.fates").fates
 pytestmark = pytest.mark.usefixtures("in_process")
 
 _GEOM = '<geom type="sphere" size=".1" pos="0 0 -1"/>'
-_POLYNOMIALS = pytest.mark.skipif(
-    not hasattr(mujoco.MjModel, "jnt_stiffnesspoly"), reason="this release has linear forces alone"
-)
 
 
 def _model(joint: str = "", *, site: str = "", option: str = "", rest: str = "") -> str:
@@ -43,7 +40,6 @@ def _fates(imported: Imported, element: str) -> dict[tuple[str, ...], Fate]:
     return {fate.properties: fate for fate in imported.fates if fate.element == element}
 
 
-@_POLYNOMIALS
 @pytest.mark.parametrize(
     ("joint", "linear", "dropped"),
     [
@@ -68,7 +64,6 @@ def test_only_the_linear_part_of_a_joints_force_is_kept(
     assert "none, or zero" not in {fate.reason for fate in imported.fates}
 
 
-@_POLYNOMIALS
 def test_only_the_linear_part_of_a_tendons_force_is_kept(here: Path) -> None:
     tendon = (
         '<tendon><spatial name="t" stiffness="5 6" damping="2 7" springlength="1">'
@@ -82,9 +77,6 @@ def test_only_the_linear_part_of_a_tendons_force_is_kept(here: Path) -> None:
     assert (fate.outcome, fate.moves) == ("dropped", True)
 
 
-@pytest.mark.skipif(
-    not hasattr(mujoco.MjModel, "actuator_armature"), reason="actuators have no armature"
-)
 @pytest.mark.parametrize("option", ["", '<option><flag actuation="disable"/></option>'])
 def test_armature_and_damping_of_actuators_are_on_their_joint(option: str, here: Path) -> None:
     own = 'gear="3" armature="0.5" damping="2"'
