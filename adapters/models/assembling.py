@@ -281,14 +281,15 @@ class _Builder:
         if math.dist(*points) < _TOGETHER or min(line.stiffness, line.damping) < 0:
             self._report("dropped", "tendon", _NO_LINE, line.name)
             return
-        if line.rigid:
-            self.links.append(DistanceLink(line.name, ends, points, line.length))
-            reason = "a rigid distance link, where the engine's own is soft"
-            self._report("approximated", "tendon", reason, line.name)
-        else:
-            k, c = line.stiffness, line.damping
-            self.springs.append(SpringDamper(line.name, ends, points, k, c, line.length))
-            self._report("kept", "tendon", "a spring and damper between two points", line.name)
+        name, k, c, length = line.name, line.stiffness, line.damping, line.length
+        with located(f"tendon {name!r}"):
+            if line.rigid:
+                self.links.append(DistanceLink(name, ends, points, length))
+                reason = "a rigid distance link, where the engine's own is soft"
+                self._report("approximated", "tendon", reason, name)
+            else:
+                self.springs.append(SpringDamper(name, ends, points, k, c, length))
+                self._report("kept", "tendon", "a spring and damper between two points", name)
 
     def _drive(self, drive: Drive) -> None:
         joint = self._joint_names.get(drive.joint)
@@ -297,7 +298,8 @@ class _Builder:
             self._report("dropped", element, _TIES_NOTHING, drive.name, moves=False)
             return
         k, c, place, speed = drive.stiffness, drive.damping, (drive.position,), (drive.velocity,)
-        self.servos.append(Servo(joint, place, speed, k, c, limit=drive.limit))
+        with located(f"{element} {drive.name!r}"):
+            self.servos.append(Servo(joint, place, speed, k, c, limit=drive.limit))
         if drive.limit_loss:
             reason = f"a servo {drive.target}, without the limit of its torque: {drive.limit_loss}"
             self._report("approximated", element, reason, drive.name)

@@ -231,7 +231,8 @@ def _skipped_joints(skeleton: Any, model: Element) -> list[str]:
         if (name := link.get("name", "")) not in links:
             raise InputError(
                 f"DART's parser leaves out the link {name!r}; it takes joints that are revolute, "
-                "revolute2, continuous, prismatic, ball, universal, screw or fixed"
+                "revolute2, continuous, prismatic, ball, universal, screw or fixed, and parents "
+                "that are links of the model or world"
             )
     return [n for joint in model.findall("joint") if (n := joint.get("name", "")) not in joints]
 

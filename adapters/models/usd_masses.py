@@ -33,7 +33,7 @@ def mass_of(
     api = UsdPhysics.MassAPI(prim)
     mass, moments = (get().Get() for get in (api.GetMassAttr, api.GetDiagonalInertiaAttr))
     place = api.GetCenterOfMassAttr()
-    stated = np.array(place.Get() if place.IsAuthored() else (-np.inf,) * 3, dtype=float)
+    stated = np.array(place.Get() if place.HasAuthoredValue() else (-np.inf,) * 3, dtype=float)
     centre = stated * np.array(body.scale, dtype=float)
     has_centre, has_moments = np.isfinite(stated).all(), moments is not None and any(moments)
     inertia = _tensor(moments, api.GetPrincipalAxesAttr()) if has_moments else np.zeros((3, 3))
@@ -102,7 +102,7 @@ def _solid(kind: str, shape: Any) -> tuple[float, Array, Array]:
 
 
 def _tensor(moments: Any, axes: Any) -> Array:
-    turn = matrix_of(axes.Get()) if axes.IsAuthored() else np.eye(3)
+    turn = matrix_of(axes.Get()) if axes.HasAuthoredValue() else np.eye(3)
     return np.asarray(turn @ np.diag(np.array(moments, dtype=float)) @ turn.T)
 
 

@@ -62,6 +62,13 @@ _BAD = {
         _MJCF.format(_BODY.replace("<body", '<body name="b" pos="nan 0 1"'), ""),
         "position of 'b': got [nan, 0.0, 1.0], allowed are finite numbers",
     ),
+    "gain": (
+        _MJCF.format(
+            _BODY.replace("<joint", '<joint name="j"'),
+            '<actuator><position name="p" joint="j" kp="nan"/></actuator>',
+        ),
+        "actuator 'p': ",
+    ),
     "macro": ('<robot name="r"><xacro:include filename="a.xacro"/></robot>', "expand it first"),
     "expression": ('<robot name="r"><link name="${a}"/></robot>', "expand it first"),
     "rigid": (f'<robot name="r">{_LINKS.format("fixed", "")}</robot>', "nothing in it moves"),

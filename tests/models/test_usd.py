@@ -157,8 +157,10 @@ def test_stated_moments_without_axes_are_along_those_of_the_body(here: Path) -> 
 
 
 def test_a_body_without_shapes_has_what_is_stated(here: Path) -> None:
+    """Values that are blocked are not stated."""
     centre = "float physics:mass = 2\npoint3f physics:centerOfMass = (0.25, 0, 0)\n"
-    moments = "float3 physics:diagonalInertia = (1, 2, 2.5)\n"
+    blocked = "point3f physics:centerOfMass = None\nquatf physics:principalAxes = None\n"
+    moments = "float3 physics:diagonalInertia = (1, 2, 2.5)\n" + blocked
     bodies = (
         rigid("a", "(0, 0, 0)", inside=centre),
         rigid("b", "(0, 0, 0)", inside=moments),
