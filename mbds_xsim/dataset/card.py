@@ -17,7 +17,7 @@ import numpy as np
 
 from mbds_xsim.base.files import put
 from mbds_xsim.base.text import in_markdown, sentence
-from mbds_xsim.dataset.hdf5 import open_hdf5, variant_files
+from mbds_xsim.dataset.hdf5 import ROUNDING, open_hdf5, variant_files
 from mbds_xsim.dataset.layout import FIELDS, FORMAT, JOINT, SPLITS, VERSION
 from mbds_xsim.dataset.read import Dataset, load_dataset
 from mbds_xsim.dataset.summary import causes_of, counts_of
@@ -160,7 +160,7 @@ shows the figures of the checks, `mbds-xsim verify .` checks all of it again fro
 Simulated, not measured: the reference solves the scene's own equations, which assume rigid bodies
 and ideal joints. Beyond the time at which neighbouring motions part, a trajectory is one of many
 that the scene allows. Rejected trajectories are missing in the file where they were rejected; if
-hard motions are rejected more often, what is left is biased towards easy ones.
+hard motions are rejected more often, what is left is biased towards easy ones.{_rounding(sets)}
 
 ## Versions
 
@@ -168,6 +168,19 @@ mbds-xsim {_each(sets, "mbds_xsim_version")}, numpy {_each(sets, "numpy_version"
 {attrs["layout_version"]}; SHA-256 of the scene {digest[:16]}…. `{CROISSANT}` has the files'
 checksums; who publishes the data adds `license`, `url`, `creator` and `datePublished` there.
 """
+
+
+def _rounding(sets: Sequence[Dataset]) -> str:
+    """Say by how much float32 rounds positions, if by more than gaps may have; else nothing."""
+    largest = 0.0
+    for data in sets:
+        with open_hdf5(data.files[0]) as file:
+            largest = max(largest, float(file["position"].attrs.get(ROUNDING, 0.0)))
+    if largest <= sets[0].scene.budget.gap:
+        return ""
+    return (
+        f" In `position`, float32 rounds by up to {largest:.1g} m here; `body/position` is exact."
+    )
 
 
 def _split(sets: Sequence[Dataset]) -> str:

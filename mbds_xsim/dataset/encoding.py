@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.dataset.hdf5 import CONTENT, SUM, Attributes, bytes_of, digest, sum_of
+from mbds_xsim.dataset.hdf5 import CONTENT, ROUNDING, SUM, Attributes, bytes_of, digest, sum_of
 from mbds_xsim.dataset.layout import FIELDS, Field
 
 _ALIGNMENT = 64  # bytes, so that datasets can be mapped as arrays
@@ -88,7 +88,7 @@ def _stored(field: Field, values: Any) -> tuple[NDArray[Any], dict[str, Any]]:
     if field.dtype != "<f4":
         return stored, {}
     mode = "to the nearest float32 of the float64 value"
-    return stored, {"rounding": mode, "largest_rounding": _largest(stored - values)}
+    return stored, {"rounding": mode, ROUNDING: _largest(stored - values)}
 
 
 def _put(file: Any, name: str, stored: NDArray[Any]) -> dict[int, memoryview]:

@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
+
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.files import locked, tidied
 from mbds_xsim.base.frame import frame_of
@@ -121,7 +123,7 @@ def generate(
         compile_once(progress.notice, workers=workers, kernels=[REFERENCE, CHECKS])
     variants, left_out = _variants(request, workers, progress)
     for scene in {variant.scene.name: variant.scene for variant in variants}.values():
-        _check_drawn(scene, request)
+        _check_drawn(scene, request, progress)
     out = request.out.absolute()  # workers have another current folder
     with locked(request.out):
         for variant in variants:
@@ -182,8 +184,11 @@ def _forewarnings(items: list[Item], workers: int | None) -> list[str]:
     return forewarnings(scene, start, [work], workers=workers)
 
 
-def _check_drawn(scene: Scene, request: Request) -> None:
-    """Refuse a scene whose trajectories are copies: no part of such a set could test another."""
+def _check_drawn(scene: Scene, request: Request, progress: ShardProgress) -> None:
+    """Refuse a scene whose trajectories are copies: no part of such a set could test another.
+
+    Warn of one so far from the origin that float32 cannot hold the positions of its particles.
+    """
     count = min(request.trajectories, len(INTERVALS) + 1)  # the last shares the first's interval
     drawn = draw_batch(scene, range(count), seed=request.seed, noise=request.noise)
     first: dict[bytes, int] = {}
@@ -196,6 +201,12 @@ def _check_drawn(scene: Scene, request: Request) -> None:
                 "in the scene is random; give the scene [[sampling]] or noise, or ask for "
                 f"--trajectories {row}"
             )
+    far = np.float32(np.abs(drawn.position).max())
+    if (rounding := float(np.spacing(far)) / 2) > scene.budget.gap:
+        progress.notice(
+            f"{scene.name}: {far:.1g} m from the origin float32 rounds positions of particles by "
+            f"{rounding:.1g} m; use the states of bodies, or describe the scene nearer to it"
+        )
 
 
 def _make(

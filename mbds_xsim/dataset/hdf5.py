@@ -257,6 +257,8 @@ CONTENT = "content_sha256"
 """Attribute of a file: checksum of all its other attributes and its datasets."""
 SUM = "sha256"
 """Attribute of a dataset: checksum of its type, shape and values."""
+ROUNDING = "largest_rounding"
+"""Attribute of a dataset in float32: largest difference from the float64 values."""
 
 
 def values_of(dataset: Any) -> NDArray[Any]:

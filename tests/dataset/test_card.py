@@ -15,8 +15,9 @@ import pytest
 
 from mbds_xsim.dataset.card import CARD, CROISSANT
 from mbds_xsim.dataset.read import load_dataset
+from mbds_xsim.scene.sampling_terms import Throw
 from mbds_xsim.scene.scene import Scene
-from tests.dataset.conftest import Make
+from tests.dataset.conftest import Make, Silence
 
 FEW = 6
 
@@ -87,6 +88,16 @@ def test_parts_that_differ_between_files_are_told(make: Make, tmp_path: Path) ->
     tested = matched.index[matched.rows_of("test")]
     assert np.isin(tested, native.index[native.rows_of("train")]).all()
     assert "what one tests with, another may train on" in card.read_text("utf-8")
+
+
+def test_particles_too_far_for_float32_are_told(make: Make, rod: Scene, tmp_path: Path) -> None:
+    far = Throw(rod.bodies[0].name, displacement=((5e5, 5e5), (0.0, 1.0), (0.0, 0.0)))
+    scene = msgspec.structs.replace(rod, joints=(), anchors=(), edges=(), sampling=(far,))
+    progress = Silence()
+    make(tmp_path, scene=scene, trajectories=3, progress=progress)
+    (line,) = progress.notices
+    assert "5e+05 m from the origin float32 rounds positions of particles by 0.02 m" in line
+    assert "float32 rounds by up to 0.0" in (tmp_path / "1pendulum" / CARD).read_text("utf-8")
 
 
 def test_a_scene_without_noise_has_no_random_forces(make: Make, rod: Scene, tmp_path: Path) -> None:
