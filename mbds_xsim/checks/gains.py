@@ -83,6 +83,9 @@ def gains_of(record: Record, push: Push) -> Gains:
     # A single impact happens at one instant, so its axes do not turn.
     turn[hits.row, hits.step] = 0.0
     turn[~push.reach.any(axis=2)] = 0.0
+    # Nor do those of a ball, whose contact stays below its centre while it spins.
+    if len(push.bodies) == 1 and np.abs(mechanism.sphere_offset[push.spheres]).max() <= _EVEN:
+        turn[:] = 0.0
     half = turn / 2
     begin, end = _both(half, _arms(mechanism, states, push))
     arm = (begin + end) / 2

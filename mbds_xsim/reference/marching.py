@@ -10,7 +10,7 @@ constraints at the tolerance.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,6 +73,7 @@ def next_step(step: Array, ratio: Array) -> Array:
 
 
 FIRST_STEP = 0.1  # of a frame
+_NEARLY = 1e-3  # angle short of half a turn that counts as one [rad]
 SMALLEST_STEP = 1e-9  # of a frame
 MOST_STEPS = 20_000
 """Number of steps tried in one frame before a solution is given up."""
@@ -145,16 +146,21 @@ class Marched:
 
         Maximal coordinates lose whole turns, which the compiled kernels count.
         """
-        bodies = dynamics.unpack(self.states)
-        for joint in dynamics.mechanism.counted:
-            if joint.kind == "hinge" and (joint.stiffness or joint.coupled or joint.driven):
-                angle = joint_coordinate(joint, bodies.position, bodies.native)
-                passed = np.abs(np.diff(angle, axis=1)) > np.pi
-                for row in np.flatnonzero(passed.any(axis=1)).tolist():
-                    frame = int(passed[row].argmax()) + 1
-                    self.failures[row] = Failure(frame, _HALF_TURN.format(joint.name))
-                    self.states[row, frame:] = np.nan
+        for name, angle in _winding(dynamics, self.states):
+            passed = np.abs(np.diff(angle, axis=1)) > np.pi
+            for row in np.flatnonzero(passed.any(axis=1)).tolist():
+                frame = int(passed[row].argmax()) + 1
+                self.failures[row] = Failure(frame, _HALF_TURN.format(name))
+                self.states[row, frame:] = np.nan
         return self
+
+
+def _winding(dynamics: Dynamics, states: Array) -> Iterator[tuple[str, Array]]:
+    """Yield names and angles of the hinges whose whole turns matter, angles of shape (…)."""
+    bodies = dynamics.unpack(states)
+    for joint in dynamics.mechanism.counted:
+        if joint.kind == "hinge" and (joint.stiffness or joint.coupled or joint.driven):
+            yield joint.name, joint_coordinate(joint, bodies.position, bodies.native)
 
 
 def march(problem: Problem) -> Marched:
@@ -172,6 +178,9 @@ def branchless(problem: Problem) -> Mask:
 
 def stopped(dynamics: Dynamics, state: Array, frame: int, time: float, why: str) -> Failure:
     """Create the failure of a solution that ended at a time [s] in a frame, with a hint."""
+    for name, angle in _winding(dynamics, state):
+        if np.pi - abs(float(angle)) < _NEARLY:  # no step leads over the jump of its spring
+            return Failure(frame, _HALF_TURN.format(name))
     hint = (
         "the mechanism is in a singular pose there, and its motion could go on in several ways"
         if dynamics.is_singular(state)

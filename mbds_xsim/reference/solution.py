@@ -67,8 +67,9 @@ def confirmed(scene: Scene, batch: Batch, cache: bool) -> Trajectory:
     All joints are closed by multipliers in maximal coordinates, without the compiled kernels, at a
     tolerance of 1e-13; the method is explicit even for stiff scenes. Exceptions: rotors, couplings,
     dry friction and stops need the compiled kernels, and the last two are solved as in `solve`.
+    Whole turns are not counted, so a trajectory ends where a sprung hinge passes half a turn.
     """
-    return _solved("confirm", _marched, scene, batch, _CONFIRMED, cache)
+    return _solved("confirmed", _marched, scene, batch, _CONFIRMED, cache)
 
 
 def _solved(
@@ -107,7 +108,9 @@ def _problem(scene: Scene, batch: Batch, rtol: float) -> Problem:
 
 
 def _marched(problem: Problem) -> Marched:
-    return integrate(problem) if problem.mechanism.braked else march(problem)
+    if problem.mechanism.braked:
+        return integrate(problem)
+    return march(problem).within_half_turns(problem.dynamics)
 
 
 def checked_tolerance(rtol: float) -> float:

@@ -11,11 +11,11 @@ import pytest
 
 from mbds_xsim import reference
 from mbds_xsim.base import rotation
-from mbds_xsim.checks.balance import balance, balance_drift
+from mbds_xsim.checks.balance import balance, balance_drift, cones
 from mbds_xsim.checks.finding import Finding
 from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Clock, Scene
+from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Ground, Inertia, Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.testing.straight_car import straight_run
@@ -105,3 +105,16 @@ def test_a_force_shows_in_flight() -> None:
     assert (finding.frame == 6).all()
     assert finding.figure == pytest.approx(1.0 / (19.0 * 9.81), rel=1e-6)
     assert set(finding.where) == {"impulse, disc"}
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_contact_explains_a_ball_that_turns_about_all_axes(friction: float) -> None:
+    moments = (0.0007, 0.001, 0.0012)
+    spun = Body("ball", inertia=Inertia(0.4, moments), position=(0.0, 0.0, 0.08))
+    spun = msgspec.structs.replace(spun, velocity=(0.0,) * 3, angular_velocity=(3.0, -9.0, 12.0))
+    touch = ContactSphere("ball", (0.0, 0.0, 0.08), 0.08)
+    law, clock = Ground(friction, 0.0), Clock(0.02, 25)
+    scene = Scene("ball", (spun,), 1.0, contacts=(touch,), ground=law, clock=clock)
+    batch = draw_batch(scene, [0])
+    record = Record(scene, batch, reference.solve(scene, batch, cache=False))
+    assert max(each.finding(record).figure.max() for each in (balance, cones)) < 1e-9
