@@ -21,7 +21,6 @@ import itertools
 import re
 import site
 import sys
-import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from importlib.metadata import version
@@ -132,13 +131,11 @@ def _begun(inside: Path, packages: Path) -> SurveyRow:
 def looked_at(row: SurveyRow, packages: Path) -> SurveyRow:
     """Import a model, and compare it with two other readings of its file."""
     path = packages / row.path
-    begin = time.perf_counter()
     try:
         imported = read_model(path, folder=packages)
     except InputError as error:
         row.refused = str(error).removeprefix(f"{path}: ").replace(str(packages), "…")
         return row
-    row.import_s = round(time.perf_counter() - begin, 3)
     mechanism = Mechanism.of(imported.scene)
     row.bodies = mechanism.body_count
     row.degrees_of_freedom = sum(
@@ -246,10 +243,8 @@ def _deviations(imported: Imported, reading: Reading) -> Iterator[float]:
 
 def validated(row: SurveyRow, packages: Path) -> SurveyRow:
     """Run a model in all engines."""
-    begin = time.perf_counter()
     result = verdicts_on(packages / row.path, packages)
     row.verdicts, row.reasons, row.reference = result.verdicts, result.reasons, result.reference
-    row.validation_s = round(time.perf_counter() - begin, 1)
     return row
 
 

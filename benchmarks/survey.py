@@ -36,7 +36,6 @@ class SurveyRow(msgspec.Struct, omit_defaults=True):
     """Reason why it is not imported; empty if it is."""
     bodies: int = 0
     degrees_of_freedom: int = 0
-    import_s: float = 0.0
     kept: int = 0
     """Number of kept kinds of elements and attributes that affect the motion."""
     lost: tuple[Fate, ...] = ()
@@ -57,7 +56,6 @@ class SurveyRow(msgspec.Struct, omit_defaults=True):
     """Reasons for not passing, by engine."""
     reference: str = ""
     """Reason why the reference ends early or is missing."""
-    validation_s: float = 0.0
 
     @property
     def place(self) -> str:

@@ -59,7 +59,7 @@ def starts(scene: Scene, limits: Mapping[str, tuple[float, float]]) -> tuple[Dra
     spin = _levels(-1.0, 1.0, _RATES)
     throws = [Throw(body, angular_velocity=(spin, spin, spin)) for body in _free(mechanism)]
     heights = Levels(*((low * length, high * length) for low, high in pairwise(_HEIGHTS)))
-    liftable = _liftable_bodies(mechanism) if scene.contacts else ()
+    liftable = _liftable_bodies(mechanism, looped) if scene.contacts else ()
     lifts = [Lift(body, heights) for body in liftable]
     return (*poses, *rates, *throws, *lifts)
 
@@ -95,8 +95,8 @@ def _free(mechanism: Mechanism) -> Iterator[str]:
             yield mechanism.scene.bodies[link.body].name
 
 
-def _liftable_bodies(mechanism: Mechanism) -> Iterator[str]:
-    """Yield bodies that can be lifted off the ground: free ones and those on upright sliders."""
+def _liftable_bodies(mechanism: Mechanism, looped: set[int]) -> Iterator[str]:
+    """Yield bodies outside loops that a lift moves: free ones and those on upright sliders."""
     translating = {WORLD_INDEX}
     for link in mechanism.links:
         joint, carried = link.joint, outboard(mechanism, link.body)
@@ -104,7 +104,7 @@ def _liftable_bodies(mechanism: Mechanism) -> Iterator[str]:
             continue
         translating |= {link.body} if joint is not None else set()
         upright = joint is None or abs(joint.axis[2]) > UPRIGHT
-        if upright and np.isin(mechanism.sphere_body, carried).any():
+        if upright and link.body not in looped and np.isin(mechanism.sphere_body, carried).any():
             yield mechanism.scene.bodies[link.body].name
 
 
@@ -120,7 +120,7 @@ def check_above_ground(scene: Scene) -> None:
         raise InputError(
             f"--ground: {np.count_nonzero(gaps.min(axis=1) < 0)} of {_STARTS} drawn starts are in "
             f"the ground, {body!r} by {-gaps.min():.3g} m: it cannot be lifted, as it is neither "
-            "free nor on an upright slider; leave --ground out"
+            "free nor on an upright slider, or a loop holds it; leave --ground out"
         )
 
 
