@@ -287,7 +287,7 @@ def rollout(
             rows = torch.arange(k, min(k + batch, len(motions)), device=motions.position.device)
             sample = motions.sample(rows, HISTORY - 1, steps)
             parts.append(roll(model, sample.start, sample.inputs))
-    return torch.cat(parts)
+    return torch.cat(parts or [motions.position[:, HISTORY : HISTORY + steps]])
 
 
 def roll(model: LearnedModel, start: Start, inputs: KnownInputs) -> Tensor:

@@ -14,6 +14,7 @@ from mbds_xsim.learn.particles import (
     LOST,
     ParticleMotion,
     RigidPairs,
+    figures_on,
     measure,
     one_step_error,
     unexplained_energy,
@@ -60,6 +61,15 @@ def test_unknown_truth_is_not_a_lost_prediction(fall: Motions) -> None:
     assert np.isnan(figures.error[0, 2:]).all()
     assert np.isfinite(figures.error[0, :2]).all()
     assert np.isnan(figures.energy[0, 2:]).all()
+
+
+def test_figures_without_any_known_window_are_unknown(fall: Motions) -> None:
+    fall.position[:, 2] = torch.nan
+    nothing: object = None
+    model = ConstantVelocity(fall.graph, nothing, None)  # type: ignore[arg-type]
+    figures = figures_on(model, fall, horizon=FRAMES, stride=2)
+    assert figures.error.shape == (4, FRAMES)
+    assert all(np.isnan(values).all() for values in vars(figures).values())
 
 
 def test_energy_error_of_a_lifted_ball(fall: Motions) -> None:
