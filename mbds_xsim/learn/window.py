@@ -13,6 +13,7 @@ from torch import Tensor
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.learn.graph import Graph, RowBundle
+from mbds_xsim.scene.sampling import has_known_forces
 
 HISTORY = 6
 """Number of frames that a model is shown; all rollouts start after them, even if it uses fewer."""
@@ -110,7 +111,8 @@ class Motions(RowBundle):
             dtype: Precision of positions, velocities and inputs; the file has float32.
 
         Raises:
-            InputError: The part is missing or empty, or its trajectories have too few frames.
+            InputError: The part is missing or empty, its trajectories have too few frames, or known
+                forces are missing.
         """
         chosen = data.rows_of(split) if rows is None else np.intersect1d(data.rows_of(split), rows)
         frames = int(data.attributes["steps"]) + 1
@@ -118,6 +120,11 @@ class Motions(RowBundle):
             raise InputError(
                 f"{data.path}: {len(chosen)} trajectories of {frames} frames for {split}, needed "
                 f"are at least 1 of {HISTORY + 1}; generate more"
+            )
+        if _KNOWN_FORCE not in data and has_known_forces(data.scene):
+            raise InputError(
+                f"{data.path}: lacks {_KNOWN_FORCE}, which earlier versions did not write for the "
+                "servos of sliders; generate the data again in an empty folder"
             )
         graph = Graph.of(data.scene)
 

@@ -58,6 +58,14 @@ def test_noise_is_never_an_input(data: Data) -> None:
     assert np.abs(all_of_it - inputs).max() > 0.01
 
 
+def test_data_without_the_known_forces_of_their_scene_are_refused(
+    data: Data, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mbds_xsim.learn.window.has_known_forces", lambda _: True)
+    with pytest.raises(InputError, match="lacks input/known_force, which earlier"):
+        Motions.of(data("6pendulum"), "train")
+
+
 def test_statistics_come_from_the_training_part_only(data: Data) -> None:
     file = data("6pendulum")
     statistics = Statistics.of(Motions.of(file, "train"))
