@@ -29,6 +29,9 @@ def _between(
         ((1.02, 0.9, 1.3, False), True, "survives, below 1.3"),
         ((1.02, 0.3, 7.0, False), True, "cannot be told, below 7"),
         ((1.02, 0.9, 1.3, False), False, "not noticed, below 1.3"),
+        ((1.02, 0.9, 1.3, False), None, "no significant loss, below 1.3"),
+        ((1.02, 0.3, 7.0, False), None, "cannot be told, below 7"),
+        ((1.001, 1.0, 1.002, True), None, "survives, below 1.01"),
         ((0.2, 0.1, 0.4, True), True, "survives, gains to 0.2, below 0.4"),  # no loss
         ((0.2, 0.1, 0.4, True), False, "no significant loss, gains to 0.2, below 0.4"),
         ((0.5, 0.1, 2.4, True), False, "cannot be told, gains to 0.5, below 2.4"),
@@ -41,12 +44,25 @@ def _between(
     ],
 )
 def test_a_change_is_survived_if_it_is_noticed_and_costs_little(
-    pair: tuple[float, float, float, bool], noticed: bool, words: str
+    pair: tuple[float, float, float, bool], noticed: bool | None, words: str
 ) -> None:
     value, low, high, resolved = pair
     interactions = [_between(*_PAIR, value, low, high, resolved=resolved)]
-    table = survivors(interactions, 0, "at t = 1", _SEEN if noticed else set())
+    seen = {True: _SEEN, False: set[tuple[str, frozenset[str]]](), None: None}[noticed]
+    table = survivors(interactions, 0, "at t = 1", seen)
     assert [row.texts for row in table.rows] == [("another engine on native data", words)]
+
+
+def test_what_was_noticed_in_flight_is_not_survived_after_a_contact() -> None:
+    """Older results say nothing of what models notice after the first contact."""
+    path = Path(__file__).parents[2] / "reports/shift/balldrop-factors.json.gz"
+    (table,) = [
+        table
+        for table in change_tables(stored(path, Shift), 1)
+        if "survives which change 10 frames after" in table.title
+    ]
+    (row,) = [row.texts for row in table.rows if row.texts[0] == "other settings in dart"]
+    assert [text.split(",")[0] for text in row[1:]] == ["no significant loss"] * 4
 
 
 def test_a_significant_ratio_never_reads_as_none() -> None:

@@ -29,11 +29,15 @@ def change_tables(shift: Shift, place: int) -> Iterator[Table]:
 
 def _noticeable_pairs(
     shift: Shift, interactions: Sequence[Interaction], place: int
-) -> set[tuple[str, frozenset[str]]]:
-    """Return models with the pairs of domains that differ by more than the model's own error."""
+) -> set[tuple[str, frozenset[str]]] | None:
+    """Return models with the pairs of domains that differ by more than the model's own error.
+
+    Older results lack `noticed`: there the gaps tell, but after the first contact nothing does.
+    """
     if all(each.noticed for each in interactions):
         return {(e.model, frozenset((e.first, e.second))) for e in interactions if e.noticed[place]}
-    place = shift.frames.index(shift.at)  # older results lack `noticed`: use the gaps at this frame
+    if interactions is shift.after_contact:
+        return None
     return {
         (gap.model, frozenset((gap.training, gap.test)))
         for gap in shift.gaps
@@ -47,18 +51,19 @@ def survivors(
     interactions: Sequence[Interaction],
     place: int,
     when: str,
-    noticed: Collection[tuple[str, frozenset[str]]],
+    noticed: Collection[tuple[str, frozenset[str]]] | None,
 ) -> Table:
     """Return a table with a row for each change and a column for each model.
 
-    `noticed` has models with the pairs of domains that differ by more than the model's own error.
+    `noticed` has models with the pairs of domains that differ by more than the model's own error;
+    None if that is not known.
     """
     models = list(dict.fromkeys(each.model for each in interactions))
 
     def cell(whole: Sequence[Interaction], model: str) -> str:
         own = [e for e in whole if e.model == model and e.value[place] is not None]
-        noticed_own = [e for e in own if (model, frozenset((e.first, e.second))) in noticed]
-        return _cost(own, noticed_own, place)
+        pairs = {(model, frozenset((each.first, each.second))) for each in own}
+        return _cost(own, None if noticed is None else not pairs.isdisjoint(noticed), place)
 
     rows = (
         (f"{OTHER[change]} {where}", *(cell(whole, model) for model in models))
@@ -78,8 +83,11 @@ def survivors(
     )
 
 
-def _cost(own: Sequence[Interaction], noticed: Sequence[Interaction], place: int) -> str:
-    """State the cost of the costliest pair, or if no cost is notable, how certain that is."""
+def _cost(own: Sequence[Interaction], noticed: bool | None, place: int) -> str:
+    """State the cost of the costliest pair, or if no cost is notable, how certain that is.
+
+    `noticed` says whether the model errs less than any of these domains differ; None: not known.
+    """
     resolved = [(each.value[place] or 0.0, each) for each in own if each.resolved[place]]
     losses = [each for value, each in resolved if value > 1.0]
     gains = [value for value, _ in resolved if value < 1.0]
@@ -92,7 +100,7 @@ def _cost(own: Sequence[Interaction], noticed: Sequence[Interaction], place: int
     if not bounds or len(bounds) < len(own):
         return NONE
     bound = max(bounds)
-    if not (noticed or resolved):
+    if noticed is False and not resolved:
         verdict = "not noticed"
     elif bound >= BEARABLE:
         verdict = "cannot be told"
