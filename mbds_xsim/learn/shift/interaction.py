@@ -32,6 +32,7 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.learn.shift.gaps import Bounded, Draws, Look, own_and_floor, singles_of
 from mbds_xsim.learn.shift.result import Answer, Interaction, PairRatio
 from mbds_xsim.learn.trained import TrainedModel
+from mbds_xsim.report.quantity import ratio as ratio_text
 
 Ratio = Callable[[TrainedModel, TrainedModel, Look], Array]
 """Function that computes a ratio of errors of two trainings."""
@@ -191,10 +192,10 @@ def _by_cost(
         highs = [each.high[place] for each in own]
         if most >= BEARABLE:
             dear.append(f"{_times(most)} {words}")
-        elif all(high is not None and high < BEARABLE for high in highs):
-            cheap.append(words)
-        else:
-            untold.append(f"{words} (significant: {_times(most)})" if most > 1.0 else words)
+            continue
+        below = all(high is not None and high < BEARABLE for high in highs)
+        known = f" (significant: {_times(most)})" if most > 1.0 else ""
+        (cheap if below else untold).append(f"{words}{known}")
     return dear, cheap, untold
 
 
@@ -210,8 +211,8 @@ def by_change(interactions: Sequence[Interaction]) -> dict[tuple[str, str], list
 
 
 def _times(value: float) -> str:
-    """Format a ratio as 8.32-fold or 1021-fold."""
-    return f"{value:.3g}-fold" if value < 1000.0 else f"{value:.0f}-fold"
+    """Format a significant ratio as 8.32-fold or 1.002-fold."""
+    return f"{ratio_text(value, significant=True)}-fold"
 
 
 def _most(own: Sequence[Interaction], place: int) -> float:
@@ -231,9 +232,9 @@ def _told(own: Sequence[Interaction], model: str, place: int) -> str:
             f"average (pairs: {len(own)})"
         )
     most = max(losses, key=lambda each: each.value[place] or 0.0)
-    value, low, high = (getattr(most, name)[place] for name in ("value", "low", "high"))
+    figures = (most.value[place], most.low[place], most.high[place])
+    value, low, high = (ratio_text(figure, significant=True) for figure in figures)
     return (
-        f"{model} loses in {len(losses)} of {len(own)} pairs, at most "
-        f"{value:.3g} [{low:.3g}, {high:.3g}] times the squared error, between {most.first} and "
-        f"{most.second}"
+        f"{model} loses in {len(losses)} of {len(own)} pairs, at most {value} [{low}, {high}] "
+        f"times the squared error, between {most.first} and {most.second}"
     )
