@@ -64,6 +64,23 @@ def test_a_cell_that_is_stable_no_more_is_worse(compare: Compare) -> None:
     assert data["scenes"][0]["worse"] == ["mujoco RK4, spin 10.0 rad/s, 0.01 s: stable → blows up"]
 
 
+def test_models_of_one_name_are_told_apart_by_their_files(compare: Compare) -> None:
+    maps = stored.stability()
+    (panel,) = maps["panels"]
+    maps["panels"] = [
+        panel | {"cells": [[panel["cells"][0][0] | {"source": file}]]} for file in ("a.pt", "b.pt")
+    ]
+
+    def worse(data: Json) -> None:
+        data["panels"][1]["cells"][0][0].update(outcome="blows up")
+
+    ended, data = compare(maps, worse)
+
+    assert ended.code == 1
+    name = "mujoco RK4 of b.pt, spin 10.0 rad/s, 0.01 s"
+    assert data["scenes"][0]["worse"] == [f"{name}: stable → blows up"]
+
+
 def test_a_cell_that_times_out_is_not_worse(compare: Compare) -> None:
     def slower(data: Json) -> None:
         data["panels"][0]["cells"][0][0].update(outcome="timed out")

@@ -213,15 +213,18 @@ def _stability(part: object) -> View:
 
 
 def _panel_entries(sweep: stability.Survey) -> Iterator[tuple[str, Entry]]:
+    panels = Counter(panel.name for panel in sweep.panels)
     for panel in sweep.panels:
         cells = [cell for row in panel.cells for cell in row]
         stable = sum(cell.outcome == "stable" for cell in cells)
         verdict = f"{stable} of {len(cells)} stable"
-        yield panel.name, Entry(verdict=verdict, rank=None, settings={"version": panel.version})
+        source = f" of {cells[0].source}" if panels[panel.name] > 1 else ""
+        parent = f"{panel.name}{source}"
+        yield parent, Entry(verdict=verdict, rank=None, settings={"version": panel.version})
         for cell in cells:
             where = f"{sweep.quantity} {cell.value} {sweep.unit}".rstrip()
-            name = f"{panel.name}, {where}, {cell.step_s:.12g} s"
-            yield name, _cell_entry(cell, panel.name)
+            name = f"{parent}, {where}, {cell.step_s:.12g} s"
+            yield name, _cell_entry(cell, parent)
 
 
 def _cell_entry(cell: stability.MapCell, panel: str) -> Entry:
