@@ -21,7 +21,7 @@ from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene
 from mbds_xsim.scene.servo import Servo
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice
-from mbds_xsim.studies.ablate import _more, ablate
+from mbds_xsim.studies.ablate import _more, ablate, present
 from mbds_xsim.studies.ablate.analyse import (
     Ablation,
     Floor,
@@ -93,6 +93,7 @@ def test_the_inertia_of_a_compound_pendulum_is_worth_what_its_period_says() -> N
     assert row.change_1s_median_m == pytest.approx(row.change_1s_m)
     about = _row(ablation, "inertia about hinges", 0.5)
     assert about.change_1s_m == pytest.approx(row.change_1s_m, rel=1e-6)
+    assert present(ablation).conclusion == "2 of 2 effects are needed in full"
 
 
 def test_spin_inertia_of_rods_that_do_not_spin_is_worth_nothing() -> None:

@@ -275,9 +275,12 @@ def _size_row(size: Size) -> tuple[str, ...]:
 
 def _conclusion(ablation: Ablation) -> str:
     dropped = [row for row in ablation.rows if row.factor == 0.0]
-    names = [row.effect for row in dropped if row.verdict == "not needed"]
-    needed = sum(row.verdict == "needed" for row in dropped)
-    count = f"{needed} of {len(dropped)} effects are needed"
+    judged = dropped or ablation.rows  # those that are only halved say less
+    names = [row.effect for row in judged if row.verdict == "not needed"]
+    needed = sum(row.verdict == "needed" for row in judged)
+    count = f"{needed} of {len(judged)} effects are needed{'' if dropped else ' in full'}"
+    if not judged:
+        return "it models no effect that could be dropped or halved"
     return f"{count}; not needed: {', '.join(names)}" if names else count
 
 
