@@ -55,7 +55,7 @@ def written(here: Path, run: CommandLine, monkeypatch: pytest.MonkeyPatch) -> Pa
 
 
 def test_the_file_says_on_how_many_starts_they_were_tried(written: Path) -> None:
-    assert "the scene on 1 held-out start of each interval. Found by" in written.read_text()
+    assert "the scene on the only start, with which the search was made. F" in written.read_text()
 
 
 def test_every_command_takes_the_settings_that_match_has_written(

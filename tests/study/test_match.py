@@ -17,6 +17,7 @@ from mbds_xsim.measure import quick as bisect
 from mbds_xsim.measure.campaign import run_references
 from mbds_xsim.measure.quick import COUNTS, Search
 from mbds_xsim.measure.trial import Trial, failed_trial, run_trial
+from mbds_xsim.report.files import to_markdown
 from mbds_xsim.scene.budget import Budget
 from mbds_xsim.scene.sampling import Starts, draw_batch
 from mbds_xsim.scene.scene import Clock, Scene
@@ -24,7 +25,7 @@ from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.choice import Choice, settings_for
 from mbds_xsim.simulate.simulator import EngineMethod
-from mbds_xsim.studies.match import Match, MatchedSettings, matched_toml
+from mbds_xsim.studies.match import Match, MatchedSettings, matched_toml, present
 from mbds_xsim.studies.match import search as study
 from mbds_xsim.studies.match.search import match
 from tests import plugins
@@ -94,6 +95,19 @@ def test_settings_found_hold_and_fewer_steps_do_not(scene: Scene) -> None:
         assert place == 0 or not _passes(scene, engine, COUNTS[place - 1])
     assert result.engines[0].method == "RK4"
     assert result.engines[0].steps_per_frame <= 4
+
+
+@pytest.mark.parametrize(("drawn", "held_out"), [(True, 1), (False, 0)])
+def test_starts_are_held_out_where_there_are_several(
+    scene: Scene, drawn: bool, held_out: int
+) -> None:
+    scene = scene if drawn else msgspec.structs.replace(scene, sampling=(), noise=0.0)
+
+    result = _match(scene, "mujoco")
+
+    assert result.held_out == held_out
+    said = "1 held-out start of each interval" if drawn else "the only start, with which"
+    assert all(said in text for text in (matched_toml(result), to_markdown([present(result)])))
 
 
 def _passes(scene: Scene, matched: MatchedSettings, count: int) -> bool:

@@ -62,7 +62,7 @@ class Match(msgspec.Struct, frozen=True, kw_only=True):
     trajectories: int
     """Number of starts per interval that the search used."""
     held_out: int
-    """Number of starts per interval that were held out."""
+    """Number of starts per interval that were held out; 0 if the scene has only one start."""
     machine: str
     engines: tuple[MatchedSettings, ...]
     left_out: dict[str, str]
@@ -87,10 +87,11 @@ _COLUMNS = (
 def present(match: Match) -> Report:
     """Report which engines keep the budgets, and at what cost."""
     met = all(result.meets_budget for result in match.engines)
-    note = (
-        f"figures of {counted(match.held_out, 'held-out start')} of each interval (seed "
-        f"{match.held_out_seed}); searched with {match.trajectories} (seed {match.seed})"
-    )
+    note = f"figures of {_verified_on(match)}"
+    if match.held_out:
+        note += (
+            f" (seed {match.held_out_seed}); searched with {match.trajectories} (seed {match.seed})"
+        )
     return Report(
         title=match.scene,
         what="within budgets" if met else "budgets missed",
@@ -103,6 +104,12 @@ def present(match: Match) -> Report:
         made=match.machine,
         verdict="pass" if met else "fail",
     )
+
+
+def _verified_on(match: Match) -> str:
+    if not match.held_out:
+        return "the only start, with which the search was made"
+    return f"{counted(match.held_out, 'held-out start')} of each interval"
 
 
 def _conclusion(match: Match) -> str:
@@ -148,9 +155,9 @@ def _remarks(match: Match) -> Iterator[tuple[str, str]]:
 
 _HEAD = """\
 # Settings whose trajectories are published: the cheapest of each engine that keep all budgets of
-# the scene on {held_out} of each interval. Found by
+# the scene on {verified_on}. Found by
 # {command}
-# on {machine}. `found` has the figures of the held-out trajectories.
+# on {machine}. `found` has the figures of these trajectories.
 
 """
 
@@ -197,7 +204,7 @@ def matched_toml(match: Match, before: str = "") -> str:
     tables = _tables_of(before)
     tables |= {result.engine: _table(result) for result in match.engines}
     head = _HEAD.format(
-        held_out=counted(match.held_out, "held-out start"),
+        verified_on=_verified_on(match),
         command=" ".join(match.command.split()),
         machine=match.machine,
     )

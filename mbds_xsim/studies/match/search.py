@@ -160,7 +160,7 @@ def match(
         seed=seed,
         held_out_seed=seed + 1,
         trajectories=starts.trajectories,
-        held_out=held_out,
+        held_out=held_out if len(proof.batch) > 1 else 0,
         machine=machine(),
         engines=tuple(_settle(ground, proof, candidates, used, name) for name in engines),
         left_out=left_out,
