@@ -20,7 +20,8 @@ import dataclasses, os, sys, time
 import numpy as np
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.scene.state import Failure, Trajectory
-from mbds_xsim.simulate.adapter import ModelSize
+from mbds_xsim.simulate.adapter import ModelSize, Settings
+from mbds_xsim.simulate.claims import Method, Option
 from mbds_xsim_adapters.mujoco import MuJoCo
 
 class Aborting(MuJoCo):
@@ -90,6 +91,20 @@ class Choosy(MuJoCo):
         if len(scene.bodies) > 5:
             raise Unsupported("it takes five bodies at most")
         return super().settings(scene, profile)
+
+class Adapting(MuJoCo):
+    name = "adapting"
+    methods = {"adaptive": Method("adaptive", "RK4", 4, adaptive=True), **MuJoCo.methods}
+    options = {**MuJoCo.options, "rtol": Option(1e-6, "tolerance", above=0.0)}
+    def settings(self, scene, profile):
+        fixed = profile == "native"
+        method, count = ("RK4", 2) if fixed else ("adaptive", 1)
+        return Settings(method, scene.clock.frame / count)
+    def load(self, scene, settings):
+        if settings.method == "adaptive":
+            assert settings.step == scene.clock.frame
+            settings = Settings("Euler", settings.step)
+        return super().load(scene, settings)
 
 class Blowing(Moving):
     name = "blowing"

@@ -142,8 +142,12 @@ def _search(scene: Scene, batch: Batch, reference: ReferenceOutcome, engine: str
             finer = dataclasses.replace(settings, step=scene.clock.frame / count)
             return run_trial(scene, batch, engine, finer, reference, len(batch))
 
-        order = 1 if scene.contacts else adapter.methods[settings.method].order_for(scene)
-        steps = fewest(attempt, order, deadline)
+        method = adapter.methods[settings.method]
+        if method.adaptive:  # it chooses its steps, so that there is one setting to try
+            steps = 1 if attempt(1).passed else None
+        else:
+            order = 1 if scene.contacts else method.order_for(scene)
+            steps = fewest(attempt, order, deadline)
         if steps is not None:
             return Matched(settings.method, steps, dict(settings.options))
     return None

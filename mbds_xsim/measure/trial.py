@@ -90,7 +90,7 @@ def run_trial(
             further = further_step(outcome, reference)
             steps = [] if further is None else [further]
         row, limits = _judge_all(outcome, reference)
-        if row.trajectory is not None and is_unknown(reference):
+        if row.trajectory is not None and outcome.other_steps and is_unknown(reference):
             limits.append(own_limit(outcome, row.trajectory))
     result, simulated = row.result, len(batch) * scene.clock.duration
     return Trial(

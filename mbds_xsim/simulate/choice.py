@@ -140,11 +140,14 @@ class Choice:
         preset = matched and matched.settings(scene)
         preset = preset or settings_for(scene, adapter, as_profile(profile))
         method = self.method or preset.method
-        if self.step is not None and method in adapter.methods and adapter.methods[method].adaptive:
-            raise InputError(f"--step: {adapter.name} {method} chooses its steps; leave it out")
+        step = preset.step if self.step is None else self.step
+        if method in adapter.methods and adapter.methods[method].adaptive:
+            if self.step is not None:
+                raise InputError(f"--step: {adapter.name} {method} chooses its steps; leave it out")
+            step = scene.clock.frame
         return Settings(
             method,
-            preset.step if self.step is None else self.step,
+            step,
             preset.options if self.method in (None, preset.method) else {},
         )
 

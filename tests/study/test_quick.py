@@ -15,17 +15,20 @@ from hypothesis import strategies as st
 from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.base.isolate import HERE, Conduct, Silent
 from mbds_xsim.measure import quick
+from mbds_xsim.measure.campaign import run_references
 from mbds_xsim.measure.quick import COUNTS, fewest, searched
-from mbds_xsim.measure.trial import Trial
+from mbds_xsim.measure.trial import Trial, run_trial
 from mbds_xsim.scene.sampling import Starts
 from mbds_xsim.scene.scene import Body, Clock, Force, Inertia, Joint, Scene
 from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.choice import Choice, Matched, is_stored, settings_for
 from mbds_xsim.studies.validate import validate_with_evidence
 from tests.plugins import faulty
 
 MUJOCO = registry.load_adapter("mujoco")
 DART = registry.load_adapter("dart")
+REFERENCE = registry.load_adapter("reference")
 
 pytestmark = pytest.mark.usefixtures("search")
 
@@ -102,6 +105,23 @@ def test_where_nothing_is_found_in_time_the_presets_stay(monkeypatch: pytest.Mon
 
     (contender,), _ = choice.contenders(scene)
     assert contender.settings == MUJOCO.settings(scene, "matched")
+
+
+def test_a_method_that_chooses_its_steps_is_tried_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with faulty(tmp_path / "packages", "adapting"):
+        found = _searched(cart_pole(), "adapting")["adapting"]
+        choice = Choice.parse(engines="adapting", profiles="native", method="adaptive")
+        ((contender,), _) = choice.contenders(cart_pole())
+    scene = cart_pole()
+    batch, truth = Starts().draw(scene), REFERENCE.settings(scene, "matched")
+    monkeypatch.setattr("mbds_xsim.measure.trial.is_unknown", lambda _: True)
+    trial = run_trial(scene, batch, "reference", truth, run_references(scene, batch, HERE), 1)
+
+    assert found.method in MUJOCO.methods
+    assert contender.settings == Settings("adaptive", scene.clock.frame)
+    assert trial.passed
 
 
 def test_an_engine_that_gives_no_settings_is_left_out_with_the_reason(
