@@ -27,9 +27,7 @@ from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.choice import Contender
 from mbds_xsim.simulate.claims import Method
-from mbds_xsim.simulate.timed import simulate
-
-_WARM_UP = 2  # frames
+from mbds_xsim.simulate.timed import WARM_UP, simulate
 
 
 @dataclass(frozen=True)
@@ -71,7 +69,7 @@ def run_trial(
 
     The first `sample` trajectories also run at other steps, for the check of consistency.
     """
-    simulate(scene, batch[:1].truncated(_WARM_UP), engine, settings)
+    simulate(scene, batch[:1].truncated(WARM_UP), engine, settings)
     rows, contender = [list(range(len(batch)))], Contender(engine, "matched", settings)
     outcome = Outcome(contender, scene, batch, rows=rows)
     simulation = simulate(scene, batch, engine, settings)
