@@ -318,7 +318,8 @@ class _Builder:
         elif any(higher) or not ratio:
             reason = "not in proportion to the other's coordinate"
         else:
-            couplings = [*self.couplings, Coupling(follower, leader, ratio, offset)]
+            with located(f"{element} of {place!r}"):
+                couplings = [*self.couplings, Coupling(follower, leader, ratio, offset)]
             try:
                 check_couplings(tuple(couplings))
                 self.couplings = couplings

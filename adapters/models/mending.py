@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import Element, SubElement
 
 from mbds_xsim.scene.imported import Fate, Outcome
 
@@ -39,6 +39,22 @@ def mend_urdf(root: Element) -> Iterator[Fate]:
         if holder.tag == "link" and place == "world":
             for element in holder.findall("inertial"):
                 yield _remove(holder, element, "kept", "the world does not move")
+    yield from _free_from_root(root)
+
+
+def _free_from_root(root: Element) -> Iterator[Fate]:
+    """Let what floats on a root link float in the world, as MuJoCo's compiler wants it."""
+    carried = {child.get("link") for child in root.findall("joint/child")} | {"world", None}
+    for joint in root.findall("joint[@type='floating']"):
+        for parent in joint.findall("parent"):
+            if parent.get("link") not in carried:
+                parent.set("link", "world")
+                yield _fate(joint, "kept", "it floats in the world", place=joint.get("name", ""))
+    if (
+        root.find("link[@name='world']") is None
+        and root.find("*/parent[@link='world']") is not None
+    ):
+        SubElement(root, "link", name="world")
 
 
 def _clean_numbers(element: Element, place: str) -> Iterator[Fate]:

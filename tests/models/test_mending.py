@@ -100,6 +100,14 @@ def test_places_in_w_are_those_in_the_bodies_frames(here: Path) -> None:
     )
 
 
+def test_what_floats_on_the_root_floats_in_the_world(here: Path) -> None:
+    free = _URDF.replace("revolute", "floating")
+    plain, root = (_read(here, "arm.urdf", text) for text in (free, free.replace("world", "base")))
+
+    assert root.scene == plain.scene
+    assert len(Mechanism.of(root.scene).joints) == 0
+
+
 def test_extensions_may_have_as_many_numbers_as_they_like(here: Path) -> None:
     extended = _URDF.replace("<limit", '<fdir1 value="1 0 0"/><limit')
 
