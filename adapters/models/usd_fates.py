@@ -40,8 +40,12 @@ _TOUCHING = by_key((
     ("dropped", True, "the ground has the dynamic one alone", "physics:staticFriction"),
 ))  # fmt: skip
 """Rows that replace those above if shapes touch the ground."""
-_SHAPE = by_key([("kept", True, _CONTACT, "material radius height size axis")])
-"""Attributes of collision shapes that touch the ground."""
+_SIZES = "radius height size axis"
+_SHAPE = {
+    True: by_key([("kept", True, _CONTACT, f"material {_SIZES}")]),
+    False: by_key([("kept", True, "its mass, where its body states none", _SIZES)]),
+}
+"""Attributes of collision shapes, by whether they touch the ground."""
 _LIMITS = ("physics:lowerLimit", "physics:upperLimit")
 _DRIVE_JOINTS = ("PhysicsRevoluteJoint", "PhysicsPrismaticJoint", "PhysicsJoint")
 """Types of joints whose drives are reported one by one."""
@@ -56,16 +60,18 @@ def fates_of(stage: Any, *, limited: bool, touching: bool) -> Iterator[Fate]:
         limited: Whether limits are reported joint by joint.
         touching: Whether shapes touch the ground, and are reported one by one.
     """
+    from pxr import Usd
+
     table = _TABLE | _TOUCHING if touching else _TABLE
     found = []
-    for prim in stage.Traverse():
+    for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
         kind, place = str(prim.GetTypeName()) or "Prim", prim.GetName()
-        solid = touching and "PhysicsCollisionAPI" in prim.GetAppliedSchemas()
+        solid = "PhysicsCollisionAPI" in prim.GetAppliedSchemas()
         for attribute in prim.GetAuthoredProperties():
             name = attribute.GetName()
             if not ((name in _LIMITS and limited) or _is_of_drive(prim, name)):
-                entry = _fate(table | _SHAPE if solid else table, name)
-                found.append((kind, entry, name, place, place))
+                entry = _fate(table | _SHAPE[touching] if solid else table, name)
+                found.append((kind, entry, name, prim.GetPath(), place))
     return grouped(found)
 
 

@@ -125,6 +125,18 @@ def test_what_is_lost_is_named(here: Path) -> None:
     assert {"drive:angular:physics:stiffness", "physxJoint:armature"} <= lost
 
 
+def test_what_instances_hold_is_told(here: Path) -> None:
+    shell = 'def Cube "box" (prepend apiSchemas = ["PhysicsCollisionAPI"])\n{\ndouble size = 0.2\n'
+    part = f'def Xform "part"\n{{\n{shell}float physxCollision:offset = 1\n}}\n}}\n'
+    copy = 'def Xform "copy" (instanceable = true\nprepend references = </part>)\n{\n}\n'
+    imported = read(here, rigid("rod", "(0, 0, 0)", inside=copy), part)
+
+    assert imported.facts.links[0].mass == pytest.approx(1000 * 0.2**3)
+    fates = {f.properties: f for f in imported.fates if f.element == "Cube"}
+    assert fates["size",].count == fates["physxCollision:offset",].count == 2
+    assert (fates["size",].outcome, fates["physxCollision:offset",].outcome) == ("kept", "dropped")
+
+
 _STATED = "float physics:mass = 2\nfloat3 physics:diagonalInertia = (1, 1, 1.5)\n"
 _ASIDE = (
     'def Sphere "ball" (prepend apiSchemas = ["PhysicsCollisionAPI"])\n{\ndouble radius = 0.1\n'
