@@ -22,7 +22,7 @@ from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint,
 from mbds_xsim.scene.servo import Servo
 
 from .contact import Impact, add_contacts, cone_options, stop_law
-from .state import slim
+from .state import joint_name, slim
 
 _JOINT_TYPES = {"ball": "ball", "hinge": "hinge", "slider": "slide"}
 """MuJoCo's names of the joints that have coordinates; a fixed joint is the absence of one."""
@@ -121,7 +121,8 @@ def mechanics(
     for spring in mechanism.springs:
         _spring(tendons, bodies, spring)
     for coupling in mechanism.couplings:
-        ends = {"joint1": coupling.follower.name, "joint2": coupling.leader.name}
+        pair = (joint_name(each.name) for each in (coupling.follower, coupling.leader))
+        ends = dict(zip(("joint1", "joint2"), pair, strict=True))
         law = {"polycoef": numbers((coupling.offset, coupling.ratio, 0.0, 0.0, 0.0))}
         SubElement(equalities, "joint", ends | law | loops)
     root.extend(element for element in (tendons, equalities) if len(element))
@@ -279,7 +280,7 @@ def _compiles(tensor: Array) -> bool:
 
 
 def _joint(body: Element, name: str, kind: str, anchor: Array, axis: Array) -> Element:
-    element = SubElement(body, "joint", name=name, type=kind, pos=numbers(anchor))
+    element = SubElement(body, "joint", name=joint_name(name), type=kind, pos=numbers(anchor))
     if axis.any():
         element.set("axis", numbers(axis))
     return element
@@ -371,7 +372,7 @@ def add_servo(actuators: Element, servo: Servo, push: float = 0.0, **gain: str) 
         gain: Attributes of the gain by which a command counts; 1 without any.
     """
     bias = numbers((push, -servo.stiffness, -servo.damping))
-    law = {"joint": servo.joint, **gain, "biastype": "affine", "biasprm": bias}
+    law = {"joint": joint_name(servo.joint), **gain, "biastype": "affine", "biasprm": bias}
     actuator = SubElement(actuators, "general", law)
     if servo.limit is not None:
         actuator.attrib.update(forcelimited="true", forcerange=numbers((-servo.limit, servo.limit)))
@@ -385,7 +386,7 @@ def _motors(actuators: Element, bodies: dict[int, Element], mechanism: Mechanism
     """
     for hinge in mechanism.hinges:
         if hinge.index in mechanism.carried:
-            SubElement(actuators, "motor", name=hinge.name, joint=hinge.name)
+            SubElement(actuators, "motor", name=hinge.name, joint=joint_name(hinge.name))
             continue
         parent, child = _sites(bodies, hinge, np.zeros(3), f"{hinge.name} motor")
         SubElement(

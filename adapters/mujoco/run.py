@@ -33,7 +33,7 @@ from .friction import lost_friction
 from .loops import soften_loops
 from .model import CLOSING_POINTS, StepOptions, closing_point, mjcf, open_loops, with_start
 from .spinless import Bending
-from .state import Coordinates, Frames, Hanger
+from .state import Coordinates, Frames, Hanger, joint_name
 from .steps import FinerNearGround, FinerWhereFast, OneCall, turning_rates
 
 _UNWANTED = ("dof_dampingpoly", "tendon_dampingpoly", "tendon_frictionloss", "actuator_damping",
@@ -218,7 +218,7 @@ class ModelRun(Bending):
 
     def _axis(self, link: Link) -> Array:
         assert link.joint is not None
-        return np.asarray(self.data.joint(link.joint.name).xaxis)
+        return np.asarray(self.data.joint(joint_name(link.joint.name)).xaxis)
 
     def _loop_axis(self, hinge: PlacedJoint) -> Array:
         """Return the direction through the two points that close a hinge."""
@@ -258,7 +258,7 @@ class ModelRun(Bending):
         return np.array(laws).reshape(-1, 5)[:, [1, 0]]
 
     def _law(self, _link: Link, joint: PlacedJoint) -> tuple[float, float, float]:
-        model, number = self.model, self.model.joint(joint.name).id
+        model, number = self.model, self.model.joint(joint_name(joint.name)).id
         damping = model.dof_damping[model.jnt_dofadr[number]]
         return model.jnt_stiffness[number], damping, model.qpos_spring[model.jnt_qposadr[number]]
 
@@ -274,7 +274,7 @@ class ModelRun(Bending):
         return np.column_stack([-model.actuator_biasprm[first:, 1:3], limit])
 
     def _numbers(self, joints: tuple[PlacedJoint, ...]) -> list[int]:
-        return [self.model.joint(joint.name).id for joint in joints]
+        return [self.model.joint(joint_name(joint.name)).id for joint in joints]
 
     def _dofs(self, joints: tuple[PlacedJoint, ...]) -> Index:
         return np.asarray(self.model.jnt_dofadr[self._numbers(joints)])

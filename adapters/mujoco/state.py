@@ -142,6 +142,11 @@ class Frames:
         return BodyStates(position, turn[:, :, bodies], velocity, spin)
 
 
+def joint_name(name: str) -> str:
+    """Return the name of a joint in the model; MuJoCo finds nothing by an empty one."""
+    return name or "without a name"
+
+
 def slim(inertia: Array, axis: Array) -> Array:
     """Return an inertia with almost nothing left about the axis."""
     across = np.eye(3) - np.outer(axis, axis)

@@ -12,6 +12,7 @@ import pytest
 from mbds_xsim import reference
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError, Unsupported
+from mbds_xsim.scene.coupling import Coupling
 from mbds_xsim.scene.joint_space import to_bodies
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
@@ -26,6 +27,7 @@ from mbds_xsim.scene.scene import (
     SpringDamper,
     Torque,
 )
+from mbds_xsim.scene.servo import Servo
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import readback
 from mbds_xsim.simulate.adapter import Profile, Settings
@@ -47,6 +49,24 @@ def rollout(
     settings = Settings(method, scene.clock.frame / substeps, options)
     with ENGINE.open(scene, settings) as run:
         return run.rollout(batch)
+
+
+def test_a_joint_may_have_an_empty_name() -> None:
+    """A motor, a servo and a coupling find it, and so does what reads the model back."""
+    bodies = tuple(Body(name, inertia=Inertia(1.0, (1.0, 1.0, 1.0))) for name in "ab")
+    joints = tuple(
+        Joint(name, "hinge", "world", body, (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), damping=0.1)
+        for name, body in zip(("", "b"), "ab", strict=True)
+    )
+    servo, gear = Servo("", (0.3,), stiffness=4.0, limit=9.0), Coupling("b", "", 2.0)
+    scene = Scene("names", bodies, 1.0, joints=joints, servos=(servo,), couplings=(gear,))
+    scene = msgspec.structs.replace(scene, clock=Clock(0.01, 5))
+
+    batch, settings = draw_batch(scene, [0]), ENGINE.settings(scene, "native")
+    with ENGINE.open(scene, settings) as run:
+        native = run.readback(batch)
+        assert run.rollout(batch).failures == (None,)
+    assert readback.compare(Mechanism.of(scene), batch, settings, native) == []
 
 
 def position_errors(scene: Scene, substeps: tuple[int, ...], method: str = "RK4") -> list[float]:
