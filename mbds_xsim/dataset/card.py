@@ -209,9 +209,8 @@ def _row(data: Dataset) -> str:
 
 def _pace(data: Dataset) -> str:
     """Return the step, or the tolerance of the reference, which chooses its own steps."""
-    options = json.loads(data.attributes["options"])
     if _is_truth(data):
-        return f"{RTOL} {options[RTOL]:g}"
+        return f"{RTOL} {json.loads(data.attributes['options'])[RTOL]:g}"
     return f"{data.attributes['step_s']:.6g}"
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.text import on_a_line
 from mbds_xsim.dataset.layout import (
     ATTRIBUTE_DEFAULTS,
     ATTRIBUTES,
@@ -162,11 +163,11 @@ def attributes_of(path: Path) -> dict[str, Any]:
     if not _is(attrs.get("format"), FORMAT):
         msg = f"{path} is HDF5, but no {FORMAT} file: its attribute 'format' does not say so"
         raise InputError(msg)
-    if not isinstance(attrs.get("layout_version"), int) or attrs["layout_version"] > VERSION:
-        raise InputError(
-            f"{path} has layout version {attrs.get('layout_version')}, this program reads up to "
-            f"{VERSION}; install a newer mbds-xsim"
-        )
+    version = attrs.get("layout_version")
+    if not isinstance(version, int) or version > VERSION:
+        got = on_a_line(str(version))[:60]
+        msg = f"{path} has layout version {got}, this program reads up to {VERSION}; install"
+        raise InputError(f"{msg} a newer mbds-xsim")
     required = [key for key in ATTRIBUTES if key in _JOINT or not _is(attrs.get("kind"), "joint")]
     context = f"{path}: attribute ", "; get the file again"
     with_defaults = ATTRIBUTE_DEFAULTS | attrs

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.text import on_a_line
 
 SUFFIX = ".h5"
 JOINT = f"joint{SUFFIX}"
@@ -224,7 +225,7 @@ def attribute(
     try:
         return msgspec.convert(attributes.get(key), kind, strict=strict)
     except msgspec.ValidationError:
-        got = repr(attributes[key])[:60] if key in attributes else "none"
+        got = on_a_line(repr(attributes[key]))[:60] if key in attributes else "none"
         raise InputError(f"{where}{key}: got {got}, allowed is {words}{advice}") from None
 
 

@@ -228,9 +228,10 @@ def _panel(axes: Any, data: Dataset, row: int) -> None:
 
 def _bones(axes: Any, data: Dataset, flat: Array, colour: str, width: float) -> None:
     """Draw the points, edges and fixed nodes of one frame."""
-    fixed = _flat(data, np.asarray(data["graph/static_node"]))
+    graph = Points.of(data.scene).graph()  # not the file's, which may name points that are not here
+    fixed = _flat(data, graph["graph/static_node"])
     nodes = np.concatenate([flat, fixed])
-    for a, b in np.asarray(data["graph/edge"]):
+    for a, b in graph["graph/edge"]:
         axes.plot(*nodes[[a, b]].T, color=colour, linewidth=width)
     axes.plot(*flat.T, ".", color=colour, ms=3)
     axes.plot(*fixed.T, "^", color=DRAWN, ms=6)

@@ -331,6 +331,16 @@ def _mark(path: Path, key: str, value: object) -> None:
     ("key", "value", "says"),
     [
         ("layout_version", 99, "layout version 99, this program reads up to 1; install a newer"),
+        (
+            "layout_version",
+            np.zeros((2, 2)),
+            r"version \[\[0. 0.\] \[0. 0.\]\], this program reads",
+        ),
+        (
+            "step_s",
+            np.zeros((2, 1)),
+            r"got array\(\[\[0.\], \[0.\]\]\), allowed is a positive number",
+        ),
         ("format", "other", "is HDF5, but no mbds-xsim data file"),
         ("engine_version", "0.1", "its engine_version is '0.1', now asked for is"),
         ("scene", "name = 'x'", "its scene differs from the one given"),
