@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.files import put, tidied
+from mbds_xsim.base.files import locked, put, tidied
 from mbds_xsim.base.isolate import Meter
 from mbds_xsim.base.text import in_markdown
 from mbds_xsim.dataset.layout import FIELDS, MOTION, SPLITS, rejected_folder
@@ -92,24 +92,25 @@ def export(
     sets = {file: load_dataset(file) for file in joined_files(path, engines)}
     _check_apart(list(sets.values()), out)
     absent = {str(file): _absent(data, numbers) for file, data in sets.items()}
-    with tidied(_folder(data, out) for data in sets.values()):  # files of killed runs
-        for data in sets.values():
-            _check_target(data, out, form, numbers)
-            data.check()  # damage could not be found later: the form has no checksums
+    for data in sets.values():
+        _check_target(data, out, form, numbers)
+        data.check()  # damage could not be found later: the form has no checksums
     progress.begin(sum(len(data.files) for data in sets.values()))
     files = count = size = 0
-    for data in sets.values():
-        folder = _folder(data, out)
-        put(folder / _SCENE, data.attributes["scene"].encode())
-        put(folder / _README, _readme(data, form).encode())
-        for shard in data.files:
-            part = load_dataset(shard)
-            rows = np.flatnonzero(np.isin(part.index, part.index if numbers is None else numbers))
-            for name, content in _WRITERS[form](data, part, rows):
-                put(folder / name, content)
-                files, size = files + 1, size + len(content)
-            count += len(rows)
-            progress.advance(shard.name)
+    with locked(out), tidied(_folder(data, out) for data in sets.values()):  # files of killed runs
+        for data in sets.values():
+            folder = _folder(data, out)
+            put(folder / _SCENE, data.attributes["scene"].encode())
+            put(folder / _README, _readme(data, form).encode())
+            for shard in data.files:
+                part = load_dataset(shard)
+                chosen = part.index if numbers is None else numbers
+                rows = np.flatnonzero(np.isin(part.index, chosen))
+                for name, content in _WRITERS[form](data, part, rows):
+                    put(folder / name, content)
+                    files, size = files + 1, size + len(content)
+                count += len(rows)
+                progress.advance(shard.name)
     lost, rejected = _lost(data, form), data.is_rejected  # a rejected file is named, so alone
     return Exported(str(out), form, files, count, size, lost, absent, rejected)
 
@@ -157,7 +158,7 @@ def _check_target(data: Dataset, out: Path, form: Form, numbers: Sequence[int] |
         ends = np.cumsum([part.rows for part in data.parts])
         rows = np.flatnonzero(np.isin(data.index, data.index if numbers is None else numbers))
         names = {f"{data.files[k].stem}.npz" for k in np.searchsorted(ends, rows, side="right")}
-    present = {file.name for file in folder.iterdir()} if folder.is_dir() else set()
+    present = {file.name for file in folder.glob("[!.]*")}  # others may be of killed runs
     strange = sorted(present - names - {_README, _SCENE})
     if strange:
         msg = f"--out: {folder} holds {strange[0]}, which is not of this export; name another --out"

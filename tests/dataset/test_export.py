@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.files import locked
 from mbds_xsim.base.isolate import Silent
 from mbds_xsim.dataset.audit import audit_file
 from mbds_xsim.dataset.export import LOST, Form, _check_target, export
@@ -132,6 +133,11 @@ def test_an_export_goes_on_after_it_was_killed(whole: Path, tmp_path: Path) -> N
     _exported(whole, tmp_path, "csv", [3])
     there = {file.name for file in folder.iterdir()}
     assert there == {"README.md", "scene.toml", "0000000003.csv"}
+
+
+def test_two_exports_at_once(whole: Path, tmp_path: Path) -> None:
+    with locked(tmp_path), pytest.raises(InputError, match=r"is in use by process \d+; wait"):
+        _exported(whole, tmp_path, "csv", [3])
 
 
 def test_two_sets_of_one_folder_are_refused(whole: Path, tmp_path: Path) -> None:
