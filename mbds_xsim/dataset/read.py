@@ -248,12 +248,14 @@ class Dataset:
 
     def batch(self, rows: Any = slice(None)) -> Batch:
         """Return the starts and inputs of trajectories, including the noise."""
+        rows = _several(rows)
         starts = {key: self._series(f"start/{key}")[rows] for key in STATES}
         force, torque = self._series("input/force")[rows], self._series("input/torque")[rows]
         return Batch(index=self.index[rows], **starts, force=force, torque=torque)
 
     def trajectory(self, rows: Any = slice(None)) -> Trajectory:
         """Return the motions of the bodies; one with NaN or infinity counts as a failure."""
+        rows = _several(rows)
         states = {key: self._series(f"body/{key}")[rows] for key in STATES}
         finite = [np.isfinite(values).all(axis=(2, 3)) for values in states.values()]
         failures = tuple(
@@ -312,6 +314,10 @@ class Dataset:
             chosen = np.intersect1d(chosen, np.arange(len(self))[rows])
         series = map(self._series, [names] if isinstance(names, str) else names)
         return Windows(tuple(series), chosen, length)
+
+
+def _several(rows: Any) -> Any:
+    return [rows] if isinstance(rows, int | np.integer) else rows
 
 
 def labelled(arrays: Mapping[str, tuple[tuple[str, ...], Any]], **coordinates: Any) -> Any:

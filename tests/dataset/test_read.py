@@ -54,6 +54,12 @@ def test_nothing_can_be_overwritten(data: Dataset) -> None:
         data.position[0][0] = 1.0
 
 
+def test_one_row_is_a_batch_of_one(data: Dataset) -> None:
+    assert data.batch(17).index.tolist() == [17]
+    (one,) = data.trajectory(np.int64(17)).position
+    assert np.array_equal(one, data["body/position"][17])
+
+
 def test_a_row_that_is_not_there(data: Dataset) -> None:
     with pytest.raises(IndexError, match="row 40 of 40"):
         data.position[TRAJECTORIES]
