@@ -44,10 +44,11 @@ CONTACT_LAW = ContactLaw(
     mixing="the product of frictions, at most 10, and of restitutions",
     adapter="The ground has friction and restitution 1, so that the products are the pair's. "
     "Between bodies, each carries the square root of the pair's coefficient, and the ground is "
-    "adjusted to that. With matched settings contacts act from a gap of 1 µm, not a step ahead; "
-    "overlaps are pushed out over a second, not within steps; every approach faster than four "
-    "steps of free fall rebounds; and Bullet's linear and quadratic drag, which native settings "
-    "keep, is off. Once a frame the axes of friction are turned so that friction opposes the slip. "
+    "adjusted to that. With matched settings contacts act from a gap of 1 µm or less, not a step "
+    "ahead; overlaps are pushed out over a second, not within steps; every approach faster than "
+    "four steps of free fall rebounds; and Bullet's linear and quadratic drag, which native "
+    "settings keep, is off. Once a frame the axes of friction are turned so that friction opposes "
+    "the slip. "
     "A sphere that has fallen through the ground is a failure.",
 )
 
