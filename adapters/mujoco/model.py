@@ -227,10 +227,11 @@ def _body(
     if joint is None:
         SubElement(body, "freejoint")
     elif axis.any():
-        for k, cross in enumerate(rotation.normal_to(axis)):
-            _joint(body, f"{joint.name} {k}", "hinge", joint.in_child, cross)
+        for cross in rotation.normal_to(axis):  # without names, which other joints may have
+            _joint(body, "", "hinge", joint.in_child, cross)
     elif joint.kind != "fixed":
-        element = _joint(body, joint.name, _JOINT_TYPES[joint.kind], joint.in_child, joint.axis)
+        name, kind = joint_name(joint.name), _JOINT_TYPES[joint.kind]
+        element = _joint(body, name, kind, joint.in_child, joint.axis)
         if joint.complies:
             law = {"stiffness": joint.stiffness, "damping": joint.damping, "springref": joint.rest}
             element.attrib.update({key: repr(value) for key, value in law.items()})
@@ -280,7 +281,8 @@ def _compiles(tensor: Array) -> bool:
 
 
 def _joint(body: Element, name: str, kind: str, anchor: Array, axis: Array) -> Element:
-    element = SubElement(body, "joint", name=joint_name(name), type=kind, pos=numbers(anchor))
+    element = SubElement(body, "joint", {"name": name} if name else {}, type=kind)
+    element.set("pos", numbers(anchor))
     if axis.any():
         element.set("axis", numbers(axis))
     return element

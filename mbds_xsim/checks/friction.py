@@ -13,6 +13,7 @@ from mbds_xsim.checks.record import Record
 _LITTLE = 0.05  # share of the weight, or of the slip that friction takes in a step
 _SPRING_SHARE = 0.01  # share of an impact's friction that springs give back (MuJoCo: 1.2e-3)
 _LASTING = 0.2  # share of its change that a slip must exceed
+_LASTING_UNEVEN = 1.0  # the same of a ball with unequal moments, whose slip turns to and fro
 _ALIKE = 0.5  # largest distance of a slip's unit vector from the mean one
 _SURE = 0.9  # share of the slip that friction can take in a step
 _EVEN = 1e-9  # tolerance [m]; also of directions
@@ -82,7 +83,9 @@ def _beside(record: Record, push: Push) -> Array:
     slowest = np.minimum(*(np.linalg.norm(part, axis=-1) for part in (begin, end)))
     takes = np.maximum(_LITTLE * push.weight, _SPRING_SHARE * up)
     least = mu * takes / push.mass
-    slips = slowest > least + _LASTING * np.linalg.norm(end - begin, axis=-1)
+    moments = np.linalg.eigvalsh(record.mechanism.inertia[push.bodies[0]])
+    lasting = _LASTING if np.ptp(moments) <= _EVEN * moments[-1] else _LASTING_UNEVEN
+    slips = slowest > least + lasting * np.linalg.norm(end - begin, axis=-1)
     slips &= (spread < _ALIKE) & (up > _LITTLE * push.weight)
     residual = push.impulse[..., :2] / (mu * up)[..., None] + toward
     deviation = np.linalg.norm(residual, axis=-1) - spread - push.blur / (mu * up)

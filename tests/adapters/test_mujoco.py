@@ -399,3 +399,18 @@ def test_flat_bodies_turned_in_their_frames_run(moments: Vector, products: Vecto
 @pytest.mark.parametrize("off", [0.0, 1e-3])
 def test_a_hinge_closes_a_loop_of_bodies_whose_centres_hardly_move(off: float) -> None:
     gimbal_followed(ENGINE, off)
+
+
+def test_names_that_mujoco_needs() -> None:
+    """Two hinges stand for the ball joint of a rod without spin; their names may be taken."""
+    rod = Inertia(1.0, (0.02, 0.02, 1e-5), com=(0.0, 0.0, -0.3))
+    names, ends = ("p", "p 0", ""), ("world", "p", "p 0", "q")
+    places = [(0.0, 0.0, -0.6 * k) for k in range(3)]
+    bodies = tuple(
+        Body(n, inertia=rod, position=at) for n, at in zip(ends[1:], places, strict=True)
+    )
+    joints = [Joint(names[k], "ball", ends[k], ends[k + 1], places[k]) for k in range(3)]
+    scene = Scene("rods", bodies, 1.0, joints=tuple(joints))
+    ENGINE.open(scene, Settings("RK4", 0.005, {"spin": False})).close()
+    joints[2] = msgspec.structs.replace(joints[2], kind="hinge", axis=(1.0, 0.0, 0.0))
+    ENGINE.open(Scene("rods", bodies, 1.0, joints=tuple(joints)), Settings("RK4", 0.005)).close()

@@ -18,7 +18,7 @@ from mbds_xsim.checks.ground import pushes_of
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import Roll, Throw
-from mbds_xsim.scene.scene import Clock, Scene
+from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Ground, Inertia, Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.testing.straight_car import straight_run
@@ -45,6 +45,20 @@ def _slope(direction: str, steps: int = 60) -> Scene:
     throw = Throw("ball", velocity=((x, x), (y, y), (0.0, 0.0)))
     scene = msgspec.structs.replace(_short("ballscroll", steps), dimension=3, noise=0.0)
     return msgspec.structs.replace(scene, sampling=(throw, Roll("ball", share=(0.0, 0.0))))
+
+
+def _uneven() -> Scene:
+    """A ball of unequal moments on a slope, whose slip turns to and fro within a frame."""
+    centre, turn = (0.0, 0.0, 0.1811), np.array([0.370181, 0.815283, 0.340672, 0.286743])
+    ball = Body(
+        "ball", inertia=Inertia(1.8472, (1.0177e-3, 1.3569e-3, 1.6961e-3)), position=centre,
+        orientation=tuple((turn / np.linalg.norm(turn)).tolist()),
+        velocity=(0.50152, -0.70009, 1.16791), angular_velocity=(1.2664, -12.3481, 4.1772),
+    )  # fmt: skip
+    return Scene(
+        "uneven", (ball,), 1.0, gravity=(2.36709, -1.79237, -9.0), clock=Clock(0.02, 25),
+        contacts=(ContactSphere("ball", centre, 0.042853),), ground=Ground(0.263415, 0.0),
+    )  # fmt: skip
 
 
 @functools.cache
@@ -77,6 +91,7 @@ def _failed(findings: dict[str, Finding]) -> set[str]:
         *(_slope(direction) for direction in SLOPES),
         *(_short("balldrop", 100, restitution=e) for e in (0.0, 0.5, 1.0)),
         _short("balldrop", 100, friction=0.0),
+        _uneven(),
     ],
     ids=lambda scene: f"{scene.name} {scene.ground}",
 )
