@@ -14,8 +14,8 @@ from mbds_xsim.base.arrays import Array
 SHARE = 0.1
 """Radius of the spheres in corners and rims of a shape, over its smallest half-size."""
 RIM = 8
-"""Number of spheres in each rim of a cylinder, as many as PyBullet can hold on a body. Half-way
-between two of them, up to 7.6 % of the cylinder's radius is missing."""
+"""Number of spheres in each rim of a cylinder. Half-way between two of them, up to 7.6 % of the
+cylinder's radius is missing."""
 
 
 @dataclass(frozen=True, eq=False)

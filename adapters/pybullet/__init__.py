@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import ClassVar
 
 import numpy as np
@@ -13,6 +12,7 @@ from mbds_xsim.scene.stiffness import spring_step
 from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings, careful_step, nearest_step
 from mbds_xsim.simulate.claims import LOOPS, Feature, Method, Option, Sweep, named
 
+from .carriers import MOST_SPHERES, overloaded
 from .contact import CONTACT_LAW
 from .run import PyBulletRun
 
@@ -32,8 +32,6 @@ _GEARED_SWEEPS = 200
 _LIMIT_ERP = 1e-5
 # Bullet's SIMD_EPSILON: a joint with less to move stands still (kg, or kg·m² about a hinge).
 _LEAST = float(np.finfo(float).eps)
-# MAX_COMPOUND_COLLISION_SHAPES of Bullet's SharedMemoryPublic.h.
-_MOST_SPHERES = 16
 # Defaults of PhysicsServerCommandProcessor::createEmptyDynamicsWorld and btCollisionObject.
 _USUAL_CONTACT = {
     "bounce_threshold": 0.2,
@@ -98,16 +96,16 @@ class PyBullet(Adapter):
     contact_law = CONTACT_LAW
     smallest = (
         f"masses of {_LEAST:.3g} kg of free bodies and on sliders, moments about a hinge of "
-        f"{_LEAST:.3g} kg·m²: below, a body stands still without a warning; a body has at most "
-        f"{_MOST_SPHERES} contact spheres"
+        f"{_LEAST:.3g} kg·m²: below, a body stands still without a warning; a body "
+        f"that a joint ties to the world has at most {MOST_SPHERES} contact spheres"
     )
 
     def cannot_hold(self, scene: Scene) -> str:
         mechanism = Mechanism.of(scene)
-        for body, count in Counter(sphere.body for sphere in scene.contacts).items():
-            if count > _MOST_SPHERES:
-                most = f"PyBullet takes {_MOST_SPHERES}, and silently drops the others"
-                return f"{body!r} has {count} contact spheres, {most}"
+        if (body := overloaded(mechanism)) is not None:
+            most = f"PyBullet takes {MOST_SPHERES} if a joint ties it to the world"
+            count = np.count_nonzero(mechanism.sphere_body == body)
+            return f"{scene.bodies[body].name!r} has {count} contact spheres, {most}"
         for link in mechanism.links:
             inertia = _moved_inertia(mechanism, link)
             if inertia < _LEAST:

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,7 @@ from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 from mbds_xsim.simulate.claims import ContactLaw
 
+from .carriers import MOST_SPHERES
 from .client import Client, Constant
 from .parts import FREEDOMS
 
@@ -145,16 +147,18 @@ class BulletContact:
         build("setCollisionFilterGroupMask", plane, -1, *_bits(number, _GROUND, _SPHERE))
         return int(plane)
 
-    def shape(self, body: int, com: Array) -> int:
-        """Make the shape of a body's spheres; return its number, −1 for none.
+    def shapes(self, body: int, com: Array) -> list[int]:
+        """Make the shapes of a body's spheres; return their numbers, −1 if it has none.
 
         Args:
             body: Index of the body.
             com: Its centre of mass in its link frame, which is parallel to the native one [m].
         """
         rows = np.flatnonzero(self._body == body)
-        if not len(rows):
-            return -1
+        groups = [rows[k : k + MOST_SPHERES] for k in range(0, len(rows), MOST_SPHERES)]
+        return [self._shape(group, com) for group in groups] or [-1]
+
+    def _shape(self, rows: Index, com: Array) -> int:
         shape = self._client.build(
             "createCollisionShapeArray",
             shapeTypes=[Constant("GEOM_SPHERE")] * len(rows),
@@ -174,13 +178,13 @@ class BulletContact:
             bits = _bits(self._ground.get(body, 0), _SPHERE, _GROUND)
             self._client.build("setCollisionFilterGroupMask", number, link, *bits)
 
-    def join(self, address: Callable[[int], tuple[int, int]]) -> None:
+    def join(self, addresses: Callable[[int], list[tuple[int, int]]]) -> None:
         """Enable the collisions between bodies that may touch."""
         pairs = self._body[self._mechanism.sphere_pairs]
         for one, other in np.unique(pairs, axis=0).tolist():
-            ends = zip(address(one), address(other), strict=True)
-            numbers, links = ends
-            self._client.build("setCollisionFilterPair", *numbers, *links, 1)
+            for ends in product(addresses(one), addresses(other)):
+                numbers, links = zip(*ends, strict=True)
+                self._client.build("setCollisionFilterPair", *numbers, *links, 1)
 
     def forget(self) -> None:
         """Drop the points where spheres touched in an earlier trajectory.
@@ -237,12 +241,12 @@ class BulletContact:
         )
 
     def readback(
-        self, address: Callable[[int], tuple[int, int]], reading: Array
+        self, addresses: Callable[[int], list[tuple[int, int]]], reading: Array
     ) -> dict[str, Array]:
         """Return the fields of `Readback` on contact, with the coefficients that Bullet combines.
 
         Args:
-            address: Function that returns the numbers of a body and its link in Bullet.
+            addresses: Function that returns the numbers of a body and its links in Bullet.
             reading: The present state, from `Multibodies.read`.
         """
         dynamics = self._client.function("getDynamicsInfo")
@@ -251,8 +255,9 @@ class BulletContact:
         pairs, places = np.empty((len(self._body), 3)), np.empty((len(self._body), 3))
         infos = {}
         for body in np.unique(self._body).tolist():
-            rows, shapes = self._body == body, shapes_of(*address(body))
-            infos[body] = info = dynamics(*address(body))
+            rows, links = self._body == body, addresses(body)
+            shapes = [shape for link in links for shape in shapes_of(*link)]
+            infos[body] = info = dynamics(*links[0])
             pairs[rows, 0] = [shape[3][0] for shape in shapes]
             pairs[rows, 1:] = info[1] * plane[1], info[5] * plane[5]
             # Bullet reports places in the inertial frame.

@@ -8,6 +8,7 @@ Quaternions are xyzw in Bullet.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping
 from typing import Any
 
@@ -21,10 +22,11 @@ from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
 from mbds_xsim.simulate.adapter import ModelSize
 from mbds_xsim.simulate.readback import joint_anchors, joint_axes
 
+from .carriers import with_carriers
 from .client import Client, Constant
 from .contact import BulletContact, flags_of
 from .gears import IMPULSE_CAP, armatures, gear_rotors, speed, tie, with_rotors
-from .parts import Multibody, hinge_arm, split
+from .parts import Multibody, axis_of, hinge_arm, principal_axes, split, to_world
 
 SPEED_CAP = 1e6
 """Largest rate of a multibody, to which Bullet cuts faster ones [m/s or rad/s]."""
@@ -63,8 +65,9 @@ class Multibodies:
         self._contact = contact
         self.parts, cut = split(mechanism)
         self.closures = (*mechanism.loops, *cut)
-        self.principal = np.array([_principal_axes(tensor)[1] for tensor in mechanism.inertia])
+        self.principal = np.array([principal_axes(tensor)[1] for tensor in mechanism.inertia])
         self._places = {WORLD_INDEX: (-1, -1)}
+        self._carriers = defaultdict[int, list[tuple[int, int]]](list)
         self._ids: list[int] = []
         self._links = {link.body: link for part in self.parts for link in part.links}
         for part in self.parts:
@@ -83,7 +86,7 @@ class Multibodies:
             ends = [self.address(bodies[joint.index]) for joint in (each.follower, each.leader)]
             tie(client, ends, each.ratio)
         if contact:
-            contact.join(self.address)
+            contact.join(self.addresses)
         self.size = ModelSize(
             sum(part.coordinate_count for part in self.parts), rows, count_pairs(mechanism)
         )
@@ -102,6 +105,10 @@ class Multibodies:
     def address(self, body: int) -> tuple[int, int]:
         """Return Bullet's body number (−1: the world) and link index (−1: the base)."""
         return self._places[body]
+
+    def addresses(self, body: int) -> list[tuple[int, int]]:
+        """Return the same for all links that have spheres of a body, its own first."""
+        return [self._places[body], *self._carriers[body]]
 
     def put(self, bodies: BodyStates) -> None:
         """Set the state; arrays of shape (body, 3|4), native rotations."""
@@ -211,7 +218,7 @@ class Multibodies:
         below = -rotation.rotate(
             self._into_principal(link.body), np.array(self._dynamics(link.body)[3])
         )
-        return _to_world(reading, link.parent, above), _to_world(reading, link.body, below)
+        return to_world(reading, link.parent, above), to_world(reading, link.body, below)
 
     def anchors(self, reading: Array) -> Array:
         """Return anchors as fixed in the parent and in the child, in W, shape (joint, 2, 3)."""
@@ -219,7 +226,7 @@ class Multibodies:
         info = self.client.function("getConstraintInfo")
         for index, ties in self._ties.items():
             points = [
-                [_to_world(reading, end, np.array(info(number)[6 + k])) for end, k in ends]
+                [to_world(reading, end, np.array(info(number)[6 + k])) for end, k in ends]
                 for number, ends in ties
             ]
             anchors[index] = np.mean(points, axis=0)
@@ -239,44 +246,26 @@ class Multibodies:
 
     def _add_part(self, part: Multibody, drag: Mapping[str, float]) -> int:
         build = self.client.build
-        mechanism = self.mechanism
-        mass, com = mechanism.mass, mechanism.com
+        mechanism, contact = self.mechanism, self._contact
         base_mass, base_at, base_turn = 0.0, np.zeros(3), rotation.IDENTITY
         if part.base != WORLD_INDEX:
-            base_mass, base_at = float(mass[part.base]), com[part.base]
+            base_mass, base_at = float(mechanism.mass[part.base]), mechanism.com[part.base]
             base_turn = self.principal[part.base]
-        count = len(part.links)
-        row = {link.body: k for k, link in enumerate(part.links, 1)}
         joints = [link.joint for link in part.links if link.joint is not None]
         links = list(zip((link.body for link in part.links), joints, strict=True))
-        # Link frames sit at the joints; a free base's frame sits at its centre of mass.
-        origin = {body: joint.anchor for body, joint in links}
-        origin[part.base] = base_at
-        above = [link.parent for link in part.links]
-        arguments: dict[str, list[Any]] = {
-            "linkMasses": [float(mass[body]) for body, _ in links],
-            "linkCollisionShapeIndices": [self._shape(body, -at.in_child) for body, at in links],
-            "linkVisualShapeIndices": [-1] * count,
-            "linkPositions": [
-                (joint.anchor - origin[parent]).tolist()
-                for parent, joint in zip(above, joints, strict=True)
-            ],
-            "linkOrientations": [[0.0, 0.0, 0.0, 1.0]] * count,
-            "linkInertialFramePositions": [(-joint.in_child).tolist() for joint in joints],
-            "linkInertialFrameOrientations": [_xyzw(self.principal[body]) for body, _ in links],
-            "linkParentIndices": [row.get(parent, 0) for parent in above],
-            "linkJointTypes": [Constant(_JOINT_TYPES[joint.kind]) for joint in joints],
-            "linkJointAxis": [_axis(joint) for joint in joints],
-        }
+        places = [(part.base, np.zeros(3)), *((body, -joint.in_child) for body, joint in links)]
+        shapes = [contact.shapes(*place) if contact else [-1] for place in places]
+        arguments = with_rotors(self._link_arguments(part, joints, shapes), joints)
+        arguments, owners = with_carriers(arguments, shapes, _xyzw(base_turn))
         number = build(
             "createMultiBody",
             baseMass=base_mass,
-            baseCollisionShapeIndex=self._shape(part.base, np.zeros(3)),
+            baseCollisionShapeIndex=shapes[0][0],
             basePosition=base_at.tolist(),
             baseInertialFramePosition=[0.0, 0.0, 0.0],
             baseInertialFrameOrientation=_xyzw(base_turn),
-            **with_rotors(arguments, joints),
-            flags=flags_of(self._contact),
+            **arguments,
+            flags=flags_of(contact),
         )
         cap = SPEED_CAP * max([1.0, *map(speed, joints)])
         build("changeDynamics", number, -1, **drag, maxJointVelocity=cap)
@@ -295,19 +284,47 @@ class Multibodies:
                     jointLimitForce=_STOP_FORCE,
                 )  # fmt: skip
         gear_rotors(self.client, number, joints)
+        for k, place in enumerate(owners, len(arguments["linkMasses"]) - len(owners)):
+            body = places[place][0]
+            self._carriers[body].append((int(number), k))
+            assert contact is not None
+            contact.set_pair(number, k, body)
         return int(number)
 
+    def _link_arguments(
+        self, part: Multibody, joints: list[PlacedJoint], shapes: list[list[int]]
+    ) -> dict[str, list[Any]]:
+        """Return the arguments of `createMultiBody` for the links of bodies."""
+        mechanism, count = self.mechanism, len(part.links)
+        bodies, above = ([getattr(link, key) for link in part.links] for key in ("body", "parent"))
+        row = {body: k for k, body in enumerate(bodies, 1)}
+        # Link frames sit at the joints; a free base's frame sits at its centre of mass.
+        origin = {body: joint.anchor for body, joint in zip(bodies, joints, strict=True)}
+        origin[part.base] = mechanism.com[part.base] if part.base != WORLD_INDEX else np.zeros(3)
+        return {
+            "linkMasses": [float(mechanism.mass[body]) for body in bodies],
+            "linkCollisionShapeIndices": [own[0] for own in shapes[1:]],
+            "linkVisualShapeIndices": [-1] * count,
+            "linkPositions": [
+                (joint.anchor - origin[parent]).tolist()
+                for parent, joint in zip(above, joints, strict=True)
+            ],
+            "linkOrientations": [[0.0, 0.0, 0.0, 1.0]] * count,
+            "linkInertialFramePositions": [(-joint.in_child).tolist() for joint in joints],
+            "linkInertialFrameOrientations": [_xyzw(self.principal[body]) for body in bodies],
+            "linkParentIndices": [row.get(parent, 0) for parent in above],
+            "linkJointTypes": [Constant(_JOINT_TYPES[joint.kind]) for joint in joints],
+            "linkJointAxis": [axis_of(joint) for joint in joints],
+        }
+
     def _set_dynamics(self, number: int, link: int, body: int, damping: float) -> None:
-        moments, _ = _principal_axes(self.mechanism.inertia[body])
+        moments, _ = principal_axes(self.mechanism.inertia[body])
         self.client.build(
             "changeDynamics", number, link,
             localInertiaDiagonal=moments.tolist(), jointDamping=damping,
         )  # fmt: skip
         if self._contact:
             self._contact.set_pair(number, link, body)
-
-    def _shape(self, body: int, com: Array) -> int:
-        return self._contact.shape(body, com) if self._contact else -1
 
     def _switch_motor_off(self, number: int, link: int, joint: PlacedJoint) -> None:
         if joint.kind == "ball":
@@ -372,28 +389,6 @@ class Multibodies:
         if body == WORLD_INDEX:
             return rotation.IDENTITY
         return np.asarray(rotation.conjugate(self.principal[body]))
-
-
-def _to_world(reading: Array, body: int, point: Array) -> Array:
-    """Return a point of an inertial frame in W, given what `Multibodies.read` returns."""
-    if body == WORLD_INDEX:
-        return point
-    return np.asarray(reading[body, :3] + rotation.rotate(reading[body, [6, 3, 4, 5]], point))
-
-
-def _principal_axes(tensor: Array) -> tuple[Array, Array]:
-    """Return principal moments, and the rotation of principal axes against the native frame."""
-    moments = np.diag(tensor)
-    if np.abs(tensor - np.diag(moments)).max() <= 1e-14 * moments.max():
-        return moments, rotation.IDENTITY
-    moments, axes = np.linalg.eigh(tensor)
-    axes[:, 2] *= np.linalg.det(axes)
-    return moments, rotation.from_matrix(axes)
-
-
-def _axis(joint: PlacedJoint) -> list[float]:
-    """Return the axis of a hinge or slider; Bullet requires some axis for the others, too."""
-    return joint.axis.tolist() if joint.kind in ("hinge", "slider") else [0.0, 0.0, 1.0]
 
 
 def _xyzw(q: Array) -> list[float]:

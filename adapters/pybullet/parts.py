@@ -6,8 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
+
+from .carriers import carrier_counts
 
 # Bullet's server passes states in arrays of 128 coordinates, 7 of them the base's; beyond them
 # it accesses other memory (MAX_DEGREE_OF_FREEDOM in SharedMemoryPublic.h).
@@ -79,9 +83,10 @@ def _cuts(mechanism: Mechanism) -> set[int]:
     load: dict[int, int] = {}
     carried: dict[int, list[Link]] = {link.body: [] for link in mechanism.links}
     cut: set[int] = set()
+    carriers = carrier_counts(mechanism).tolist()
     for link in reversed(mechanism.links):
         count = 0 if link.joint is None else _COORDINATES[link.joint.kind]
-        count += bool(link.joint and link.joint.armature)
+        count += bool(link.joint and link.joint.armature) + carriers[link.body]
         children = carried[link.body]
         load[link.body] = count + sum(load[child.body] for child in children)
         while load[link.body] > COORDINATE_LIMIT:
@@ -117,3 +122,25 @@ def hinge_arm(mechanism: Mechanism, joint: PlacedJoint) -> float:
     """Return how far from the anchor of a hinge the two points lie that close it [m]."""
     arms = np.linalg.norm([joint.in_child, joint.in_parent], axis=1)
     return _HINGE_ARM * float(arms.max(initial=_LEAST_ARM * mechanism.scene.length))
+
+
+def principal_axes(tensor: Array) -> tuple[Array, Array]:
+    """Return principal moments, and the rotation of principal axes against the native frame."""
+    moments = np.diag(tensor)
+    if np.abs(tensor - np.diag(moments)).max() <= 1e-14 * moments.max():
+        return moments, rotation.IDENTITY
+    moments, axes = np.linalg.eigh(tensor)
+    axes[:, 2] *= np.linalg.det(axes)
+    return moments, rotation.from_matrix(axes)
+
+
+def to_world(reading: Array, body: int, point: Array) -> Array:
+    """Return a point of an inertial frame in W, given what `Multibodies.read` returns."""
+    if body == WORLD_INDEX:
+        return point
+    return np.asarray(reading[body, :3] + rotation.rotate(reading[body, [6, 3, 4, 5]], point))
+
+
+def axis_of(joint: PlacedJoint) -> list[float]:
+    """Return the axis of a hinge or slider; Bullet requires some axis for the others, too."""
+    return joint.axis.tolist() if joint.kind in ("hinge", "slider") else [0.0, 0.0, 1.0]

@@ -191,7 +191,7 @@ class PyBulletRun(Run):
             step=parameters["fixedTimeStep"] / max(1, parameters["numSubSteps"]),
             joint_axis=joint_axis,
             damping=self._model.damping(),
-            **(self._contact.readback(self._model.address, reading) if self._contact else {}),
+            **(self._contact.readback(self._model.addresses, reading) if self._contact else {}),
             anchor=self._model.anchors(reading),
             spring=self._loads.springs(state),
             armature=self._model.armature(),

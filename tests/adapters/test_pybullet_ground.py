@@ -12,12 +12,15 @@ import numpy as np
 import pytest
 
 from mbds_xsim.base.errors import InputError, Unsupported
+from mbds_xsim.scene.collisions import Collisions
+from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Body, Clock, Ground, Inertia, Joint
+from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Ground, Inertia, Joint
 from mbds_xsim.simulate.adapter import Settings
+from mbds_xsim.simulate.readback import compare
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.testing.contact_cases import RADIUS as R
-from mbds_xsim.testing.contact_cases import ball, gaps
+from mbds_xsim.testing.contact_cases import ball, crate, gaps
 from tests.adapters.exact import Runs
 from tests.over_ground import over_ground
 
@@ -57,6 +60,40 @@ def test_a_sphere_off_the_centre_touches_where_it_is(part: str) -> None:
     lowest = gaps(scene, motion)[0, :, 0]
     assert (np.diff(lowest) > 0).any()  # it has bounced
     assert -1e-3 < lowest.min() < 0.05
+
+
+@pytest.mark.parametrize("part", ["base", "link", "hit"])
+def test_spheres_beyond_those_that_a_shape_holds_touch_as_the_others_do(part: str) -> None:
+    """Sixteen more spheres inside a crate, which come first, change nothing."""
+    scene = crate(tilt=0.3, height=0.3, steps=30)
+    if part == "link":
+        top = Body("top", inertia=Inertia(1.0, (0.1,) * 3), position=(0.0, 0.1, 1.2))
+        hinge = Joint("hinge", "hinge", "top", "crate", (0.0, 0.1, 0.8), axis=(0.6, 0.0, 0.8))
+        scene = msgspec.structs.replace(scene, bodies=(*scene.bodies, top), joints=(hinge,))
+    if part == "hit":
+        low = Body("low", inertia=Inertia(1.0, (0.1,) * 3), position=(0.13, 0.25, R))
+        law = Collisions(pairs=(("crate", "low"),), friction=0.3, restitution=0.4)
+        spheres = (*scene.contacts, ContactSphere("low", low.position, R))
+        scene = msgspec.structs.replace(
+            scene, bodies=(*scene.bodies, low), contacts=spheres, collisions=law
+        )
+    inner = (ContactSphere("crate", (0.0, 0.01 * k, 0.5), R) for k in range(16))
+    more = msgspec.structs.replace(scene, contacts=(*inner, *scene.contacts))
+
+    motion, wanted = (simulate(each, 50) for each in (more, scene))
+    np.testing.assert_allclose(motion.position, wanted.position, atol=1e-9)
+    assert (motion.velocity[0, :, 0, 2] > 0).any()  # it has bounced
+    settings, batch = ENGINE.settings(more, "matched"), draw_batch(more, [0])
+    with ENGINE.open(more, settings) as run:
+        assert not compare(Mechanism.of(more), batch, settings, run.readback(batch))
+
+
+def test_no_more_spheres_are_taken_on_a_body_that_a_joint_ties_to_the_world() -> None:
+    hinge = Joint("hinge", "hinge", "world", "crate", (0.0, 0.0, 0.3), axis=(0.0, 1.0, 0.0))
+    scene = crate(height=0.1)
+    scene = msgspec.structs.replace(scene, joints=(hinge,), contacts=scene.contacts * 3)
+    with pytest.raises(Unsupported, match="'crate' has 24 contact spheres, PyBullet takes 16 if a"):
+        ENGINE.open(scene, ENGINE.settings(scene, "matched"))
 
 
 def test_an_ordinary_user_gets_the_engines_own_contact() -> None:

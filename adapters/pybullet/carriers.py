@@ -1,0 +1,69 @@
+"""Links that carry the contact spheres of a body beyond those that a shape of Bullet can hold.
+
+They are welded to the body, have its frames and no mass, and come last in their multibody.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from mbds_xsim.base.arrays import Index
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
+
+from .client import Constant
+
+MOST_SPHERES = 16
+"""Most spheres of a shape: MAX_COMPOUND_COLLISION_SHAPES of Bullet's SharedMemoryPublic.h."""
+
+
+def carrier_counts(mechanism: Mechanism) -> Index:
+    """Return the number of such links of every body, shape (body,)."""
+    spheres = np.bincount(mechanism.sphere_body, minlength=mechanism.body_count)
+    return np.maximum(spheres - 1, 0) // MOST_SPHERES
+
+
+def overloaded(mechanism: Mechanism) -> int | None:
+    """Return a body that needs such links and cannot have them, if there is one.
+
+    Bullet treats a link that is welded to a fixed base's first link as static, and lets it touch
+    nothing (ConvertURDF2BulletInternal stops its search there).
+    """
+    for link in mechanism.links:
+        moved = link.joint is not None and link.joint.kind != "fixed"
+        if moved and link.parent == WORLD_INDEX and carrier_counts(mechanism)[link.body]:
+            return link.body
+    return None
+
+
+def with_carriers(
+    links: Mapping[str, list[Any]], shapes: Sequence[Sequence[int]], base_turn: list[float]
+) -> tuple[dict[str, list[Any]], list[int]]:
+    """Append these links to the arguments of `createMultiBody`.
+
+    Args:
+        links: The arguments by name.
+        shapes: Shapes of the base and of the first links; all but the first of each need a link.
+        base_turn: Rotation of the base's inertial frame, xyzw.
+
+    Returns:
+        The arguments, and for each added link the place of its body in `shapes`.
+    """
+    owners = [place for place, own in enumerate(shapes) for _ in own[1:]]
+    zero, still = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]
+    inertial = "linkInertialFramePositions", "linkInertialFrameOrientations"
+    frames = {key: [own, *links[key]] for key, own in zip(inertial, (zero, base_turn), strict=True)}
+    added: dict[str, list[Any]] = {
+        "linkMasses": [0.0] * len(owners),
+        "linkCollisionShapeIndices": [shape for own in shapes for shape in own[1:]],
+        "linkVisualShapeIndices": [-1] * len(owners),
+        "linkPositions": [zero] * len(owners),
+        "linkOrientations": [still] * len(owners),
+        **{key: [frames[key][place] for place in owners] for key in inertial},
+        "linkParentIndices": owners,
+        "linkJointTypes": [Constant("JOINT_FIXED")] * len(owners),
+        "linkJointAxis": [[0.0, 0.0, 1.0]] * len(owners),
+    }
+    return {key: [*values, *added[key]] for key, values in links.items()}, owners
