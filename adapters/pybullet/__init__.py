@@ -12,7 +12,7 @@ from mbds_xsim.scene.stiffness import spring_step
 from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings, careful_step, nearest_step
 from mbds_xsim.simulate.claims import LOOPS, Feature, Method, Option, Sweep, named
 
-from .carriers import MOST_SPHERES, overloaded
+from .carriers import MOST_SPHERES, sinking
 from .contact import CONTACT_LAW
 from .run import PyBulletRun
 
@@ -102,10 +102,8 @@ class PyBullet(Adapter):
 
     def cannot_hold(self, scene: Scene) -> str:
         mechanism = Mechanism.of(scene)
-        if (body := overloaded(mechanism)) is not None:
-            most = f"PyBullet takes {MOST_SPHERES} if a joint ties it to the world"
-            count = np.count_nonzero(mechanism.sphere_body == body)
-            return f"{scene.bodies[body].name!r} has {count} contact spheres, {most}"
+        if reason := sinking(mechanism):
+            return reason
         for link in mechanism.links:
             inertia = _moved_inertia(mechanism, link)
             if inertia < _LEAST:

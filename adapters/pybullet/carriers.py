@@ -25,17 +25,30 @@ def carrier_counts(mechanism: Mechanism) -> Index:
     return np.maximum(spheres - 1, 0) // MOST_SPHERES
 
 
-def overloaded(mechanism: Mechanism) -> int | None:
-    """Return a body that needs such links and cannot have them, if there is one.
+def sinking(mechanism: Mechanism) -> str:
+    """Describe a body some of whose spheres would pass through the ground; "" if there is none.
 
-    Bullet treats a link that is welded to a fixed base's first link as static, and lets it touch
-    nothing (ConvertURDF2BulletInternal stops its search there).
+    Bullet treats a link that is welded to a fixed base's first link as static, so that it does not
+    touch what is static, too (ConvertURDF2BulletInternal stops its search there).
     """
-    for link in mechanism.links:
-        moved = link.joint is not None and link.joint.kind != "fixed"
-        if moved and link.parent == WORLD_INDEX and carrier_counts(mechanism)[link.body]:
-            return link.body
-    return None
+    if mechanism.scene.ground is None:
+        return ""
+    counts, first = carrier_counts(mechanism), set[int]()
+    for body, parent, joint in ((link.body, link.parent, link.joint) for link in mechanism.links):
+        if joint is None:
+            continue
+        name, spheres = mechanism.scene.bodies[body].name, np.sum(mechanism.sphere_body == body)
+        if joint.kind != "fixed" and parent == WORLD_INDEX:
+            first.add(body)
+            if counts[body]:
+                most = f"PyBullet takes {MOST_SPHERES} if a joint ties it to the world"
+                return f"{name!r} has {spheres} contact spheres, {most}"
+        elif joint.kind == "fixed" and parent in first:
+            first.add(body)
+            if spheres:
+                to = mechanism.scene.bodies[parent].name
+                return f"PyBullet lets no sphere of {name!r} touch the ground; put them on {to!r}"
+    return ""
 
 
 def with_carriers(

@@ -88,12 +88,24 @@ def test_spheres_beyond_those_that_a_shape_holds_touch_as_the_others_do(part: st
         assert not compare(Mechanism.of(more), batch, settings, run.readback(batch))
 
 
-def test_no_more_spheres_are_taken_on_a_body_that_a_joint_ties_to_the_world() -> None:
+def test_spheres_that_would_pass_through_the_ground_are_refused() -> None:
     hinge = Joint("hinge", "hinge", "world", "crate", (0.0, 0.0, 0.3), axis=(0.0, 1.0, 0.0))
-    scene = crate(height=0.1)
-    scene = msgspec.structs.replace(scene, joints=(hinge,), contacts=scene.contacts * 3)
-    with pytest.raises(Unsupported, match="'crate' has 24 contact spheres, PyBullet takes 16 if a"):
-        ENGINE.open(scene, ENGINE.settings(scene, "matched"))
+    scene = msgspec.structs.replace(crate(height=0.1), joints=(hinge,))
+    many = msgspec.structs.replace(scene, contacts=scene.contacts * 3)
+    tip = Body("tip", inertia=Inertia(1.0, (0.1,) * 3), position=(0.0, 0.0, 0.5))
+    weld = Joint("weld", "fixed", "crate", "tip", (0.0, 0.0, 0.5))
+    welded = msgspec.structs.replace(
+        scene,
+        bodies=(*scene.bodies, tip),
+        joints=(hinge, weld),
+        contacts=(ContactSphere("tip", tip.position, R),),
+    )
+    for refused, reason in (
+        (many, "'crate' has 24 contact spheres, PyBullet takes 16 if a joint ties it to the world"),
+        (welded, "PyBullet lets no sphere of 'tip' touch the ground; put them on 'crate'"),
+    ):
+        with pytest.raises(Unsupported, match=reason):
+            ENGINE.open(refused, ENGINE.settings(refused, "matched"))
 
 
 def test_an_ordinary_user_gets_the_engines_own_contact() -> None:
