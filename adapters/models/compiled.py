@@ -85,7 +85,7 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     limits: dict[str, tuple[float, float]] = {}
     with _refusals(mujoco):
         if root.tag == "mujoco":
-            spec, model, mends = _compile(mujoco, root, path)
+            model, mends = _compile(mujoco, root, path)
         else:
             mends = [*mend_urdf(root), *(_without_meshes(root) if ground else ())]
             spec = _mechanics(mujoco, root, path, _MECHANICAL | (_SOLID if ground else set()))
@@ -96,7 +96,8 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
         raise InputError(msg)
     shape = "" if not ground else "geom" if root.tag == "mujoco" else "collision"
     reading = Reading(mujoco, model, masses, shape, limits)
-    parts = reading.model(str(spec.modelname).strip() or path.stem, _LABELS[root.tag])
+    name = (root.get("model") or root.get("name") or "").strip() or path.stem
+    parts = reading.model(name, _LABELS[root.tag])
     reported = {label: key in parts.stated for key, label in _LABELS[root.tag].items()}
     reported |= {label: key in parts.stated for label, key in _ALIASES.items()}
     reported |= dict.fromkeys(_TOUCHING.get(shape, ()), True)
@@ -138,12 +139,12 @@ def _refusals(mujoco: Any) -> Iterator[None]:
             raise InputError(text) from error
 
 
-def _compile(mujoco: Any, root: Element, path: Path) -> tuple[Any, Any, list[Fate]]:
-    """Return spec and model of an MJCF file, and the repairs made if the compiler refused it."""
+def _compile(mujoco: Any, root: Element, path: Path) -> tuple[Any, list[Fate]]:
+    """Return the model of an MJCF file, and the repairs made if the compiler refused it."""
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         spec.compiler.fusestatic = False  # keeps the links' names; the motion stays the same
-        return spec, spec.compile(), []
+        return spec.compile(), []
     except ValueError as error:
         mends: list[Fate] = []
         latest = [*mend_mjcf(root), *remove_unknown(root, str(error))]
@@ -153,7 +154,7 @@ def _compile(mujoco: Any, root: Element, path: Path) -> tuple[Any, Any, list[Fat
                 spec = mujoco.MjSpec.from_string(tostring(root, encoding="unicode"))
                 spec.modelfiledir = str(path.parent)
                 spec.compiler.fusestatic = False
-                return spec, spec.compile(), mends
+                return spec.compile(), mends
             except ValueError as again:
                 latest = [*remove_unknown(root, str(again))]
         raise error

@@ -65,6 +65,14 @@ def test_a_box_on_a_hinge_has_the_inertia_of_a_box(here: Path) -> None:
     np.testing.assert_allclose(scene.joints[0].anchor, [0.5, 0, 3], atol=1e-12)
 
 
+@pytest.mark.parametrize(("stated", "name"), [('model="cart"', "cart"), ("", "model")])
+def test_a_model_without_a_name_has_that_of_its_file(stated: str, name: str, here: Path) -> None:
+    body = '<body><joint/><geom size=".1"/></body>'
+    scene = _read(here, f"<mujoco {stated}><worldbody>{body}</worldbody></mujoco>").scene
+
+    assert scene.name == name
+
+
 def test_a_link_has_the_inertia_that_its_urdf_states(here: Path) -> None:
     inertial = '<origin xyz="1 0 0" rpy="0 0 0.3"/><mass value="2"/>'
     scene = _read(here, _urdf(inertial + _INERTIA.format(1, 2, 2.5, 0.1, 0, 0)), "arm.urdf").scene
