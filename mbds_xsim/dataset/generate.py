@@ -149,6 +149,8 @@ def generate(
         complete = [variant for variant in variants if variant not in failures]
         if not complete:
             raise InputError("; ".join(f"{name}: {reason}" for name, reason in failed.items()))
+        for variant in complete if missing else ():
+            pending(variant, request.trajectories, request.out)  # refuses those of other workers
         counts = tuple(join(complete, request.trajectories, request.out))
         for folder in dict.fromkeys(variant.folder(request.out).parent for variant in complete):
             write_card(folder)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import pickle
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import h5py
@@ -12,9 +14,11 @@ import numpy as np
 import pytest
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import Task
 from mbds_xsim.checks import audit
 from mbds_xsim.dataset import gate, shard
 from mbds_xsim.dataset.gate import COLUMNS
+from mbds_xsim.dataset.generate import Request, generate
 from mbds_xsim.dataset.layout import rejected_folder, split_of
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.dataset.variant import Item, Variant
@@ -322,6 +326,25 @@ def test_motions_of_two_revisions_of_an_adapter_do_not_mix(
     monkeypatch.setattr(type(adapter), "revision", adapter.revision + 1)
     with pytest.raises(InputError, match=r"was made differently: its adapter_revision is \d+, now"):
         make(tmp_path, trajectories=6)
+
+
+def test_shards_that_other_workers_made_differently_are_not_joined(
+    rod: Scene, tmp_path: Path
+) -> None:
+    """On a cluster versions are compared, but two states of the code may have the same."""
+
+    def elsewhere(tasks: Sequence[Task], **_: object) -> list[None]:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(type(load_adapter("mujoco")), "revision", 99)
+            for task in tasks:
+                function, arguments = pickle.loads(pickle.dumps((task.function, task.arguments)))
+                function(*arguments)
+        return [None] * len(tasks)
+
+    request = Request((rod,), Choice.parse(engines="mujoco"), 3, tmp_path)
+    with pytest.raises(InputError, match="made differently: its adapter_revision is 99, now asked"):
+        generate(request, workers=1, carry_out=elsewhere)
+    assert not list(tmp_path.rglob("mujoco-matched.h5"))
 
 
 def test_a_set_grows(make: Make, whole: Path, tmp_path: Path) -> None:
