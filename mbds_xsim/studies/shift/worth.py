@@ -126,7 +126,8 @@ def draw_worth(figure: Any, shift: Shift) -> None:
         axes.set_yscale("log")
         if noise:
             axes.axhline(noise, label="noise floor" if axes is far else None, **themed.DOTTED)
-    far.plot(*2 * [[noise or nearest, max(apart.values(), default=nearest)]], **themed.DOTTED)
+    ends = [noise or nearest, max(apart.values(), default=nearest)]
+    far.plot(ends, ends, color=themed.INK, lw=0.9, ls="--", label="error of the data")
     named = {name: x for model in trained_models(shift) for name, x, _ in costs_of(shift, model)}
     _name_lines(dear, named)
     _name_lines(far, {name: apart[name] for name in named if name in apart})
