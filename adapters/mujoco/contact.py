@@ -37,7 +37,7 @@ from xml.etree.ElementTree import Element, SubElement
 import mujoco
 import numpy as np
 
-from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.base.xml import numbers
 from mbds_xsim.scene.collisions import Collisions
 from mbds_xsim.scene.fixed import fixed_spheres
@@ -260,6 +260,12 @@ class SphereGeoms:
         a, b, c = data.subtree_com[self._roots[sphere]].tolist()
         x, y, z = x - a, y - b, z - c
         return math.hypot(u + q * z - r * y, v + r * x - p * z, w + p * y - q * x)
+
+    def trees(self, near: Mask) -> Index:
+        """Return the root bodies of all that takes part in some of the `gaps`."""
+        count = self._grounded * len(self._roots)
+        of_pairs = [self._roots[ends][near[count:]] for ends in (self._one, self._other)]
+        return np.concatenate([self._roots[near[:count]] if count else [], *of_pairs])
 
     def geoms(self, spheres: tuple[int, ...]) -> frozenset[int]:
         """Return the geoms of two spheres, or of one and the ground, which is the first of all."""

@@ -125,6 +125,7 @@ class FinerNearGround:
             f"{integrator} and timestep {self._step:.9g} are set for a step."
         )
         self._near, self._far = model.jnt_solref.copy(), _stops_of_step(model, division)
+        self._several = len(np.unique(model.body_rootid[1:])) > 1
         self._stops = bool((self._near != self._far).any())
         if self._stops:
             self.remark += (
@@ -163,31 +164,37 @@ class FinerNearGround:
         return int(min(remaining, time / self._step))  # all that remain if it is NaN
 
     def _step_near(self, model: Any, data: Any) -> str:
-        self._lead(model, data, self._low, -0.5)
+        self._lead(model, data, -0.5)
         for _ in range(self._division if self._lost else 1):
             mujoco.mj_step(model, data, 1 if self._lost else self._division)
             for pair in data.contact.geom.tolist() if self._lost else ():
                 if reason := self._lost.get(frozenset(pair)):
                     return reason
         self._look(model, data)
-        self._lead(model, data, self._low, 0.5)
+        self._lead(model, data, 0.5)
         return ""
 
-    def _lead(self, model: Any, data: Any, low: float, steps: float) -> None:
-        """Advance velocities by a part of a finer step if nothing touches.
+    def _lead(self, model: Any, data: Any, steps: float) -> None:
+        """Advance velocities of what touches nothing by a part of a finer step.
 
         Velocities of semi-implicit Euler belong to half a step before its positions. Without this
         shift every bounce would gain an energy of g h v per mass. While a stop acts there is no
         shift: its impulse, over the step, is a whole change of velocity.
         """
-        if low > self._least_gap:
-            mujoco.mj_forward(model, data)
-            lead = steps * self._finer * data.qacc
-            if self._stops:
-                stopped = data.efc_id[: data.nefc][data.efc_type[: data.nefc] == _LIMIT]
-                roots = model.body_rootid[model.jnt_bodyid[stopped]]
-                lead[np.isin(model.body_rootid[model.dof_bodyid], roots)] = 0.0
-            data.qvel += lead
+        near = self._low <= self._least_gap
+        if near and not self._several:
+            return
+        mujoco.mj_forward(model, data)
+        lead = steps * self._finer * data.qacc
+        held: list[int] = []
+        if near:
+            held += self._spheres.trees(self._gap <= self._least_gap).tolist()
+        if self._stops:
+            stopped = data.efc_id[: data.nefc][data.efc_type[: data.nefc] == _LIMIT]
+            held += model.body_rootid[model.jnt_bodyid[stopped]].tolist()
+        if held:
+            lead[np.isin(model.body_rootid[model.dof_bodyid], held)] = 0.0
+        data.qvel += lead
 
     def _fly(self, model: Any, data: Any, count: int) -> bool:
         """Take steps in the air; if a sphere comes down, restore the state and return False."""

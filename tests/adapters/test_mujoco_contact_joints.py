@@ -156,3 +156,15 @@ def test_a_ball_bounces_alike_beside_an_arm_on_its_stop() -> None:
         heights.append(alone(both, settings).position[0, :, 0, 2])
 
     np.testing.assert_allclose(heights[1], heights[0], atol=1e-9)
+
+
+def test_a_ball_flies_alike_while_another_lands() -> None:
+    """Velocities of what flies are led, whatever else touches the ground."""
+    low, high = ball(0.1, ground=Ground(MU, 0.0), steps=25), ball(3.0)
+    flier = msgspec.structs.replace(high.bodies[0], name="flier")
+    place = msgspec.structs.replace(high.contacts[0], body="flier")
+    scene = msgspec.structs.replace(
+        low, bodies=(*low.bodies, flier), contacts=(*low.contacts, place)
+    )
+    motion = alone(scene, ENGINE.settings(scene, "matched"))
+    assert motion.velocity[0, :, 1, 2] == pytest.approx(-G * motion.time, abs=1e-9)
