@@ -43,6 +43,7 @@ _FEW = 10.0  # least number of steps that count
 _NEAR = 4  # steps to either side that show how well a step is balanced
 _CLOSE = 3  # the same for the test of single steps
 _FAINT = 1e-9  # share of the largest residual; smaller ones are rounding
+_ROUNDED = 1e-12  # the same of the energy scale
 _SLIGHT = 1e-5  # range of the weights' energies over the energy scale; a smaller one is no matter
 _LEAST = 6.0  # times the residual of neighbours; smaller inputs of single steps are not tested
 _NONE = 3.0  # times nearer to a motion without the input than to one with it
@@ -205,14 +206,19 @@ def _parts(
 
 
 def _work(record: Record, shift: int) -> Array:
-    """Compute the work in each step of the inputs of a shifted frame [J], (trajectory, step)."""
+    """Compute the work in each step of the inputs of a shifted frame [J], (trajectory, step).
+
+    What is rounding counts as none: that of forces on bodies that cannot move.
+    """
     if shift == 0:
-        return np.diff(input_work(record), axis=1)
-    work = work_of_forces(record)[1 + shift]
-    if record.mechanism.hinges:
-        frames = np.clip(np.arange(record.steps) + shift, 0, record.steps - 1)
-        work = work + np.einsum("tsh,tsh->ts", record.batch.torque[:, frames], hinge_turns(record))
-    return work
+        work = np.diff(input_work(record), axis=1)
+    else:
+        work = work_of_forces(record)[1 + shift]
+        if record.mechanism.hinges:
+            frames = np.clip(np.arange(record.steps) + shift, 0, record.steps - 1)
+            torque = record.batch.torque[:, frames]
+            work = work + np.einsum("tsh,tsh->ts", torque, hinge_turns(record))
+    return np.where(np.abs(work) < _ROUNDED * energy_of(record).scale[:, None], 0.0, work)
 
 
 def _residual(record: Record) -> Array:

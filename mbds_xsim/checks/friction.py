@@ -51,7 +51,8 @@ def rolling(record: Record) -> Figures:
         load = load + push.mass * record.frame * np.array(record.scene.gravity[:2])
         drive = np.linalg.norm(load, axis=-1)
         takes = record.ground.friction * push.impulse[..., 2] - drive
-        stops = _yielding(record, push) * takes * _SURE > slip[:, :-1] + drive / push.mass
+        slips = slip[:, :-1] + drive / push.mass + _tumbling(record, push)
+        stops = _yielding(record, push) * takes * _SURE > slips
         rolls = stops & push.resting[:, 1:]
         parts.append(np.where(rolls, slip[:, 1:] / fastest[:, None], np.nan))
     return Figures(record.by_step(parts), [push.name for push in pushes])
@@ -90,6 +91,17 @@ def _beside(record: Record, push: Push) -> Array:
     residual = push.impulse[..., :2] / (mu * up)[..., None] + toward
     deviation = np.linalg.norm(residual, axis=-1) - spread - push.blur / (mu * up)
     return np.where(slips, np.maximum(deviation, 0.0), np.nan)
+
+
+def _tumbling(record: Record, push: Push) -> Array:
+    """Bound the slip that unequal moments of a ball give its lowest point in a step [m/s]."""
+    mechanism, body = record.mechanism, push.bodies[0]
+    spin = np.linalg.norm(record.bodies.angular_velocity[:, :, body], axis=-1)
+    moments = np.linalg.eigvalsh(mechanism.inertia[body])
+    uneven = float(np.ptp(moments) / moments[0])
+    uneven = uneven if uneven > _EVEN else 0.0
+    fastest = np.maximum(spin[:, 1:], spin[:, :-1])
+    return np.asarray(uneven * mechanism.sphere_radius[push.spheres[0]] * fastest**2 * record.frame)
 
 
 def _yielding(record: Record, push: Push) -> float:
