@@ -159,18 +159,19 @@ def _assemble_pose(mechanism: Mechanism, start: BodyStates) -> BodyStates:
 def _close(mechanism: Mechanism, start: BodyStates, goal: _Goal, *, again: bool) -> BodyStates:
     """Take Newton steps until loops close and joints meet their goal; `again` adds one step."""
     tolerance = _CLOSED * max(1.0, mechanism.scene.length)
-    residual, jacobian, owner = _pose_rows(mechanism, start, goal)
+    rows, residual, owner = _pose_rows(mechanism, start, goal)
     for _ in range(_NEWTON_STEPS):
         off = np.abs(residual).max(initial=0.0)
         if off < tolerance and not (again and off > 0.0):
             return start
         again = again and not off < tolerance
+        jacobian = _stacked(mechanism, start, rows, [joint for joint, _ in goal])
         step = -_least_energy(mechanism, start, jacobian, residual).reshape(-1, 2, 3)
         reach = max(np.abs(step[:, 0]).max() / mechanism.scene.length, np.abs(step[:, 1]).max())
         step *= min(1.0, _LONGEST_STEP / reach)
         native = rotation.multiply(rotation.from_vector(step[:, 1]), start.native)
         start = dataclasses.replace(start, position=start.position + step[:, 0], native=native)
-        residual, jacobian, owner = _pose_rows(mechanism, start, goal)
+        rows, residual, owner = _pose_rows(mechanism, start, goal)
     # A tree always closes, so one of the other constraints is to blame.
     tree = [link.joint.index for link in mechanism.links if link.joint is not None]
     blamed = np.where(np.isin(owner, tree) & (np.arange(len(owner)) < len(owner) - len(goal)), 0, 1)
@@ -184,44 +185,45 @@ def _close(mechanism: Mechanism, start: BodyStates, goal: _Goal, *, again: bool)
 
 def _pose_rows(
     mechanism: Mechanism, start: BodyStates, goal: _Goal
-) -> tuple[Array, csr_array, Array]:
-    """Return residual, Jacobian and owner of all constraints, then of joints with a goal."""
-    from scipy.sparse import vstack  # takes long to import
-
-    rows, held = _joint_rows(mechanism, start)
+) -> tuple[ConstraintRows, Array, Index]:
+    """Return all constraint rows; residual and owner of these, couplings, joints with a goal."""
+    rows = constraint_rows(mechanism, **vars(start))
     deviations = [
         _wrapped(joint, float(joint_coordinate(joint, start.position, start.native)) - target)
         for joint, target in goal
     ]
-    rates = [rate_row(mechanism, joint, start) for joint, _ in goal]
     off, _ = coupling_gaps(mechanism, start)
-    return (
-        np.concatenate([rows.residual, off, deviations]),
-        vstack([*held, *rates], format="csr"),
-        np.concatenate([_owners(mechanism, rows), [joint.index for joint, _ in goal]]),
-    )
+    owners = np.concatenate([_owners(mechanism, rows), [joint.index for joint, _ in goal]])
+    return rows, np.concatenate([rows.residual, off, deviations]), owners
 
 
-def _joint_rows(mechanism: Mechanism, start: BodyStates) -> tuple[ConstraintRows, list[csr_array]]:
-    """Return all constraint rows, and Jacobians of them and of couplings."""
-    rows = constraint_rows(mechanism, **vars(start))
+def _stacked(
+    mechanism: Mechanism, start: BodyStates, rows: ConstraintRows, joints: list[PlacedJoint]
+) -> csr_array:
+    """Return the Jacobian of constraint rows, of couplings and of joints' coordinates."""
+    from scipy.sparse import vstack  # takes long to import
+
     couplings = coupling_rows(mechanism, start)
-    return rows, [sparse_jacobian(rows, mechanism.body_count), *couplings]
+    rates = (rate_row(mechanism, joint, start) for joint in joints)
+    parts = [sparse_jacobian(rows, mechanism.body_count), *couplings, *rates]
+    return vstack(parts, format="csr")
 
 
 def _complete_velocities(mechanism: Mechanism, start: BodyStates) -> BodyStates:
-    from scipy.sparse import eye_array, vstack
-
     scene = mechanism.scene
-    rows, jacobian = _joint_rows(mechanism, start)
+    given = (value for body in scene.bodies for value in (body.velocity, body.angular_velocity))
+    if not (any(joint.rate for joint in scene.joints) or any(map(any, filter(None, given)))):
+        still = np.zeros_like(start.position)
+        return dataclasses.replace(start, velocity=still, angular_velocity=still.copy())
+    from scipy.sparse import eye_array, vstack  # takes long to import
+
+    rows = constraint_rows(mechanism, **vars(start))
     names = [_owner_name(mechanism, int(owner)) for owner in _owners(mechanism, rows)]
     wanted: list[float] = [0.0] * len(names)
-    for placed in mechanism.joints:
-        rate = scene.joints[placed.index].rate
-        if rate is not None:
-            jacobian.append(rate_row(mechanism, placed, start))
-            wanted.append(rate)
-            names.append(f"joints[{placed.name!r}].rate")
+    turning = [joint for joint in mechanism.joints if scene.joints[joint.index].rate is not None]
+    jacobian = [_stacked(mechanism, start, rows, turning)]
+    wanted += (scene.joints[joint.index].rate or 0.0 for joint in turning)
+    names += (f"joints[{joint.name!r}].rate" for joint in turning)
     unit = eye_array(6 * mechanism.body_count, format="csr")
     for k, body in enumerate(scene.bodies):
         for offset, key in ((0, "velocity"), (3, "angular_velocity")):
@@ -230,9 +232,6 @@ def _complete_velocities(mechanism: Mechanism, start: BodyStates) -> BodyStates:
                 jacobian.append(unit[6 * k + offset : 6 * k + offset + 3])
                 wanted += value
                 names += [f"bodies[{body.name!r}].{key}"] * 3
-    if not any(wanted):
-        still = np.zeros_like(start.position)
-        return dataclasses.replace(start, velocity=still, angular_velocity=still.copy())
     matrix, goal = vstack(jacobian, format="csr"), np.array(wanted)
     twist = _least_energy(mechanism, start, matrix, goal)
     off = np.abs(matrix @ twist - goal)

@@ -35,7 +35,8 @@ from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-
+_FEW = 400  # rows that are counted densely, which takes less time than importing scipy
+_INDEPENDENT = 1e-9
 _AXES = np.eye(3)
 # Rows r × e_i of an arm r, as a linear map of r.
 _ARM = np.array(
@@ -184,13 +185,23 @@ def degrees_of_freedom(mechanism: Mechanism) -> int:
     rows = constraint_rows(mechanism, **vars(reference))
     if not (mechanism.loops or mechanism.distances):
         return 6 * mechanism.body_count - len(rows.parent) - len(mechanism.couplings)
-    from scipy.sparse import vstack
+    if len(rows.parent) <= _FEW and not mechanism.couplings:
+        return 6 * mechanism.body_count - _rank(dense_jacobian(rows, mechanism.body_count))
+    from scipy.sparse import vstack  # takes long to import
 
     from mbds_xsim.scene.row_space import independent_rows
 
     couplings = coupling_rows(mechanism, reference)
     jacobian = vstack([sparse_jacobian(rows, mechanism.body_count), *couplings], format="csr")
     return 6 * mechanism.body_count - len(independent_rows(jacobian))
+
+
+def _rank(matrix: Array) -> int:
+    """Count independent rows, with columns and then rows scaled to norm 1 as in `row_space`."""
+    for axis in (0, 1):
+        size = np.linalg.norm(matrix, axis=axis, keepdims=True)
+        matrix = matrix / np.where(size > 0.0, size, 1.0)
+    return int(np.linalg.matrix_rank(matrix, tol=_INDEPENDENT))
 
 
 @functools.lru_cache(maxsize=64)

@@ -57,6 +57,11 @@ def test_the_process_of_an_engine_does_without_scipy(adapter: Adapter) -> None:
     assert "scipy" not in _loaded(f"from mbds_xsim.simulate import registry, timed; {load}")
 
 
+@pytest.mark.parametrize("name", ["exudyn", "mujoco"])
+def test_loops_that_are_closed_as_written_are_drawn_and_loaded_without_scipy(name: str) -> None:
+    assert "scipy" not in _loaded(_SIMULATE.format(name=name))
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interruption_of_the_imports_is_told_in_a_line(
     number: signal.Signals, tmp_path: Path
@@ -102,6 +107,15 @@ def work():
 
 sys.argv = ["mbds-xsim", "work"]
 main()
+"""
+
+_SIMULATE = """
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.simulate import choice, registry, timed
+
+scene, adapter = registry.load_scene("2ladder"), registry.load_adapter("{name}")
+settings = choice.settings_for(scene, adapter, "matched")
+timed.simulate(scene, draw_batch(scene, [0]).truncated(1), adapter.name, settings)
 """
 
 _RUN = """
