@@ -69,8 +69,6 @@ _REACH = 2.0
 _LEAST = 0.01
 # From here to 1, ε and e agree within 1e-9, and the logarithms cancel.
 _ELASTIC = 1.0 - 1e-3
-# Tolerance of roots, absolute and relative, and most steps towards one.
-_NEAR, _NEAR_SHARE, _MOST = 1e-15, 1e-14, 100
 _CHANGE = 1.0 / 3.0  # ε at which Exudyn's formula for c changes
 _TOUCH_TEST = """
 
@@ -273,36 +271,8 @@ def _excess(damping: float, restitution: float) -> float:
 
 
 def _root(function: Callable[[float], float], low: float, high: float) -> float:
-    """Find a root, bit for bit as scipy's `brentq`, whose import takes longer than a short run.
+    from scipy.optimize import brentq  # takes long to import
 
-    Source: Brent, Algorithms for Minimization Without Derivatives, 1973, chapter 4.
-    """
-    before, x, other = low, high, low
-    at_before, at, at_other = function(low), function(high), 0.0
-    if at_before * at > 0.0:  # it lies nearer to the end than rounding shows
+    if function(low) * function(high) > 0.0:  # it lies nearer to the end than rounding shows
         return high
-    last = step = 0.0
-    for _ in range(_MOST):
-        if at != 0.0 and (at_before < 0.0) != (at < 0.0):
-            other, at_other = before, at_before
-            last = step = x - before
-        if abs(at_other) < abs(at):
-            before, x, other = x, other, x
-            at_before, at, at_other = at, at_other, at
-        least, half = (_NEAR + _NEAR_SHARE * abs(x)) / 2.0, (other - x) / 2.0
-        if at == 0.0 or abs(half) < least:
-            return x
-        trial = math.inf
-        if abs(last) > least and abs(at) < abs(at_before):
-            if before == other:
-                trial = -at * (x - before) / (at - at_before)
-            else:
-                near, far = (at_before - at) / (before - x), (at_other - at) / (other - x)
-                trial = -at * (at_other * far - at_before * near)
-                trial /= far * near * (at_other - at_before)
-        good = 2.0 * abs(trial) < min(abs(last), 3.0 * abs(half) - least)
-        last, step = (step, trial) if good else (half, half)
-        before, at_before = x, at
-        x += step if abs(step) > least else math.copysign(least, half)
-        at = function(x)
-    return x
+    return float(brentq(function, low, high, xtol=1e-15, rtol=1e-14))

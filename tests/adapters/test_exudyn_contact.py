@@ -10,7 +10,6 @@ import msgspec
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.optimize import brentq
 
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError, Unsupported
@@ -158,14 +157,6 @@ def test_the_least_restitutions_have_a_law_though_it_ends_within_rounding(
     value = impact.coefficient(restitution)
 
     assert impact.delivered_restitution(value) == pytest.approx(restitution, rel=1e-9)
-
-
-@pytest.mark.parametrize("end", [1.0, 3.0, 40.0])
-def test_roots_are_those_of_scipy_to_the_last_bit(end: float) -> None:
-    def function(x: float) -> float:
-        return math.expm1(x) - 0.3 * x - 0.5
-
-    assert impact._root(function, 0.0, end) == brentq(function, 0.0, end, xtol=1e-15, rtol=1e-14)
 
 
 def test_balls_grip_and_roll_up_a_slope_as_the_closed_form_says() -> None:
