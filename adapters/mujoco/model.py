@@ -281,11 +281,9 @@ def _compiles(tensor: Array) -> bool:
 
 
 def _joint(body: Element, name: str, kind: str, anchor: Array, axis: Array) -> Element:
-    element = SubElement(body, "joint", {"name": name} if name else {}, type=kind)
-    element.set("pos", numbers(anchor))
-    if axis.any():
-        element.set("axis", numbers(axis))
-    return element
+    names = {"name": name} if name else {}
+    axes = {"axis": numbers(axis)} if axis.any() else {}
+    return SubElement(body, "joint", names | {"type": kind, "pos": numbers(anchor)} | axes)
 
 
 def _softness(tau: float) -> dict[str, str]:
