@@ -145,11 +145,11 @@ def _check_contents(runs: Sequence[TrainingRun]) -> None:
     """Raise InputError for damaged data, because model files will state their checksums."""
     names: dict[Dataset, set[str]] = {}
     for run in runs:
-        datasets = names_read(bodies=load_model(run.model).needs_bodies)
-        for engine in run.share.engines:
-            names.setdefault(run.group.data[engine], set()).update(datasets)
-    for data, needed in names.items():
-        data.check(needed)
+        for data in (run.group.data[engine] for engine in run.share.engines):
+            needed = names_read(data, bodies=load_model(run.model).needs_bodies)
+            names.setdefault(data, set()).update(needed)
+    for data, datasets in names.items():
+        data.check(datasets)
 
 
 def costs(plan: TrainingPlan, *, workers: int | None, carrier: Carrier) -> list[Cost]:

@@ -24,9 +24,10 @@ _KNOWN_FORCE, _TORQUE = "input/known_force", "input/torque"
 _BODIES = ("body/position", "body/orientation", "body/velocity", "body/angular_velocity")
 
 
-def names_read(*, bodies: bool) -> tuple[str, ...]:
+def names_read(data: Dataset, *, bodies: bool) -> tuple[str, ...]:
     """Return the names of the datasets that `Motions.of` reads."""
-    return (*_PARTICLES, _KNOWN_FORCE, _TORQUE, *(_BODIES if bodies else ()))
+    inputs = (name for name in (_KNOWN_FORCE, _TORQUE) if name in data)
+    return (*_PARTICLES, *inputs, *(_BODIES if bodies else ()))
 
 
 @dataclass(frozen=True, eq=False)

@@ -179,7 +179,7 @@ def load_paired(
         least = f"{counts[min(counts)]} has fewest, {min(counts)}"
         raise InputError(f"{msg} ({least}); make more, or select others by --settings")
     for file in files:
-        file.check({*_PAIRED, *names_read(bodies=True)})
+        file.check({*_PAIRED, *names_read(file, bodies=True)})
     index = index[:trajectories]
     rows = [np.flatnonzero(np.isin(file.index, index)) for file in files]
     check_paired(files, rows, _PAIRED)
