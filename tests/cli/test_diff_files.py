@@ -40,6 +40,10 @@ _FILES: dict[str, tuple[bytes, str]] = {
         b'{"schema": "mbds-xsim/audit/1", "gap_m": 1' + b"0" * 400 + b"}",
         "is not what mbds-xsim/audit/1 stands for: int too large",
     ),
+    "no releases": (
+        json.dumps(stored.history() | {"releases": []}).encode(),
+        "is not what mbds-xsim/releases/1 stands for: tuple index out of range",
+    ),
     "another command's": (json.dumps(stored.match()).encode(), "give two of the same"),
 }
 

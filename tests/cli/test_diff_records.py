@@ -48,6 +48,7 @@ _STEP: Json = {
     "unit": "m",
 }
 _STEP |= {"old": 1e-6, "new": 1e-3, "factor": 1e3, "course": "worse"}
+_MISSING = {"engine": "dart", "profile": "native", "part": "cost", "reason": "crashed"}
 _WORSE: dict[str, tuple[Json, Callable[[Json], Any], list[str]]] = {
     "engine fails": (
         stored.ablation(),
@@ -68,6 +69,11 @@ _WORSE: dict[str, tuple[Json, Callable[[Json], Any], list[str]]] = {
         stored.contact(),
         lambda new: new["figures"][2].update(note="silent at 10 rad/s: 9"),
         ["dart native free spin: as asked → not as asked"],
+    ),
+    "another part is lost": (
+        stored.contact() | {"missing": [_MISSING]},
+        lambda new: new["missing"].append(_MISSING | {"part": "energy"}),
+        ["dart native: lacks cost → lacks cost, energy"],
     ),
     "row is lost": (
         stored.history(),

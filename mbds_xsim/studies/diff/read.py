@@ -48,7 +48,7 @@ def read_views(path: Path) -> tuple[str, dict[str, View]]:
     try:
         views = list(map(READERS[schema], parts)) if schema in READERS else [plain_view(parts)]
         return schema, _keyed_by_name((view.scene, view) for view in views)
-    except (msgspec.ValidationError, InputError, OverflowError) as error:
+    except (msgspec.ValidationError, InputError, OverflowError, LookupError) as error:
         raise InputError(f"{path}: is not what {schema} stands for: {error}") from error
 
 

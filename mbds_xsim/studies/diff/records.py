@@ -58,21 +58,23 @@ def _lengths(figures: dict[str, float | None]) -> dict[str, PhysicalFigure]:
 def contact_view(part: object) -> View:
     """Make a view of a study of contact: figures are as asked or not, as in its tables."""
     study = msgspec.convert(part, ContactStudy)
+    entries = dict(_contact_entries(study))
+    lacking = ((f"{m.engine} {m.profile}", f"{m.part}: {m.reason}") for m in study.missing)
     return View(
         scene="contact",
         command=study.command,
         identity={},
         sample={},
         circumstances={**study.versions, "machine": study.machine},
-        entries=dict(_contact_entries(study)),
-        left_out={f"{m.engine} {m.profile}": f"{m.part}: {m.reason}" for m in study.missing},
+        entries=entries,
+        left_out={name: why for name, why in lacking if name not in entries},
     )
 
 
 def _contact_entries(study: ContactStudy) -> Iterator[tuple[str, Entry]]:
     for figure in study.figures:
         parent = f"{figure.engine} {figure.profile}"
-        yield parent, Entry(verdict="measured", rank=0)
+        yield parent, _completed(study, figure.engine, figure.profile)
         at = "".join(f", {name} {value:g}" for name, value in figure.at.items())
         verdict, rank = _ASKED[is_as_asked(figure)]
         values = {"median": figure.value, "smallest": figure.low, "largest": figure.high}
@@ -89,6 +91,17 @@ def _contact_entries(study: ContactStudy) -> Iterator[tuple[str, Entry]]:
                 timings={"median": figure.value} if is_cost else {},
             ),
         )
+
+
+def _completed(study: ContactStudy, engine: str, profile: str) -> Entry:
+    """Return the entry of an engine: it is the worse the more parts it did not complete."""
+    own = (m for m in study.missing if (m.engine, m.profile) == (engine, profile))
+    reasons = {m.part: m.reason for m in own}
+    return Entry(
+        verdict=f"lacks {', '.join(reasons)}" if reasons else "complete",
+        rank=FAILING + len(reasons) if reasons else 0,
+        reasons=tuple(f"{part}: {reason}" for part, reason in reasons.items()),
+    )
 
 
 def history_view(part: object) -> View:
