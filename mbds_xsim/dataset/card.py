@@ -173,8 +173,8 @@ checksums; who publishes the data adds `license`, `url`, `creator` and `datePubl
 def _rounding(sets: Sequence[Dataset]) -> str:
     """Say by how much float32 rounds positions, if by more than gaps may have; else nothing."""
     largest = 0.0
-    for data in sets:
-        with open_hdf5(data.files[0]) as file:
+    for path in (path for data in sets for path in data.files):
+        with open_hdf5(path) as file:
             largest = max(largest, float(file["position"].attrs.get(ROUNDING, 0.0)))
     if largest <= sets[0].scene.budget.gap:
         return ""

@@ -107,7 +107,10 @@ def load_pairs(*paths: str | Path, split: str | None = None) -> PairedData:
         InputError: There are fewer than two data sets, or they do not belong together: scene,
             seed, length or starts differ, or no trajectory is in all of them.
     """
-    sets = [one for path in paths for one in _sets(path_of("paths", path))]
+    places = [path_of("paths", path) for path in paths]
+    found = [load_dataset(file) for place in places for file in joined_files(place)]
+    sets = [one for one in found if not one.lack or one.path in places]
+    lacks = "; ".join(f"{one.path}: {one.lack}" for one in found if one.lack)
     source = ", ".join(map(str, paths)) or "paths"
     files = {one.variant: one for one in sets}
     if len(sets) < 2 or len(files) < len(sets):
@@ -115,23 +118,16 @@ def load_pairs(*paths: str | Path, split: str | None = None) -> PairedData:
         msg = (
             f"{source}: got {names or 'none'}, pairing takes two or more data sets, each of another"
         )
-        raise InputError(f"{msg} engine or settings")
+        raise InputError(f"{msg} engine or settings" + (f"; {lacks}" if lacks else ""))
     check_alike(sets)
     index = numbers_in(sets, split)
     if not len(index):
         part = f"{split} trajectory" if split else "trajectory"
-        lacks = "; ".join(f"{one.path}: {one.lack}" for one in sets if one.lack)
         msg = f"no {part} is valid in all {len(files)} data sets; generate more"
         raise InputError(f"{lacks or source}: {msg}")
     pairs = PairedData(files, index)
     check_paired(sets, pairs.rows, STARTS)
     return pairs
-
-
-def _sets(path: Path) -> list[Dataset]:
-    """Load a data set, or those of a folder in which something is published."""
-    sets = [load_dataset(file) for file in joined_files(path)]
-    return sets if path.is_file() else [one for one in sets if not one.lack]
 
 
 def numbers_in(files: Sequence[Dataset], split: str | None) -> Index:

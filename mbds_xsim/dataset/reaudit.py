@@ -272,6 +272,6 @@ def _here(engine: str) -> tuple[str | None, int]:
     """Return the version of an engine and the revision of its adapter; None if it is missing."""
     try:
         adapter = load_adapter(engine)
-    except (EngineMissing, UnknownName):
+        return adapter.version(), adapter.revision
+    except (EngineMissing, UnknownName, ImportError):  # the last for a package that is missing
         return None, 0
-    return adapter.version(), adapter.revision

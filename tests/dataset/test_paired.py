@@ -111,6 +111,9 @@ def test_a_variant_in_which_nothing_is_published_leaves_the_others_paired(
     assert recheck(folder / "joint.h5", "joint").problems == []
     with pytest.raises(InputError, match=r"none of 3 trajectories drawn passed .*: no traj"):
         load_pairs(*empty)
+    (folder / "exudyn-native.h5").unlink()
+    with pytest.raises(InputError, match=r"pairing takes .* settings; .*none of 3 trajectories"):
+        load_pairs(folder)
 
 
 def test_without_xarray_the_line_that_installs_it(

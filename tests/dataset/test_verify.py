@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 from collections.abc import Callable
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ from mbds_xsim.scene.sampling_terms import HingeRate
 from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.scene.state import STATES, Batch
 from mbds_xsim.simulate.adapter import Settings
+from mbds_xsim.simulate.registry import load_adapter
 from mbds_xsim.simulate.timed import Simulation, simulate
 from mbds_xsim.testing.joint_cases import JOINT_CASES
 
@@ -306,11 +308,17 @@ def test_a_pipe_is_refused_not_waited_for(tmp_path: Path) -> None:
     assert _problems(_verify(tmp_path))[0].endswith("name a file")
 
 
-def test_an_engine_that_is_not_here_is_told(copy: Path) -> None:
+def test_an_engine_that_is_not_here_is_told(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def lacking(_: object) -> str:
+        raise PackageNotFoundError("mujoco")
+
     _rewrite(copy / SHARD, _tell("engine_version", "0.1"))
     report = recheck(copy / SHARD, "shard", 3)
     assert report.problems == []
     assert report.notes[0].startswith("not simulated again: mujoco 0.1 is not installed, but ")
+    monkeypatch.setattr(type(load_adapter("mujoco")), "version", lacking)
+    report = recheck(copy / SHARD, "shard", 3)
+    assert report.notes[0] == "not simulated again: mujoco 0.1 is not installed"
 
 
 def test_motions_of_another_revision_of_the_adapter_are_not_blamed(copy: Path) -> None:
