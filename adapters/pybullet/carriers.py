@@ -26,29 +26,34 @@ def carrier_counts(mechanism: Mechanism) -> Index:
 
 
 def sinking(mechanism: Mechanism) -> str:
-    """Describe a body some of whose spheres would pass through the ground; "" if there is none.
+    """Describe a body some of whose spheres would pass through others; "" if there is none.
 
     Bullet treats a link that is welded to a fixed base's first link as static, so that it does not
-    touch what is static, too (ConvertURDF2BulletInternal stops its search there).
+    touch what is static, too (ConvertURDF2BulletInternal stops its search there): the ground,
+    bodies that are welded to the world, and others like it.
     """
-    if mechanism.scene.ground is None:
-        return ""
-    counts, first = carrier_counts(mechanism), set[int]()
+    counts, first, fixed = carrier_counts(mechanism), set[int](), {WORLD_INDEX}
+    why = dict[int, str]()
     for body, parent, joint in ((link.body, link.parent, link.joint) for link in mechanism.links):
         if joint is None:
             continue
         name, spheres = mechanism.scene.bodies[body].name, np.sum(mechanism.sphere_body == body)
-        if joint.kind != "fixed" and parent == WORLD_INDEX:
+        if joint.kind == "fixed" and parent in fixed:
+            fixed.add(body)
+        elif joint.kind != "fixed" and parent == WORLD_INDEX:
             first.add(body)
             if counts[body]:
                 most = f"PyBullet takes {MOST_SPHERES} if a joint ties it to the world"
-                return f"{name!r} has {spheres} contact spheres, {most}"
+                why[body] = f"{name!r} has {spheres} contact spheres, {most}"
         elif joint.kind == "fixed" and parent in first:
             first.add(body)
             if spheres:
-                to = mechanism.scene.bodies[parent].name
-                return f"PyBullet lets no sphere of {name!r} touch the ground; put them on {to!r}"
-    return ""
+                to, what = mechanism.scene.bodies[parent].name, "the ground, or others like it"
+                why[body] = f"PyBullet lets no sphere of {name!r} touch {what}; put them on {to!r}"
+    pairs = mechanism.sphere_body[mechanism.sphere_pairs]
+    static = pairs[np.isin(pairs, [*fixed, *why]).all(axis=1)]
+    grounded = mechanism.scene.ground is not None
+    return next((text for body, text in why.items() if grounded or body in static), "")
 
 
 def with_carriers(

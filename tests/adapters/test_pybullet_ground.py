@@ -88,7 +88,7 @@ def test_spheres_beyond_those_that_a_shape_holds_touch_as_the_others_do(part: st
         assert not compare(Mechanism.of(more), batch, settings, run.readback(batch))
 
 
-def test_spheres_that_would_pass_through_the_ground_are_refused() -> None:
+def test_spheres_that_would_pass_through_others_are_refused() -> None:
     hinge = Joint("hinge", "hinge", "world", "crate", (0.0, 0.0, 0.3), axis=(0.0, 1.0, 0.0))
     scene = msgspec.structs.replace(crate(height=0.1), joints=(hinge,))
     many = msgspec.structs.replace(scene, contacts=scene.contacts * 3)
@@ -100,9 +100,21 @@ def test_spheres_that_would_pass_through_the_ground_are_refused() -> None:
         joints=(hinge, weld),
         contacts=(ContactSphere("tip", tip.position, R),),
     )
+    post = Body("post", inertia=Inertia(1.0, (0.1,) * 3), position=(0.0, 0.0, 1.0))
+    stuck = Joint("stuck", "fixed", "world", "post", (0.0, 0.0, 1.0))
+    hit = msgspec.structs.replace(
+        welded,
+        bodies=(*welded.bodies, post),
+        joints=(*welded.joints, stuck),
+        contacts=(*welded.contacts, ContactSphere("post", post.position, R)),
+        ground=None,
+        collisions=Collisions(pairs=(("tip", "post"),), friction=0.3, restitution=0.4),
+    )
+    passing = "PyBullet lets no sphere of 'tip' touch the ground, or others like it; put them on"
     for refused, reason in (
         (many, "'crate' has 24 contact spheres, PyBullet takes 16 if a joint ties it to the world"),
-        (welded, "PyBullet lets no sphere of 'tip' touch the ground; put them on 'crate'"),
+        (welded, passing),
+        (hit, passing),
     ):
         with pytest.raises(Unsupported, match=reason):
             ENGINE.open(refused, ENGINE.settings(refused, "matched"))
