@@ -28,12 +28,11 @@ def soften_loops(model: Any, data: Any) -> str:
     changes: dict[int, float] = {}
     for number in np.flatnonzero(np.isin(model.eq_type, _POINTS)).tolist():
         sites = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
-        if getattr(model, "eq_objtype", sites)[number] != mujoco.mjtObj.mjOBJ_SITE:
-            continue
         bodies, yields = model.site_bodyid[sites], [_yield(model, data, site) for site in sites]
         if model.body_invweight0[bodies, 0].sum() < _LEAST * sum(yields):
             for body, own in zip(bodies.tolist(), yields, strict=True):
                 changes[body] = max(changes.get(body, 0.0), own)
+    changes.pop(0, None)  # the world, which yields nothing
     for body, own in changes.items():
         model.body_invweight0[body, 0] = own
     listed = ", ".join(f"{model.body(body).name!r}: {own:.9g}" for body, own in changes.items())

@@ -305,10 +305,6 @@ def _closing(
     for k, along in enumerate(CLOSING_POINTS[joint.kind]):
         name, offset = closing_point(joint, k), along * length * joint.axis
         ends = dict(zip(("site1", "site2"), _sites(bodies, joint, offset, name), strict=True))
-        if not hasattr(mujoco.MjModel, "eq_objtype"):  # before 3.2.3
-            pair = (bodies[joint.parent].get("name", "world"), bodies[joint.child].get("name", ""))
-            ends = dict(zip(("body1", "body2"), pair, strict=True))
-            ends["anchor"] = numbers((joint.in_child if weld else joint.in_parent) + offset)
         # In a weld, an angle counts like a gap at the end of the scene's length.
         turns = {"torquescale": repr(length)} if weld else {}
         yield Element(kind, {"name": name} | ends | turns | softness)
