@@ -6,6 +6,7 @@ what the engine gets. Elements: https://mujoco.readthedocs.io/en/stable/XMLrefer
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from xml.etree import ElementTree
@@ -143,7 +144,8 @@ def closing_point(joint: PlacedJoint, k: int) -> str:
 def with_start(xml: str, qpos: Array, qvel: Array, command: Array, remark: str) -> str:
     """Add the scene's start as a keyframe, and a comment on inputs, which MJCF has no place for."""
     root = ElementTree.fromstring(xml)
-    root.insert(0, ElementTree.Comment(f"{_NOT_IN_MJCF}{remark} "))
+    text = re.sub("-(?=-)", "- ", f"{_NOT_IN_MJCF}{remark} ")  # names may have what XML forbids
+    root.insert(0, ElementTree.Comment(text))
     keyframe = SubElement(root, "keyframe")
     key = SubElement(keyframe, "key", name="start", qpos=numbers(qpos), qvel=numbers(qvel))
     if command.any():

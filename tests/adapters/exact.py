@@ -166,20 +166,20 @@ def ends_in_the_ground(motion: Trajectory) -> None:
     assert np.isnan(motion.position[0, failure.frame :]).all()
 
 
-def gimbal_followed(engine: Adapter, off: float) -> None:
+def gimbal_followed(engine: Adapter, off: float) -> Scene:
     """Assert that a hinge closes a loop of bodies whose centres are `off` [m] from its anchor.
 
-    With a ball joint in its place, quaternions would be off by 0.15.
+    With a ball joint in its place, quaternions would be off by 0.15. Returns the scene.
     """
     at, bend = (0.3, 0.0, 0.0), 0.6
     out = (float(np.cos(bend)), 0.0, float(np.sin(bend)))
     held = Inertia(1.0, (0.03, 0.05, 0.04), (0.01, -0.004, 0.006), com=(0.2 + off, 0.0, 0.0))
-    names = ("driven", "cross", "driving")
+    names = ("driven", "cross--piece", "driving")
     joints = (
         Joint("bearing", "hinge", "world", "driven", at, (1.0, 0.0, 0.0), rate=4.0),
-        Joint("yoke", "hinge", "driven", "cross", at, (0.0, 1.0, 0.0)),
+        Joint("yoke", "hinge", "driven", "cross--piece", at, (0.0, 1.0, 0.0)),
         Joint("other bearing", "hinge", "driving", "world", at, out),
-        Joint("other yoke", "hinge", "cross", "driving", at, (-out[2], 0.0, out[0])),
+        Joint("other yoke", "hinge", "cross--piece", "driving", at, (-out[2], 0.0, out[0])),
     )
     bodies = tuple(Body(name, inertia=held, position=(0.1, 0.0, 0.0)) for name in names)
     scene = Scene("gimbal", bodies, 0.6, joints=joints, clock=Clock(0.01, 30))
@@ -188,3 +188,4 @@ def gimbal_followed(engine: Adapter, off: float) -> None:
     motion = Runs(engine, {}).stepped(scene, 80)
     exact = reference.solve(scene, draw_batch(scene, [0]), cache=False)
     assert np.abs(motion.orientation - exact.orientation).max() < 1e-5
+    return scene
