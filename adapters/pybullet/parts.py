@@ -58,7 +58,7 @@ def split(mechanism: Mechanism) -> tuple[tuple[Multibody, ...], tuple[PlacedJoin
     few coordinates. Parts that are too large are cut further.
 
     Raises:
-        Unsupported: A body carries more joints that cannot be cut than a multibody can hold.
+        Unsupported: A body carries more joints that cannot be cut, or spheres, than can be held.
     """
     cut = _cuts(mechanism)
     root: dict[int, int] = {}
@@ -108,9 +108,9 @@ def _best_cut(mechanism: Mechanism, link: Link, children: list[Link], load: dict
     if not choices:
         name = mechanism.scene.bodies[link.body].name
         raise Unsupported(
-            f"pybullet: body {name!r} carries more sliders, or joints with springs, dampers or "
-            f"couplings, than the {COORDINATE_LIMIT} coordinates that a multibody can hold, and "
-            "Bullet has no constraint to replace one"
+            f"pybullet: body {name!r} carries more sliders, joints with springs, dampers or "
+            f"couplings, or sixteens of contact spheres, than the {COORDINATE_LIMIT} coordinates "
+            "that a multibody can hold, and Bullet has no constraint to replace one"
         )
     return min(
         choices,

@@ -110,11 +110,13 @@ def test_spheres_that_would_pass_through_others_are_refused() -> None:
         ground=None,
         collisions=Collisions(pairs=(("tip", "post"),), friction=0.3, restitution=0.4),
     )
+    crowd = msgspec.structs.replace(scene, joints=(), contacts=scene.contacts * 250)
     passing = "PyBullet lets no sphere of 'tip' touch the ground, or others like it; put them on"
     for refused, reason in (
         (many, "'crate' has 24 contact spheres, PyBullet takes 16 if a joint ties it to the world"),
         (welded, passing),
         (hit, passing),
+        (crowd, "'crate' carries more sliders, .* or sixteens of contact spheres, than the 121"),
     ):
         with pytest.raises(Unsupported, match=reason):
             ENGINE.open(refused, ENGINE.settings(refused, "matched"))
