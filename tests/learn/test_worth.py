@@ -240,7 +240,7 @@ def test_harm_is_told_where_the_cost_of_data_is_not_known() -> None:
     shift = msgspec.structs.replace(priced, domains=free)
     (answer,) = answer_of_harms(shift)
     assert answer.answer.startswith(
-        "At t = 5 no data of known cost are known to harm none of gns. Data that harm are at least "
+        "At t = 5 no data of known cost are known to be harmless to all of gns. Data that harm"
     )
     harms = [
         {row.texts[0]: row.texts[3] for row in worth_table(s, 1).rows} for s in (priced, shift)

@@ -140,7 +140,7 @@ def _cheapest(shift: Shift, harms: Sequence[Harm], place: int, when: str) -> str
             cheapest.setdefault(domain.engine, domain)
     models = ", ".join(dict.fromkeys(harm.model for harm in harms))
     if not cheapest:
-        return f"{when} no data of known cost are known to harm none of {models}"
+        return f"{when} no data of known cost are known to be harmless to all of {models}"
     first, *others = (f"{d.name}, {_milliseconds(d):.3g} ms" for d in cheapest.values())
     none = [f"none of {e}" for e in dict.fromkeys(d.engine for d in by_cost) if e not in cheapest]
     return (
