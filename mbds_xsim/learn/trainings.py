@@ -143,13 +143,13 @@ def _refusal(model: str, group: TrainingGroup, track: str) -> str:
 
 def _check_contents(runs: Sequence[TrainingRun]) -> None:
     """Raise InputError for damaged data, because model files will state their checksums."""
-    names: dict[Dataset, set[str]] = {}
+    bodies: dict[Dataset, bool] = {}
     for run in runs:
-        for data in (run.group.data[engine] for engine in run.share.engines):
-            needed = names_read(data, bodies=load_model(run.model).needs_bodies)
-            names.setdefault(data, set()).update(needed)
-    for data, datasets in names.items():
-        data.check(datasets)
+        needed = load_model(run.model).needs_bodies
+        for data in map(run.group.data.__getitem__, run.share.engines):
+            bodies[data] = bodies.get(data, False) or needed
+    for data, whole in bodies.items():
+        data.check(names_read(data, bodies=whole))
 
 
 def costs(plan: TrainingPlan, *, workers: int | None, carrier: Carrier) -> list[Cost]:

@@ -25,9 +25,17 @@ _BODIES = ("body/position", "body/orientation", "body/velocity", "body/angular_v
 
 
 def names_read(data: Dataset, *, bodies: bool) -> tuple[str, ...]:
-    """Return the names of the datasets that `Motions.of` reads."""
-    inputs = (name for name in (_KNOWN_FORCE, _TORQUE) if name in data)
-    return (*_PARTICLES, *inputs, *(_BODIES if bodies else ()))
+    """Return the names of the datasets that `Motions.of` reads from a file.
+
+    Raises InputError if it lacks the known forces that act in its scene.
+    """
+    forces = (_KNOWN_FORCE,) if _KNOWN_FORCE in data else ()
+    if not forces and has_known_forces(data.scene):
+        raise InputError(
+            f"{data.path}: lacks {_KNOWN_FORCE}, which earlier versions did not write for the "
+            "servos of sliders; generate the data again in an empty folder"
+        )
+    return (*_PARTICLES, *forces, _TORQUE, *(_BODIES if bodies else ()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,18 +130,14 @@ class Motions(RowBundle):
                 f"{data.path}: {len(chosen)} trajectories of {frames} frames for {split}, needed "
                 f"are at least 1 of {HISTORY + 1}; generate more"
             )
-        if _KNOWN_FORCE not in data and has_known_forces(data.scene):
-            raise InputError(
-                f"{data.path}: lacks {_KNOWN_FORCE}, which earlier versions did not write for the "
-                "servos of sliders; generate the data again in an empty folder"
-            )
+        names = names_read(data, bodies=bodies)
         graph = Graph.of(data.scene)
 
         def read(name: str) -> Tensor:
             return torch.from_numpy(data[name][chosen])
 
         force = torch.zeros(1, 1, 1, 1).expand(len(chosen), frames - 1, graph.body_count, 3)
-        force = read(_KNOWN_FORCE) if _KNOWN_FORCE in data else force
+        force = read(_KNOWN_FORCE) if _KNOWN_FORCE in names else force
         return Motions(
             graph=graph,
             split=split,

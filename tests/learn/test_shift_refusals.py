@@ -90,6 +90,14 @@ def test_unpaired_domains_are_refused(
         load_paired(data, SCENE)
 
 
+def test_data_without_the_known_forces_of_their_scene_are_refused(
+    studied: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mbds_xsim.learn.window.has_known_forces", lambda _: True)
+    with pytest.raises(InputError, match="lacks input/known_force, which earlier"):
+        load_paired(studied / "data", SCENE)
+
+
 def test_data_that_share_no_test_trajectory_are_refused(
     studied: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -52,6 +52,14 @@ def test_nothing_to_train_is_said_with_every_reason(data: Callable[..., Dataset]
         planned(request)
 
 
+def test_data_that_lack_the_forces_of_their_scene_are_refused_before_any_run(
+    ask: Ask, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mbds_xsim.learn.window.has_known_forces", lambda _: True)
+    with pytest.raises(InputError, match="lacks input/known_force, which earlier"):
+        planned(ask())
+
+
 def test_damaged_data_are_not_trained_on(made: Path, ask: Ask, tmp_path: Path) -> None:
     folder = shutil.copytree(made, tmp_path / "data")
     shard_file = folder / "2pendulum/mujoco-native/0000000000.h5"
