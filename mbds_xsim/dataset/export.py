@@ -99,6 +99,8 @@ def export(
     files = count = size = 0
     with locked(out), tidied(_folder(data, out) for data in sets.values()):  # files of killed runs
         for data in sets.values():
+            _check_target(data, out, form, numbers)  # again, as another export may have ended
+        for data in sets.values():
             folder = _folder(data, out)
             put(folder / _SCENE, data.attributes["scene"].encode())
             put(folder / _README, _readme(data, form).encode())

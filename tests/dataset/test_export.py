@@ -135,8 +135,16 @@ def test_an_export_goes_on_after_it_was_killed(whole: Path, tmp_path: Path) -> N
     assert there == {"README.md", "scene.toml", "0000000003.csv"}
 
 
-def test_two_exports_at_once(whole: Path, tmp_path: Path) -> None:
+def test_two_exports_at_once(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with locked(tmp_path), pytest.raises(InputError, match=r"is in use by process \d+; wait"):
+        _exported(whole, tmp_path, "csv", [3])
+
+    def other(_: Dataset) -> None:
+        monkeypatch.undo()
+        _exported(whole, tmp_path, "csv", [4])
+
+    monkeypatch.setattr(Dataset, "check", other)
+    with pytest.raises(InputError, match=r"holds 0000000004\.csv, which is not of this export"):
         _exported(whole, tmp_path, "csv", [3])
 
 
