@@ -16,11 +16,12 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import LIMIT, Crash, Task
 from mbds_xsim.dataset import shard
 from mbds_xsim.dataset.generate import Generated, Request, generate
+from mbds_xsim.dataset.shard import stage_times
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.timed import Simulation, simulate
 
-from .conftest import Silence, contents
+from .conftest import Make, Silence, contents
 
 FATAL = (7, 21, 22)
 FILE = "1pendulum/mujoco-matched.h5"
@@ -118,3 +119,14 @@ def test_what_never_can_be_made_is_told(
     ):
         _make(rod, tmp_path)
     assert contents(tmp_path) == {}
+
+
+@pytest.mark.parametrize("lost", [b'{"first": 16, "cou', b""])
+def test_a_log_that_lacks_a_shard_gives_no_times(lost: bytes, make: Make, tmp_path: Path) -> None:
+    """A full disk cuts a line off, or a kill comes before it; the shards are whole."""
+    made = tmp_path / make(tmp_path, trajectories=20).variants[0].file
+    assert stage_times(made)["write_s"] > 0
+    log = made.with_suffix("") / "log.jsonl"
+    first, _ = log.read_bytes().splitlines(keepends=True)
+    log.write_bytes(first + lost)
+    assert stage_times(made) == {}

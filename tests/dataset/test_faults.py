@@ -27,7 +27,6 @@ from mbds_xsim.base.files import locked
 from mbds_xsim.dataset import shard
 from mbds_xsim.dataset.hdf5 import check_content
 from mbds_xsim.dataset.read import joined_files, load_dataset
-from mbds_xsim.dataset.shard import stage_times
 from mbds_xsim.scene.file import save_scene
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.registry import load_adapter
@@ -281,17 +280,6 @@ def test_a_file_too_large_for_the_system_is_one_line(make: Make, tmp_path: Path)
     assert contents(tmp_path) == {}
 
 
-@pytest.mark.parametrize("lost", [b'{"first": 16, "cou', b""])
-def test_a_log_that_lacks_a_shard_gives_no_times(lost: bytes, make: Make, tmp_path: Path) -> None:
-    """A full disk cuts a line off, or a kill comes before it; the shards are whole."""
-    made = tmp_path / make(tmp_path, trajectories=20).variants[0].file
-    assert stage_times(made)["write_s"] > 0
-    log = made.with_suffix("") / "log.jsonl"
-    first, _ = log.read_bytes().splitlines(keepends=True)
-    log.write_bytes(first + lost)
-    assert stage_times(made) == {}
-
-
 def test_two_runs_at_once(make: Make, tmp_path: Path) -> None:
     with (
         locked(tmp_path),
@@ -402,11 +390,6 @@ def test_files_of_other_programs_beside_the_data(make: Make, tmp_path: Path) -> 
         del file.attrs["format"]
     with pytest.raises(InputError, match=r"mujoco-matched\.h5 is HDF5, but no mbds-xsim data"):
         joined_files(tmp_path)
-
-
-def test_no_trajectories(make: Make, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="--trajectories: got 0"):
-        make(tmp_path, trajectories=0)
 
 
 def test_a_target_that_is_no_folder(make: Make, tmp_path: Path) -> None:

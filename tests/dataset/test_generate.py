@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.isolate import Task
+from mbds_xsim.base.isolate import HERE, Task
 from mbds_xsim.checks import audit
 from mbds_xsim.dataset import gate, shard
 from mbds_xsim.dataset.gate import COLUMNS
@@ -22,10 +22,11 @@ from mbds_xsim.dataset.generate import Request, generate
 from mbds_xsim.dataset.layout import rejected_folder, split_of
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.dataset.variant import Item, Variant
+from mbds_xsim.dataset.verify import verify
 from mbds_xsim.scene.file import write_scene
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.sampling_terms import Levels, Turn
-from mbds_xsim.scene.scene import Body, Joint, Particle, Scene
+from mbds_xsim.scene.sampling_terms import HingeRate, Levels, Turn
+from mbds_xsim.scene.scene import Body, Clock, Joint, Particle, Scene
 from mbds_xsim.scene.servo import Servo
 from mbds_xsim.scene.state import Batch, Failure
 from mbds_xsim.simulate import timed
@@ -33,6 +34,7 @@ from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.choice import Choice, settings_for
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.simulate.timed import Simulation, simulate
+from mbds_xsim.testing.joint_cases import JOINT_CASES
 
 from .conftest import TRAJECTORIES, Make, Silence, contents
 
@@ -353,3 +355,19 @@ def test_a_set_grows(make: Make, whole: Path, tmp_path: Path) -> None:
     assert make(tmp_path, progress=progress).made == 24  # the shard that was short, and a new one
     assert (progress.total, progress.done) == (TRAJECTORIES, TRAJECTORIES)
     assert contents(tmp_path) == contents(whole)
+
+
+def test_data_of_the_reference_are_sound_where_friction_stops_joints(
+    make: Make, tmp_path: Path
+) -> None:
+    """Such data keep the budgets of the reference's order, not of the first of fixed steps."""
+    (brake,) = (case.scene for case in JOINT_CASES if case.name == "brake")
+    draw = HingeRate(("axle",), rate=(0.0, 1.0))
+    scene = msgspec.structs.replace(brake, clock=Clock(steps=10), sampling=(draw,))
+    make(tmp_path, scene=scene, engines="reference", trajectories=3)
+    assert verify(tmp_path, conduct=HERE).sound
+
+
+def test_no_trajectories(make: Make, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="--trajectories: got 0"):
+        make(tmp_path, trajectories=0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +19,7 @@ from mbds_xsim.dataset.audit import audit_file
 from mbds_xsim.dataset.export import export
 from mbds_xsim.dataset.foreign import Provenance
 from mbds_xsim.dataset.summary import summaries
-from mbds_xsim.dataset.verify import recheck
+from mbds_xsim.dataset.verify import recheck, verify
 
 from .conftest import Make
 from .repack import ELSEWHERE, LAYOUTS, OTHER_TYPES, repack
@@ -141,3 +142,12 @@ def test_a_file_that_was_exchanged_is_not_read_as_the_old_one(make: Make, tmp_pa
     assert not np.array_equal(after.position[0], first)
     with pytest.raises(InputError, match="was changed since the data set was opened; open it"):
         before.velocity[0]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="a system without named pipes")
+def test_a_pipe_is_refused_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.h5")
+    with pytest.raises(InputError, match=r"pipe\.h5: this is no file but a folder, a pipe or"):
+        verify(tmp_path / "pipe.h5")
+    (report,) = verify(tmp_path).files
+    assert report.problems[0].endswith("name a file")

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -25,13 +23,11 @@ from mbds_xsim.dataset.points import Points
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.dataset.reaudit import making_of
 from mbds_xsim.dataset.verify import Verified, recheck, verify
-from mbds_xsim.scene.sampling_terms import HingeRate
-from mbds_xsim.scene.scene import Clock, Scene
+from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import STATES, Batch
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.registry import load_adapter
 from mbds_xsim.simulate.timed import Simulation, simulate
-from mbds_xsim.testing.joint_cases import JOINT_CASES
 
 from .conftest import FILE, JOINT, SHARD, TEXTS, Make
 
@@ -65,17 +61,6 @@ def test_a_finished_set_is_sound(few: Path) -> None:
 def test_a_file_is_looked_at_with_its_shards(few: Path) -> None:
     assert [report.kind for report in _verify(few / FILE).files] == ["joined", "shard"]
     assert [report.kind for report in _verify(few / SHARD).files] == ["shard"]
-
-
-def test_data_of_the_reference_are_sound_where_friction_stops_joints(
-    make: Make, tmp_path: Path
-) -> None:
-    """Such data keep the budgets of the reference's order, not of the first of fixed steps."""
-    (brake,) = (case.scene for case in JOINT_CASES if case.name == "brake")
-    draw = HingeRate(("axle",), rate=(0.0, 1.0))
-    scene = msgspec.structs.replace(brake, clock=Clock(steps=10), sampling=(draw,))
-    make(tmp_path, scene=scene, engines="reference", trajectories=3)
-    assert _problems(_verify(tmp_path)) == []
 
 
 def _with_one_rejected(make: Make, out: Path, which: int, trajectories: int) -> Verified:
@@ -298,14 +283,6 @@ def test_nobody_can_foresee_what_is_simulated_again(
 
     verify(few / SHARD, seed=verified[0].seed, conduct=HERE)
     assert chosen[-1] == chosen[0]
-
-
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="a system without named pipes")
-def test_a_pipe_is_refused_not_waited_for(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "pipe.h5")
-    with pytest.raises(InputError, match=r"pipe\.h5: this is no file but a folder, a pipe or"):
-        _verify(tmp_path / "pipe.h5")
-    assert _problems(_verify(tmp_path))[0].endswith("name a file")
 
 
 def test_an_engine_that_is_not_here_is_told(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:

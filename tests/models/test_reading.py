@@ -15,7 +15,6 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.reference import solve
 from mbds_xsim.scene.imported import Fate, Imported
-from mbds_xsim.scene.joint_space import BodyStates, to_links
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Clock, Scene
@@ -382,27 +381,6 @@ def test_a_model_moves_as_it_does_where_it_comes_from(
         np.testing.assert_allclose(moved[names.index(name)], data.body(name).xipos, atol=tolerance)
     start = reference.position[0, 0]
     assert np.abs(moved - start).max() > 0.05
-
-
-def test_starts_are_inside_the_limits_and_differ(here: Path) -> None:
-    geom = '<geom type="box" size=".1 .2 .3" pos="0 0 -1"/>'
-    scene = _read(
-        here,
-        '<mujoco><compiler angle="radian"/><worldbody>'
-        f'<body><joint name="hip" range="0.5 1.5" axis="0 1 0"/>{geom}<body pos="0 0 -2">'
-        f'<joint name="rail" type="slide" range="-0.2 0" axis="0 0 1"/>{geom}</body></body>'
-        f'<body name="puck" pos="3 0 0"><freejoint/>{geom}</body></worldbody></mujoco>',
-    ).scene
-
-    batch, mechanism = draw_batch(scene, range(30)), Mechanism.of(scene)
-    links = to_links(mechanism, BodyStates.of(mechanism, batch))
-    names = [link.joint.name if link.joint else "puck" for link in mechanism.links]
-    hip, rail = (links.coordinate[:, names.index(name)] for name in ("hip", "rail"))
-    assert ((hip > 0.55) & (hip < 1.45)).all()
-    assert ((rail > -0.19) & (rail < -0.01)).all()
-    assert min(np.ptp(hip), np.ptp(rail) * 5) > 0.5
-    rates = np.abs(batch.angular_velocity[:, [body.name for body in scene.bodies].index("puck")])
-    assert (rates[0::3].max() < 0.1) & (0.4 < rates.max() <= 1.0)
 
 
 def test_limits_that_no_joint_reaches_are_none(here: Path) -> None:

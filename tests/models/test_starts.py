@@ -1,0 +1,38 @@
+"""Starts that an imported model gets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mbds_xsim.scene.joint_space import BodyStates, to_links
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.simulate.registry import read_model
+
+pytest.importorskip("mujoco")
+pytestmark = pytest.mark.usefixtures("in_process")
+
+
+def test_starts_are_inside_the_limits_and_differ(here: Path) -> None:
+    geom = '<geom type="box" size=".1 .2 .3" pos="0 0 -1"/>'
+    path = here / "model.xml"
+    path.write_text(
+        '<mujoco><compiler angle="radian"/><worldbody>'
+        f'<body><joint name="hip" range="0.5 1.5" axis="0 1 0"/>{geom}<body pos="0 0 -2">'
+        f'<joint name="rail" type="slide" range="-0.2 0" axis="0 0 1"/>{geom}</body></body>'
+        f'<body name="puck" pos="3 0 0"><freejoint/>{geom}</body></worldbody></mujoco>'
+    )
+    scene = read_model(path).scene
+
+    batch, mechanism = draw_batch(scene, range(30)), Mechanism.of(scene)
+    links = to_links(mechanism, BodyStates.of(mechanism, batch))
+    names = [link.joint.name if link.joint else "puck" for link in mechanism.links]
+    hip, rail = (links.coordinate[:, names.index(name)] for name in ("hip", "rail"))
+    assert ((hip > 0.55) & (hip < 1.45)).all()
+    assert ((rail > -0.19) & (rail < -0.01)).all()
+    assert min(np.ptp(hip), np.ptp(rail) * 5) > 0.5
+    rates = np.abs(batch.angular_velocity[:, [body.name for body in scene.bodies].index("puck")])
+    assert (rates[0::3].max() < 0.1) & (0.4 < rates.max() <= 1.0)
