@@ -170,7 +170,9 @@ drawn = $(BIN)/mbds-xsim generate $(1) --settings $(2) --trajectories $(DRAWN) -
 	|| [ $$? -eq 1 ]
 trained = $(BIN)/mbds-xsim train $(STUDY)/$(1) --on $(2) --steps $(STEPS) --out $(MODELS) \
 	--png $(REPORTS)/shift/$(3)-curves.png
-told = --json $(REPORTS)/$(1).json.gz --markdown $(REPORTS)/$(1).md --png $(REPORTS)/$(1).png --rollouts $(REPORTS)/$(1)-rollouts.png
+# The errors of every trajectory are too many to keep beside the pages: they go to out/.
+told = --json $(REPORTS)/$(1).json.gz --markdown $(REPORTS)/$(1).md --png $(REPORTS)/$(1).png \
+	--rollouts $(REPORTS)/$(1)-rollouts.png --csv out/$(1).csv
 shifted = $(BIN)/mbds-xsim shift $(MODELS) $(STUDY) --scene $(2) $(call told,shift/$(1))
 shift-targets = $(addprefix shift-,$(SHIFTED))
 factor-targets = $(SCENES:%=shift-%-factors)
