@@ -22,8 +22,8 @@ from mbds_xsim.base.errors import SceneError
 from mbds_xsim.scene.collisions import sphere_pairs
 from mbds_xsim.scene.coupling import PlacedCoupling
 from mbds_xsim.scene.mass import mass_properties
-from mbds_xsim.scene.scene import WORLD, DistanceLink, Scene, SpringDamper
-from mbds_xsim.scene.servo import PlacedDrive, law_of
+from mbds_xsim.scene.scene import WORLD, DistanceLink, Joint, Scene, SpringDamper
+from mbds_xsim.scene.servo import PlacedDrive, Servo, by_joint, law_of
 from mbds_xsim.scene.spanning import spanning_tree
 
 JointKind = Literal["fixed", "hinge", "slider", "ball"]
@@ -310,7 +310,13 @@ def _build(scene: Scene, cut: tuple[JointKind, ...]) -> Mechanism:
     index = {body.name: k for k, body in enumerate(scene.bodies)} | {WORLD: WORLD_INDEX}
     masses, coms, inertias = zip(*(mass_properties(body) for body in scene.bodies), strict=True)
     com = np.array(coms)
-    joints = tuple(_place(scene, k, index, com) for k in range(len(scene.joints)))
+    origin = np.concatenate([com, np.zeros((1, 3))])  # of native frames, the world's last
+    coupled = {name for each in scene.couplings for name in (each.joint, each.follows)}
+    servos = by_joint(scene.servos)
+    joints = tuple(
+        _place(k, joint, servos[joint.name], joint.name in coupled, index, origin)
+        for k, joint in enumerate(scene.joints)
+    )
     tree, loops = spanning_tree(len(scene.bodies), joints, cut)
     for joint in loops:
         if joint.in_tree:
@@ -320,14 +326,10 @@ def _build(scene: Scene, cut: tuple[JointKind, ...]) -> Mechanism:
             raise SceneError(f"{where}, allowed only on others; let another joint close it")
     counts = np.array([len(body.particles) for body in scene.bodies])
     particle_body = np.repeat(np.arange(len(counts)), counts)
-    particles = np.array(
-        [
-            np.array(body.position)
-            + rotation.rotate(np.array(body.orientation), np.array(particle.position))
-            for body in scene.bodies
-            for particle in body.particles
-        ]
-    ).reshape(-1, 3)
+    place = np.array([body.position for body in scene.bodies])[particle_body]
+    reference_orientation = np.array([body.orientation for body in scene.bodies])
+    arm = np.array([p.position for body in scene.bodies for p in body.particles]).reshape(-1, 3)
+    particle = place + rotation.rotate(reference_orientation[particle_body], arm)
     sphere_body = np.array([index[sphere.body] for sphere in scene.contacts], dtype=np.int64)
     sphere = np.array([sphere.center for sphere in scene.contacts]).reshape(-1, 3)
     return Mechanism(
@@ -335,19 +337,17 @@ def _build(scene: Scene, cut: tuple[JointKind, ...]) -> Mechanism:
         mass=np.array(masses),
         com=com,
         inertia=np.array(inertias),
-        reference_orientation=np.array([body.orientation for body in scene.bodies]),
+        reference_orientation=reference_orientation,
         joints=joints,
         links=tuple(Link(*link) for link in tree),
         loops=loops,
-        distances=tuple(_pair(link, link.length, index, com) for link in scene.distance_links),
+        distances=tuple(_pair(link, link.length, index, origin) for link in scene.distance_links),
         springs=tuple(
-            dataclasses.replace(
-                _pair(s, s.rest_length, index, com), stiffness=s.stiffness, damping=s.damping
-            )
-            for s in scene.springs
+            _pair(spring, spring.rest_length, index, origin, spring.stiffness, spring.damping)
+            for spring in scene.springs
         ),
         particle_body=particle_body,
-        particle_offset=particles - com[particle_body],
+        particle_offset=particle - com[particle_body],
         particles_per_body=counts,
         sphere_body=sphere_body,
         sphere_offset=sphere - com[sphere_body],
@@ -357,25 +357,22 @@ def _build(scene: Scene, cut: tuple[JointKind, ...]) -> Mechanism:
     )
 
 
-def _native(point: tuple[float, float, float], body: int, com: Array) -> Array:
-    return np.array(point) - (com[body] if body != WORLD_INDEX else 0.0)
-
-
-def _place(scene: Scene, k: int, index: dict[str, int], com: Array) -> PlacedJoint:
-    joint = scene.joints[k]
-    stiffness, damping, rest = law_of(joint, scene.servos)
+def _place(
+    k: int, joint: Joint, servos: list[Servo], coupled: bool, index: dict[str, int], origin: Array
+) -> PlacedJoint:
+    stiffness, damping, rest = law_of(joint, servos)
     # hypot neither underflows nor overflows, whatever the axis's length.
     axis = np.zeros(3) if joint.axis is None else np.array(joint.axis) / math.hypot(*joint.axis)
-    parent, child = index[joint.parent], index[joint.child]
+    parent, child, anchor = index[joint.parent], index[joint.child], np.array(joint.anchor)
     return PlacedJoint(
         name=joint.name,
         kind=joint.kind,
         parent=parent,
         child=child,
-        anchor=np.array(joint.anchor),
+        anchor=anchor,
         axis=axis,
-        in_parent=_native(joint.anchor, parent, com),
-        in_child=_native(joint.anchor, child, com),
+        in_parent=anchor - origin[parent],
+        in_child=anchor - origin[child],
         index=k,
         stiffness=stiffness,
         damping=damping,
@@ -384,15 +381,19 @@ def _place(scene: Scene, k: int, index: dict[str, int], com: Array) -> PlacedJoi
         friction=joint.friction,
         limits=joint.limits,
         restitution=joint.restitution,
-        coupled=any(joint.name in (each.joint, each.follows) for each in scene.couplings),
-        driven=any(each.joint == joint.name and each.is_drive(joint) for each in scene.servos),
+        coupled=coupled,
+        driven=any(servo.is_drive(joint) for servo in servos),
     )
 
 
 def _pair(
-    item: DistanceLink | SpringDamper, length: float | None, index: dict[str, int], com: Array
+    item: DistanceLink | SpringDamper,
+    length: float | None,
+    index: dict[str, int],
+    origin: Array,
+    *law: float,
 ) -> PointPair:
-    (a, b), (here, there) = (index[name] for name in item.bodies), item.points
+    (a, b), (here, there) = (index[name] for name in item.bodies), map(np.array, item.points)
     if length is None:
-        length = float(np.linalg.norm(np.subtract(here, there)))
-    return PointPair(item.name, (a, b), (_native(here, a, com), _native(there, b, com)), length)
+        length = float(np.linalg.norm(here - there))
+    return PointPair(item.name, (a, b), (here - origin[a], there - origin[b]), length, *law)

@@ -25,7 +25,7 @@ from mbds_xsim.scene.draft import Draft, Drafts, carried_by, hinge_rate, lift, p
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
 from mbds_xsim.scene.scene import Scene
-from mbds_xsim.scene.servo import zero_order_hold
+from mbds_xsim.scene.servo import by_joint, zero_order_hold
 from mbds_xsim.scene.state import Batch
 
 # σ holds for frames of this length; other intervals keep the noise's spectral density.
@@ -152,9 +152,10 @@ def _scene_inputs(mechanism: Mechanism) -> tuple[Array, Array]:
 
     for item in scene.forces:
         force[:, bodies[item.body]] += held(item.series, item.hold)
+    servos_of = by_joint(scene.servos)
     for joint in mechanism.joints:
         own = scene.joints[joint.index]
-        servos = [s for s in scene.servos if s.joint == joint.name and not s.is_drive(own)]
+        servos = [servo for servo in servos_of[joint.name] if not servo.is_drive(own)]
         push = np.zeros(scene.clock.steps)
         for servo in servos:
             for part in servo.push(joint.rest):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
@@ -68,13 +70,21 @@ class Servo(Neutral):
         return lead, self.damping * np.array(self.velocity)
 
 
-def law_of(joint: Joint, servos: tuple[Servo, ...]) -> tuple[float, float, float]:
+def by_joint(servos: Iterable[Servo]) -> defaultdict[str, list[Servo]]:
+    """Group servos by the joint that they drive."""
+    groups: defaultdict[str, list[Servo]] = defaultdict(list)
+    for servo in servos:
+        groups[servo.joint].append(servo)
+    return groups
+
+
+def law_of(joint: Joint, servos: Iterable[Servo]) -> tuple[float, float, float]:
     """Combine a joint's own spring and damper with its servos into stiffness, damping and rest.
 
     Targets of a hinge's servos act as inputs, those of a slider's only if they change; otherwise
     they shift the rest coordinate. Drives are left out.
     """
-    mine = [servo for servo in servos if servo.joint == joint.name and not servo.is_drive(joint)]
+    mine = [servo for servo in servos if not servo.is_drive(joint)]
     stiffness = joint.stiffness + sum(servo.stiffness for servo in mine)
     damping = joint.damping + sum(servo.damping for servo in mine)
     if joint.kind == "hinge" or not (mine and stiffness) or any(s.needs_input for s in mine):

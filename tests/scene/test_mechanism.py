@@ -11,9 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.errors import SceneError
+from mbds_xsim.scene.coupling import Coupling
 from mbds_xsim.scene.markers import marker_positions, markers
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
-from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.sampling import draw_batch, has_known_forces
 from mbds_xsim.scene.scene import (
     Body,
     ContactSphere,
@@ -25,6 +26,7 @@ from mbds_xsim.scene.scene import (
     Scene,
     SpringDamper,
 )
+from mbds_xsim.scene.servo import Servo
 from mbds_xsim.simulate.registry import load_scene
 from tests.random_scenes import random_tree
 
@@ -236,6 +238,38 @@ def test_a_scene_is_built_once() -> None:
     first, second = _ring("hinge", "hinge"), _ring("hinge", "hinge")
 
     assert first is second
+
+
+class _Counted(str):
+    """A name that counts comparisons."""
+
+    comparisons = 0
+    __hash__ = str.__hash__
+
+    def __eq__(self, other: object) -> bool:
+        _Counted.comparisons += 1
+        return str.__eq__(self, other)
+
+
+def _comparisons(joints: int) -> int:
+    """Count the comparisons of names that it takes to build a star of driven, coupled hinges."""
+    names = [f"j{k}" for k in range(joints)]
+    scene = Scene(
+        "star",
+        tuple(Body(name, inertia=UNIT) for name in names),
+        1.0,
+        joints=tuple(_joint(_Counted(name), "hinge", "world", name) for name in names),
+        servos=tuple(Servo(_Counted(name), stiffness=1.0) for name in names),
+        couplings=tuple(Coupling(_Counted(name), _Counted("j0")) for name in names[1:]),
+    )
+    before = _Counted.comparisons
+    assert Mechanism.of(scene).joints[-1].coupled
+    assert not has_known_forces(scene)
+    return _Counted.comparisons - before
+
+
+def test_joints_find_their_servos_and_couplings_with_work_in_proportion_to_their_number() -> None:
+    assert _comparisons(200) < 5 * _comparisons(50)
 
 
 def test_particles_without_extent_on_a_line_are_refused() -> None:
