@@ -91,7 +91,7 @@ def test_loops_of_the_ladder_are_the_right_ends_of_its_rungs() -> None:
 
     assert [joint.name for joint in mechanism.loops] == [f"rung{k}_right" for k in (1, 2, 3)]
     start = assemble(mechanism)
-    rows = constraint_rows(mechanism, start.position, start.native, start.velocity, start.velocity)
+    rows = constraint_rows(mechanism, start)
     assert np.abs(rows.residual).max() < 1e-15
 
 

@@ -103,10 +103,8 @@ def check_joints(mechanism: Mechanism, starts: BodyStates) -> None:
 
     `starts` may have leading axes.
     """
-    rows = constraint_rows(mechanism, **vars(starts))
-    lead = starts.position.shape[:-2]
-    twist = np.concatenate([starts.velocity, starts.angular_velocity], axis=-1)
-    twist = np.concatenate([twist, np.zeros((*lead, 1, 6))], axis=-2)
+    rows, world = constraint_rows(mechanism, starts), starts.with_world()
+    twist = np.concatenate([world.velocity, world.angular_velocity], axis=-1)
     rate = np.sum(
         rows.jacobian_parent * twist[..., rows.parent, :]
         + rows.jacobian_child * twist[..., rows.child, :],
@@ -187,7 +185,7 @@ def _pose_rows(
     mechanism: Mechanism, start: BodyStates, goal: _Goal
 ) -> tuple[ConstraintRows, Array, Index]:
     """Return all constraint rows; residual and owner of these, couplings, joints with a goal."""
-    rows = constraint_rows(mechanism, **vars(start))
+    rows = constraint_rows(mechanism, start)
     deviations = [
         _wrapped(joint, float(joint_coordinate(joint, start.position, start.native)) - target)
         for joint, target in goal
@@ -217,7 +215,7 @@ def _complete_velocities(mechanism: Mechanism, start: BodyStates) -> BodyStates:
         return dataclasses.replace(start, velocity=still, angular_velocity=still.copy())
     from scipy.sparse import eye_array, vstack  # takes long to import
 
-    rows = constraint_rows(mechanism, **vars(start))
+    rows = constraint_rows(mechanism, start)
     names = [_owner_name(mechanism, int(owner)) for owner in _owners(mechanism, rows)]
     wanted: list[float] = [0.0] * len(names)
     turning = [joint for joint in mechanism.joints if scene.joints[joint.index].rate is not None]
@@ -258,7 +256,7 @@ def _check_branch(mechanism: Mechanism, start: BodyStates) -> None:
     """
     if not (mechanism.loops or mechanism.distances):
         return
-    rows = constraint_rows(mechanism, **vars(start))
+    rows = constraint_rows(mechanism, start)
     jacobian = sparse_jacobian(rows, mechanism.body_count)
     off = np.abs(jacobian @ _least_energy(mechanism, start, jacobian, -rows.bias) + rows.bias)
     worst = int(np.argmax(off))

@@ -114,31 +114,12 @@ class Moving:
     span: tuple[Array, Array, Array]
 
 
-def constraint_rows(
-    mechanism: Mechanism,
-    position: Array,
-    native: Array,
-    velocity: Array,
-    angular_velocity: Array,
-) -> ConstraintRows:
-    """Evaluate all rows, point rows first, then along, normal, distance.
-
-    Args:
-        mechanism: The mechanism.
-        position: Centres of mass in W [m], shape (…, body, 3).
-        native: Rotations of the native frames, shape (…, body, 4).
-        velocity: Velocities of the centres of mass in W [m/s], shape (…, body, 3).
-        angular_velocity: Angular velocities in W [rad/s], shape (…, body, 3).
-    """
-    layout = layout_of(mechanism)
-    world = np.zeros((*position.shape[:-2], 1, 3))
-    x, v, w = (
-        np.concatenate([values, world], axis=-2)
-        for values in (position, velocity, angular_velocity)
-    )
-    still = np.broadcast_to(rotation.IDENTITY, (*world.shape[:-1], 4))
-    turn = rotation.matrix(np.concatenate([native, still], axis=-2))
-    residual, bias, halves = evaluate(layout, motion_of(layout, turn, x, v, w))
+def constraint_rows(mechanism: Mechanism, bodies: BodyStates) -> ConstraintRows:
+    """Evaluate all rows, point rows first, then along, normal, distance."""
+    layout, world = layout_of(mechanism), bodies.with_world()
+    turn, spin = rotation.matrix(world.native), world.angular_velocity
+    motion = motion_of(layout, turn, world.position, world.velocity, spin)
+    residual, bias, halves = evaluate(layout, motion)
     return ConstraintRows(
         parent=layout.row_body[0],
         child=layout.row_body[1],
@@ -182,7 +163,7 @@ def degrees_of_freedom(mechanism: Mechanism) -> int:
     At a singular reference pose, the count is higher than elsewhere.
     """
     reference = BodyStates.at_reference(mechanism)
-    rows = constraint_rows(mechanism, **vars(reference))
+    rows = constraint_rows(mechanism, reference)
     if not (mechanism.loops or mechanism.distances):
         return 6 * mechanism.body_count - len(rows.parent) - len(mechanism.couplings)
     if len(rows.parent) <= _FEW and not mechanism.couplings:

@@ -65,7 +65,7 @@ def spring_rates(scene: Scene) -> tuple[float, float]:
 def _free(mechanism: Mechanism, start: BodyStates, relative_rows: Array) -> Array:
     """Weight rows by inverse masses, and remove the directions held by joints of the tree."""
     root = inverse_mass_root(mechanism, start.native).toarray()
-    rows = constraint_rows(mechanism, **vars(start))
+    rows = constraint_rows(mechanism, start)
     loops = [joint.index for joint in mechanism.loops]
     tree = (rows.owner < len(mechanism.joints)) & ~np.isin(rows.owner, loops)
     return _without(dense_jacobian(rows, mechanism.body_count)[tree] @ root, relative_rows @ root)

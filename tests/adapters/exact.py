@@ -13,6 +13,7 @@ from mbds_xsim import reference
 from mbds_xsim.checks.conservation import energy_of
 from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.constraints import constraint_rows
+from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import HingeRate
@@ -71,10 +72,7 @@ class Runs:
 def worst_gap(scene: Scene, motion: Trajectory) -> float:
     """Largest residual of the joints and links at any frame [m, or a sine]."""
     mechanism = Mechanism.of(scene)
-    native = mechanism.native_rotation(motion.orientation)
-    rows = constraint_rows(
-        mechanism, motion.position, native, motion.velocity, motion.angular_velocity
-    )
+    rows = constraint_rows(mechanism, BodyStates.of(mechanism, motion))
     return float(np.abs(rows.residual).max())
 
 

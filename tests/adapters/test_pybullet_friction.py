@@ -110,7 +110,7 @@ def _yielding(mechanism: Mechanism, state: tuple[Array, ...], sphere: int) -> Ar
     z -= mechanism.sphere_radius[sphere]
     push = np.zeros((2, 6 * count))
     push[:, 6 * body : 6 * body + 6] = [[1, 0, 0, 0, z, -y], [0, 1, 0, -z, 0, x]]
-    jacobian = dense_jacobian(constraint_rows(mechanism, *state), count)
+    jacobian = dense_jacobian(constraint_rows(mechanism, BodyStates(*state)), count)
     borne = np.linalg.pinv(jacobian @ inverse @ jacobian.T)
     mobility = inverse - inverse @ jacobian.T @ borne @ jacobian @ inverse
     return np.asarray(push @ mobility @ push.T)

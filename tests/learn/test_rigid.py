@@ -14,6 +14,7 @@ from mbds_xsim.learn.rigid import BodyMechanics, JointHold, Links
 from mbds_xsim.learn.window import KnownInputs
 from mbds_xsim.reference.solution import solve
 from mbds_xsim.scene.constraints import constraint_rows, dense_jacobian
+from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene, SpringDamper
 from mbds_xsim.scene.state import Batch, Trajectory
@@ -65,7 +66,8 @@ def test_rows_are_those_of_the_scene(name: str) -> None:
     graph = Graph.of(_case(name))
     state = torch.from_numpy(np.random.default_rng(3).normal(size=(4, graph.body_count, 13)))
     state[..., 3:7] /= state[..., 3:7].norm(dim=-1, keepdim=True)
-    rows = constraint_rows(graph.mechanism, *np.split(state.numpy(), (3, 7, 10), axis=-1))
+    parts = np.split(state.numpy(), (3, 7, 10), axis=-1)
+    rows = constraint_rows(graph.mechanism, BodyStates(*parts))
     bodies = BodyMechanics(graph)
     hold = bodies.hold(state)
     np.testing.assert_allclose(bodies.residual(state).numpy(), rows.residual, atol=1e-12)

@@ -110,9 +110,7 @@ def one(bodies: BodyStates, k: int) -> BodyStates:
 
 
 def rows_at(mechanism: Mechanism, bodies: BodyStates) -> tuple[Array, Array, Array]:
-    rows = constraint_rows(
-        mechanism, bodies.position, bodies.native, bodies.velocity, bodies.angular_velocity
-    )
+    rows = constraint_rows(mechanism, bodies)
     return rows.residual, dense_jacobian(rows, mechanism.body_count), rows.bias
 
 

@@ -13,7 +13,6 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene import row_space
 from mbds_xsim.scene.constraints import (
-    ConstraintRows,
     constraint_rows,
     degrees_of_freedom,
     dense_jacobian,
@@ -45,14 +44,8 @@ def _moved(states: BodyStates, time: float) -> BodyStates:
     )
 
 
-def _rows(mechanism: Mechanism, states: BodyStates) -> ConstraintRows:
-    return constraint_rows(
-        mechanism, states.position, states.native, states.velocity, states.angular_velocity
-    )
-
-
 def _rate(mechanism: Mechanism, states: BodyStates) -> Array:
-    jacobian = dense_jacobian(_rows(mechanism, states), mechanism.body_count)
+    jacobian = dense_jacobian(constraint_rows(mechanism, states), mechanism.body_count)
     twist = np.concatenate([states.velocity, states.angular_velocity], axis=-1)
     return np.einsum("...ij,...j->...i", jacobian, twist.reshape(*twist.shape[:-2], -1))
 
@@ -70,7 +63,7 @@ def mechanism(request: pytest.FixtureRequest) -> Mechanism:
 def test_jacobian_is_the_rate_of_the_residual(mechanism: Mechanism) -> None:
     states, step = _random_states(np.random.default_rng(5), mechanism.body_count), 1e-5
 
-    ahead, behind = (_rows(mechanism, _moved(states, t)).residual for t in (step, -step))
+    ahead, behind = (constraint_rows(mechanism, _moved(states, t)).residual for t in (step, -step))
 
     assert ahead.shape[-1] > 0
     np.testing.assert_allclose(
@@ -84,7 +77,7 @@ def test_bias_is_the_second_rate_at_constant_velocities(mechanism: Mechanism) ->
     ahead, behind = (_rate(mechanism, _moved(states, t)) for t in (step, -step))
 
     np.testing.assert_allclose(
-        _rows(mechanism, states).bias, (ahead - behind) / (2 * step), rtol=1e-6, atol=1e-6
+        constraint_rows(mechanism, states).bias, (ahead - behind) / (2 * step), rtol=1e-6, atol=1e-6
     )
 
 
@@ -93,7 +86,7 @@ def test_a_joint_has_as_many_independent_rows_as_it_takes_freedoms(kind: Kind) -
     mechanism = Mechanism.of(random_tree(np.random.default_rng(9), (kind,)))
     states = to_bodies(mechanism, random_links(np.random.default_rng(1), mechanism, (4,)))
 
-    jacobian = dense_jacobian(_rows(mechanism, states), 1)
+    jacobian = dense_jacobian(constraint_rows(mechanism, states), 1)
 
     assert jacobian.shape == (4, ROWS[kind], 6)
     assert np.linalg.matrix_rank(jacobian).tolist() == [ROWS[kind]] * 4
@@ -105,7 +98,7 @@ def test_rows_vanish_on_states_that_joint_coordinates_make() -> None:
 
     states = to_bodies(mechanism, random_links(rng, mechanism, (20,)))
 
-    assert np.abs(_rows(mechanism, states).residual).max() < 1e-12
+    assert np.abs(constraint_rows(mechanism, states).residual).max() < 1e-12
     assert np.abs(_rate(mechanism, states)).max() < 1e-11
 
 
@@ -131,7 +124,7 @@ def test_what_a_joint_forbids_shows_in_its_residual(
     turn = rotation.from_vector(np.array([motion.get("turn", [0.0, 0.0, 0.0])]))
     still = np.zeros((1, 3))
 
-    residual = constraint_rows(mechanism, shift, turn, still, still).residual
+    residual = constraint_rows(mechanism, BodyStates(shift, turn, still, still)).residual
 
     size = np.linalg.norm(shift) + np.sin(np.linalg.norm(rotation.to_vector(turn)))
     assert np.linalg.norm(residual) == pytest.approx(size)
@@ -139,10 +132,8 @@ def test_what_a_joint_forbids_shows_in_its_residual(
 
 def test_owners_name_joint_and_link_of_each_row() -> None:
     mechanism = Mechanism.of(random_tree(np.random.default_rng(4), KINDS, links=2))
-    still = np.zeros((4, 3))
-    native = np.tile(rotation.IDENTITY, (4, 1))
 
-    rows = constraint_rows(mechanism, mechanism.com, native, still, still)
+    rows = constraint_rows(mechanism, BodyStates.at_reference(mechanism))
 
     counts = [ROWS[joint.kind] for joint in mechanism.joints] + [1, 1]
     assert np.bincount(rows.owner).tolist() == counts

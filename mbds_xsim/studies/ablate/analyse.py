@@ -10,13 +10,13 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.base.isolate import Task, run_tasks
 from mbds_xsim.checks import agreement
 from mbds_xsim.measure.result import Evidence
 from mbds_xsim.scene.collisions import count_pairs
 from mbds_xsim.scene.constraints import constraint_rows, degrees_of_freedom, dense_jacobian
+from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Trajectory
@@ -372,9 +372,7 @@ def _native_size(scene: Scene, engine: str, settings: Settings) -> ModelSize:
 def _planar_freedom(mechanism: Mechanism, moving: tuple[int, ...]) -> int:
     """Count the degrees of freedom at the reference pose, if bodies move in `moving` only."""
     count = mechanism.body_count
-    still = np.zeros((count, 3))
-    native = np.broadcast_to(rotation.IDENTITY, (count, 4))
-    rows = constraint_rows(mechanism, mechanism.com, native, still, still)
+    rows = constraint_rows(mechanism, BodyStates.at_reference(mechanism))
     if not len(rows.parent):
         return len(moving) * count
     columns = [6 * body + k for body in range(count) for k in moving]
