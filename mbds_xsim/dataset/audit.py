@@ -23,13 +23,13 @@ from mbds_xsim.dataset.points import Points, recover
 from mbds_xsim.measure.campaign import reference_of
 from mbds_xsim.measure.judge import error_findings, failed_lines, finding_result, turn_finding
 from mbds_xsim.measure.result import FindingResult
-from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import STATES, Batch, Trajectory
 from mbds_xsim.simulate.claims import Method
 
-_OF_POSITIONS = (finite, start, gap, angle_gap, planarity, penetration)
+_OF_BODIES = (gap, angle_gap, planarity, penetration)
+_OF_POSITIONS = (finite, start, *_OF_BODIES)
 _OF_VELOCITIES = (
     "gap rate", "angle gap rate", "displacement", "kinematics", "velocity lag", "energy",
     "momentum", "coefficients",
@@ -140,6 +140,8 @@ class _Case:
         self.not_checked: dict[str, str] = {}
         self.orientation: Array | None = None
         """Orientations in the file, or fitted to its points; set by the checks of bodies."""
+        self.position = foreign.arrays.get("position")
+        """Positions of the points: those of the bodies, once these are checked."""
         self.named = self.origin.index is not None and self.origin.seed is not None
         """Whether seed and index are given, so that the start is known."""
         self.batch = (
@@ -160,7 +162,6 @@ class _Case:
     def findings(self) -> list[Finding]:
         """Run every check that the file allows."""
         arrays, findings = self.foreign.arrays, list[Finding]()
-        points = arrays.get("position")
         turned = self.rounding("body/orientation") * self.foreign.scene.length
         coarse = max(self.rounding("position", "body/position"), turned)
         if coarse > _COARSE * self.foreign.scene.budget.gap:
@@ -173,8 +174,8 @@ class _Case:
             blur = self.rounding(*(f"body/{key}" for key in STATES))
             findings += self._of_bodies(states, blur, self.rounding("body/orientation"))
             findings += self._carried(states)
-        elif points is not None:
-            findings += self._of_points(points, arrays.get("velocity"))
+        else:
+            findings += self._of_points(arrays["position"], arrays.get("velocity"))
         if self.named:
             findings += [*self._inputs(), *self._errors()]
         else:
@@ -234,7 +235,9 @@ class _Case:
         if fit.undetermined:
             few = ", ".join(fit.undetermined[:3]) + (" …" if len(fit.undetermined) > 3 else "")
             reason = f"the particles do not show how {few} turned; give body states"
-            self._leave_out(reason, "error of turns", *_positional(scene))
+            still = Record(scene, self.batch, self._trajectory({}))  # shows which checks apply
+            positional = (check.name for check in _OF_BODIES if check(still) is not None)
+            self._leave_out(reason, "error of turns", *positional)
             return [rigid, *self._start_of(position, velocity)]
         self.assumptions.append("bodies: fitted to the particles as rigid, by least squares")
         states = {key: getattr(fit, key) for key in STATES}
@@ -260,6 +263,7 @@ class _Case:
         names = tuple(scene.bodies[body].name for body in self.points.body)
         trajectory = self._trajectory(states)
         own, blurs = self.points.motion(trajectory), self._blurs(trajectory)
+        self.position = own[0]
         scales = (("particles", "m", 1.0), ("particle velocities", "m/s", scene.clock.frame))
         for key, carried, blur, (check, unit, scale) in zip(
             ("position", "velocity"), own, blurs, scales, strict=True
@@ -329,7 +333,8 @@ class _Case:
             self.assumptions.append(
                 f"reference: compared with the first {_MOST_COMPARED} trajectories only"
             )
-        offset = self._positions()[rows] - self.points.motion(solved.trajectory)[0]
+        assert self.position is not None  # of points or of bodies, without which a file is refused
+        offset = self.position[rows] - self.points.motion(solved.trajectory)[0]
         error = np.sqrt(np.mean(np.sum(offset**2, axis=-1), axis=-1))
         findings = error_findings(scene, batch, error, solved.trajectory, solved.growth)
         if all(finding.check != "error at 1 s" for finding in findings):
@@ -340,26 +345,6 @@ class _Case:
             turned = self.orientation[rows]
             findings.append(turn_finding(scene, turned, solved.trajectory, solved.growth))
         return findings
-
-    def _positions(self) -> Array:
-        """Return positions of the points, computed from the bodies if the file has them."""
-        arrays = self.foreign.arrays
-        if "body/position" not in arrays:
-            return arrays["position"]
-        states = {key: arrays.get(f"body/{key}") for key in STATES}
-        return self.points.motion(self._trajectory(states))[0]
-
-
-def _positional(scene: Scene) -> list[str]:
-    """List the checks of positions that apply to a scene and that particles alone do not allow."""
-    mechanism = Mechanism.of(scene)
-    applies = {
-        "gap": mechanism.joints or mechanism.distances,
-        "angle gap": any(joint.kind != "ball" for joint in mechanism.joints),
-        "planarity": scene.dimension < 3,
-        "penetration": scene.contacts,
-    }
-    return [name for name, does in applies.items() if does]
 
 
 def _start_assumption(first: _Case, last: _Case) -> str:
