@@ -11,12 +11,12 @@ import sys
 from collections import defaultdict
 from collections.abc import Iterator
 
-from benchmarks.harness import SCENES, print_table
+from benchmarks.harness import print_table
 from mbds_xsim.base.isolate import HERE
 from mbds_xsim.measure.result import EngineResult
 from mbds_xsim.scene.sampling import Starts
 from mbds_xsim.simulate.choice import Choice
-from mbds_xsim.simulate.registry import load_scene
+from mbds_xsim.simulate.registry import PAPER_SCENES, load_scene
 from mbds_xsim.studies.validate import validate_with_evidence
 
 FIRST = 9001
@@ -57,4 +57,4 @@ def _keep(worst: dict[str, tuple[float, str]], row: EngineResult, run: str) -> N
 if __name__ == "__main__":
     count = int(sys.argv[sys.argv.index("--seeds") + 1]) if "--seeds" in sys.argv else 10
     named = sys.argv[1 : sys.argv.index("--seeds")] if "--seeds" in sys.argv else sys.argv[1:]
-    main(tuple(named) or SCENES, count)
+    main(tuple(named) or PAPER_SCENES, count)

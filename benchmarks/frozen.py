@@ -20,22 +20,22 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.harness import SCENES
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.commands import app
 from mbds_xsim.dataset.read import load_dataset
+from mbds_xsim.simulate.registry import PAPER_SCENES
 from mbds_xsim.studies.diff.compare import compare_files
 
 _SMALL = "1pendulum --engines mujoco,pybullet --settings native"
 _COMMANDS = {
     **{f"validate-{scene}-{seed}": f"validate {scene} --seed {seed}"
-       for scene in SCENES for seed in (1, 2)},
+       for scene in PAPER_SCENES for seed in (1, 2)},
     "match": "match 2pendulum --engines mujoco --trajectories 1 --held-out 2 --out match.toml",
     "tradeoff": "tradeoff 2pendulum --starts 1 --limit 2 --fresh",
     "stability": "stability pace --quick --limit 10 --fresh",
     "ablate": "ablate 2pendulum --engines mujoco --trajectories 1",
     "contact": "contact --engines mujoco,dart",
-    "generate": f"generate {' '.join(SCENES)} --trajectories 3 --settings native --out data",
+    "generate": f"generate {' '.join(PAPER_SCENES)} --trajectories 3 --settings native --out data",
     "verify": "verify data --seed 0",
     "inspect": "inspect data",
     "audit": "audit data/3ladder/mujoco-native.h5",

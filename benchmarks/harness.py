@@ -21,11 +21,6 @@ from mbds_xsim.report.files import table_lines
 Array = NDArray[Any]
 Work = Callable[[], object]
 Stored = TypeVar("Stored")
-SCENES = (
-    *("ballscroll", "balldrop", "5pendulum", "6pendulum"),
-    *("2ladder", "3ladder", "particlecar", "simplecubli"),
-)
-"""Scenes of the paper."""
 
 
 def stored(file: Path, kind: type[Stored]) -> Stored:

@@ -21,7 +21,19 @@ from mbds_xsim.scene.scene import (
     Torque,
     Vector,
 )
-from mbds_xsim.testing.case import NONE, Case, G, case_of, direction, even, integrate, solve, swing
+from mbds_xsim.testing.case import (
+    NONE,
+    Case,
+    G,
+    along,
+    case_of,
+    direction,
+    even,
+    integrate,
+    settling,
+    solve,
+    swing,
+)
 from mbds_xsim.testing.joint_cases import CARRIER, JOINT_CASES, UP, on_a_carrier
 from mbds_xsim.testing.limit_cases import SERVO_CASES, STOP_CASES
 from mbds_xsim.testing.loop_cases import LOOPS
@@ -152,38 +164,27 @@ def _hinge() -> Case:
 
 
 def _slider() -> Case:
-    def exact(time: Array) -> Array:
-        along = 0.5 * time + 0.5 * 0.8 * G * time**2
-        return (along[:, None] * np.array([0.6, 0.0, -0.8]))[:, None]
-
+    axis = (0.6, 0.0, -0.8)
     return case_of(
         "slider",
         "slider axis, initial rate",
         [_box()],
-        exact,
-        Joint("rail", "slider", "world", "box", NONE, (0.6, 0.0, -0.8), rate=0.5),
+        lambda time: along(axis, 0.5 * time + 0.5 * 0.8 * G * time**2),
+        Joint("rail", "slider", "world", "box", NONE, axis, rate=0.5),
     )
 
 
 def _spring() -> Case:
     """Sphere on a damped spring along x, kept there by a slider."""
     stiffness, damping, mass, start = 40.0, 0.8, 1.0, 0.1
-    place = (1.0 + start, 0.0, 0.0)
-
-    def exact(time: Array) -> Array:
-        decay = damping / (2 * mass)
-        omega = np.sqrt(stiffness / mass - decay**2)
-        swing = np.cos(omega * time) + decay / omega * np.sin(omega * time)
-        x = 1.0 + start * np.exp(-decay * time) * swing
-        return np.stack([x, 0 * x, 0 * x], axis=-1)[:, None]
-
+    place, axis = (1.0 + start, 0.0, 0.0), (1.0, 0.0, 0.0)
     ends, points = ("world", "ball"), (NONE, place)
     return case_of(
         "spring",
         "spring and damper",
         [Body("ball", particles=(Particle(place),))],
-        exact,
-        Joint("rail", "slider", "world", "ball", NONE, (1.0, 0.0, 0.0)),
+        lambda time: along(axis, 1.0 + settling(stiffness, damping, mass, start, 0.0, time)),
+        Joint("rail", "slider", "world", "ball", NONE, axis),
         springs=(SpringDamper("spring", ends, points, stiffness, damping, rest_length=1.0),),
     )
 

@@ -116,9 +116,8 @@ class ContactContract:
         for speed in (0.3, 1.0, 3.0, 8.0):
             drop = 0.0137 * speed  # touches down in the middle of a step
             scene = ball(drop, (0.0, 0.0, -speed), ground=ground, steps=1)
-            scales, motion = _simulate(
-                adapter, scene, settings=_settings(adapter, scene, coarser=1)
-            )
+            settings = _settings(adapter, scene, coarser=1)
+            scales, motion = _simulate(adapter, scene, settings=settings)
             impact = np.sqrt(speed**2 + 2 * _G * drop)
             measured = _rebound(motion, _G) / impact
             within = scene.budget.restitution + _G * scales.time / speed
@@ -360,7 +359,4 @@ def _spins(scene: Scene, motion: Trajectory, row: int) -> Array:
 
 
 def _motion_of(adapter: Adapter, scene: Scene) -> Trajectory:
-    with adapter.open(scene, _matched_or_skip(adapter, scene)) as run:
-        motion = run.rollout(draw_batch(scene, [0]))
-    assert motion.failures == (None,)
-    return motion
+    return _simulate(adapter, scene, settings=_matched_or_skip(adapter, scene))[1]

@@ -11,7 +11,19 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.coupling import Coupling
 from mbds_xsim.scene.scene import Clock, Joint, Torque, Vector
 from mbds_xsim.scene.servo import Servo
-from mbds_xsim.testing.case import NONE, Case, Exact, G, case_of, direction, even, solve
+from mbds_xsim.testing.case import (
+    NONE,
+    Case,
+    Exact,
+    G,
+    along,
+    around,
+    case_of,
+    direction,
+    even,
+    settling,
+    solve,
+)
 
 UP: Vector = (0.0, 0.0, 1.0)
 WHEEL, _ARM = 0.1, 0.5
@@ -32,8 +44,7 @@ def on_a_carrier(name: str, verifies: str, turned: Exact, axle: Joint, **more: A
     """
 
     def exact(time: Array) -> Array:
-        angle = turned(time)
-        tip = _ARM * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=-1)
+        tip = _ARM * around(turned(time))
         return np.stack([0.0 * tip, 0.0 * tip, tip], axis=1)
 
     return case_of(
@@ -51,16 +62,6 @@ def on_a_carrier(name: str, verifies: str, turned: Exact, axle: Joint, **more: A
         gravity=NONE,
         **more,
     )
-
-
-def settling(
-    stiffness: float, damping: float, inertia: float, start: float, rate: float, time: Array
-) -> Array:
-    """Solve I x'' = −k x − d x' for an underdamped oscillation."""
-    decay = damping / (2.0 * inertia)
-    omega = np.sqrt(stiffness / inertia - decay**2)
-    swing = start * np.cos(omega * time) + (rate + decay * start) / omega * np.sin(omega * time)
-    return np.asarray(np.exp(-decay * time) * swing)
 
 
 def _sprung_hinge() -> Case:
@@ -91,20 +92,14 @@ def _sprung_slider() -> Case:
     stiffness, damping, rest, rate, mass = 40.0, 1.5, 0.2, 0.5, 2.0
     # Springs of 10 and 30 N/m to these places act like one of 40 N/m to 0.2 m.
     own, servo = 0.5, Servo("rail", (0.1,), stiffness=30.0, damping=1.0)
-    along = np.array([0.6, 0.0, -0.8])
-    slack = rest + mass * G * 0.8 / stiffness
-
-    def exact(time: Array) -> Array:
-        x = slack + settling(stiffness, damping, mass, -slack, rate, time)
-        return (x[:, None] * along)[:, None]
-
+    axis, slack = (0.6, 0.0, -0.8), rest + mass * G * 0.8 / stiffness
     return case_of(
         "sprung slider",
         "spring and damper of a slider, and a servo's",
         [even("block", mass, 0.1)],
-        exact,
+        lambda time: along(axis, slack + settling(stiffness, damping, mass, -slack, rate, time)),
         Joint(
-            "rail", "slider", "world", "block", NONE, (0.6, 0.0, -0.8), rate=rate,
+            "rail", "slider", "world", "block", NONE, axis, rate=rate,
             stiffness=10.0, damping=0.5, rest=own,
         ),
         servos=(servo,),
@@ -200,17 +195,11 @@ def _servo() -> Case:
     mass, arm = 1.5, 0.4
     hub = Joint("hub", "hinge", "world", "arm", NONE, UP, **_SPRUNG)  # type: ignore[arg-type]
     servo = Servo("hub", (0.8, -0.5), **_LEADS)  # type: ignore[arg-type]
-
-    def exact(time: Array) -> Array:
-        angle = _led(0.05 + mass * arm**2, hub, servo, time)
-        places = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=-1)
-        return arm * places[:, None]
-
     return case_of(
         "servo",
         "position and velocity servo with held targets, beside a joint's own spring",
         [even("arm", mass, 0.05, (arm, 0.0, 0.0))],
-        exact,
+        lambda time: arm * around(_led(0.05 + mass * arm**2, hub, servo, time))[:, None],
         hub,
         servos=(servo,),
         length=arm,
@@ -219,18 +208,13 @@ def _servo() -> Case:
 
 def _led_block() -> Case:
     """A servo leads a block on a rail; the joint goes from the block to the world."""
-    along = np.array([0.6, 0.0, -0.8])
-    rail = Joint("rail", "slider", "block", "world", NONE, tuple((-along).tolist()), **_SPRUNG)  # type: ignore[arg-type]
+    rail = Joint("rail", "slider", "block", "world", NONE, (-0.6, 0.0, 0.8), **_SPRUNG)  # type: ignore[arg-type]
     servo = Servo("rail", (0.3, -0.2), **_LEADS)  # type: ignore[arg-type]
-
-    def exact(time: Array) -> Array:
-        return (_led(1.5, rail, servo, time)[:, None] * along)[:, None]
-
     return case_of(
         "led block",
         "servo of a slider on the world with held targets",
         [even("block", 1.5, 0.1)],
-        exact,
+        lambda time: along((0.6, 0.0, -0.8), _led(1.5, rail, servo, time)),
         rail,
         gravity=NONE,
         servos=(servo,),
@@ -255,8 +239,7 @@ def _planetary() -> Case:
         return np.stack([mount, mount + wheel, mount + ratio * wheel], axis=-1)
 
     def exact(time: Array) -> Array:
-        mount = angles(time)[:, 0]
-        tip = arm * np.stack([np.cos(mount), np.sin(mount), 0.0 * mount], axis=-1)
+        tip = arm * around(angles(time)[:, 0])
         return np.stack([0.0 * tip, tip, -tip], axis=1)
 
     def orientation(time: Array) -> Array:
@@ -285,14 +268,13 @@ def _planetary() -> Case:
 def _rack() -> Case:
     """A rack slides down a slope, and winds up a spring on the drum that it is coupled to."""
     mass, drum, radius, stiffness, rest, start, offset = 2.0, 0.02, 0.15, 3.0, 0.4, 0.2, 0.1
-    along = np.array([0.6, 0.0, -0.8])
-    inertia = drum + mass * radius**2
+    axis, inertia = (0.6, 0.0, -0.8), drum + mass * radius**2
     slack = rest + mass * G * 0.8 * radius / stiffness
 
     def exact(time: Array) -> Array:
         angle = slack + settling(stiffness, 0.0, inertia, start - slack, 0.0, time)
-        places = (offset + radius * angle)[:, None] * along
-        return np.stack([0.0 * places, places], axis=1)
+        places = along(axis, offset + radius * angle)
+        return np.concatenate([0.0 * places, places], axis=1)
 
     return case_of(
         "rack and pinion",
@@ -303,7 +285,7 @@ def _rack() -> Case:
             "axle", "hinge", "world", "drum", NONE, (0.0, 1.0, 0.0), start=start,
             stiffness=stiffness, rest=rest,
         ),
-        Joint("rail", "slider", "world", "rack", NONE, tuple(along.tolist())),
+        Joint("rail", "slider", "world", "rack", NONE, axis),
         couplings=(Coupling("rail", "axle", radius, offset),),
     )  # fmt: skip
 
@@ -345,8 +327,7 @@ def _dragged() -> Case:
         side = (-1.0) ** count
         rest, swing = side * (start - 2.0 * count * shift), start - (2.0 * count + 1.0) * shift
         moving = side * (swing * np.cos(omega * time - np.pi * count) + shift)
-        x = np.where(count < last, moving, rest)
-        return np.stack([x, 0.0 * x, 0.0 * x], axis=-1)[:, None]
+        return along((1.0, 0.0, 0.0), np.where(count < last, moving, rest))
 
     return case_of(
         "dragged block",

@@ -7,8 +7,8 @@ import numpy as np
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.scene import Clock, Joint, Torque
 from mbds_xsim.scene.servo import Servo
-from mbds_xsim.testing.case import NONE, Case, G, case_of, even, integrate
-from mbds_xsim.testing.joint_cases import CARRIER, UP, WHEEL, on_a_carrier, settling
+from mbds_xsim.testing.case import NONE, Case, G, along, case_of, even, integrate, settling
+from mbds_xsim.testing.joint_cases import CARRIER, UP, WHEEL, on_a_carrier
 
 
 def _stopped() -> Case:
@@ -71,8 +71,7 @@ def _bouncing() -> Case:
         hop = np.searchsorted(begins, time, side="right") - 1
         since = time - np.array(begins)[hop]
         bouncing = stop + np.maximum(np.array(speed)[hop] * since - 0.5 * G * since**2, 0.0)
-        z = np.where(hop < 0, start - 0.5 * G * time**2, bouncing)
-        return np.stack([0.0 * z, 0.0 * z, z], axis=-1)[:, None]
+        return along(UP, np.where(hop < 0, start - 0.5 * G * time**2, bouncing))
 
     return case_of(
         "bouncing block",
