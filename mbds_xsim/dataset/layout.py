@@ -58,14 +58,12 @@ class Field:
         return "step" in self.axes
 
 
-_FRAMES = ("trajectory", "frame")
-_STEPS = ("trajectory", "step")
+_ROW = ("trajectory",)
+_FRAMES, _STEPS = (*_ROW, "frame"), (*_ROW, "step")
 
 _FIELDS = (
-    Field(
-        "index", ("trajectory",), "<i8", "1", "number of the trajectory, the same in all engines"
-    ),
-    Field("interval", ("trajectory",), "<u1", "1", "0 low, 1 medium, 2 high: index mod 3"),
+    Field("index", _ROW, "<i8", "1", "number of the trajectory, the same in all engines"),
+    Field("interval", _ROW, "<u1", "1", "0 low, 1 medium, 2 high: index mod 3"),
     Field("time", ("frame",), "<f8", "s", "of each frame"),
     Field("position", (*_FRAMES, "point", "axis"), "<f4", "m", "of the particles in W"),
     Field("velocity", (*_FRAMES, "point", "axis"), "<f4", "m/s", "of the particles in W"),
@@ -73,75 +71,38 @@ _FIELDS = (
     Field("body/orientation", (*_FRAMES, "body", "wxyz"), "<f8", "1", "unit quaternion, body to W"),
     Field("body/velocity", (*_FRAMES, "body", "xyz"), "<f8", "m/s", "of centres of mass in W"),
     Field("body/angular_velocity", (*_FRAMES, "body", "xyz"), "<f8", "rad/s", "in W"),
-    Field("start/position", ("trajectory", "body", "xyz"), "<f8", "m", "as drawn"),
-    Field("start/orientation", ("trajectory", "body", "wxyz"), "<f8", "1", "as drawn"),
-    Field("start/velocity", ("trajectory", "body", "xyz"), "<f8", "m/s", "as drawn"),
-    Field("start/angular_velocity", ("trajectory", "body", "xyz"), "<f8", "rad/s", "as drawn"),
-    Field(
-        "input/force",
-        (*_STEPS, "body", "xyz"),
-        "<f8",
-        "N",
-        "all that acts on centres of mass in W, the noise included, held over each step",
-    ),
-    Field(
-        "input/known_force",
-        (*_STEPS, "body", "xyz"),
-        "<f8",
-        "N",
-        "the same without the noise: what a model may be told; absent where there is none",
-    ),
-    Field(
-        "input/torque",
-        (*_STEPS, "hinge"),
-        "<f8",
-        "N·m",
-        "about each hinge, on the child, and the opposite on the parent, held over each step",
-    ),
+    Field("start/position", (*_ROW, "body", "xyz"), "<f8", "m", "as drawn"),
+    Field("start/orientation", (*_ROW, "body", "wxyz"), "<f8", "1", "as drawn"),
+    Field("start/velocity", (*_ROW, "body", "xyz"), "<f8", "m/s", "as drawn"),
+    Field("start/angular_velocity", (*_ROW, "body", "xyz"), "<f8", "rad/s", "as drawn"),
+    Field("input/force", (*_STEPS, "body", "xyz"), "<f8", "N",
+          "all that acts on centres of mass in W, the noise included, held over each step"),
+    Field("input/known_force", (*_STEPS, "body", "xyz"), "<f8", "N",
+          "the same without the noise: what a model may be told; absent where there is none"),
+    Field("input/torque", (*_STEPS, "hinge"), "<f8", "N·m",
+          "about each hinge, on the child, and the opposite on the parent, held over each step"),
     Field("check/name", ("check",), "text", "", "of each check; docs/checks.md defines them"),
     Field("check/unit", ("check",), "text", "", "of its figure and of what is allowed"),
-    Field(
-        "check/figure",
-        ("trajectory", "check"),
-        "<f8",
-        "check/unit",
-        "worst over the frames; not a number where the check does not apply",
-    ),
-    Field(
-        "check/allowed",
-        ("trajectory", "check"),
-        "<f8",
-        "check/unit",
-        "what the figure may reach; infinite where it is shown, not judged",
-    ),
-    Field("check/frame", ("trajectory", "check"), "<i4", "1", "of the worst value; −1: none"),
+    Field("check/figure", (*_ROW, "check"), "<f8", "check/unit",
+          "worst over the frames; not a number where the check does not apply"),
+    Field("check/allowed", (*_ROW, "check"), "<f8", "check/unit",
+          "what the figure may reach; infinite where it is shown, not judged"),
+    Field("check/frame", (*_ROW, "check"), "<i4", "1", "of the worst value; −1: none"),
     Field("graph/edge", ("edge", "two"), "<i4", "1", "pairs of nodes: points, then static nodes"),
     Field("graph/point_body", ("point",), "<i4", "1", "body of each point"),
     Field("graph/static_node", ("static", "axis"), "<f8", "m", "fixed points in W"),
     Field("graph/body_name", ("body",), "text", "", "of each body"),
-    Field("reason", ("trajectory",), "text", "", "why it was rejected", ("rejected",)),
-    Field("split", ("trajectory",), "<u1", "1", "0 train, 1 validation, 2 test", ("joined",)),
+    Field("reason", _ROW, "text", "", "why it was rejected", ("rejected",)),
+    Field("split", _ROW, "<u1", "1", "0 train, 1 validation, 2 test", ("joined",)),
     Field("shard/file", ("shard",), "text", "", "where its trajectories are", ("joined",)),
     Field("shard/rows", ("shard",), "<i8", "1", "how many it has", ("joined",)),
     Field("shard/content", ("shard",), "text", "", "its content_sha256", ("joined",)),
     Field("variant", ("variant",), "text", "", "engine and settings", ("joint",)),
-    Field(
-        "valid",
-        ("variant", "number"),
-        "|b1",
-        "1",
-        "whether the trajectory of this number is published",
-        ("joint",),
-    ),
-    Field(
-        "valid_in_all",
-        ("number",),
-        "|b1",
-        "1",
-        "the same in all variants, without those in which nothing is published",
-        ("joint",),
-    ),
-)
+    Field("valid", ("variant", "number"), "|b1", "1",
+          "whether the trajectory of this number is published", ("joint",)),
+    Field("valid_in_all", ("number",), "|b1", "1",
+          "the same in all variants, without those in which nothing is published", ("joint",)),
+)  # fmt: skip
 FIELDS = {field.name: field for field in _FIELDS}
 """Datasets by name, in the order of the layout."""
 
