@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -107,8 +107,7 @@ class CheckTable:
         return "; ".join([*self.misbuilt, *self.reasons[row]])
 
 
-@dataclass(frozen=True)
-class Making:
+class Making(NamedTuple):
     """Facts that the checks need about how trajectories were made."""
 
     method: Method
@@ -147,9 +146,7 @@ def judge_rows(
             scene,
             batch[_view(rows)],
             trajectory[_view(rows)],
-            making.method,
-            making.step,
-            making.contact_time,
+            *making,
             _steps_compared(scene, group),
             many=sound and not Mechanism.of(scene).has_impacts,
         )

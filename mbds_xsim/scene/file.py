@@ -35,7 +35,6 @@ _DEPTH = 100
 _PARTS = re.compile(r"^[ \t]*+\[\[[ \t]*+(\w+)[ \t]*+\]\]", re.M)
 _BARE = re.compile(r"(?<![\w-])[\w-]++(?:[ \t]*+\.[ \t]*+[\w-]++){9,}+")
 _QUOTED = re.compile(r"[\"'][ \t]*+\.|\.[ \t]*+[\"']")
-_PLACE = re.compile(r"(?: - at `\$\.?(?P<path>.*)`)?$", re.DOTALL)
 _STEP = re.compile(r"(\w+)|\[(\d+)\]")
 _FIELD = re.compile(
     r"Object (?P<fault>contains unknown|missing required) field `(?P<key>.*?)`", re.DOTALL
@@ -169,8 +168,8 @@ def _compact(text: str) -> str:
 def explain(error: msgspec.ValidationError, data: Mapping[str, Any]) -> str:
     """Explain a failed conversion of `data` to Scene in the user's terms."""
     text = str(error)
-    place = _PLACE.search(text)
-    path = _steps(place["path"] or "") if place else []
+    _, _, place = text.partition(" - at `$")
+    path: _Path = [name or int(number) for name, number in _STEP.findall(place)]
     cause = error.__cause__
     if isinstance(cause, SceneError):
         return _explain_value(str(cause), path, data)
@@ -179,10 +178,6 @@ def explain(error: msgspec.ValidationError, data: Mapping[str, Any]) -> str:
     value, kind = _descend(path, data)
     allowed = (isinstance(value, str) and _tags(kind)) or _allowed(kind)
     return f"{_where(path, data)}got {_text_of(value)}, allowed is {allowed}"
-
-
-def _steps(path: str) -> _Path:
-    return [name or int(number) for name, number in _STEP.findall(path)]
 
 
 def _explain_value(text: str, path: _Path, data: Mapping[str, Any]) -> str:
@@ -278,7 +273,10 @@ def _allowed(kind: inspect.Type) -> str:
             tag = f" with {kind.tag_field} = {kind.tag!r}" if kind.tag_field else ""
             return f"a table{tag} of {', '.join(f.encode_name for f in kind.fields)}"
         case inspect.UnionType():
-            return _either(kind)
+            if tags := _tags(kind):
+                return f"a table with kind = {tags}"
+            members = (t for t in kind.types if not isinstance(t, inspect.NoneType))
+            return " or ".join(map(_allowed, members))
         case _:
             return str(kind)
 
@@ -289,12 +287,6 @@ def _counted(kind: inspect.TupleType) -> str:
     plural = {"a number": "numbers", "a whole number": "whole numbers", "a text": "texts"}
     count = len(kind.item_types)
     return f"an array of {count} {plural.get(each, f'items, each {each}')}"
-
-
-def _either(kind: inspect.UnionType) -> str:
-    if tags := _tags(kind):
-        return f"a table with kind = {tags}"
-    return " or ".join(_allowed(t) for t in kind.types if not isinstance(t, inspect.NoneType))
 
 
 def _tags(kind: inspect.Type) -> str:
