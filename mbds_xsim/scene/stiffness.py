@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from typing import Any
 
 import numpy as np
 
@@ -48,17 +49,10 @@ def spring_rates(scene: Scene) -> tuple[float, float]:
     start = assemble(mechanism)
     pairs = [_apart(mechanism, start, spring) for spring in mechanism.springs]
     turns = [rate_row(mechanism, joint, start).toarray() for joint in joints]
-    laws = [*mechanism.compliant, *(drive.servo for drive in mechanism.drives)]
     free = _free(mechanism, start, np.concatenate([*pairs, *turns]))
-    stiffness, damping = (
-        np.concatenate(
-            [
-                np.repeat([getattr(spring, key) for spring in mechanism.springs], 3),
-                [getattr(law, key) for law in laws],
-            ]
-        )
-        for key in ("stiffness", "damping")
-    )
+    laws: list[Any] = [spring for spring in mechanism.springs for _ in range(3)]  # one for each row
+    laws += [*mechanism.compliant, *(drive.servo for drive in mechanism.drives)]
+    stiffness, damping = np.array([(law.stiffness, law.damping) for law in laws]).T
     return float(np.sqrt(_largest(stiffness, free))), _largest(damping, free)
 
 

@@ -232,17 +232,6 @@ def _spin_up_in_flight() -> Case:
 
 
 CASES: tuple[Case, ...] = (
-    _free_fall(),
-    _tumbling(),
-    _pushed(),
-    _rod(),
-    _hinge(),
-    _slider(),
-    _spring(),
-    _flywheel(),
-    _spin_up_in_flight(),
-    *JOINT_CASES,
-    *SERVO_CASES,
-    *STOP_CASES,
-    *LOOPS,
-)
+    _free_fall(), _tumbling(), _pushed(), _rod(), _hinge(), _slider(), _spring(), _flywheel(),
+    _spin_up_in_flight(), *JOINT_CASES, *SERVO_CASES, *STOP_CASES, *LOOPS,
+)  # fmt: skip

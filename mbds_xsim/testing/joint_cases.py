@@ -344,14 +344,6 @@ def _dragged() -> Case:
 
 
 JOINT_CASES: tuple[Case, ...] = (
-    _sprung_hinge(),
-    _sprung_slider(),
-    _geared_axle(),
-    _geared_rail(),
-    _servo(),
-    _led_block(),
-    _planetary(),
-    _rack(),
-    _braked(),
-    _dragged(),
-)
+    _sprung_hinge(), _sprung_slider(), _geared_axle(), _geared_rail(), _servo(), _led_block(),
+    _planetary(), _rack(), _braked(), _dragged(),
+)  # fmt: skip

@@ -233,12 +233,6 @@ def _referenced(
 
 
 LOOPS: tuple[Case, ...] = (
-    _parallelogram(),
-    _chain_of_balls(),
-    _ball_loop(),
-    _hooke(),
-    _hooke(divided=True),
-    _linked(),
-    _wedge(),
-    _welded(),
-)
+    _parallelogram(), _chain_of_balls(), _ball_loop(), _hooke(), _hooke(divided=True), _linked(),
+    _wedge(), _welded(),
+)  # fmt: skip
