@@ -164,8 +164,8 @@ def _placed(drawing: Draft, name: str) -> tuple[PlacedJoint, Array, Array]:
 
 def outboard(mechanism: Mechanism, body: int) -> list[int]:
     """Return a body and all its descendants in the spanning tree."""
-    bodies = [body]
+    bodies = {body: None}
     for link in mechanism.links:
         if link.parent in bodies:
-            bodies.append(link.body)
-    return bodies
+            bodies[link.body] = None
+    return [*bodies]

@@ -24,26 +24,15 @@ def spanning_tree(
     Returns:
         Body, parent and joint from the parent (None if free) of each link; joints closing loops.
     """
-    group = list(range(body_count + 1))  # the last one is the world
-
-    def find(k: int) -> int:
-        while group[k] != k:
-            group[k] = group[group[k]]
-            k = group[k]
-        return k
-
-    tree, loops = [], []
+    tree: list[PlacedJoint] = []
+    loops: list[PlacedJoint] = []
+    groups = _Groups(body_count + 1)  # the last one is the world
 
     def cut_last(joint: PlacedJoint) -> tuple[bool, int, bool]:
         return not joint.in_tree, -cut.index(joint.kind), not joint.complies
 
     for joint in sorted(joints, key=cut_last):
-        a, b = find(joint.parent % (body_count + 1)), find(joint.child % (body_count + 1))
-        if a == b:
-            loops.append(joint)
-        else:
-            group[a] = b
-            tree.append(joint)
+        (tree if groups.join(joint.parent, joint.child) else loops).append(joint)
     joints_at: dict[int, list[PlacedJoint]] = defaultdict(list)
     for joint in sorted(tree, key=lambda joint: joint.index):
         joints_at[joint.parent].append(joint)
@@ -70,11 +59,32 @@ def spanning_tree(
 
 def connected(body_count: int, pairs: Iterable[tuple[int, int]]) -> list[tuple[int, ...]]:
     """Group the bodies that pairs connect, directly or through others but not through the world."""
-    label = list(range(body_count))
+    groups = _Groups(body_count)
     for a, b in pairs:
         if _WORLD not in (a, b):
-            old, new = label[b], label[a]
-            label = [new if one == old else one for one in label]
-    return [
-        tuple(k for k, one in enumerate(label) if one == group) for group in dict.fromkeys(label)
-    ]
+            groups.join(a, b)
+    members: dict[int, list[int]] = defaultdict(list)
+    for body in range(body_count):
+        members[groups.find(body)].append(body)
+    return [tuple(bodies) for bodies in members.values()]
+
+
+class _Groups:
+    """Groups of numbers that are joined pair by pair; negative numbers count from the end."""
+
+    def __init__(self, count: int) -> None:
+        self._of = list(range(count))
+
+    def find(self, number: int) -> int:
+        """Return the number that stands for a number's group."""
+        above = self._of[number]
+        while above != self._of[above]:
+            self._of[number] = self._of[above]
+            number, above = above, self._of[above]
+        return above
+
+    def join(self, one: int, other: int) -> bool:
+        """Join the groups of two numbers; return False if it is the same group already."""
+        one, other = self.find(one), self.find(other)
+        self._of[one] = other
+        return one != other
