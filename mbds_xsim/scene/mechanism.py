@@ -235,7 +235,7 @@ class Mechanism:
     @functools.cached_property
     def drives(self) -> tuple[PlacedDrive, ...]:
         """Servos that no spring, damper and held input can replace, in scene order."""
-        joints = {joint.name: joint for joint in (*self.loops, *self.joints)}
+        joints = {joint.name: joint for joint in self.joints}
         return tuple(
             PlacedDrive(joints[servo.joint], servo)
             for servo in self.scene.servos

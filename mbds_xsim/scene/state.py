@@ -102,11 +102,9 @@ class Trajectory:
 
     def __getitem__(self, rows: slice | list[int]) -> Trajectory:
         """Select some of the trajectories."""
-        failures = (
-            self.failures[rows] if isinstance(rows, slice) else [self.failures[k] for k in rows]
-        )
         arrays = {key: getattr(self, key)[rows] for key in STATES}
-        return dataclasses.replace(self, **arrays, failures=tuple(failures))
+        failures = tuple(self.failures[row] for row in np.arange(len(self))[rows])
+        return dataclasses.replace(self, **arrays, failures=failures)
 
     def replaced(self, rows: Index, other: Trajectory) -> Trajectory:
         """Replace some of the trajectories by those of another, in order."""
