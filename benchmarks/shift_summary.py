@@ -27,13 +27,7 @@ from mbds_xsim.report import themed
 from mbds_xsim.report.files import table_lines
 from mbds_xsim.report.quantity import NONE, number, ratio
 from mbds_xsim.studies.shift.changes import texts_of
-from mbds_xsim.studies.shift.figures import (
-    at,
-    best_formula,
-    draw_costs,
-    matrix_of,
-    trained_models,
-)
+from mbds_xsim.studies.shift.figures import at, best_formula, draw_costs, matrix_of, trained_models
 from mbds_xsim.studies.shift.present import answers, protocol
 
 _HEAD = """\

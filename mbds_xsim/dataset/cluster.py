@@ -92,11 +92,7 @@ class Cluster(AbstractContextManager["Cluster"]):
         self._client.close()
 
     def __call__(
-        self,
-        tasks: Sequence[Task],
-        *,
-        finished: Callable[[int, Any], None] | None = None,
-        **_: Any,
+        self, tasks: Sequence[Task], *, finished: Callable[[int, Any], None] | None = None, **_: Any
     ) -> list[Any]:
         """Carry out all tasks; the cluster decides how many run at a time."""
         answers: list[Any] = [None] * len(tasks)

@@ -80,12 +80,7 @@ class CostPlan:
 
 
 def plan(
-    scene: Scene,
-    choice: Choice,
-    trajectories: int,
-    conduct: Conduct,
-    *,
-    sample: int = 6,
+    scene: Scene, choice: Choice, trajectories: int, conduct: Conduct, *, sample: int = 6
 ) -> CostPlan:
     """Measure a few trajectories of each engine, one engine at a time, and estimate the total cost.
 
@@ -123,12 +118,7 @@ def plan(
 
 
 def estimate(
-    variant: Variant,
-    answer: ShardCost | Crash,
-    trajectories: int,
-    *,
-    audit_s: float,
-    workers: int,
+    variant: Variant, answer: ShardCost | Crash, trajectories: int, *, audit_s: float, workers: int
 ) -> Estimate:
     """Extrapolate the measured cost, taking each shard and each trajectory to cost the same."""
     shards = variant.shard_count(trajectories)

@@ -20,14 +20,7 @@ from numpy.typing import NDArray
 from mbds_xsim.base import isolate
 from mbds_xsim.base.files import put
 from mbds_xsim.dataset.encoding import Virtual, encode
-from mbds_xsim.dataset.gate import (
-    COLUMNS,
-    TOGETHER,
-    CheckTable,
-    Making,
-    judge_rows,
-    limit_faults,
-)
+from mbds_xsim.dataset.gate import COLUMNS, TOGETHER, CheckTable, Making, judge_rows, limit_faults
 from mbds_xsim.dataset.hdf5 import CONTENT, attributes_of, open_hdf5, values_of, variant_files
 from mbds_xsim.dataset.layout import (
     FIELDS,

@@ -69,11 +69,7 @@ class Verified:
 
 
 def verify(
-    path: Path,
-    *,
-    seed: int | None = None,
-    limit: float = LIMIT,
-    conduct: Conduct = USUAL,
+    path: Path, *, seed: int | None = None, limit: float = LIMIT, conduct: Conduct = USUAL
 ) -> Verified:
     """Check again everything that a file with its shards, or a folder, holds.
 

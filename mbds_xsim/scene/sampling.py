@@ -36,12 +36,7 @@ _ALL_ROUND = (0.0, 2.0 * np.pi)  # [rad]
 
 
 def draw_batch(
-    scene: Scene,
-    indices: Iterable[int],
-    *,
-    seed: int = 0,
-    noise: bool = True,
-    inputs: bool = True,
+    scene: Scene, indices: Iterable[int], *, seed: int = 0, noise: bool = True, inputs: bool = True
 ) -> Batch:
     """Draw trajectories by index; index i takes interval i mod 3 of low, medium, high.
 

@@ -82,13 +82,7 @@ def on_ground(
     """Put a body with contact spheres of a particle's radius on the ground."""
     spheres = tuple(ContactSphere(body.name, (x, y, z), RADIUS) for x, y, z in centres)
     return Scene(
-        body.name,
-        (body,),
-        length,
-        gravity=gravity,
-        contacts=spheres,
-        ground=ground,
-        clock=clock,
+        body.name, (body,), length, gravity=gravity, contacts=spheres, ground=ground, clock=clock
     )
 
 

@@ -28,11 +28,7 @@ _AXLE = np.array([0.0, 1.0, 0.0])
 
 
 def straight_run(
-    scene: Scene,
-    *,
-    speed: float,
-    rates: tuple[float, float],
-    torque: Array | None = None,
+    scene: Scene, *, speed: float, rates: tuple[float, float], torque: Array | None = None
 ) -> tuple[Batch, Trajectory]:
     """Return a start of a car, and the exact motion from there.
 
