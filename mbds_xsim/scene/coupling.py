@@ -63,3 +63,4 @@ def check_couplings(couplings: tuple[Coupling, ...]) -> None:
         if leader == coupling.joint:
             fault = f"couplings[{k}].follows: got {coupling.follows!r}"
             raise SceneError(f"{fault}, so {coupling.joint!r} would follow itself")
+        leaders[coupling.joint] = leader  # the last of the chain, which later ones need not go down

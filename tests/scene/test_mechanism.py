@@ -252,17 +252,18 @@ class _Counted(str):
 
 
 def _comparisons(joints: int) -> int:
-    """Count the comparisons of names that it takes to build a star of driven, coupled hinges."""
-    names = [f"j{k}" for k in range(joints)]
+    """Count the comparisons of names that it takes to build driven hinges in a chain of gears."""
+    names, before = [f"j{k}" for k in range(joints)], _Counted.comparisons
     scene = Scene(
-        "star",
+        "gears",
         tuple(Body(name, inertia=UNIT) for name in names),
         1.0,
         joints=tuple(_joint(_Counted(name), "hinge", "world", name) for name in names),
         servos=tuple(Servo(_Counted(name), stiffness=1.0) for name in names),
-        couplings=tuple(Coupling(_Counted(name), _Counted("j0")) for name in names[1:]),
+        couplings=tuple(
+            Coupling(*map(_Counted, pair)) for pair in zip(names[1:], names, strict=False)
+        ),
     )
-    before = _Counted.comparisons
     assert Mechanism.of(scene).joints[-1].coupled
     assert not has_known_forces(scene)
     return _Counted.comparisons - before
