@@ -57,26 +57,6 @@ def direction(angle: Array) -> Array:
     return np.stack([np.sin(angle), 0 * angle, -np.cos(angle)], axis=-1)
 
 
-def around(angle: Array) -> Array:
-    """Return the directions at angles [rad] from x towards y, shape (…, 3)."""
-    return np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=-1)
-
-
-def along(axis: Vector, way: Array) -> Array:
-    """Return the places of one body at distances [m] along an axis, shape (frame, 1, 3)."""
-    return way[:, None, None] * np.array(axis)
-
-
-def settling(
-    stiffness: float, damping: float, inertia: float, start: float, rate: float, time: Array
-) -> Array:
-    """Solve I x'' = −k x − d x' for an underdamped oscillation."""
-    decay = damping / (2.0 * inertia)
-    omega = np.sqrt(stiffness / inertia - decay**2)
-    swing = start * np.cos(omega * time) + (rate + decay * start) / omega * np.sin(omega * time)
-    return np.asarray(np.exp(-decay * time) * swing)
-
-
 def swing(start: float, stiffness: float, time: Array) -> Array:
     """Solve θ'' = −stiffness · sin θ from rest."""
     return integrate(lambda theta: -stiffness * np.sin(theta), start, 0.0, time)

@@ -21,20 +21,8 @@ from mbds_xsim.scene.scene import (
     Torque,
     Vector,
 )
-from mbds_xsim.testing.case import (
-    NONE,
-    Case,
-    G,
-    along,
-    case_of,
-    direction,
-    even,
-    integrate,
-    settling,
-    solve,
-    swing,
-)
-from mbds_xsim.testing.joint_cases import CARRIER, JOINT_CASES, UP, on_a_carrier
+from mbds_xsim.testing.case import NONE, Case, G, case_of, direction, even, integrate, solve, swing
+from mbds_xsim.testing.joint_cases import CARRIER, JOINT_CASES, UP, along, on_a_carrier, settling
 from mbds_xsim.testing.limit_cases import SERVO_CASES, STOP_CASES
 from mbds_xsim.testing.loop_cases import LOOPS
 

@@ -7,8 +7,8 @@ import numpy as np
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.scene import Clock, Joint, Torque
 from mbds_xsim.scene.servo import Servo
-from mbds_xsim.testing.case import NONE, Case, G, along, case_of, even, integrate, settling
-from mbds_xsim.testing.joint_cases import CARRIER, UP, WHEEL, on_a_carrier
+from mbds_xsim.testing.case import NONE, Case, G, case_of, even, integrate
+from mbds_xsim.testing.joint_cases import CARRIER, UP, WHEEL, along, on_a_carrier, settling
 
 
 def _stopped() -> Case:
