@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Literal
 
@@ -261,7 +262,7 @@ def _comparisons(joints: int) -> int:
         joints=tuple(_joint(_Counted(name), "hinge", "world", name) for name in names),
         servos=tuple(Servo(_Counted(name), stiffness=1.0) for name in names),
         couplings=tuple(
-            Coupling(*map(_Counted, pair)) for pair in zip(names[1:], names, strict=False)
+            Coupling(_Counted(own), _Counted(other)) for other, own in itertools.pairwise(names)
         ),
     )
     assert Mechanism.of(scene).joints[-1].coupled
