@@ -20,16 +20,7 @@ import numpy as np
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.files import locked, tidied
 from mbds_xsim.base.frame import frame_of
-from mbds_xsim.base.isolate import (
-    Carrier,
-    Conduct,
-    Crash,
-    Meter,
-    Silent,
-    Task,
-    core_count,
-    run_tasks,
-)
+from mbds_xsim.base.isolate import Carrier, Conduct, Crash, Meter, Silent, Task, run_tasks
 from mbds_xsim.checks.kernels import CHECKS
 from mbds_xsim.dataset.card import write_card
 from mbds_xsim.dataset.layout import rejected_folder
@@ -142,9 +133,8 @@ def generate(
             folders, map(rejected_folder, folders)
         )
         with tidied(written), _watched(folders, progress):
-            processes = core_count() if workers is None else workers
             every = [item for items in todo.values() for item in items]
-            failures = _make(every, out, workers=processes, carry_out=carry_out)
+            failures = _make(every, out, workers=Conduct(workers).processes, carry_out=carry_out)
         failed = {f"{v.scene.name} {v.name}": reason for v, reason in failures.items()}
         complete = [variant for variant in variants if variant not in failures]
         if not complete:

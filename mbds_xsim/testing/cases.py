@@ -11,16 +11,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.scene.scene import (
-    Body,
-    Force,
-    Inertia,
-    Joint,
-    Particle,
-    SpringDamper,
-    Torque,
-    Vector,
-)
+from mbds_xsim.scene.scene import Body, Force, Inertia, Joint, Particle, SpringDamper, Torque
 from mbds_xsim.testing.case import NONE, Case, G, case_of, direction, even, integrate, solve, swing
 from mbds_xsim.testing.joint_cases import CARRIER, JOINT_CASES, UP, along, on_a_carrier, settling
 from mbds_xsim.testing.limit_cases import SERVO_CASES, STOP_CASES
@@ -38,21 +29,17 @@ _BOX_INERTIA = Inertia(
 )
 
 
-def _box(velocity: Vector | None = None, spin: Vector | None = None) -> Body:
-    return Body("box", inertia=_BOX_INERTIA, velocity=velocity, angular_velocity=spin)
-
-
 def _free_fall() -> Case:
     velocity = (1.0, -2.0, 3.0)
     return case_of(
         "free fall",
         "gravity, initial velocity, mass-independence",
-        [_box(velocity, spin=(0.0, 0.0, 2.0))],
+        [Body("box", inertia=_BOX_INERTIA, velocity=velocity, angular_velocity=(0.0, 0.0, 2.0))],
         lambda time: _flight(velocity, time)[:, None],
     )
 
 
-def _flight(velocity: Vector, time: Array) -> Array:
+def _flight(velocity: tuple[float, ...], time: Array) -> Array:
     return time[:, None] * np.array(velocity) - 0.5 * G * time[:, None] ** 2 * [0, 0, 1]
 
 
@@ -69,7 +56,7 @@ def _tumbling() -> Case:
     return case_of(
         "tumbling",
         "inertia axes, gyroscopic term, orientation convention",
-        [_box(spin=spin)],
+        [Body("box", inertia=_BOX_INERTIA, angular_velocity=spin)],
         lambda time: np.zeros((len(time), 1, 3)),
         orientation=lambda time: solve(rate, [1.0, 0.0, 0.0, 0.0, *spin], time)[:4].T[:, None],
         gravity=NONE,
@@ -156,7 +143,7 @@ def _slider() -> Case:
     return case_of(
         "slider",
         "slider axis, initial rate",
-        [_box()],
+        [Body("box", inertia=_BOX_INERTIA)],
         lambda time: along(axis, 0.5 * time + 0.5 * 0.8 * G * time**2),
         Joint("rail", "slider", "world", "box", NONE, axis, rate=0.5),
     )

@@ -210,11 +210,6 @@ def laid_cubli(steps: int = 50) -> Scene:
     )
 
 
-def bounces(restitution: float) -> Scene:
-    """Make a ball that falls from half a metre."""
-    return ball(0.5, ground=Ground(FRICTION, restitution), steps=75)
-
-
 def rebound_heights(scene: Scene, time: Array) -> tuple[Array, Array]:
     """Return the number of bounces before each time, and the height they let the ball reach [m].
 

@@ -9,11 +9,11 @@ import pytest
 from mbds_xsim import reference
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Body, Clock, DistanceLink, Inertia, Joint, Scene
+from mbds_xsim.scene.scene import Body, Clock, DistanceLink, Ground, Inertia, Joint, Scene
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.testing import CASES
-from mbds_xsim.testing.contact_cases import bounces
+from mbds_xsim.testing.contact_cases import ball
 
 pytest.importorskip("pydrake")
 
@@ -46,7 +46,8 @@ def test_what_a_spring_and_a_ground_must_be_is_told() -> None:
     assert ENGINE.cannot_hold(msgspec.structs.replace(scene, springs=(slack,))) == (
         "the spring 'spring' has no rest length; Drake needs more than 0 m"
     )
-    refused = [e for e in (0.0, 0.5, 0.8, 0.98, 1.0) if ENGINE.cannot_hold(bounces(e))]
+    grounds = {e: ball(0.5, ground=Ground(0.43, e)) for e in (0.0, 0.5, 0.8, 0.98, 1.0)}
+    refused = [e for e, scene in grounds.items() if ENGINE.cannot_hold(scene)]
     assert refused == [0.5, 1.0]
 
 
