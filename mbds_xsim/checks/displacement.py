@@ -69,9 +69,10 @@ def _of_few(record: Record, more: Forced | None = None) -> tuple[Array, str]:
     parts = []
     place, turn = (_Residual.of(record, more, angular=kind) for kind in (False, True))
     for residual in (place, turn):
-        parts += [residual.by_frame, residual.drift(residual.difference)]
+        share = rotation.norm(residual.difference) / residual.allowed
+        parts += [_framed(share), record.at_end(residual.drift(residual.difference))]
     own = rotation.rotate(rotation.conjugate(record.bodies.native[:, :-1]), turn.difference)
-    parts += [turn.drift(own), _delay(record, place, turn)]
+    parts += [record.at_end(turn.drift(own)), record.at_end(_delay(place, turn)[:, None])]
     parts += [_of_group(record, push, place) for push in pushes_of(record)]
     figures = side_by_side(parts)
     figures[:, 0] = np.where(record.finite[:, :1], np.nan_to_num(figures[:, 0]), np.nan)
@@ -127,8 +128,8 @@ class _Residual:
     """Change of the velocity over the step, same shape."""
     bend: Array
     """Allowance for velocities between frames without contact, (trajectory, step, body)."""
-    hidden: Array
-    """Further allowance for contact, same shape as `bend`."""
+    allowed: Array
+    """Whole allowance: `bend`, that for contact, and `floor`; same shape as `bend`."""
     floor: Array
     """Resolution, shape (trajectory, 1, 1)."""
     share: float
@@ -140,13 +141,13 @@ class _Residual:
         frame, share = record.frame, (record.step or 0.0) / record.frame
         velocity = record.bodies.angular_velocity if angular else record.bodies.velocity
         gained = np.diff(velocity, axis=1)
-        change = _second_differences(gained)
-        change = _with_ends(_window(np.maximum(change[:, 1:], change[:, :-1])))
+        change = _bending(gained)
         if more is not None:
             swing = more.turns if angular else more.places
             change = np.maximum(change, np.maximum(_SWING * swing, _unresolved(swing, gained)))
         bend = (_BEND + min(_METHOD * share**2, _BEND)) * change
-        residual = _of_turns(record) if angular else _of_places(record)
+        means = (velocity[:, 1:] + velocity[:, :-1]) / 2
+        residual = _of_turns(record) if angular else record.moved / frame - means
         if record.lag:
             residual = residual + record.lag / frame * gained
             fastest = _window(rotation.norm(gained).max(axis=2, keepdims=True))
@@ -154,23 +155,11 @@ class _Residual:
         repeats = _repeats(record)
         speed = np.nanmax(rotation.norm(velocity), axis=(1, 2), initial=0.0)
         least = frame * record.usual_pull * (1.0 / record.scene.length if angular else 1.0)
-        return _Residual(
-            residual,
-            gained,
-            np.where(repeats, 0.0, bend),
-            np.where(repeats, 0.0, _hidden(record, more, angular)),
-            np.maximum(_FLOOR * np.maximum(speed, least)[:, None, None], _TINY),
-            share,
+        floor = np.maximum(_FLOOR * np.maximum(speed, least)[:, None, None], _TINY)
+        bend, hidden = (
+            np.where(repeats, 0.0, each) for each in (bend, _hidden(record, more, angular))
         )
-
-    @functools.cached_property
-    def allowed(self) -> Array:
-        return self.bend + self.hidden + self.floor
-
-    @property
-    def by_frame(self) -> Array:
-        """Residual over the allowance, shape (trajectory, frame, body)."""
-        return _framed(rotation.norm(self.difference) / self.allowed)
+        return _Residual(residual, gained, bend, bend + hidden + floor, floor, share)
 
     @functools.cached_property
     def weight(self) -> Array:
@@ -182,8 +171,7 @@ class _Residual:
         return numbers(self.weight * rotation.dot(self.gain, vectors)).sum(axis=2)
 
     def drift(self, residual: Array) -> Array:
-        """Return the weighted mean residual over its limit, placed at the trajectory's end."""
-        known = np.isfinite(residual[..., 0])
+        """Return the weighted mean residual over its limit, (trajectory, body)."""
         share = self.weight / np.maximum(self.weight.sum(axis=1, keepdims=True), _TINY)
         residual, bends = numbers(residual), numbers(self.bend)
         mean = np.einsum("tsb,tsbi->tbi", share, residual)[:, None]
@@ -195,13 +183,7 @@ class _Residual:
             + _ERRORS * error
             + (_STEADY + self.share) * self.floor[:, 0]
         )
-        return _at_end(np.asarray(known.any(axis=2)), rotation.norm(mean[:, 0]) / limit)
-
-
-def _of_places(record: Record) -> Array:
-    """Return mean velocities by displacements less those by velocities [m/s]."""
-    velocity = record.bodies.velocity
-    return record.moved / record.frame - (velocity[:, 1:] + velocity[:, :-1]) / 2
+        return rotation.norm(mean[:, 0]) / limit
 
 
 def _of_turns(record: Record) -> Array:
@@ -227,13 +209,19 @@ def _unresolved(swing: Array, gained: Array) -> Array:
 @functools.lru_cache(maxsize=1)
 def _repeats(record: Record) -> Mask:
     """Return whether bodies keep their pose in steps to the last bit, (trajectory, step, body)."""
-    return _same(record.bodies.position) & _same(record.bodies.native)
+    # Component by component: reductions along a short axis are several times slower.
+    parts = (
+        part
+        for values in (record.bodies.position, record.bodies.native)
+        for part in np.moveaxis(values, -1, 0)
+    )
+    return functools.reduce(np.logical_and, (part[:, 1:] == part[:, :-1] for part in parts))
 
 
-def _second_differences(gained: Array) -> Array:
-    """Return sizes of second differences of velocities at frames, (trajectory, frame, body).
+def _bending(gained: Array) -> Array:
+    """Return the largest second differences of velocities around steps, (trajectory, step, body).
 
-    At the ends, where one neighbour is missing, they are extrapolated linearly.
+    At frames at the ends, where one neighbour is missing, they are extrapolated linearly.
     """
     inside = np.diff(gained, axis=1)
     sizes = np.zeros((len(gained), gained.shape[1] + 1, gained.shape[2]))
@@ -242,16 +230,12 @@ def _second_differences(gained: Array) -> Array:
         for end, near, next_ in ((0, 0, 1), (-1, -1, -2)):
             beyond = inside[:, next_ % inside.shape[1]]
             sizes[:, end] = rotation.norm(2.0 * inside[:, near] - beyond)
-    return sizes
-
-
-def _same(values: Array) -> Mask:
-    """Return whether vectors repeat to the last bit, (trajectory, step, body)."""
-    # Component by component: reductions along a short axis are several times slower.
-    same = values[:, 1:, :, 0] == values[:, :-1, :, 0]
-    for k in range(1, values.shape[-1]):
-        same &= values[:, 1:, :, k] == values[:, :-1, :, k]
-    return np.asarray(same)
+    window = _window(np.maximum(sizes[:, 1:], sizes[:, :-1]))
+    # The first and last step, which lack a neighbour, take the next one's.
+    extended = window.copy("K")
+    for end, near in ((0, 1), (-1, -2)):
+        extended[:, end] = np.maximum(window[:, end], window[:, near % window.shape[1]])
+    return extended
 
 
 def _window(values: Array) -> Array:
@@ -260,14 +244,6 @@ def _window(values: Array) -> Array:
     np.maximum(values[:, 1:], values[:, :-1], out=highest[:, 1:])
     highest[:, :-1] = np.maximum(highest[:, :-1], values[:, 1:])
     return highest
-
-
-def _with_ends(window: Array) -> Array:
-    """Extend the windows of the first and last step, which lack a neighbour, by the next one's."""
-    windows = window.copy("K")
-    for end, inside in ((0, 1), (-1, -2)):
-        windows[:, end] = np.maximum(window[:, end], window[:, inside % window.shape[1]])
-    return windows
 
 
 def _hidden(record: Record, more: Forced | None, angular: bool) -> Array:
@@ -329,26 +305,17 @@ def _of_group(record: Record, push: Push, place: _Residual) -> Array:
     return _framed((sizes / limit).max(axis=-1, keepdims=True))
 
 
-def _delay(record: Record, place: _Residual, turn: _Residual) -> Array:
-    """Compute the slope of residuals over accelerations, over its limit, at the last frame."""
+def _delay(place: _Residual, turn: _Residual) -> Array:
+    """Compute the slope of residuals over accelerations, over its limit, shape (trajectory,)."""
     squares = [each.along_gain(each.gain) for each in (place, turn)]
     products = [each.along_gain(each.difference) for each in (place, turn)]
     square = np.maximum(sum(each.sum(axis=1) for each in squares), _FAINT)
     slope = sum(each.sum(axis=1) for each in products) / square
     rests = [b - slope[:, None] * a for a, b in zip(squares, products, strict=True)]
     error = np.sqrt(sum(np.sum(rest**2, axis=1) for rest in rests)) / square
-    return record.at_end((np.abs(slope) / (_LATE + _ERRORS * error))[:, None])
+    return np.asarray(np.abs(slope) / (_LATE + _ERRORS * error))
 
 
 def _framed(values: Array) -> Array:
     """Put a figure of each step at the frame at its end."""
-    series = np.empty_like(values, shape=(len(values), values.shape[1] + 1, values.shape[2]))
-    series[:, 0], series[:, 1:] = np.nan, values
-    return series
-
-
-def _at_end(known: Mask, values: Array) -> Array:
-    """Put figures of trajectories at their last frames, (trajectory, frame, part)."""
-    series = np.full((len(known), known.shape[1] + 1, values.shape[1]), np.nan)
-    series[np.arange(len(known)), known.sum(axis=1)] = values
-    return series
+    return np.pad(values, ((0, 0), (1, 0), (0, 0)))
