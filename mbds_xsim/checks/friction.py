@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.finding import Figures, check
 from mbds_xsim.checks.gains import axles_of, spin_gain
@@ -13,7 +14,6 @@ from mbds_xsim.checks.record import Record
 _LITTLE = 0.05  # share of the weight, or of the slip that friction takes in a step
 _SPRING_SHARE = 0.01  # share of an impact's friction that springs give back (MuJoCo: 1.2e-3)
 _LASTING = 0.2  # share of its change that a slip must exceed
-_LASTING_UNEVEN = 1.0  # the same of a ball with unequal moments, whose slip turns to and fro
 _ALIKE = 0.5  # largest distance of a slip's unit vector from the mean one
 _SURE = 0.9  # share of the slip that friction can take in a step
 _EVEN = 1e-9  # tolerance [m]; also of directions
@@ -70,7 +70,8 @@ def _beside(record: Record, push: Push) -> Array:
     """Compute the deviation from full friction, relative, while a ball slips; else NaN.
 
     A slip that is alike at both ends of a step, and not small against its change, lasted through
-    the step: once stopped, it does not start again. If it turns, so does friction in between.
+    the step: once stopped, nothing but unequal moments starts it again. If it turns, so does
+    friction in between.
     """
     mu, up = record.ground.friction, push.impulse[..., 2]
     if mu == 0.0 or not push.ball:
@@ -83,10 +84,8 @@ def _beside(record: Record, push: Push) -> Array:
     spread = np.linalg.norm(ahead[0] - toward, axis=-1)
     slowest = np.minimum(*(np.linalg.norm(part, axis=-1) for part in (begin, end)))
     takes = np.maximum(_LITTLE * push.weight, _SPRING_SHARE * up)
-    least = mu * takes / push.mass
-    moments = np.linalg.eigvalsh(record.mechanism.inertia[push.bodies[0]])
-    lasting = _LASTING if np.ptp(moments) <= _EVEN * moments[-1] else _LASTING_UNEVEN
-    slips = slowest > least + lasting * np.linalg.norm(end - begin, axis=-1)
+    least = mu * takes / push.mass + _tumbling(record, push)
+    slips = slowest > least + _LASTING * np.linalg.norm(end - begin, axis=-1)
     slips &= (spread < _ALIKE) & (up > _LITTLE * push.weight)
     residual = push.impulse[..., :2] / (mu * up)[..., None] + toward
     deviation = np.linalg.norm(residual, axis=-1) - spread - push.blur / (mu * up)
@@ -94,14 +93,17 @@ def _beside(record: Record, push: Push) -> Array:
 
 
 def _tumbling(record: Record, push: Push) -> Array:
-    """Bound the slip that unequal moments of a ball give its lowest point in a step [m/s]."""
+    """Bound the slip that unequal moments of a ball give its lowest point in a step [m/s].
+
+    By Euler's equations, without moments, at most as at the step's ends plus their difference.
+    """
     mechanism, body = record.mechanism, push.bodies[0]
-    spin = np.linalg.norm(record.bodies.angular_velocity[:, :, body], axis=-1)
-    moments = np.linalg.eigvalsh(mechanism.inertia[body])
-    uneven = float(np.ptp(moments) / moments[0])
-    uneven = uneven if uneven > _EVEN else 0.0
-    fastest = np.maximum(spin[:, 1:], spin[:, :-1])
-    return np.asarray(uneven * mechanism.sphere_radius[push.spheres[0]] * fastest**2 * record.frame)
+    moment = rotation.cross(record.turning[:, :, body], record.spin[:, :, body])
+    change = np.linalg.solve(mechanism.inertia[body], moment[..., None])[..., 0]
+    across = rotation.rotate(record.bodies.native[:, :, body], change)[..., :2]
+    begin, end = across[:, :-1], across[:, 1:]
+    fastest = np.maximum(rotation.norm(begin), rotation.norm(end)) + rotation.norm(end - begin)
+    return mechanism.sphere_radius[push.spheres[0]] * fastest * record.frame
 
 
 def _yielding(record: Record, push: Push) -> float:

@@ -13,7 +13,7 @@ from mbds_xsim import reference
 from mbds_xsim.base import rotation
 from mbds_xsim.checks.balance import balance, balance_drift, cones
 from mbds_xsim.checks.finding import Finding
-from mbds_xsim.checks.friction import rolling
+from mbds_xsim.checks.friction import friction, rolling
 from mbds_xsim.checks.record import Record
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Ground, Inertia, Scene
@@ -108,8 +108,8 @@ def test_a_force_shows_in_flight() -> None:
     assert set(finding.where) == {"impulse, disc"}
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.124544])
-def test_contact_explains_a_ball_that_turns_about_all_axes(friction: float) -> None:
+@pytest.mark.parametrize("mu", [0.0, 0.124544])
+def test_contact_explains_a_ball_that_turns_about_all_axes(mu: float) -> None:
     """Its slip grows again while friction could stop it, were its moments equal."""
     radius, turn = 0.0331292, np.array([0.1746205, -0.0944141, 0.859288, 0.4713999])
     ball = Body(
@@ -118,8 +118,34 @@ def test_contact_explains_a_ball_that_turns_about_all_axes(friction: float) -> N
         velocity=(-0.2993, -1.223589, 0.0), angular_velocity=(7.676261, -10.971915, 9.230195),
     )  # fmt: skip
     touch = ContactSphere("ball", (0.0, 0.0, radius), radius)
-    law, clock = Ground(friction, 0.0), Clock(0.02, 25)
+    law, clock = Ground(mu, 0.0), Clock(0.02, 25)
     scene = Scene("ball", (ball,), 1.0, contacts=(touch,), ground=law, clock=clock)
     batch = draw_batch(scene, [0])
     record = Record(scene, batch, reference.solve(scene, batch, cache=False))
     assert max(each.finding(record).figure.max() for each in (balance, cones, rolling)) < 1e-7
+
+
+def test_a_ball_that_turns_about_a_principal_axis_is_judged_whatever_its_other_moments() -> None:
+    """Its slip of 0.15 m/s changes like that of a ball with equal moments, and ends in a frame."""
+    ball = Body(
+        "ball", inertia=Inertia(0.46, (1.5e-4, 2.0e-4, 2.5e-4)), position=(0.0, 0.0, 0.033),
+        velocity=(1.0, 0.0, 0.0), angular_velocity=(0.0, 0.85 / 0.033, 0.0),
+    )  # fmt: skip
+    touch = ContactSphere("ball", (0.0, 0.0, 0.033), 0.033)
+    scene, smooth = (
+        Scene("ball", (ball,), 1.0, contacts=(touch,), ground=Ground(mu, 0.0), clock=Clock(0.02, 4))
+        for mu in (0.15, 0.12)
+    )
+    batch = draw_batch(scene, [0])
+    sound, weak = (reference.solve(each, batch, cache=False) for each in (scene, smooth))
+    faster = sound.velocity.copy()
+    faster[:, 3:] *= 1.01
+    creeping = dataclasses.replace(sound, velocity=faster)
+
+    def figures(motion: Trajectory) -> list[float]:
+        record = Record(scene, batch, motion)
+        return [float(each.finding(record).figure.max()) for each in (friction, rolling)]
+
+    assert max(figures(sound)) < 1e-9
+    assert figures(weak)[0] == pytest.approx(0.2, abs=1e-3)
+    assert figures(creeping)[1] == pytest.approx(0.01, rel=0.1)
