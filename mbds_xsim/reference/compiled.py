@@ -75,7 +75,7 @@ def march_compiled(problem: Problem) -> Marched:
     _keep_signs(tree, marched.states, start)
     lost = np.flatnonzero(task.status != march_kernel.REACHED)
     if len(lost):
-        slow = marching.march(problem.part(lost)).within_half_turns(problem.dynamics)
+        slow = marching.march(problem.part(lost))
         marched.states[lost] = slow.states
         for row, failure in zip(lost.tolist(), slow.failures, strict=True):
             marched.failures[row] = failure

@@ -165,7 +165,7 @@ def _winding(dynamics: Dynamics, states: Array) -> Iterator[tuple[str, Array]]:
 
 def march(problem: Problem) -> Marched:
     """Integrate states frame by frame."""
-    return _March(problem).run()
+    return _March(problem).run().within_half_turns(problem.dynamics)
 
 
 def branchless(problem: Problem) -> Mask:

@@ -89,7 +89,7 @@ def _neighbours(
     direction = _direction(dynamics, state[:, 7:], acceleration)
     if direction is None:
         return None
-    near = _moved(state, _APART * _PLACES[:, None, None] * direction)
+    near = moved(state, _APART * _PLACES[:, None, None] * direction)
     for _ in range(_PASSES):
         near, shares = dynamics.closest(near)
     return near if shares[np.abs(_PLACES) == 1].min() > _CLEARER * share else None
@@ -118,11 +118,11 @@ def typical_states(dynamics: Dynamics, pose: Array) -> Array:
     beside[:, :-1, 7:] = random.standard_normal((_BESIDE, pose.shape[1] - 1, 6))
     ways = dynamics.closest(beside)[0][..., 7:]
     ways *= _WAY / np.maximum(_STILL, [[[_size(dynamics, way)]] for way in ways])
-    moved = np.concatenate([_moved(pose[0], way[None]) for way in ways])
+    near = np.concatenate([moved(pose[0], way[None]) for way in ways])
     for _ in range(2 * _PASSES):
-        moved, _ = dynamics.closest(moved)
-    met = np.abs(dynamics.residual(moved)).max(axis=1) < _TOLERANCE * dynamics.length
-    return np.concatenate([pose, moved[met]])
+        near, _ = dynamics.closest(near)
+    met = np.abs(dynamics.residual(near)).max(axis=1) < _TOLERANCE * dynamics.length
+    return np.concatenate([pose, near[met]])
 
 
 def _direction(dynamics: Dynamics, twist: Array, acceleration: Array) -> Array | None:
@@ -138,7 +138,8 @@ def _size(dynamics: Dynamics, twist: Array) -> float:
     return float(max(np.abs(twist[:, :3]).max() / dynamics.length, np.abs(twist[:, 3:]).max()))
 
 
-def _moved(state: Array, way: Array) -> Array:
+def moved(state: Array, way: Array) -> Array:
+    """Move a state by displacements and rotation vectors, shape (way, body + world, 6)."""
     new = np.repeat(state[None], len(way), axis=0)
     new[..., _X] += way[..., :3]
     new[..., _Q] = rotation.multiply(rotation.from_vector(way[..., 3:]), new[..., _Q])

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.reference import cache as entries
@@ -18,6 +17,7 @@ from mbds_xsim.reference.dynamics import Dynamics
 from mbds_xsim.reference.equations import dynamics_of
 from mbds_xsim.reference.first_impact import TOUCHING, FirstImpact
 from mbds_xsim.reference.marching import Marched, Problem, march
+from mbds_xsim.reference.singular import moved
 from mbds_xsim.reference.stiff import is_stiff, march_stiff
 from mbds_xsim.scene.collisions import has_known_impacts
 from mbds_xsim.scene.joint_space import BodyStates
@@ -108,9 +108,7 @@ def _problem(scene: Scene, batch: Batch, rtol: float) -> Problem:
 
 
 def _marched(problem: Problem) -> Marched:
-    if problem.mechanism.braked:
-        return integrate(problem)
-    return march(problem).within_half_turns(problem.dynamics)
+    return integrate(problem) if problem.mechanism.braked else march(problem)
 
 
 def checked_tolerance(rtol: float) -> float:
@@ -153,10 +151,10 @@ def integrate(problem: Problem) -> Marched:
         # Companions stop and start at different times, so that their errors do not cancel.
         rtol = min(problem.rtol, _ALONE) if problem.companions > 1 else problem.rtol
         return march_gripping(dataclasses.replace(problem, rtol=rtol))
-    stiff = is_stiff(mechanism)
-    if stiff or mechanism.scene.contacts:
-        marched = march_stiff(problem) if stiff else march(problem)
-        return marched.within_half_turns(problem.dynamics)
+    if is_stiff(mechanism):
+        return march_stiff(problem)
+    if mechanism.scene.contacts:
+        return march(problem)
     from mbds_xsim.reference.compiled import march_compiled  # imports a compiler
 
     return march_compiled(problem)
@@ -257,11 +255,9 @@ def _perturbed(dynamics: Dynamics, state: Array, index: int) -> Array:
     rng = np.random.default_rng(np.random.SeedSequence([_SEED, index]))
     free = _free_components(dynamics, state)
     shift, rate = (_allowed_twist(dynamics, state, free, rng) for _ in range(2))
-    moved = state.copy()
-    moved[:, :3] += shift[:, :3]
-    moved[:, 3:7] = rotation.multiply(rotation.from_vector(shift[:, 3:]), state[:, 3:7])
-    moved[:, 7:] += rate
-    return np.asarray(dynamics.project(moved[None])[0])
+    other = moved(state, shift[None])
+    other[..., 7:] += rate
+    return np.asarray(dynamics.project(other)[0])
 
 
 def _free_components(dynamics: Dynamics, state: Array) -> Array:

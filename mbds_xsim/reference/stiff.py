@@ -76,7 +76,7 @@ def march_stiff(problem: Problem) -> Marched:
                 break
             state = dynamics.project(end)
             marched.states[rows, k + 1] = state
-    return marched
+    return marched.within_half_turns(dynamics)
 
 
 def _through_frame(
