@@ -96,7 +96,7 @@ class _Motion:
         self._brakes = brakes = Brakes.of(self._tree, spanned)
         self._onto = np.equal.outer(np.arange(len(self._tree.law)), brakes.law).astype(float)
         """1 where a brake acts on the joint of a law, else 0, shape (law, brake)."""
-        self._y, self._step = y, FIRST_STEP * self._frame
+        self._step = FIRST_STEP * self._frame
         self._sense = np.where(brakes.stops, 1.0, np.sign(y[brakes.fast]))
         """For friction: −1 or 1 if the joint moves, 0 if it is at rest. For stops: 0 if a joint
         rests against them, else 1."""
@@ -122,7 +122,7 @@ class _Motion:
         self._turn_at(self._y)
         if self._lands and resting(*self._heights(self._y)):
             return 0.0
-        rate = self._derivative(self._y[None])
+        rate = self._rate(self._y)[0][None]
         for _ in range(MOST_STEPS):
             h = remaining / np.ceil(remaining / self._step)
             step = self._tried(rate, h)
@@ -147,7 +147,7 @@ class _Motion:
             if remaining <= 1e-14 * self._frame:
                 self._y = self._closed(self._y)
                 return None
-            rate = self._derivative(new[None]) if share is not None else step.stages[-1:]
+            rate = self._rate(new)[0][None] if share is not None else step.stages[-1:]
         why = "its steps become too short or too many: see friction, limits, springs"
         raise ArithmeticError(why)
 
@@ -313,12 +313,8 @@ class _Motion:
         settled[holding] = np.where(stops, opens, np.where(yields, np.sign(share), 0.0))
         return settled
 
-    def _derivative(self, y: Array) -> Array:
-        """Time derivative of a state, shape (1, number); joints at rest stay there."""
-        return self._rate(y[0])[0][None]
-
     def _rate(self, y: Array) -> tuple[Array, Array]:
-        """Return the derivative, and the shares of their brakes that hold joints at rest."""
+        """Return the time derivative, and the shares of their brakes that hold joints at rest."""
         holding = self._sense == 0
         columns = self._columns(y, self._sense, holding)
         if not holding.any() or not np.isfinite(columns).all():
@@ -338,10 +334,7 @@ class _Motion:
         brakes = self._brakes
         size = brakes.turn * brakes.size
         base = np.where(brakes.stops, 0.0, size * sense)
-        return self._evaluated(y, np.concatenate([base[None], base + np.diag(size)[holding]]))
-
-    def _evaluated(self, y: Array, grips: Array) -> Array:
-        """Derivatives of a state under each row of brake forces, shape (column, number)."""
+        grips = np.concatenate([base[None], base + np.diag(size)[holding]])
         self._kernel.y[:] = y[:, None]
         rates = np.empty((len(grips), len(y)))
         for first in range(0, len(grips), LANES):

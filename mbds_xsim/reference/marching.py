@@ -10,6 +10,7 @@ constraints at the tolerance.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -255,27 +256,20 @@ class _March:
             return times
         places = dips(self.dynamics.gaps(self.y), self.dynamics.gaps(new), h)
         for row in np.flatnonzero(good & np.isfinite(places).any(axis=1)).tolist():
-            share = first_touch(self._lowest(row, forces, h), places[row])
+            y, rate, step, *load = (each[row : row + 1] for each in (self.y, self.rate, h, *forces))
+            lowest = functools.partial(self._lowest, y, rate, step, load)
+            share = first_touch(lowest, places[row])
             if share is not None:
                 passed = self.frame - self.remaining[row] + share * h[row]
                 times[row] = self.at[row] * self.frame + passed
         return times
 
-    def _lowest(self, row: int, forces: tuple[Array, Array], h: Array) -> Callable[[float], float]:
-        """Return the smallest gap of a row as a function of the share of its step."""
-        pick = slice(row, row + 1)
-        load = tuple(part[pick] for part in forces)
-
-        def height(share: float) -> float:
-            new, _ = try_step(
-                lambda y: self.dynamics.derivative(y, *load),
-                self.y[pick],
-                self.rate[pick],
-                share * h[pick],
-            )
-            return float(self.dynamics.gaps(new)[0].min())
-
-        return height
+    def _lowest(self, y: Array, rate: Array, step: Array, load: list[Array], share: float) -> float:
+        """Return the smallest gap of one state after a share of its step."""
+        new, _ = try_step(
+            lambda state: self.dynamics.derivative(state, *load), y, rate, share * step
+        )
+        return float(self.dynamics.gaps(new)[0].min())
 
     def _finish_frames(self) -> None:
         """Project and record the states at the end of a frame and give them their new inputs."""

@@ -18,7 +18,6 @@ from mbds_xsim.base.arrays import Array, Indices
 from mbds_xsim.scene.constraints import Layout, layout_of
 from mbds_xsim.scene.fixed import fixed_spheres
 from mbds_xsim.scene.mechanism import Mechanism
-from mbds_xsim.scene.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +52,7 @@ class Topology:
 @functools.lru_cache(maxsize=64)
 def topology_of(mechanism: Mechanism) -> Topology:
     """Lay out a mechanism (once each)."""
-    count, layout = mechanism.body_count, layout_of(mechanism)
+    count, layout, scene = mechanism.body_count, layout_of(mechanism), mechanism.scene
     moments, principal = _principal_axes(mechanism)
     back = rotation.conjugate(principal)
     hinges, springs = mechanism.hinges, mechanism.springs
@@ -66,7 +65,7 @@ def topology_of(mechanism: Mechanism) -> Topology:
             row_body=layout.row_body % (count + 1),
         ),
         body_count=count,
-        gravity=np.array(mechanism.scene.gravity),
+        gravity=np.array(scene.gravity),
         mass_root=np.sqrt(np.append(mechanism.mass, 1.0)),
         inertia_root=np.sqrt(moments),
         weight=np.append(np.ones(count), 0.0)[:, None],
@@ -78,14 +77,10 @@ def topology_of(mechanism: Mechanism) -> Topology:
         ),
         spring=np.array([(s.length, s.stiffness, s.damping) for s in springs]).reshape(-1, 3),
         sphere=rotation.rotate(back[mechanism.sphere_body], mechanism.sphere_offset),
-        grounded=_grounded(mechanism.scene),
+        grounded=np.setdiff1d(
+            np.arange(len(scene.contacts) if scene.ground else 0), fixed_spheres(scene)
+        ),
     )
-
-
-def _grounded(scene: Scene) -> Indices:
-    """Return the contact spheres that may hit the ground."""
-    every = np.arange(len(scene.contacts) if scene.ground else 0)
-    return np.setdiff1d(every, fixed_spheres(scene))
 
 
 def _principal_axes(mechanism: Mechanism) -> tuple[Array, Array]:
