@@ -95,10 +95,8 @@ def _of_bodies(record: Record) -> Array:
     if record.many:
         from mbds_xsim.checks.balance_kernel import find_energies  # imports a compiler
 
-        motion = record.motion
-        energies = np.empty((2 * motion.bodies, motion.frames, motion.rows))
-        find_energies(motion, record.masses, energies.reshape(-1))
-        return np.asarray(energies.T)[: len(record.batch)]
+        shape = 2 * record.motion.bodies, record.motion.frames
+        return record.by_kernel(find_energies, shape, record.masses)
     mechanism, bodies = record.mechanism, record.bodies
     moving = np.einsum("tfbi,tfbi->tfb", bodies.velocity, bodies.velocity)
     turning = np.einsum("tfbi,tfbi->tfb", record.spin, record.turning)
@@ -128,9 +126,7 @@ def work_of_forces(record: Record) -> tuple[Array, Array, Array]:
     if record.many:
         from mbds_xsim.checks.balance_kernel import find_work  # imports a compiler
 
-        works = np.empty((3, record.steps, record.motion.rows))
-        find_work(record.motion, works.reshape(-1))
-        before, here, after = (work.T[: len(record.batch)] for work in works)
+        before, here, after = np.moveaxis(record.by_kernel(find_work, (3, record.steps)), -1, 0)
         return before, here, after
     before, here, after = (
         np.einsum("tsbi,tsbi->ts", np.asfortranarray(record.force[:, steps]), record.moved)

@@ -255,11 +255,9 @@ def _anchor_gaps(record: Record) -> tuple[Array, Array]:
         return rotation.norm(apart), rotation.norm(parting)
     from mbds_xsim.checks.balance_kernel import Ends, part_joints  # imports a compiler
 
-    motion = record.motion
     bodies, points = (np.array(each) for each in zip(*ends, strict=True))
-    gaps = np.empty((2, points.shape[1], motion.frames, motion.rows))
-    part_joints(motion, Ends(bodies.astype(np.int64), points), gaps.reshape(-1))
-    gap, rate = (np.asarray(values.T)[: len(record.batch)] for values in gaps)
+    shape, joined = (2, points.shape[1], record.motion.frames), Ends(bodies.astype(int), points)
+    gap, rate = np.moveaxis(record.by_kernel(part_joints, shape, joined), -1, 0)
     return gap, rate
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -99,6 +99,15 @@ class Record:
         frames, bodies = fields[0].shape[1:3]
         flat = (values.T.reshape(-1) for values in fields)
         return FlatMotion._make([*flat, bodies, frames, count])
+
+    def by_kernel(self, kernel: Callable[..., None], shape: tuple[int, ...], *about: Any) -> Array:
+        """Return what a compiled kernel of `motion` writes, with the axes of `shape` backwards.
+
+        Shape (trajectory, …); the kernel's array is flat, of shape (*shape, trajectory).
+        """
+        written = np.empty((*shape, self.motion.rows))
+        kernel(self.motion, *about, written.reshape(-1))
+        return np.asarray(written.T)[: len(self.batch)]
 
     @property
     def masses(self) -> Masses:
