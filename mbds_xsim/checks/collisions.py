@@ -74,8 +74,7 @@ def collision_restitution(record: Record) -> Figures | None:
         errors.append(np.where(fast, error / np.maximum(hits.approach, hits.least), np.nan))
         plain = fast & (hits.approach > hits.least)
         ratios += (hits.parting[plain] / hits.approach[plain]).tolist()
-    note = restitution_note(ratios, wanted)
-    return Figures(_placed(record, by_pair, errors), _names(record, by_pair), note)
+    return _figures(record, errors, restitution_note(ratios, wanted))
 
 
 @check("collision friction", "friction")
@@ -85,9 +84,7 @@ def collision_friction(record: Record) -> Figures:
     They must stop the slip, or be μ times the normal impulse against it. For balls with uneven
     inertia only an excess over μ times the normal impulse counts.
     """
-    by_pair = _all(record)
-    deviations = [_aside(record, pair, hits) for pair, hits in by_pair.items()]
-    return Figures(_placed(record, by_pair, deviations), _names(record, by_pair))
+    return _figures(record, [_aside(record, pair, hits) for pair, hits in _all(record).items()])
 
 
 @check("collision gap", "contact_gap")
@@ -97,13 +94,12 @@ def collision_gap(record: Record) -> Figures:
     An overlap that the declared contact time explains does not count, and no overlap counts without
     a declared time. None without balls.
     """
-    by_pair, time = _all(record), record.contact_time
+    time = record.contact_time
     gaps = [
         np.maximum(hits.gap, 0.0 if time is None else -hits.gap - time * hits.approach)
-        for hits in by_pair.values()
+        for hits in _all(record).values()
     ]
-    parts = _placed(record, by_pair, [gap / record.scene.length for gap in gaps])
-    return Figures(parts, _names(record, by_pair))
+    return _figures(record, [gap / record.scene.length for gap in gaps])
 
 
 @functools.lru_cache(maxsize=64)
@@ -204,12 +200,10 @@ def _aside(record: Record, pair: int, hits: Hits) -> Array:
     return np.asarray(off / (scale * (collisions.friction or 1.0)))
 
 
-def _placed(record: Record, by_pair: dict[int, Hits], values: list[Array]) -> Array:
-    """Put values of collisions at the frames after them, (trajectory, frame, pair)."""
+def _figures(record: Record, values: list[Array], note: str = "") -> Figures:
+    """Put values of the collisions of all pairs at the frames after them."""
+    of, by_pair = [sphere.body for sphere in record.scene.contacts], _all(record)
+    pairs = record.mechanism.sphere_pairs[list(by_pair)].tolist()
     hits = zip(by_pair.values(), values, strict=True)
-    return at_impacts(record, [(each.row, each.step, off) for each, off in hits])
-
-
-def _names(record: Record, hits: dict[int, Hits]) -> list[str]:
-    of = [sphere.body for sphere in record.scene.contacts]
-    return [f"{of[a]} and {of[b]}" for a, b in record.mechanism.sphere_pairs[list(hits)].tolist()]
+    parts = at_impacts(record, [(each.row, each.step, off) for each, off in hits])
+    return Figures(parts, [f"{of[a]} and {of[b]}" for a, b in pairs], note)

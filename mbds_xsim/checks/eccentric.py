@@ -238,10 +238,8 @@ class ImpactEvidence(Picked):
     @staticmethod
     def joined(parts: list[ImpactEvidence]) -> ImpactEvidence:
         """Join the impacts of several groups of bodies or trajectories."""
-        fields = ("restitution", "weight", "product", "square")
-        return ImpactEvidence(
-            *(np.concatenate([getattr(p, k) for p in parts], axis=1) for k in fields)
-        )
+        fields = zip(*(vars(part).values() for part in parts), strict=True)
+        return ImpactEvidence(*(np.concatenate(each, axis=1) for each in fields))
 
 
 @dataclass(frozen=True)

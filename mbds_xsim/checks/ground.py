@@ -112,7 +112,7 @@ def _push(record: Record, name: str, bodies: tuple[int, ...]) -> Push:
     change = np.linalg.norm(np.diff(load, axis=1, prepend=load[:, :1]), axis=-1)
     spheres = np.flatnonzero(np.isin(mechanism.sphere_body, group))
     reach, over = ~record.clear[:, :, spheres], record.spheres[:, :, spheres]
-    climb = np.abs(over.climb)
+    climb, offset = np.abs(over.climb), np.abs(mechanism.sphere_offset[spheres])
     fastest = np.where(reach, np.maximum(climb[:, 1:], climb[:, :-1]), 0.0).max(axis=2)
     # From the top of a hop into the next impact both ends are slow, but the way between is not.
     mean = np.abs(np.diff(over.gap, axis=1)) / record.frame
@@ -128,18 +128,13 @@ def _push(record: Record, name: str, bodies: tuple[int, ...]) -> Push:
         share=mass / mass.sum(),
         weight=float(mass.sum()) * (record.frame * record.usual_pull),
         over=over,
-        ball=_is_ball(mechanism, bodies, spheres),
+        ball=len(group) == len(spheres) == 1 and bool(offset.max() <= _CENTRED),
         impulse=impulse,
         blur=abs(record.lag) * change,
         reach=reach,
         steady=steady,
         supported=supported,
     )
-
-
-def _is_ball(mechanism: Mechanism, bodies: tuple[int, ...], spheres: Index) -> bool:
-    offset = mechanism.sphere_offset[spheres]
-    return len(bodies) == len(spheres) == 1 and bool(np.abs(offset).max() <= _CENTRED)
 
 
 def pushed(mechanism: Mechanism, bodies: BodyStates, sphere: Index) -> BodyStates:

@@ -45,12 +45,9 @@ def passivity(record: Record) -> Figures | None:
         return None
     gain = sum((law_gain(record, push) for push in pushes), _collision_gain(record))
     explained = np.cumsum(gain, axis=1)
-    rise, scale = _rise(record, pushes, explained)
-    share = np.nan_to_num(explained[:, -1] / scale)
+    share = np.nan_to_num(explained[:, -1] / energy_of(record).scale)
     note = f"impacts may add up to {share.max():.2g} of the scale by their own law"
-    return Figures(
-        rise[..., None], note=note if share.any() else "", uncertainty=_doubt(record, scale)
-    )
+    return _rise(record, pushes, explained)._replace(note=note if share.any() else "")
 
 
 @check("energy rise", None)
@@ -59,8 +56,7 @@ def energy_rise(record: Record) -> Figures | None:
     pushes = _all_pushes(record)
     if all(push.ball for push in pushes):
         return None
-    rise, scale = _rise(record, pushes, np.zeros((1, record.steps)))
-    return Figures(rise[..., None], uncertainty=_doubt(record, scale))
+    return _rise(record, pushes, np.zeros((1, record.steps)))
 
 
 def law_gain(record: Record, push: Push) -> Array:
@@ -118,11 +114,6 @@ def _balance(record: Record) -> Array:
     return energy_of(record).total - input_work(record) + losses(record)[0]
 
 
-def _doubt(record: Record, scale: Array) -> Array:
-    """Return the error of the work of dampers, friction and servos over the scale."""
-    return np.asarray(losses(record)[1].sum(axis=1) / scale)
-
-
 def _all_pushes(record: Record) -> list[Push]:
     """Return the groups with contact, or none if the ground's impulse on one is not known."""
     pushes = pushes_of(record)
@@ -130,8 +121,8 @@ def _all_pushes(record: Record) -> list[Push]:
     return pushes if known == len(record.mechanism.sphere_body) else []
 
 
-def _rise(record: Record, pushes: list[Push], explained: Array) -> tuple[Array, Array]:
-    """Return the relative rise above the running minimum, NaN if not compared, and scale [J]."""
+def _rise(record: Record, pushes: list[Push], explained: Array) -> Figures:
+    """Measure the relative rise above the running minimum, NaN if not compared."""
     scale, balance = energy_of(record).scale, _balance(record)
     balance[:, 1:] -= explained
     compared, most = record.finite.copy(), balance.copy()
@@ -139,7 +130,8 @@ def _rise(record: Record, pushes: list[Push], explained: Array) -> tuple[Array, 
         compared &= settled(push)
         most += stored(record, push)
     compared[:, 1:] &= (record.neighbours.gap[:, 1:] > 0.0).all(axis=2)
-    return risen(balance, most, compared) / scale[:, None], scale
+    rise, error = risen(balance, most, compared), losses(record)[1].sum(axis=1)
+    return Figures((rise / scale[:, None])[..., None], uncertainty=error / scale)
 
 
 def risen(least: Array, most: Array, compared: Mask) -> Array:
