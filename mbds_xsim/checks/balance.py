@@ -329,12 +329,9 @@ def _imbalance_of(record: Record, push: Push) -> _Imbalance:
 def _columns(arm: Array, axles: int) -> Array:
     """Compute gains by unit impulses at spheres, (trajectory, step, row, sphere, 3)."""
     columns = np.zeros((*arm.shape[:2], 6 + axles, *arm.shape[2:]))
-    x, y, z = np.moveaxis(arm, -1, 0)
-    for k in range(3):
+    for k, along in enumerate(np.eye(3)):
         columns[..., k, :, k] = 1.0
-    columns[..., 3, :, 1], columns[..., 3, :, 2] = -z, y
-    columns[..., 4, :, 0], columns[..., 4, :, 2] = z, -x
-    columns[..., 5, :, 0], columns[..., 5, :, 1] = -y, x
+        columns[..., 3:6, :, k] = np.swapaxes(rotation.cross(arm, along), -1, -2)
     return columns
 
 

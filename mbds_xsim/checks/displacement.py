@@ -7,6 +7,10 @@ velocity with recorded values at both ends, and with changes in between that add
 within V/2 of the mean of its ends. The ground only pushes, and friction stays within its cone, so
 that V follows from the vertical impulse of the frame, which the momentum shows exactly. It does not
 matter how often, or when, a contact was hit.
+
+Between two frames that are far apart, a light link that whips round or a joint that falls back on
+its stop has velocities that differences of recorded ones do not show. The equations of motion at
+both ends do.
 """
 
 from __future__ import annotations
@@ -14,6 +18,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,10 +27,11 @@ from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.balances import groups_of
 from mbds_xsim.checks.finding import Figures, check, side_by_side
 from mbds_xsim.checks.flights import numbers, usual
-from mbds_xsim.checks.forced import Forced, forced
 from mbds_xsim.checks.ground import Push, pushes_of, responses
+from mbds_xsim.checks.mismatch import MOMENT, Flow, winding_torque
 from mbds_xsim.checks.record import Record
 from mbds_xsim.checks.stops import kicked
+from mbds_xsim.scene.joint_space import BodyStates, joint_rate
 
 _BEND = 0.5  # share of second differences: 1/12 in smooth motion, ½ for a jump in the frame
 _SWING = 0.5  # share of the difference of accelerations at the ends: three times the cubic's error
@@ -60,11 +66,11 @@ def displacement(record: Record) -> Figures | None:
     if doubted and not record.scene.contacts:
         batch, motion = record.batch[doubted], record.trajectory[doubted]
         again = dataclasses.replace(record, batch=batch, trajectory=motion, many=False)
-        figures[doubted], _ = _of_few(again, forced(again))
+        figures[doubted], _ = _of_few(again, _forced(again))
     return Figures(figures, _names(record), note)
 
 
-def _of_few(record: Record, more: Forced | None = None) -> tuple[Array, str]:
+def _of_few(record: Record, more: _Forced | None = None) -> tuple[Array, str]:
     """Compute the parts, with the effect of forces within frames if given, and a note."""
     parts = []
     place, turn = (_Residual.of(record, more, angular=kind) for kind in (False, True))
@@ -136,7 +142,7 @@ class _Residual:
     """Share of a frame that a step takes, as errors of a method do not average out."""
 
     @staticmethod
-    def of(record: Record, more: Forced | None, *, angular: bool) -> _Residual:
+    def of(record: Record, more: _Forced | None, *, angular: bool) -> _Residual:
         """Compare displacements with velocities, or turns with angular ones."""
         frame, share = record.frame, (record.step or 0.0) / record.frame
         velocity = record.bodies.angular_velocity if angular else record.bodies.velocity
@@ -184,6 +190,48 @@ class _Residual:
             + (_STEADY + self.share) * self.floor[:, 0]
         )
         return rotation.norm(mean[:, 0]) / limit
+
+
+class _Forced(NamedTuple):
+    """Measures of the motion within steps, from the accelerations at both ends."""
+
+    places: Array
+    """Differences of linear accelerations between both ends, times the frame interval [m/s], shape
+    (trajectory, step, body)."""
+    turns: Array
+    """The same for angular accelerations [rad/s]."""
+    pull: Array
+    """Accelerations that joints with limits would have without stops, the larger size of both ends
+    [rad/s² or m/s²], shape (trajectory, step, joint)."""
+
+
+def _forced(record: Record) -> _Forced:
+    """Evaluate the equations of motion without contact at both ends of steps; 0 if not finite."""
+    lost = ~record.finite[..., None, None]
+    bodies = record.bodies.each(lambda values: np.where(lost, values[:, :1], values))
+    torque = record.torque[:, : record.steps]
+    spring_torque = winding_torque(record.mechanism, bodies)
+    begin, end = (
+        _accelerations(record, bodies[:, part], torque + spring_torque[:, part])
+        for part in (slice(-1), slice(1, None))
+    )
+    places, turns = (
+        record.frame * rotation.norm(a - b) for a, b in zip(begin[:2], end[:2], strict=True)
+    )
+    pull = np.maximum(np.abs(begin[2]), np.abs(end[2]))
+    return _Forced(*(np.where(np.isfinite(each), each, 0.0) for each in (places, turns, pull)))
+
+
+def _accelerations(record: Record, states: BodyStates, torque: Array) -> tuple[Array, Array, Array]:
+    """Return linear and angular accelerations of bodies, and those of joints with limits."""
+    flow = Flow(record.mechanism, MOMENT * record.frame)
+    closed = flow.closed(states)
+    pull, push = flow.accelerations(closed, record.force, torque)
+    here, then = (each.with_world() for each in (closed, flow.later(closed, pull, push)))
+    rates = np.zeros((*pull.shape[:2], len(record.mechanism.limited)))
+    for k, joint in enumerate(record.mechanism.limited):
+        rates[..., k] = (joint_rate(joint, then) - joint_rate(joint, here)) / flow.moment
+    return pull, push, rates
 
 
 def _of_turns(record: Record) -> Array:
@@ -246,7 +294,7 @@ def _window(values: Array) -> Array:
     return highest
 
 
-def _hidden(record: Record, more: Forced | None, angular: bool) -> Array:
+def _hidden(record: Record, more: _Forced | None, angular: bool) -> Array:
     """Bound the effect of impulses on mean velocities of bodies, (trajectory, step, body)."""
     mechanism = record.mechanism
     bounds = np.zeros_like(record.bodies.position[:, 1:, :, 0])

@@ -189,12 +189,12 @@ def _linear(record: Record, push: Push, half: Array) -> Array:
     middle = (place[:, 1:] + place[:, :-1]) / 2
     x = _about(half, place[:, :-1] - middle), _about(-half, place[:, 1:] - middle)
     v = _both(half, speed)
-    moving = [b - rate * _across(a) for a, b in zip(x, v, strict=True)]
+    moving = [b - rate * rotation.cross(_UP, a) for a, b in zip(x, v, strict=True)]
     mean = frame / 2 * (x[0] + x[1]) + frame**2 / 12 * (moving[0] - moving[1])
-    travel = x[1] - x[0] + rate * _across(mean)
+    travel = x[1] - x[0] + rate * rotation.cross(_UP, mean)
     load = record.batch.force[:, : record.steps, group].sum(axis=2)
     impulse = frame * _mean_load(load + push.mass * np.array(record.scene.gravity), half)
-    return np.asarray(push.mass * (v[1] - v[0] + rate * _across(travel)) - impulse)
+    return np.asarray(push.mass * (v[1] - v[0] + rate * rotation.cross(_UP, travel)) - impulse)
 
 
 def _angular(record: Record, push: Push, half: Array) -> tuple[Array, Array]:
@@ -214,7 +214,7 @@ def _angular(record: Record, push: Push, half: Array) -> tuple[Array, Array]:
     arm = np.add(*_both(half, place))
     load = _mean_load(record.batch.force[:, : record.steps, group], half[..., None])
     impulse = record.frame / 2 * rotation.cross(arm, load).sum(axis=2)
-    gain = end - begin + half[..., None] * _across(begin + end) - impulse
+    gain = end - begin + half[..., None] * rotation.cross(_UP, begin + end) - impulse
     return gain, rotation.norm(begin)
 
 
@@ -252,11 +252,6 @@ def _both(half: Array, vectors: Array) -> tuple[Array, Array]:
     """Return vectors (trajectory, frame, …, 3) at both ends of each step, in its turning axes."""
     angle = half.reshape(*half.shape, *(1,) * (vectors.ndim - 3))
     return _about(angle, vectors[:, :-1]), _about(-angle, vectors[:, 1:])
-
-
-def _across(vectors: Array) -> Array:
-    """Compute ẑ × v."""
-    return np.stack([-vectors[..., 1], vectors[..., 0], np.zeros(vectors.shape[:-1])], axis=-1)
 
 
 def _mean_load(load: Array, half: Array) -> Array:

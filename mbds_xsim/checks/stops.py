@@ -51,7 +51,7 @@ def stop_passivity(record: Record) -> Figures | None:
     return Figures((rise / energy.scale[:, None])[..., None], uncertainty=error / energy.scale)
 
 
-def kicked(record: Record, pull: Array | float = 0.0) -> tuple[Array, Array]:
+def kicked(record: Record, pull: Array | float) -> tuple[Array, Array]:
     """Bound the changes of body velocities that impulses of stops cause within a step.
 
     If a joint can reach its stop, they change its rate by at most the difference between the step's

@@ -243,10 +243,9 @@ def _lane(tree: Tree) -> Lane:
     # At least one block, which is written to even if nothing can move.
     size, idle = max(1, -(-tree.size // BLOCK)) * BLOCK, lines(1)
     idle[:] = -1.0
-    whole = [np.zeros(LANES, dtype=np.int64) for _ in range(2)]
     return Lane(
-        row=whole[0],
-        at=whole[1],
+        row=np.zeros(LANES, dtype=np.int64),
+        at=np.zeros(LANES, dtype=np.int64),
         remaining=np.zeros(LANES),
         step=np.zeros(LANES),
         tries=np.zeros(LANES, dtype=np.int64),

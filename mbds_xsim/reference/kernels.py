@@ -14,7 +14,7 @@ from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.reference import cache
 from mbds_xsim.reference.solution import solve
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Body, Clock, DistanceLink, Inertia, Scene
+from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene
 
 _UNUSED = 30 * 86400.0  # time unused after which other versions' machine code is removed [s]
 
@@ -36,15 +36,18 @@ class Kernels:
         return cache.kernel_folder() / f"{self.name} ready"
 
 
+BOB = Scene(
+    name="bob",
+    length=1.0,
+    clock=Clock(steps=10),
+    bodies=(Body("bob", position=(0.0, 0.0, -0.5), inertia=Inertia(1.0, (0.1, 0.1, 0.1))),),
+    joints=(Joint("nail", "ball", "world", "bob", (0.0, 0.0, 0.0)),),
+)
+"""Body that hangs still on a ball joint."""
+
+
 def _solve_once() -> None:
-    scene = Scene(
-        name="bob",
-        length=1.0,
-        clock=Clock(steps=1),
-        bodies=(Body("bob", position=(0.5, 0.0, 0.0), inertia=Inertia(1.0, (0.1, 0.1, 0.1))),),
-        distance_links=(DistanceLink("rod", ("world", "bob"), ((0.0, 0.0, 0.0), (0.5, 0.0, 0.0))),),
-    )
-    solve(scene, draw_batch(scene, range(1)), cache=False)
+    solve(BOB, draw_batch(BOB, range(1)), cache=False)
 
 
 REFERENCE = Kernels("reference", _solve_once, 10)
