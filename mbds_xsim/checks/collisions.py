@@ -15,7 +15,6 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index, Mask, Picked
-from mbds_xsim.checks.balances import groups_of
 from mbds_xsim.checks.finding import Figures, check
 from mbds_xsim.checks.ground import at_touch
 from mbds_xsim.checks.rebounds import at_impacts, restitution_note
@@ -105,20 +104,13 @@ def collision_gap(record: Record) -> Figures:
 @functools.lru_cache(maxsize=64)
 def pairs_of_balls(mechanism: Mechanism) -> list[int]:
     """Return indices of sphere pairs that are balls: unconnected bodies with one centred sphere."""
-    alone = {group[0] for group in groups_of(mechanism) if len(group) == 1}
-    spheres = mechanism.sphere_body.tolist()
-    centred = np.linalg.norm(mechanism.sphere_offset, axis=1) <= _CENTRED
-    ball = [
-        body in alone and spheres.count(body) == 1 and bool(centred[k])
-        for k, body in enumerate(spheres)
-    ]
     tied = {body for joint in mechanism.joints for body in (joint.parent, joint.child)}
     tied |= {body for pair in (*mechanism.distances, *mechanism.springs) for body in pair.bodies}
-    return [
-        k
-        for k, pair in enumerate(mechanism.sphere_pairs.tolist())
-        if all(ball[sphere] and spheres[sphere] not in tied for sphere in pair)
-    ]
+    spheres = mechanism.sphere_body.tolist()
+    single = [body not in tied and spheres.count(body) == 1 for body in spheres]
+    centred = np.linalg.norm(mechanism.sphere_offset, axis=1) <= _CENTRED
+    balls = centred & np.array(single, dtype=bool)
+    return np.flatnonzero(balls[mechanism.sphere_pairs].all(axis=1)).tolist()
 
 
 @functools.lru_cache(maxsize=1)

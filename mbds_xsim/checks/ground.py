@@ -179,11 +179,10 @@ def responses(mechanism: Mechanism) -> tuple[Array, Array]:
     They are largest over all directions of the impulse, at the reference pose. Linear [1/kg] and
     angular [1/(kg·m)], each (sphere, body).
     """
-    shape = (len(mechanism.sphere_body), mechanism.body_count)
-    place = np.broadcast_to(mechanism.com, (*shape, 3))
-    still = np.broadcast_to(rotation.IDENTITY, (*shape, 4))
-    pose = BodyStates(place, still, np.zeros_like(place), np.zeros_like(place))
-    response = pushed(mechanism, pose, np.arange(shape[0]))
+    spheres = np.arange(len(mechanism.sphere_body))
+    pose = BodyStates.at_reference(mechanism)
+    poses = pose.each(lambda values: np.repeat(values[None], len(spheres), axis=0))
+    response = pushed(mechanism, poses, spheres)
     linear, angular = (
         np.linalg.norm(np.moveaxis(each, 1, -1), ord=2, axis=(-2, -1))
         for each in (response.velocity, response.angular_velocity)
