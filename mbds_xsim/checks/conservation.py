@@ -189,20 +189,18 @@ def _turned(record: Record, balance: Balance) -> Gain:
     from mbds_xsim.checks import balance_kernel as kernel  # imports a compiler
     from mbds_xsim.reference.compiled import lines
 
-    motion, bodies = record.motion, np.array(balance.bodies)
+    frames, bodies = record.motion.frames, np.array(balance.bodies)
     about = np.zeros(3) if balance.about is None else balance.about
     group = kernel.Spinning(bodies, about, balance.about is not None, record.frame, record.lag)
-    sums = np.empty((kernel.SUMS, motion.frames, motion.rows))
-    work = lines(kernel.FRAME * motion.frames)
-    kernel.find_momenta(motion, record.masses, group, work, sums.reshape(-1))
+    given = record.masses, group, lines(kernel.FRAME * frames)
+    sums = record.by_kernel(kernel.find_momenta, (kernel.SUMS, frames), *given).T
     state, inputs, weight = (
         (balance.directions @ sums[k : k + 3].reshape(3, -1)).reshape(-1, *sums.shape[1:]).T
         for k in (kernel.MOMENTUM, kernel.INPUT, kernel.WEIGHT)
     )
-    count = len(record.batch)
-    inputs = inputs[:count, 1:] + record.frame * _driving(record, balance) @ balance.directions.T
-    residual = np.diff(state[:count], axis=1) - inputs - weight[:count, 1:]
-    size, blur = (sums[k].T[:count] for k in (kernel.SIZE, kernel.BLUR))
+    inputs = inputs[:, 1:] + record.frame * _driving(record, balance) @ balance.directions.T
+    residual = np.diff(state, axis=1) - inputs - weight[:, 1:]
+    size, blur = (sums[k].T for k in (kernel.SIZE, kernel.BLUR))
     return Gain(residual, inputs, blur[:, 1:], _scale(record, balance, size))
 
 
