@@ -128,19 +128,23 @@ def test_a_touch_with_friction_along_a_line_ends_the_trajectory(height: float) -
         assert (failure is None) == known.all()
 
 
-def test_what_comes_no_nearer_to_the_ground_may_slip_along_one_line() -> None:
+@pytest.mark.parametrize("height", [2.0, R], ids=["in the air", "on the ground"])
+def test_what_comes_no_nearer_to_the_ground_may_slip_along_one_line(height: float) -> None:
     """As the first link of an arm on a vertical joint, which only turns."""
-    shoulder = Body("shoulder", inertia=Inertia(1.0, (0.1,) * 3), position=(0.3, 0.0, 2.0))
-    turn = Joint("turn", "hinge", "world", "shoulder", (0.0, 0.0, 2.0), (0.0, 0.0, 1.0))
+    at = (0.0, 0.0, height)
+    shoulder = Body("shoulder", inertia=Inertia(1.0, (0.1,) * 3), position=(0.3, 0.0, height))
+    turn = Joint("turn", "hinge", "world", "shoulder", at, (0.0, 0.0, 1.0), rate=2.0)
     scene = Scene(
         "arm",
         (shoulder,),
         1.0,
         joints=(turn,),
-        contacts=(ContactSphere("shoulder", (0.5, 0.0, 2.0), R),),
+        contacts=(ContactSphere("shoulder", (0.5, 0.0, height), R),),
         ground=Ground(MU, 0.5),
+        clock=Clock(0.02, 10),
     )
-    ENGINE.open(scene, ENGINE.settings(scene, "matched")).close()
+    motion = alone(scene, ENGINE.settings(scene, "matched"))
+    assert motion.angular_velocity[0, :, 0, 2] == pytest.approx(2.0, abs=1e-9)
 
 
 def test_a_ball_bounces_alike_beside_an_arm_on_its_stop() -> None:
