@@ -251,21 +251,21 @@ class BulletContact:
         """
         dynamics = self._client.function("getDynamicsInfo")
         shapes_of = self._client.function("getCollisionShapeData")
-        plane = dynamics(self._planes[0], -1) if self._planes else (np.nan,) * 6
-        pairs, places = np.empty((len(self._body), 3)), np.empty((len(self._body), 3))
-        infos = {}
+        planes = [dynamics(plane, -1) for plane in self._planes] or [(np.nan,) * 6]
+        count = len(self._body)
+        pairs, places, own = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 2))
         for body in np.unique(self._body).tolist():
-            rows, links = self._body == body, addresses(body)
-            shapes = [shape for link in links for shape in shapes_of(*link)]
-            infos[body] = info = dynamics(*links[0])
+            rows, plane = self._body == body, planes[self._ground.get(body, 0)]
+            links = [(dynamics(*link), shapes_of(*link)) for link in addresses(body)]
+            own[rows] = [(info[1], info[5]) for info, shapes in links for _ in shapes]
+            shapes = [shape for _, shapes in links for shape in shapes]
             pairs[rows, 0] = [shape[3][0] for shape in shapes]
-            pairs[rows, 1:] = info[1] * plane[1], info[5] * plane[5]
+            pairs[rows, 1:] = own[rows] * (plane[1], plane[5])
             # Bullet reports places in the inertial frame.
             local = np.array([shape[5] for shape in shapes])
             places[rows] = reading[body, :3] + rotation.rotate(reading[body, [6, 3, 4, 5]], local)
-        ends = self._body[self._mechanism.sphere_pairs].tolist()
-        laws = [tuple(infos[one][k] * infos[other][k] for k in (1, 5)) for one, other in ends]
-        return {"contact": pairs, "collision": np.array(laws).reshape(-1, 2), "sphere": places}
+        one, other = self._mechanism.sphere_pairs.T
+        return {"contact": pairs, "collision": own[one] * own[other], "sphere": places}
 
 
 def flags_of(contact: BulletContact | None) -> int:

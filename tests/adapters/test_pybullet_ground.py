@@ -88,6 +88,29 @@ def test_spheres_beyond_those_that_a_shape_holds_touch_as_the_others_do(part: st
         assert not compare(Mechanism.of(more), batch, settings, run.readback(batch))
 
 
+@pytest.mark.parametrize("key", ["lateralFriction", "restitution"])
+def test_coefficients_are_read_back_from_every_link(
+    key: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All but the first sixteen spheres of a crate are on a link of their own."""
+    contact = sys.modules["mbds_xsim_adapters.pybullet.contact"].BulletContact
+    set_pair = contact.set_pair
+
+    def set_odd(self: Any, number: int, link: int, body: int) -> None:
+        set_pair(self, number, link, body)
+        if link == 0:
+            self._client.build("changeDynamics", number, link, **{key: 0.1})
+
+    monkeypatch.setattr(contact, "set_pair", set_odd)
+    scene = crate(tilt=0.3, height=0.3, steps=30)
+    inner = (ContactSphere("crate", (0.0, 0.01 * k, 0.5), R) for k in range(16))
+    more = msgspec.structs.replace(scene, contacts=(*inner, *scene.contacts))
+    _, (difference,) = Runs(ENGINE, {}).read_back(more, more)
+    name = key.removeprefix("lateral").lower()
+    assert f"{name} of sphere 16 on crate: got [" in difference
+    assert "(8 differ)" in difference
+
+
 def test_spheres_that_would_pass_through_others_are_refused() -> None:
     hinge = Joint("hinge", "hinge", "world", "crate", (0.0, 0.0, 0.3), axis=(0.0, 1.0, 0.0))
     scene = msgspec.structs.replace(crate(height=0.1), joints=(hinge,))
