@@ -13,7 +13,7 @@ import numpy as np
 from mbds_xsim.base.arrays import Index
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
 
-from .client import Constant
+from .client import BARE_LINK
 
 MOST_SPHERES = 16
 """Most spheres of a shape: MAX_COMPOUND_COLLISION_SHAPES of Bullet's SharedMemoryPublic.h."""
@@ -56,32 +56,25 @@ def sinking(mechanism: Mechanism) -> str:
     return next((text for body, text in why.items() if grounded or body in static), "")
 
 
-def with_carriers(
-    links: Mapping[str, list[Any]], shapes: Sequence[Sequence[int]], base_turn: list[float]
-) -> tuple[dict[str, list[Any]], list[int]]:
-    """Append these links to the arguments of `createMultiBody`.
+def carriers(
+    links: Sequence[Mapping[str, Any]], shapes: Sequence[Sequence[int]], base_turn: list[float]
+) -> list[dict[str, Any]]:
+    """Return these links as `createMultiBody` takes them, each on the body that it carries for.
 
     Args:
-        links: The arguments by name.
-        shapes: Shapes of the base and of the first links; all but the first of each need a link.
+        links: The same for the links of bodies.
+        shapes: Shapes of the base and of these links; all but the first of each need a link.
         base_turn: Rotation of the base's inertial frame, xyzw.
-
-    Returns:
-        The arguments, and for each added link the place of its body in `shapes`.
     """
-    owners = [place for place, own in enumerate(shapes) for _ in own[1:]]
-    zero, still = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]
+    held = [BARE_LINK | {"linkInertialFrameOrientations": base_turn}, *links]
     inertial = "linkInertialFramePositions", "linkInertialFrameOrientations"
-    frames = {key: [own, *links[key]] for key, own in zip(inertial, (zero, base_turn), strict=True)}
-    added: dict[str, list[Any]] = {
-        "linkMasses": [0.0] * len(owners),
-        "linkCollisionShapeIndices": [shape for own in shapes for shape in own[1:]],
-        "linkVisualShapeIndices": [-1] * len(owners),
-        "linkPositions": [zero] * len(owners),
-        "linkOrientations": [still] * len(owners),
-        **{key: [frames[key][place] for place in owners] for key in inertial},
-        "linkParentIndices": owners,
-        "linkJointTypes": [Constant("JOINT_FIXED")] * len(owners),
-        "linkJointAxis": [[0.0, 0.0, 1.0]] * len(owners),
-    }
-    return {key: [*values, *added[key]] for key, values in links.items()}, owners
+    return [
+        {
+            **BARE_LINK,
+            **{key: held[place][key] for key in inertial},
+            "linkCollisionShapeIndices": shape,
+            "linkParentIndices": place,
+        }
+        for place, own in enumerate(shapes)
+        for shape in own[1:]
+    ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from mbds_xsim.base.process import redirected
@@ -35,6 +35,21 @@ class Constant(int):
 
     def __repr__(self) -> str:
         return f"p.{self.name}"
+
+
+BARE_LINK: Mapping[str, Any] = {
+    "linkMasses": 0.0,
+    "linkCollisionShapeIndices": -1,
+    "linkVisualShapeIndices": -1,
+    "linkPositions": [0.0, 0.0, 0.0],
+    "linkOrientations": [0.0, 0.0, 0.0, 1.0],
+    "linkInertialFramePositions": [0.0, 0.0, 0.0],
+    "linkInertialFrameOrientations": [0.0, 0.0, 0.0, 1.0],
+    "linkParentIndices": 0,
+    "linkJointTypes": Constant("JOINT_FIXED"),
+    "linkJointAxis": [0.0, 0.0, 1.0],
+}
+"""What `createMultiBody` takes for a link without mass and shape, fixed to the base."""
 
 
 class Client:

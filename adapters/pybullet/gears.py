@@ -14,7 +14,7 @@ from typing import Any
 
 from mbds_xsim.scene.mechanism import PlacedJoint
 
-from .client import Client, Constant
+from .client import BARE_LINK, Client, Constant
 from .parts import Multibody
 
 # Bullet treats 2e-16 kg·m² as zero.
@@ -40,31 +40,20 @@ def speed(joint: PlacedJoint) -> float:
     return math.sqrt(joint.armature / _MOMENT)
 
 
-def with_rotors(
-    links: Mapping[str, list[Any]], joints: Sequence[PlacedJoint]
-) -> dict[str, list[Any]]:
-    """Append rotors to the links in the arguments of `createMultiBody`.
-
-    Args:
-        links: The arguments by name.
-        joints: Joints of the links.
-    """
-    geared = [k for k, joint in enumerate(joints) if joint.armature]
-    zero, still = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]
-    common = {
-        "linkMasses": _MOMENT,
-        "linkCollisionShapeIndices": -1,
-        "linkVisualShapeIndices": -1,
-        "linkPositions": zero,
-        "linkOrientations": still,
-        "linkInertialFramePositions": zero,
-        "linkInertialFrameOrientations": still,
-        "linkJointTypes": Constant("JOINT_REVOLUTE"),
-    }
-    rotors = {key: [value] * len(geared) for key, value in common.items()}
-    for key in ("linkParentIndices", "linkJointAxis"):
-        rotors[key] = [links[key][k] for k in geared]
-    return {key: [*values, *rotors[key]] for key, values in links.items()}
+def rotors(
+    links: Sequence[Mapping[str, Any]], joints: Sequence[PlacedJoint]
+) -> list[dict[str, Any]]:
+    """Return rotors as `createMultiBody` takes them, given the same of links and their joints."""
+    return [
+        {
+            **BARE_LINK,
+            **{key: link[key] for key in ("linkParentIndices", "linkJointAxis")},
+            "linkMasses": _MOMENT,
+            "linkJointTypes": Constant("JOINT_REVOLUTE"),
+        }
+        for link, joint in zip(links, joints, strict=True)
+        if joint.armature
+    ]
 
 
 def gear_rotors(client: Client, number: int, joints: Sequence[PlacedJoint]) -> None:

@@ -22,10 +22,10 @@ from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
 from mbds_xsim.simulate.adapter import ModelSize
 from mbds_xsim.simulate.readback import joint_anchors, joint_axes
 
-from .carriers import with_carriers
-from .client import Client, Constant
+from .carriers import carriers
+from .client import BARE_LINK, Client, Constant
 from .contact import BulletContact, flags_of
-from .gears import IMPULSE_CAP, armatures, gear_rotors, speed, tie, with_rotors
+from .gears import IMPULSE_CAP, armatures, gear_rotors, rotors, speed, tie
 from .parts import Multibody, axis_of, hinge_arm, principal_axes, split, to_world
 
 SPEED_CAP = 1e6
@@ -255,8 +255,9 @@ class Multibodies:
         links = list(zip((link.body for link in part.links), joints, strict=True))
         places = [(part.base, np.zeros(3)), *((body, -joint.in_child) for body, joint in links)]
         shapes = [contact.shapes(*place) if contact else [-1] for place in places]
-        arguments = with_rotors(self._link_arguments(part, joints, shapes), joints)
-        arguments, owners = with_carriers(arguments, shapes, _xyzw(base_turn))
+        of_bodies = self._link_rows(part, joints, shapes)
+        of_spheres = carriers(of_bodies, shapes, _xyzw(base_turn))
+        rows = [*of_bodies, *rotors(of_bodies, joints), *of_spheres]
         number = build(
             "createMultiBody",
             baseMass=base_mass,
@@ -264,7 +265,7 @@ class Multibodies:
             basePosition=base_at.tolist(),
             baseInertialFramePosition=[0.0, 0.0, 0.0],
             baseInertialFrameOrientation=_xyzw(base_turn),
-            **arguments,
+            **{key: [row[key] for row in rows] for key in BARE_LINK},
             flags=flags_of(contact),
         )
         cap = SPEED_CAP * max([1.0, *map(speed, joints)])
@@ -284,38 +285,36 @@ class Multibodies:
                     jointLimitForce=_STOP_FORCE,
                 )  # fmt: skip
         gear_rotors(self.client, number, joints)
-        for k, place in enumerate(owners, len(arguments["linkMasses"]) - len(owners)):
-            body = places[place][0]
+        for k, row in enumerate(of_spheres, len(rows) - len(of_spheres)):
+            body = places[row["linkParentIndices"]][0]
             self._carriers[body].append((int(number), k))
             assert contact is not None
             contact.set_pair(number, k, body)
         return int(number)
 
-    def _link_arguments(
+    def _link_rows(
         self, part: Multibody, joints: list[PlacedJoint], shapes: list[list[int]]
-    ) -> dict[str, list[Any]]:
-        """Return the arguments of `createMultiBody` for the links of bodies."""
-        mechanism, count = self.mechanism, len(part.links)
-        bodies, above = ([getattr(link, key) for link in part.links] for key in ("body", "parent"))
-        row = {body: k for k, body in enumerate(bodies, 1)}
+    ) -> list[dict[str, Any]]:
+        """Return what `createMultiBody` takes for the link of each body."""
+        mechanism, base = self.mechanism, part.base
+        number = {link.body: k for k, link in enumerate(part.links, 1)}
         # Link frames sit at the joints; a free base's frame sits at its centre of mass.
-        origin = {body: joint.anchor for body, joint in zip(bodies, joints, strict=True)}
-        origin[part.base] = mechanism.com[part.base] if part.base != WORLD_INDEX else np.zeros(3)
-        return {
-            "linkMasses": [float(mechanism.mass[body]) for body in bodies],
-            "linkCollisionShapeIndices": [own[0] for own in shapes[1:]],
-            "linkVisualShapeIndices": [-1] * count,
-            "linkPositions": [
-                (joint.anchor - origin[parent]).tolist()
-                for parent, joint in zip(above, joints, strict=True)
-            ],
-            "linkOrientations": [[0.0, 0.0, 0.0, 1.0]] * count,
-            "linkInertialFramePositions": [(-joint.in_child).tolist() for joint in joints],
-            "linkInertialFrameOrientations": [_xyzw(self.principal[body]) for body in bodies],
-            "linkParentIndices": [row.get(parent, 0) for parent in above],
-            "linkJointTypes": [Constant(_JOINT_TYPES[joint.kind]) for joint in joints],
-            "linkJointAxis": [axis_of(joint) for joint in joints],
-        }
+        origin = {link.body: joint.anchor for link, joint in zip(part.links, joints, strict=True)}
+        origin[base] = mechanism.com[base] if base != WORLD_INDEX else np.zeros(3)
+        return [
+            {
+                **BARE_LINK,
+                "linkMasses": float(mechanism.mass[link.body]),
+                "linkCollisionShapeIndices": own[0],
+                "linkPositions": (joint.anchor - origin[link.parent]).tolist(),
+                "linkInertialFramePositions": (-joint.in_child).tolist(),
+                "linkInertialFrameOrientations": _xyzw(self.principal[link.body]),
+                "linkParentIndices": number.get(link.parent, 0),
+                "linkJointTypes": Constant(_JOINT_TYPES[joint.kind]),
+                "linkJointAxis": axis_of(joint),
+            }
+            for link, joint, own in zip(part.links, joints, shapes[1:], strict=True)
+        ]
 
     def _set_dynamics(self, number: int, link: int, body: int, damping: float) -> None:
         moments, _ = principal_axes(self.mechanism.inertia[body])
