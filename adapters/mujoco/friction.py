@@ -43,33 +43,29 @@ def lost_friction(mechanism: Mechanism) -> dict[tuple[int, ...], str]:
         Unsupported: Friction would be lost on heavy bodies, or in contact at the start.
     """
     scene, lost = mechanism.scene, dict[tuple[int, ...], str]()
-    yields, jointed = _free_yields(mechanism), _jointed(mechanism)
+    yields = _free_yields(mechanism).tolist()
+    jointed = {body for joint in mechanism.joints for body in (joint.parent, joint.child)}
     moved = _Moved(mechanism, jointed) if mechanism.joints else None
     on_joints = np.isin(mechanism.sphere_body, list(jointed))
-    for k, sphere in enumerate(scene.contacts) if scene.ground else ():
-        _check_mass("ground", scene.ground, float(yields[k]))
-        if (
-            moved is not None
-            and on_joints[k]
-            and _loses("ground", scene.ground, moved.by_ground(k))
-        ):
-            spheres = f"the sphere of {sphere.body!r}"
-            _refuse_touching("ground", scene.ground, moved.height(k), spheres)
-            lost[(k,)] = f"{spheres} meets the ground, and {_ONE_LINE}"
-    for one, other in mechanism.sphere_pairs.tolist():
-        _check_mass("collisions", scene.collisions, yields[one] + yields[other])
-        if moved is not None and on_joints[[one, other]].all():  # others slip in all directions
-            names = " and ".join(repr(scene.contacts[k].body) for k in (one, other))
-            if _loses("collisions", scene.collisions, moved.by_pair(one, other)):
-                gap = moved.distance(one, other)
-                _refuse_touching("collisions", scene.collisions, gap, f"those of {names}")
-                lost[one, other] = f"spheres of {names} meet, and {_ONE_LINE}"
+    on_ground = [[k] for k in range(len(scene.contacts))] if scene.ground else []
+    for spheres in (*on_ground, *mechanism.sphere_pairs.tolist()):
+        one = len(spheres) == 1
+        where = "ground" if one else "collisions"
+        law: Ground | Collisions = getattr(scene, where)
+        _check_mass(where, law, sum(yields[k] for k in spheres))
+        if moved is None or not on_joints[spheres].all():  # others slip in all directions
+            continue
+        if _loses(where, law, moved.yields(spheres)):
+            names = " and ".join(repr(scene.contacts[k].body) for k in spheres)
+            if moved.gap(spheres) <= _NIL:
+                raise Unsupported(
+                    f"mujoco: {where}.friction: got {law.friction:g}, allowed is 0 for "
+                    f"{'the sphere' if one else 'those'} of {names}, in contact at the start, as "
+                    f"{_ONE_LINE}"
+                )
+            what = f"the sphere of {names} meets the ground" if one else f"spheres of {names} meet"
+            lost[tuple(spheres)] = f"{what}, and {_ONE_LINE}"
     return lost
-
-
-def _jointed(mechanism: Mechanism) -> set[int]:
-    """Return the bodies with joints."""
-    return {body for joint in mechanism.joints for body in (joint.parent, joint.child)}
 
 
 def _free_yields(mechanism: Mechanism) -> Array:
@@ -80,8 +76,7 @@ def _free_yields(mechanism: Mechanism) -> Array:
     )
 
 
-def _check_mass(where: str, law: Ground | Collisions | None, yields: float) -> None:
-    assert law is not None
+def _check_mass(where: str, law: Ground | Collisions, yields: float) -> None:
     least = math.sqrt(_FRICTIONLESS / yields)
     if 0.0 < law.friction < least:
         raise Unsupported(
@@ -91,37 +86,39 @@ def _check_mass(where: str, law: Ground | Collisions | None, yields: float) -> N
 
 
 class _Moved:
-    """Speeds of spheres per impulse in some poses, with joints and what they carry."""
+    """Speeds per impulse of a sphere on the ground, or of two, in some poses, with joints."""
 
     def __init__(self, mechanism: Mechanism, jointed: set[int]) -> None:
         self._mechanism, self._bodies = mechanism, _poses(mechanism)
         mass, self._moving = mass_matrix(mechanism, self._bodies, jointed)
         self._inverse = np.linalg.inv(mass)
 
-    def by_ground(self, k: int) -> Array:
-        """Return the matrices of what a sphere yields along the ground [1/kg], (pose, 2, 2)."""
-        up = np.broadcast_to([0.0, 0.0, 1.0], (_POSES, 3))
-        return self._along(up, self._speeds(k, -up))
+    def yields(self, spheres: list[int]) -> Array:
+        """Return matrices of what they yield along the plane between them [1/kg], (pose, 2, 2)."""
+        first, *others = spheres
+        normal = np.broadcast_to([0.0, 0.0, 1.0], (_POSES, 3))
+        for other in others:
+            apart = self._place(first) - self._place(other)
+            normal = apart / np.maximum(rotation.norm(apart)[..., None], np.finfo(float).tiny)
+        speeds = self._speeds(first, -normal)
+        for other in others:
+            speeds = speeds - self._speeds(other, normal)
+        press = np.abs(speeds @ normal[..., None]).max(initial=0.0)
+        if press <= _NIL * np.abs(speeds).max(initial=0.0):  # comes no nearer in any pose
+            return np.zeros((len(normal), 2, 2))
+        along = np.array([np.stack(rotation.normal_to(each), axis=-1) for each in normal])
+        rates = speeds @ along
+        return np.asarray(np.swapaxes(rates, -1, -2) @ self._inverse @ rates)
 
-    def by_pair(self, one: int, other: int) -> Array:
-        """Return the same for two spheres, along the plane between them."""
-        apart = self._place(one) - self._place(other)
-        normal = apart / np.maximum(rotation.norm(apart)[..., None], np.finfo(float).tiny)
-        return self._along(normal, self._speeds(one, -normal) - self._speeds(other, normal))
-
-    def height(self, k: int) -> float:
-        """Return a sphere's gap to the ground at the start [m]."""
-        return float(self._place(k)[0, 2] - self._mechanism.sphere_radius[k])
-
-    def distance(self, one: int, other: int) -> float:
-        """Return the gap between two spheres at the start [m]."""
-        apart = np.linalg.norm(self._place(one)[0] - self._place(other)[0])
-        return float(apart - self._mechanism.sphere_radius[[one, other]].sum())
+    def gap(self, spheres: list[int]) -> float:
+        """Return their gap, or that to the ground, at the start [m]."""
+        place, radius = [self._place(k)[0] for k in spheres], self._mechanism.sphere_radius[spheres]
+        distance = place[0][2] if len(place) == 1 else np.linalg.norm(place[0] - place[1])
+        return float(distance - radius.sum())
 
     def _place(self, k: int) -> Array:
-        body, offset = int(self._mechanism.sphere_body[k]), self._mechanism.sphere_offset[k]
-        arm = rotation.rotate(self._bodies.native[:, body], offset)
-        return np.asarray(self._bodies.position[:, body] + arm)
+        mechanism = self._mechanism
+        return self._bodies.points(int(mechanism.sphere_body[k]), mechanism.sphere_offset[k])
 
     def _speeds(self, k: int, way: Array) -> Array:
         """Return velocities of a sphere's point at unit rates, shape (pose, freedom, 3).
@@ -136,14 +133,6 @@ class _Moved:
         turned = rotation.cross(spin, np.broadcast_to(arm[:, None], spin.shape))
         return np.asarray(self._moving.velocity[:, :, body] + turned)
 
-    def _along(self, normal: Array, speeds: Array) -> Array:
-        press = np.abs(speeds @ normal[..., None]).max(initial=0.0)
-        if press <= _NIL * np.abs(speeds).max(initial=0.0):  # comes no nearer in any pose
-            return np.zeros((len(normal), 2, 2))
-        along = np.array([np.stack(rotation.normal_to(each), axis=-1) for each in normal])
-        rates = speeds @ along
-        return np.asarray(np.swapaxes(rates, -1, -2) @ self._inverse @ rates)
-
 
 def _poses(mechanism: Mechanism) -> BodyStates:
     """Return the start, then random poses of all joints that turn."""
@@ -155,21 +144,11 @@ def _poses(mechanism: Mechanism) -> BodyStates:
     return to_bodies(mechanism, links)
 
 
-def _loses(where: str, law: Ground | Collisions | None, yields: Array) -> bool:
+def _loses(where: str, law: Ground | Collisions, yields: Array) -> bool:
     """Return whether friction is lost in every pose, though something can slip in one."""
-    assert law is not None
     small, large = np.linalg.eigvalsh(yields).T
     share = float((small / np.maximum(large, np.finfo(float).tiny)).max())
     if share > _NIL:
         _check_mass(where, law, float(np.sqrt(np.maximum(small * large, 0.0)).max()))
         return False
     return law.friction > 0.0 and float(large.max()) * law.friction**2 > _FRICTIONLESS * _NIL
-
-
-def _refuse_touching(where: str, law: Ground | Collisions | None, gap: float, spheres: str) -> None:
-    assert law is not None
-    if gap <= _NIL:
-        raise Unsupported(
-            f"mujoco: {where}.friction: got {law.friction:g}, allowed is 0 for {spheres}, in "
-            f"contact at the start, as {_ONE_LINE}"
-        )
