@@ -90,9 +90,9 @@ class Formulation(ABC):
     def ends(self, pair: PointPair) -> str:
         """Return the arguments that give the ends of a spring."""
 
-    @abstractmethod
     def graphics(self) -> Iterator[str]:
         """Yield the lines that make bodies visible, if the engine itself draws nothing."""
+        yield from ()
 
     @abstractmethod
     def marker(self, body: int, point: Array) -> str:
@@ -117,20 +117,13 @@ class Formulation(ABC):
         """
 
     @abstractmethod
-    def anchors(self, com: Array, turn: Array) -> Array:
-        """Return anchors fixed in parent and child, in W at the present state, (joint, 2, 3)."""
+    def joint_fields(self, com: Array, turn: Array) -> dict[str, Array]:
+        """Return the fields of `Readback` on joints: axes, anchors, laws and armature.
 
-    @abstractmethod
-    def laws(self) -> Array:
-        """Read back `Readback.law`."""
-
-    @abstractmethod
-    def armature(self) -> Array:
-        """Read back `Readback.armature`."""
-
-    @abstractmethod
-    def joint_axes(self, turn: Array) -> Array:
-        """Return the axes of hinges and sliders in W, given the bodies' rotations (body, 3, 3)."""
+        Args:
+            com: Centres of mass in W [m], shape (body, 3).
+            turn: Rotations of the bodies, shape (body, 3, 3).
+        """
 
 
 class RigidBodies(Formulation):
@@ -211,30 +204,25 @@ class RigidBodies(Formulation):
         )
         return mass, inertia[:, _VOIGT], com, _gravity(self.names)
 
-    def anchors(self, com: Array, turn: Array) -> Array:
-        del com, turn  # the engine computes its markers' places itself
-        place = exudyn.OutputVariableType.Position
-        joints = [joint["markerNumbers"] for joint in self.objects("joints")]
-        output = self.names["mbs"].GetMarkerOutput
-        return np.array([[output(end, place) for end in pair] for pair in joints]).reshape(-1, 2, 3)
-
-    def laws(self) -> Array:
-        keys = ("stiffness", "damping", "offset")
-        laws = [[np.ravel(each[key])[0] for key in keys] for each in self.objects("laws")]
-        return np.array(laws).reshape(-1, len(keys))
-
-    def armature(self) -> Array:
-        return np.array([rotor["mass"] for rotor in self.objects("rotors")])
-
-    def joint_axes(self, turn: Array) -> Array:
-        axes = []
+    def joint_fields(self, com: Array, turn: Array) -> dict[str, Array]:
+        del com  # the engine computes its markers' places itself
+        mbs, place = self.names["mbs"], exudyn.OutputVariableType.Position
+        axes, anchors = [], []
         for placed, joint in zip(self.mechanism.joints, self.objects("joints"), strict=True):
+            ends = joint["markerNumbers"]
+            anchors.append([mbs.GetMarkerOutput(end, place) for end in ends])
             if joint["objectType"] in _AXIS_COLUMN:
-                marker = self.names["mbs"].GetMarker(joint["markerNumbers"][0])
-                local = marker["localHT"][:3, :3] @ joint["rotationMarker0"]
+                local = mbs.GetMarker(ends[0])["localHT"][:3, :3] @ joint["rotationMarker0"]
                 axis = local[:, _AXIS_COLUMN[joint["objectType"]]]
                 axes.append(axis if placed.parent == WORLD_INDEX else turn[placed.parent] @ axis)
-        return np.array(axes).reshape(-1, 3)
+        keys = ("stiffness", "damping", "offset")
+        laws = [[np.ravel(each[key])[0] for key in keys] for each in self.objects("laws")]
+        return {
+            "joint_axis": np.array(axes).reshape(-1, 3),
+            "anchor": np.array(anchors).reshape(-1, 2, 3),
+            "law": np.array(laws).reshape(-1, len(keys)),
+            "armature": np.array([rotor["mass"] for rotor in self.objects("rotors")]),
+        }
 
 
 def _body(mechanism: Mechanism, k: int) -> Iterator[str]:

@@ -68,9 +68,6 @@ class KinematicTree(Formulation):
             f"jointHT={_transform(above.T @ frame, above.T @ offset)}, graphicsDataList=[]{law}))"
         )
 
-    def graphics(self) -> Iterator[str]:
-        yield from ()  # the engine draws links and joints
-
     def marker(self, body: int, point: Array) -> str:
         number = self._order.index(body)
         joint = _joint(self.mechanism.links[number])
@@ -109,40 +106,30 @@ class KinematicTree(Formulation):
             np.tile(tree["gravity"], (len(link), 1)),
         )
 
-    def anchors(self, com: Array, turn: Array) -> Array:
+    def joint_fields(self, com: Array, turn: Array) -> dict[str, Array]:
         tree, frames = self._tree(), turn @ np.swapaxes(self._back(), -1, -2)
-        origin = {
-            link.body: com[link.body] - frames[link.body] @ tree["linkCOMs"][k]
-            for k, link in enumerate(self.mechanism.links)
-        }
+        place = {link.body: k for k, link in enumerate(self.mechanism.links)}
+        origin = {body: com[body] - frames[body] @ tree["linkCOMs"][k] for body, k in place.items()}
 
         def ends(link: Link) -> tuple[Array, Array]:
-            above = np.array(tree["jointOffsets"][self._order.index(link.body)])
+            above = np.array(tree["jointOffsets"][place[link.body]])
             if link.parent != WORLD_INDEX:
                 above = origin[link.parent] + frames[link.parent] @ above
             return above, origin[link.body]
 
-        return joint_anchors(self.mechanism, ends)
-
-    def laws(self) -> Array:
-        tree = self._tree()
-
         def law(link: Link, _joint: PlacedJoint) -> tuple[float, float, float]:
-            k = self._order.index(link.body)
+            k = place[link.body]
             stiffness, damping = tree["jointPControlVector"][k], tree["jointDControlVector"][k]
             return stiffness, damping, tree["jointPositionOffsetVector"][k]
 
-        return joint_laws(self.mechanism, law)
-
-    def armature(self) -> Array:
-        places = {_joint(link).index: k for k, link in enumerate(self.mechanism.links)}
-        rotors = [places[joint.index] for joint in self.mechanism.rotors]
-        matrices = [rotor["massMatrix"] for rotor in self.objects("rotors")]
-        return np.array([np.diag(mass.Convert2DenseMatrix())[rotors] for mass in matrices]).ravel()
-
-    def joint_axes(self, turn: Array) -> Array:
-        link_frames = turn @ np.swapaxes(self._back(), -1, -2)
-        return joint_axes(self.mechanism, lambda link: link_frames[link.body][:, 2])
+        geared = [place[self.mechanism.carried[joint.index]] for joint in self.mechanism.rotors]
+        masses = [rotor["massMatrix"].Convert2DenseMatrix() for rotor in self.objects("rotors")]
+        return {
+            "joint_axis": joint_axes(self.mechanism, lambda link: frames[link.body][:, 2]),
+            "anchor": joint_anchors(self.mechanism, ends),
+            "law": joint_laws(self.mechanism, law),
+            "armature": np.array([np.diag(mass)[geared] for mass in masses]).ravel(),
+        }
 
     def _tree(self) -> Mapping[str, Any]:
         return self.names["mbs"].GetObject(self.names["tree"])
