@@ -66,7 +66,7 @@ def carriers(
         shapes: Shapes of the base and of these links; all but the first of each need a link.
         base_turn: Rotation of the base's inertial frame, xyzw.
     """
-    held = [BARE_LINK | {"linkInertialFrameOrientations": base_turn}, *links]
+    held = [{**BARE_LINK, "linkInertialFrameOrientations": base_turn}, *links]
     inertial = "linkInertialFramePositions", "linkInertialFrameOrientations"
     return [
         {

@@ -9,13 +9,12 @@ energy is ½ D q̇², that of the armature D. As it also turns with its carrier,
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from mbds_xsim.scene.mechanism import PlacedJoint
 
 from .client import BARE_LINK, Client, Constant
-from .parts import Multibody
 
 # Bullet treats 2e-16 kg·m² as zero.
 _MOMENT = 1e-15
@@ -67,13 +66,3 @@ def gear_rotors(client: Client, number: int, joints: Sequence[PlacedJoint]) -> N
         )
         # A rotor's angle means nothing, so its error is not corrected.
         tie(client, [(number, rotor), (number, k)], speed(joints[k]), erp=0.0)
-
-
-def armatures(client: Client, parts: Iterable[tuple[int, Multibody]]) -> dict[int, float]:
-    """Return armatures of multibodies' joints from their rotors' moments, by joint index."""
-    info = client.function("getDynamicsInfo")
-    return {
-        joint.index: speed(joint) ** 2 * info(number, rotor)[2][2]
-        for number, part in parts
-        for rotor, (joint, _) in enumerate(part.geared, len(part.links))
-    }

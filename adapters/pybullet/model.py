@@ -25,7 +25,7 @@ from mbds_xsim.simulate.readback import joint_anchors, joint_axes
 from .carriers import carriers
 from .client import BARE_LINK, Client, Constant
 from .contact import BulletContact, flags_of
-from .gears import IMPULSE_CAP, armatures, gear_rotors, rotors, speed, tie
+from .gears import IMPULSE_CAP, gear_rotors, rotors, speed, tie
 from .parts import Multibody, axis_of, hinge_arm, principal_axes, split, to_world
 
 SPEED_CAP = 1e6
@@ -194,7 +194,12 @@ class Multibodies:
 
     def armature(self) -> Array:
         """Return the armature of joints in scene order from rotors' moments [kg·m² or kg]."""
-        by_joint = armatures(self.client, zip(self._ids, self.parts, strict=True))
+        info = self.client.function("getDynamicsInfo")
+        by_joint = {
+            joint.index: speed(joint) ** 2 * info(number, rotor)[2][2]
+            for number, part in zip(self._ids, self.parts, strict=True)
+            for rotor, (joint, _) in enumerate(part.geared, len(part.links))
+        }
         return np.array([by_joint[joint.index] for joint in self.mechanism.rotors])
 
     def joint_axis(self) -> Array:
