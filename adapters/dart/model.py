@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from mbds_xsim.base import rotation
-from mbds_xsim.base.arrays import Array, Index
-from mbds_xsim.scene.joint_space import BodyStates, LinkStates, to_bodies, to_links
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.scene.joint_space import BodyStates, to_bodies, to_links
 from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.simulate.columns import LinkColumns, link_kinds, links_of
 
 
 class SkeletonModel:
@@ -33,13 +34,18 @@ class SkeletonModel:
         self.floor = names.get("floor")
         # The listing's functions hold its names in a cycle, which would outlive the run.
         names.clear()
-        self.turning, self.turning_at = self._columns("ball", 0, 3)
-        self.free, self.free_turn_at = self._columns(None, 0, 3)
-        self.free_shift_at = self._columns(None, 3, 6)[1]
-        hinges, hinge_at = self._columns("hinge", 0, 1)
-        sliders, slider_at = self._columns("slider", 0, 1)
-        self.scalar = np.concatenate([hinges, sliders])
-        self.scalar_at = np.concatenate([hinge_at, slider_at])[:, 0]
+        kinds, joints = link_kinds(mechanism), [self.joints[k.body] for k in mechanism.links]
+        first = np.array([j.getIndexInSkeleton(0) if j.getNumDofs() else 0 for j in joints])
+        sizes, spin = (self.coordinate_count,) * 2, {"ball": 0, "free": 0}
+        self._columns = LinkColumns(kinds, (first, first), sizes, turn={}, spin=spin, shift=(3, 3))
+        self.turning, self._free = links_of(kinds, "ball", "free"), links_of(kinds, "free")
+        self.turning_at, self._free_at = (
+            first[links, None] + np.arange(3) for links in (self.turning, self._free)
+        )
+        self._scalar = links_of(kinds, "hinge", "slider")
+        self._scalar_at = first[self._scalar]
+        self.side = np.repeat([1.0, -1.0], [len(self.turning) - len(self._free), len(self._free)])
+        """1 for a ball joint among `turning`, whose increments stand on the right; −1 otherwise."""
 
     @property
     def coordinate_count(self) -> int:
@@ -49,8 +55,8 @@ class SkeletonModel:
     def armature(self) -> Array:
         """Return the rotors' part of the mass matrix, shape (coordinate, coordinate)."""
         diagonal = np.zeros(self.coordinate_count)
-        joints = (self.mechanism.links[k].joint for k in self.scalar)
-        diagonal[self.scalar_at] = [joint.armature if joint else 0.0 for joint in joints]
+        joints = (self.mechanism.links[k].joint for k in self._scalar)
+        diagonal[self._scalar_at] = [joint.armature if joint else 0.0 for joint in joints]
         return np.diag(diagonal)
 
     def set_state(self, q: Array, u: Array) -> None:
@@ -61,39 +67,17 @@ class SkeletonModel:
     def coordinates(self, bodies: BodyStates) -> tuple[Array, Array]:
         """Convert body states to generalised coordinates and velocities (…, coordinate)."""
         links = to_links(self.mechanism, bodies)
-        q = np.zeros((*links.coordinate.shape[:-1], self.coordinate_count))
-        u = np.zeros_like(q)
+        q, u = self._columns.of_links(links)
         q[..., self.turning_at] = rotation.to_vector(links.rotation[..., self.turning, :])
-        u[..., self.turning_at] = links.angular_velocity[..., self.turning, :]
-        q[..., self.scalar_at] = links.coordinate[..., self.scalar]
-        u[..., self.scalar_at] = links.rate[..., self.scalar]
-        turn = links.rotation[..., self.free, :]
-        q[..., self.free_turn_at] = rotation.to_vector(turn)
-        u[..., self.free_turn_at] = rotation.rotate(turn, links.angular_velocity[..., self.free, :])
-        q[..., self.free_shift_at] = links.position[..., self.free, :]
-        u[..., self.free_shift_at] = links.velocity[..., self.free, :]
+        turn, spin = links.rotation[..., self._free, :], links.angular_velocity[..., self._free, :]
+        u[..., self._free_at] = rotation.rotate(turn, spin)
         return q, u
 
     def body_states(self, q: Array, u: Array) -> BodyStates:
         """Convert generalised coordinates and velocities (…, coordinate) to body states."""
-        links = LinkStates.still((*q.shape[:-1], self.mechanism.body_count))
+        links = self._columns.to_links(q, u)
         links.rotation[..., self.turning, :] = rotation.from_vector(q[..., self.turning_at])
-        links.angular_velocity[..., self.turning, :] = u[..., self.turning_at]
-        links.coordinate[..., self.scalar] = q[..., self.scalar_at]
-        links.rate[..., self.scalar] = u[..., self.scalar_at]
-        free = rotation.from_vector(q[..., self.free_turn_at])
-        links.rotation[..., self.free, :] = free
-        spin = rotation.rotate(rotation.conjugate(free), u[..., self.free_turn_at])
-        links.angular_velocity[..., self.free, :] = spin
-        links.position[..., self.free, :] = q[..., self.free_shift_at]
-        links.velocity[..., self.free, :] = u[..., self.free_shift_at]
+        back = rotation.conjugate(links.rotation[..., self._free, :])
+        spin = rotation.rotate(back, u[..., self._free_at])
+        links.angular_velocity[..., self._free, :] = spin
         return to_bodies(self.mechanism, links)
-
-    def _columns(self, kind: str | None, first: int, last: int) -> tuple[Index, Index]:
-        """Return the links with joints of a kind, and their coordinates' skeleton indices."""
-        links = self.mechanism.links
-        indices = [k for k, x in enumerate(links) if (x.joint.kind if x.joint else None) == kind]
-        joints = [self.joints[links[k].body] for k in indices]
-        at = [[joint.getIndexInSkeleton(c) for c in range(first, last)] for joint in joints]
-        columns = np.array(at, dtype=np.int64).reshape(-1, last - first)
-        return np.array(indices, dtype=np.int64), columns

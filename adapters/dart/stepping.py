@@ -195,11 +195,8 @@ class ForwardDynamicsRK4(DartStepper):
         super().__init__(model, loads, step)
         # Springs and dampers of joints are implicit over the skeleton's own step.
         model.skeleton.setTimeStep(_TINY)
-        # A ball's increments multiply its rotation from the right, a free body's from the left.
-        self._turns = np.concatenate([model.turning_at, model.free_turn_at])
-        self._side = np.repeat([1.0, -1.0], [len(model.turning_at), len(model.free_turn_at)])
         self._armature = model.armature()
-        self._rk4 = TurningRK4(model.coordinate_count, self._turns, self._side)
+        self._rk4 = TurningRK4(model.coordinate_count, model.turning_at, model.side)
 
     def advance(self, step_count: int) -> None:
         skeleton = self.model.skeleton
@@ -224,8 +221,8 @@ class ForwardDynamicsRK4(DartStepper):
     def _moved(self, q: Array, increment: Array) -> Array:
         """Return q moved by an increment, exactly; DART truncates its series below 1e-3 rad."""
         moved = q + increment
-        turns = self._turns
-        moved[turns] = _compose(q[turns], increment[turns], self._side)
+        turns = self.model.turning_at
+        moved[turns] = _compose(q[turns], increment[turns], self.model.side)
         return moved
 
 

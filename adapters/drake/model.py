@@ -11,6 +11,7 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.joint_space import LinkStates, representatives
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
+from mbds_xsim.simulate.columns import LinkColumns, link_kinds, links_of
 
 from .contact import contact_lines
 from .stepping import of_angles
@@ -195,49 +196,33 @@ class DrakeCoordinates:
     """
 
     def __init__(self, mechanism: Mechanism, joints: dict[int, Any], size: tuple[int, int]) -> None:
-        kinds = np.array([link.joint.kind if link.joint else "free" for link in mechanism.links])
-        by_link = [joints[link.body] for link in mechanism.links]
+        kinds, by_link = link_kinds(mechanism), [joints[link.body] for link in mechanism.links]
         q = np.array([joint.position_start() for joint in by_link])
         v = np.array([joint.velocity_start() for joint in by_link])
-        self._size = size
-        self.ball, self._free = np.flatnonzero(kinds == "ball"), np.flatnonzero(kinds == "free")
-        self._scalar = np.flatnonzero((kinds == "hinge") | (kinds == "slider"))
-        self._ball_q, self._ball_v = (at[self.ball][:, None] + np.arange(3) for at in (q, v))
-        self._turn_q, self._spin_v = (
-            q[self._free][:, None] + np.arange(4),
-            v[self._free][:, None] + np.arange(3),
-        )
-        self._shift_q, self._speed_v = self._turn_q[:, :3] + 4, self._spin_v + 3
-        self._scalar_q, self._scalar_v = q[self._scalar], v[self._scalar]
+        spin = {"ball": 0, "free": 0}
+        self._columns = LinkColumns(kinds, (q, v), size, turn={"free": 0}, spin=spin, shift=(4, 3))
+        self.ball, self._free = links_of(kinds, "ball"), links_of(kinds, "free")
+        self._ball_q = q[self.ball, None] + np.arange(3)
+        self._spin_v = v[self._free, None] + np.arange(3)
         self.balls = [by_link[k] for k in self.ball]
 
     def of_links(self, links: LinkStates) -> tuple[Array, Array, Array]:
         """Return coordinates (…, nq), velocities (…, nv) and turns of ball frames (…, ball, 4)."""
-        lead = links.coordinate.shape[:-1]
-        q, v = (np.zeros((*lead, count)) for count in self._size)
-        v[..., self._ball_v] = links.angular_velocity[..., self.ball, :]
+        q, v = self._columns.of_links(links)
         turn, spin = links.rotation[..., self._free, :], links.angular_velocity[..., self._free, :]
-        q[..., self._turn_q], v[..., self._spin_v] = turn, rotation.rotate(turn, spin)
-        q[..., self._shift_q] = links.position[..., self._free, :]
-        v[..., self._speed_v] = links.velocity[..., self._free, :]
-        q[..., self._scalar_q] = links.coordinate[..., self._scalar]
-        v[..., self._scalar_v] = links.rate[..., self._scalar]
+        v[..., self._spin_v] = rotation.rotate(turn, spin)
         return q, v, links.rotation[..., self.ball, :]
 
-    def to_links(self, q: Array, v: Array, turns: Array, count: int) -> LinkStates:
-        """Return the states of `count` links."""
-        links = LinkStates.still((*q.shape[:-1], count))
-        here = of_angles(q[..., self._ball_q])
+    def to_links(self, q: Array, v: Array, turns: Array) -> LinkStates:
+        """Return the states of links."""
+        links = self._columns.to_links(q, v)
+        rates, here = links.angular_velocity, of_angles(q[..., self._ball_q])
         links.rotation[..., self.ball, :] = rotation.multiply(turns, here)
-        links.angular_velocity[..., self.ball, :] = _back(here, v[..., self._ball_v])
-        turn = q[..., self._turn_q]
+        rates[..., self.ball, :] = _back(here, rates[..., self.ball, :])
+        turn = links.rotation[..., self._free, :]
         turn /= rotation.norm(turn)[..., None]
         links.rotation[..., self._free, :] = turn
-        links.angular_velocity[..., self._free, :] = _back(turn, v[..., self._spin_v])
-        links.position[..., self._free, :] = q[..., self._shift_q]
-        links.velocity[..., self._free, :] = v[..., self._speed_v]
-        links.coordinate[..., self._scalar] = q[..., self._scalar_q]
-        links.rate[..., self._scalar] = v[..., self._scalar_v]
+        rates[..., self._free, :] = _back(turn, rates[..., self._free, :])
         return links
 
 

@@ -73,10 +73,9 @@ class DrakeRun(Run):
         failures = [
             self._simulate(batch, row, q[row], v[row], turns[row]) for row in range(len(batch))
         ]
-        count = self._mechanism.body_count
         # A motion that blows up may overflow before it is cut off.
         with np.errstate(over="ignore", invalid="ignore"):
-            bodies = to_bodies(self._mechanism, self._coordinates.to_links(q, v, turns, count))
+            bodies = to_bodies(self._mechanism, self._coordinates.to_links(q, v, turns))
             return until_blow_up(self._mechanism, bodies, failures)
 
     def _simulate(self, batch: Batch, row: int, q: Array, v: Array, turns: Array) -> Failure | None:

@@ -17,6 +17,7 @@ from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.scene.joint_space import BodyStates, LinkStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
 from mbds_xsim.scene.spin import idle_axes
+from mbds_xsim.simulate.columns import LinkColumns, link_kinds, links_of
 
 # Moment about a rod's axis over that across it, and its largest value that has no effect.
 _SLIM, _STOUT = 1e-9, 1e-6
@@ -33,66 +34,39 @@ class Coordinates:
 
     def __init__(self, model: Any, mechanism: Mechanism, idle: Array) -> None:
         kinds = [
-            "cardan" if idle[link.body].any() else link.joint.kind if link.joint else "free"
-            for link in mechanism.links
+            "cardan" if idle[link.body].any() else kind
+            for link, kind in zip(mechanism.links, link_kinds(mechanism), strict=True)
         ]
-        self._sizes, self._count = (model.nq, model.nv), len(mechanism.links)
         # MuJoCo numbers bodies depth first, links are breadth first: only names match.
         bodies = [model.body(mechanism.scene.bodies[link.body].name).id for link in mechanism.links]
         first = model.body_jntadr[bodies]
         places = model.jnt_qposadr, model.jnt_dofadr
         # Welded bodies have joint -1. It is not used, but without any joints it is no index.
         qpos, qvel = (place[first] if model.njnt else first for place in places)
-
-        def at(links: Index, places: int, rates: int) -> tuple[Index, Index]:
-            return qpos[links, None] + np.arange(places), qvel[links, None] + np.arange(rates)
-
-        def of(*group: str) -> Index:
-            return np.array([k for k, kind in enumerate(kinds) if kind in group], dtype=np.int64)
-
-        self._scalar, self._ball, self._free = of("hinge", "slider"), of("ball"), of("free")
-        self._scalar_at = qpos[self._scalar], qvel[self._scalar]
-        self._ball_at, self._free_at = at(self._ball, 4, 3), at(self._free, 7, 6)
-        self._cardan = of("cardan")
+        sizes, turning = (model.nq, model.nv), {"ball": 0, "free": 3}
+        self._columns = LinkColumns(
+            kinds, (qpos, qvel), sizes, turn=turning, spin=turning, shift=(0, 0)
+        )
+        self._cardan = links_of(kinds, "cardan")
         self._cross = _cross_axes(idle[[mechanism.links[k].body for k in self._cardan]])
-        self._cardan_at = at(self._cardan, 2, 2)
+        self._cardan_at = [at[self._cardan, None] + np.arange(2) for at in (qpos, qvel)]
         self.second = self._cardan_at[0][:, 1]
         """Places in qpos of the Cardan joints' second angles; the joints lock at a right angle."""
 
     def from_links(self, links: LinkStates) -> tuple[Array, Array]:
         """Return qpos (…, nq) and qvel (…, nv)."""
-        lead = links.coordinate.shape[:-1]
-        qpos, qvel = (np.zeros((*lead, size)) for size in self._sizes)
-        scalar, ball, free = self._scalar, self._ball, self._free
-        qpos[..., self._scalar_at[0]] = links.coordinate[..., scalar]
-        qvel[..., self._scalar_at[1]] = links.rate[..., scalar]
-        qpos[..., self._ball_at[0]] = links.rotation[..., ball, :]
-        qvel[..., self._ball_at[1]] = links.angular_velocity[..., ball, :]
+        qpos, qvel = self._columns.of_links(links)
         qpos[..., self._cardan_at[0]], qvel[..., self._cardan_at[1]] = _angles(
             links.rotation[..., self._cardan, :],
             links.angular_velocity[..., self._cardan, :],
             self._cross,
         )
-        qpos[..., self._free_at[0]] = np.concatenate(
-            [links.position[..., free, :], links.rotation[..., free, :]], axis=-1
-        )
-        qvel[..., self._free_at[1]] = np.concatenate(
-            [links.velocity[..., free, :], links.angular_velocity[..., free, :]], axis=-1
-        )
         return qpos, qvel
 
     def to_links(self, qpos: Array, qvel: Array) -> LinkStates:
         """Convert coordinates (…, nq) and (…, nv) to links, with unit quaternions."""
-        scalar, free = self._scalar, self._free
-        links = LinkStates.still((*qpos.shape[:-1], self._count))
+        links = self._columns.to_links(qpos, qvel)
         turn, spin = links.rotation, links.angular_velocity
-        links.coordinate[..., scalar] = qpos[..., self._scalar_at[0]]
-        links.rate[..., scalar] = qvel[..., self._scalar_at[1]]
-        turn[..., self._ball, :] = qpos[..., self._ball_at[0]]
-        spin[..., self._ball, :] = qvel[..., self._ball_at[1]]
-        place, turn[..., free, :] = np.split(qpos[..., self._free_at[0]], [3], -1)
-        speed, spin[..., free, :] = np.split(qvel[..., self._free_at[1]], [3], -1)
-        links.position[..., free, :], links.velocity[..., free, :] = place, speed
         turn[..., self._cardan, :], spin[..., self._cardan, :] = _rotations(
             qpos[..., self._cardan_at[0]], qvel[..., self._cardan_at[1]], self._cross
         )

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from mbds_xsim.base.arrays import Array, Index
-from mbds_xsim.scene.joint_space import LinkStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
+from mbds_xsim.simulate.columns import LinkColumns, link_kinds
 
 _KINDS = {
     "hinge": "JointModelRevoluteUnaligned",
@@ -147,51 +148,18 @@ def _closure(mechanism: Mechanism, layout: PinocchioLayout, joint: PlacedJoint) 
             yield f"constraints.append(close({6 if joint.kind == 'fixed' else 3}, {ends}))"
 
 
-class PinocchioCoordinates:
-    """Conversion between a model's coordinates and the states of links.
+def columns(mechanism: Mechanism, layout: PinocchioLayout, model: Any) -> tuple[LinkColumns, Index]:
+    """Return the columns of a model's coordinates, and those of the turns among its velocities.
 
-    Pinocchio's quaternions are xyzw; angular velocities are in a body's own axes.
+    Pinocchio's quaternions are xyzw; angular velocities are in a body's own axes. A free body's
+    translation is the joint before that of its turn.
     """
-
-    def __init__(
-        self, mechanism: Mechanism, layout: PinocchioLayout, idx_q: list[int], idx_v: list[int]
-    ):
-        kinds = [link.joint.kind if link.joint else "free" for link in mechanism.links]
-        carriers = [layout.carrier.get(link.body, 0) for link in mechanism.links]
-        q, v = np.array(idx_q)[carriers], np.array(idx_v)[carriers]
-        turning, free = (np.array([kind in group for kind in kinds]) for group in _TURNING)
-        scalar = np.array([kind in ("hinge", "slider") for kind in kinds])
-        self._turning, self._free, self._scalar = map(np.flatnonzero, (turning, free, scalar))
-        self._turn_q = q[turning][:, None] + [3, 0, 1, 2]
-        self.turn_v = v[turning][:, None] + np.arange(3)
-        self._shift_q, self._shift_v = (
-            # A free body's translation is the joint before that of its turn.
-            (at[free] - 3)[:, None] + np.arange(3) for at in (q, v)
-        )  # fmt: skip
-        self._scalar_q, self._scalar_v = q[scalar], v[scalar]
-
-    def of_links(self, links: LinkStates, size: tuple[int, int]) -> tuple[Array, Array]:
-        """Return coordinates (…, nq) and velocities (…, nv)."""
-        lead = links.coordinate.shape[:-1]
-        q, u = (np.zeros((*lead, count)) for count in size)
-        q[..., self._turn_q] = links.rotation[..., self._turning, :]
-        u[..., self.turn_v] = links.angular_velocity[..., self._turning, :]
-        q[..., self._shift_q] = links.position[..., self._free, :]
-        u[..., self._shift_v] = links.velocity[..., self._free, :]
-        q[..., self._scalar_q] = links.coordinate[..., self._scalar]
-        u[..., self._scalar_v] = links.rate[..., self._scalar]
-        return q, u
-
-    def to_links(self, q: Array, u: Array, count: int) -> LinkStates:
-        """Return the states of `count` links."""
-        links = LinkStates.still((*q.shape[:-1], count))
-        links.rotation[..., self._turning, :] = q[..., self._turn_q]
-        links.angular_velocity[..., self._turning, :] = u[..., self.turn_v]
-        links.position[..., self._free, :] = q[..., self._shift_q]
-        links.velocity[..., self._free, :] = u[..., self._shift_v]
-        links.coordinate[..., self._scalar] = q[..., self._scalar_q]
-        links.rate[..., self._scalar] = u[..., self._scalar_v]
-        return links
-
-
-_TURNING = (("ball", "free"), ("free",))
+    kinds = link_kinds(mechanism)
+    carriers = [layout.carrier.get(link.body, 0) for link in mechanism.links]
+    q, v = np.array(model.idx_qs)[carriers], np.array(model.idx_vs)[carriers]
+    turning = {"ball": 0, "free": 0}
+    sizes, order = (model.nq, model.nv), (3, 0, 1, 2)
+    held = LinkColumns(
+        kinds, (q, v), sizes, turn=turning, spin=turning, shift=(-3, -3), order=order
+    )
+    return held, v[np.isin(kinds, list(turning)), None] + np.arange(3)

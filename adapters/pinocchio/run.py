@@ -23,7 +23,7 @@ from mbds_xsim.simulate.readback import joint_anchors, joint_axes, joint_laws
 
 from . import dynamics
 from .dynamics import PinocchioDynamics
-from .model import PinocchioCoordinates, PinocchioLayout, listing
+from .model import PinocchioLayout, columns, listing
 
 
 class PinocchioRun(Run):
@@ -50,7 +50,7 @@ class PinocchioRun(Run):
         self._model = model = names["model"]
         self._frames = [names["bodies"][k] for k in range(mechanism.body_count)]
         places, speeds = list(model.idx_qs), list(model.idx_vs)
-        self._coordinates = PinocchioCoordinates(mechanism, layout, places, speeds)
+        self._columns, self._turns = columns(mechanism, layout, model)
         native = layout.native
         at = {index: (places[joint], speeds[joint]) for index, joint in native.items()}
         laws = [(*at[j.index], j.stiffness, j.damping, j.rest, np.inf) for j in mechanism.compliant]
@@ -66,8 +66,7 @@ class PinocchioRun(Run):
         self._softness = softness
         more = mechanism.springs, self._ends, self._laws, softness
         self._dynamics = PinocchioDynamics(model, self._frames, names["constraints"], *more)
-        turns = self._coordinates.turn_v
-        self._rk4 = turning_rk4.TurningRK4(model.nv, turns, np.ones(len(turns)))
+        self._rk4 = turning_rk4.TurningRK4(model.nv, self._turns, np.ones(len(self._turns)))
         hinges = list(enumerate(mechanism.hinges))
         self._driven = [k for k, hinge in hinges if hinge.index in native]
         self._driven_at = [at[mechanism.hinges[k].index][1] for k in self._driven]
@@ -95,8 +94,8 @@ class PinocchioRun(Run):
         return self._trajectory(q, u)
 
     def _trajectory(self, q: Array, u: Array) -> Trajectory:
-        links = self._coordinates.to_links(q, u, self._mechanism.body_count)
-        return until_blow_up(self._mechanism, to_bodies(self._mechanism, links))
+        bodies = to_bodies(self._mechanism, self._columns.to_links(q, u))
+        return until_blow_up(self._mechanism, bodies)
 
     def _hold(self, batch: Batch, rows: Index, frame: int) -> None:
         """Set the inputs of a frame for some trajectories."""
@@ -175,7 +174,6 @@ class PinocchioRun(Run):
             for s in self._mechanism.springs
         ]
         ends = [[(body, point.tolist()) for body, point in pair] for pair in self._ends]
-        turns = self._coordinates.turn_v.tolist()
         return _SCRIPT.format(
             listing=self._listing,
             pair=inspect.getsource(mechanisms.PointPair),
@@ -186,7 +184,7 @@ class PinocchioRun(Run):
             laws=self._laws.tolist(),
             push=self._pushes[0].tolist(),
             softness=self._softness,
-            turns=turns,
+            turns=self._turns.tolist(),
             q=q.tolist(),
             u=u.tolist(),
             count=self._count * self._mechanism.scene.clock.steps,
@@ -195,7 +193,7 @@ class PinocchioRun(Run):
 
     def _start(self, batch: Batch) -> tuple[Array, Array]:
         links = to_links(self._mechanism, BodyStates.of(self._mechanism, batch))
-        return self._coordinates.of_links(links, (self._model.nq, self._model.nv))
+        return self._columns.of_links(links)
 
     def close(self) -> None:
         vars(self).clear()
