@@ -176,10 +176,6 @@ class Multibodies:
         velocity, rate = self._base_rate(number)
         return [*position, *turn, *velocity, *rate]
 
-    def mass(self) -> Array:
-        """Return the mass of every body in the engine [kg]."""
-        return np.array([self._dynamics(body)[0] for body in range(self.mechanism.body_count)])
-
     def inertia(self) -> Array:
         """Return inertias in native frames [kg·m²] from Bullet's moments and principal axes."""
         count = self.mechanism.body_count
@@ -192,59 +188,53 @@ class Multibodies:
         moments = np.array([self._dynamics(body)[2] for body in range(count)])
         return np.asarray(np.einsum("bij,bj,bkj->bik", axes, moments, axes))
 
-    def armature(self) -> Array:
-        """Return the armature of joints in scene order from rotors' moments [kg·m² or kg]."""
-        info = self.client.function("getDynamicsInfo")
-        by_joint = {
-            joint.index: speed(joint) ** 2 * info(number, rotor)[2][2]
+    def fields(self, reading: Array) -> dict[str, Array]:
+        """Return the fields of `Readback` on masses and joints in the present state.
+
+        Bullet reports neither drag on links nor damping that was set after a joint was made, as it
+        is here.
+        """
+        dynamics, info = (self.client.function(f"get{what}Info") for what in ("Dynamics", "Joint"))
+        joints = {body: info(*self.address(body)) for body in self._links}
+
+        def axis(link: Link) -> Array:
+            if link.body not in joints:
+                return np.full(3, np.nan)
+            # Bullet reports the axis in the child's inertial frame.
+            return rotation.rotate(
+                reading[link.body, [6, 3, 4, 5]], np.array(joints[link.body][13])
+            )
+
+        def ends(link: Link) -> tuple[Array, Array] | None:
+            if link.body not in joints:
+                return None
+            above = np.array(joints[link.body][14])
+            # Position of the inertial frame in the link frame, which sits at the joint.
+            shift = np.array(self._dynamics(link.body)[3])
+            below = -rotation.rotate(self._into_principal(link.body), shift)
+            return to_world(reading, link.parent, above), to_world(reading, link.body, below)
+
+        anchors = joint_anchors(self.mechanism, ends)
+        constraint = self.client.function("getConstraintInfo")
+        for index, ties in self._ties.items():
+            points = [
+                [to_world(reading, end, np.array(constraint(number)[6 + k])) for end, k in ends_of]
+                for number, ends_of in ties
+            ]
+            anchors[index] = np.mean(points, axis=0)
+        armature = {
+            joint.index: speed(joint) ** 2 * dynamics(number, rotor)[2][2]
             for number, part in zip(self._ids, self.parts, strict=True)
             for rotor, (joint, _) in enumerate(part.geared, len(part.links))
         }
-        return np.array([by_joint[joint.index] for joint in self.mechanism.rotors])
-
-    def joint_axis(self) -> Array:
-        """Return the present axes of hinges and sliders in scene order, in W, shape (joint, 3)."""
-        turn = self.read()[:, [6, 3, 4, 5]]
-
-        def axis(link: Link) -> Array:
-            if link.joint in self.closures:
-                return np.full(3, np.nan)
-            # Bullet reports the axis in the child's inertial frame.
-            local = np.array(self.client.function("getJointInfo")(*self.address(link.body))[13])
-            return rotation.rotate(turn[link.body], local)
-
-        return joint_axes(self.mechanism, axis)
-
-    def _anchor(self, link: Link, reading: Array) -> tuple[Array, Array] | None:
-        if link.body not in self._links:
-            return None
-        above = np.array(self.client.function("getJointInfo")(*self.address(link.body))[14])
-        # Position of the inertial frame in the link frame, which sits at the joint.
-        below = -rotation.rotate(
-            self._into_principal(link.body), np.array(self._dynamics(link.body)[3])
-        )
-        return to_world(reading, link.parent, above), to_world(reading, link.body, below)
-
-    def anchors(self, reading: Array) -> Array:
-        """Return anchors as fixed in the parent and in the child, in W, shape (joint, 2, 3)."""
-        anchors = joint_anchors(self.mechanism, lambda link: self._anchor(link, reading))
-        info = self.client.function("getConstraintInfo")
-        for index, ties in self._ties.items():
-            points = [
-                [to_world(reading, end, np.array(info(number)[6 + k])) for end, k in ends]
-                for number, ends in ties
-            ]
-            anchors[index] = np.mean(points, axis=0)
-        return anchors
-
-    def damping(self) -> Array:
-        """Return damping and friction of every joint; Bullet does not report drag on links.
-
-        Nor does it report damping that was set after the joint was made, as it is here.
-        """
-        info = self.client.function("getJointInfo")
-        joints = [self.address(link.body) for part in self.parts for link in part.links]
-        return np.array([info(*address)[6:8] for address in joints]).reshape(-1)
+        bodies = range(self.mechanism.body_count)
+        return {
+            "mass": np.array([self._dynamics(body)[0] for body in bodies]),
+            "joint_axis": joint_axes(self.mechanism, axis),
+            "anchor": anchors,
+            "damping": np.array([joint[6:8] for joint in joints.values()]).reshape(-1),
+            "armature": np.array([armature[joint.index] for joint in self.mechanism.rotors]),
+        }
 
     def _dynamics(self, body: int) -> Any:
         return self.client.function("getDynamicsInfo")(*self.address(body))

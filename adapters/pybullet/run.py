@@ -179,9 +179,8 @@ class PyBulletRun(Run):
         reading = self._model.read()
         state = self._model.states(reading)
         parameters = self._client.function("getPhysicsEngineParameters")()
-        joint_axis = self._model.joint_axis()
         return Readback(
-            mass=self._model.mass(),
+            **self._model.fields(reading),
             inertia=inertia,
             com=state.position,
             orientation=self._mechanism.body_orientation(state.native),
@@ -189,12 +188,8 @@ class PyBulletRun(Run):
             angular_velocity=state.angular_velocity,
             gravity=np.array([parameters[f"gravityAcceleration{axis}"] for axis in "XYZ"]),
             step=parameters["fixedTimeStep"] / max(1, parameters["numSubSteps"]),
-            joint_axis=joint_axis,
-            damping=self._model.damping(),
             **(self._contact.readback(self._model.addresses, reading) if self._contact else {}),
-            anchor=self._model.anchors(reading),
             spring=self._loads.springs(state),
-            armature=self._model.armature(),
             drive=np.array([drive.as_read() for drive in self._mechanism.drives]),
         )
 
