@@ -291,11 +291,11 @@ class _StandIn(Adapter):
         return answer
 
     def cannot_hold(self, scene: Scene) -> str:
-        answer = _ask(_cannot_hold, self.point, scene)
+        answer = _ask(_called, self.point, "cannot_hold", str, scene)
         return f"its adapter fails: {answer.reason}" if isinstance(answer, Crash) else str(answer)
 
     def contact_scales(self, settings: Settings) -> ContactScales:
-        answer = _ask(_scales, self.point, settings)
+        answer = _ask(_called, self.point, "contact_scales", ContactScales, settings)
         if isinstance(answer, Crash):
             raise Unsupported(f"{self.name} does not say how it resolves contact: {answer.reason}")
         return answer
@@ -361,16 +361,13 @@ def _preset(point: EntryPoint, scene: Scene, profile: Profile) -> Settings:
     settings = _typed(adapter.settings(scene, profile), Settings)
     with suppress(Unsupported):  # another of its methods may support the scene
         adapter.check(scene, settings)
-    _scales(point, settings)
+    _called(point, "contact_scales", ContactScales, settings)
     return settings
 
 
-def _cannot_hold(point: EntryPoint, scene: Scene) -> str:
-    return _typed(made(point).cannot_hold(scene), str)
-
-
-def _scales(point: EntryPoint, settings: Settings) -> ContactScales:
-    return _typed(made(point).contact_scales(settings), ContactScales)
+def _called(point: EntryPoint, method: str, kind: type[T], argument: Scene | Settings) -> T:
+    """Call a method of an adapter; its answer must be of a kind."""
+    return _typed(getattr(made(point), method)(argument), kind)
 
 
 def _typed(value: object, kind: type[T]) -> T:
