@@ -199,8 +199,8 @@ class DartRun(Run):
     def native(self, batch: Batch) -> str:
         q, u = self._start(batch)
         count = self._step_count * self._mechanism.scene.clock.steps
-        run = script(self._mechanism, q[0], u[0], self._stepper.call, count)
-        return f"{self._listing}{_INPUTS}{run}"
+        lines = script(self._mechanism, q[0], u[0], self._stepper.call, count)
+        return self._listing + _INPUTS + "\n".join(lines)
 
     def _start(self, batch: Batch) -> tuple[Array, Array]:
         return self._model.coordinates(BodyStates.of(self._mechanism, batch))

@@ -166,8 +166,8 @@ def _vector(v: Array) -> str:
     return repr([float(x) for x in v])
 
 
-def script(mechanism: Mechanism, q: Array, u: Array, step: str, count: int) -> str:
-    """Return the script that follows the listing.
+def script(mechanism: Mechanism, q: Array, u: Array, step: str, count: int) -> Iterator[str]:
+    """Yield the lines of the script that follows the listing.
 
     Args:
         mechanism: Mechanism of the scene.
@@ -176,10 +176,6 @@ def script(mechanism: Mechanism, q: Array, u: Array, step: str, count: int) -> s
         step: The engine's call for one step; empty if it has none.
         count: Number of steps.
     """
-    return "\n".join(_running(mechanism, q, u, step, count))
-
-
-def _running(mechanism: Mechanism, q: Array, u: Array, step: str, count: int) -> Iterator[str]:
     yield _SHAPES.rstrip("\n") + "\n\n"
     for shape in shapes(mechanism):
         points = ", ".join(map(repr, shape.points))
