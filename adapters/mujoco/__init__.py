@@ -226,4 +226,4 @@ class MuJoCo(Adapter):
         idle = slim_axes(mechanism)
         if option("spin") or not idle.any():
             return run()
-        return SpinlessRun(mechanism, idle, run(idle), run)
+        return SpinlessRun(mechanism, idle, run)

@@ -34,17 +34,14 @@ class SpinlessRun(Run):
     Args:
         mechanism: Mechanism of the scene.
         idle: Axes of the rods that have no spin, from `mbds_xsim.scene.spin.idle_axes`.
-        spinless: Run of the model without spin.
-        load: Function that loads the model with spin.
+        load: Function that loads the model, without spin if it is given these axes.
     """
 
-    def __init__(
-        self, mechanism: Mechanism, idle: Array, spinless: Bending, load: Callable[[], Run]
-    ) -> None:
+    def __init__(self, mechanism: Mechanism, idle: Array, load: Callable[..., Bending]) -> None:
         self._mechanism, self._idle = mechanism, idle
-        self._spinless, self._load = spinless, load
+        self._spinless, self._load = load(idle), load
         self._whole: Run | None = None
-        self.size = spinless.size
+        self.size = self._spinless.size
 
     def rollout(self, batch: Batch) -> Trajectory:
         motion, bend = self._spinless.simulate(batch)

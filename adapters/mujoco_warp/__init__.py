@@ -59,4 +59,4 @@ class MuJoCoWarp(Adapter):
         idle = slim_axes(mechanism)
         run = partial(WarpRun, mechanism, steps, count, option(_DEVICE))
         # Rods without inertia about themselves make mass matrices too ill-conditioned for 24 bits.
-        return SpinlessRun(mechanism, idle, run(idle), run) if idle.any() else run()
+        return SpinlessRun(mechanism, idle, run) if idle.any() else run()
