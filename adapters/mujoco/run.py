@@ -99,7 +99,7 @@ class ModelRun(Bending):
 
     def _simulate(self, batch: Batch) -> tuple[Trajectory, Array]:
         qpos, qvel = self.start(batch)
-        frames = self.frames(len(batch), batch.steps + 1)
+        frames = Frames(self.model, self.data, self.bodies, len(batch), batch.steps + 1)
         bends = np.zeros((len(batch), batch.steps + 1, len(self.coordinates.second)))
         reasons = []
         with _capture_warnings() as warnings:
@@ -110,10 +110,6 @@ class ModelRun(Bending):
                 warnings.clear()
         bend = np.abs(bends).max(axis=(1, 2), initial=0.0)
         return self.truncate(batch, frames.states(), reasons), bend
-
-    def frames(self, count: int, length: int) -> Frames:
-        """Return an empty record for `count` trajectories of `length` frames."""
-        return Frames(self.model, self.data, self.bodies, count, length)
 
     def start(self, batch: Batch) -> tuple[Array, Array]:
         """Return qpos and qvel of the batch's starts, shapes (trajectory, nq) and (…, nv)."""
