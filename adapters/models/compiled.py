@@ -59,6 +59,8 @@ _MECHANICAL = {
 """URDF elements that describe the mechanism."""
 _SOLID = {"collision", "geometry", "sphere", "capsule", "cylinder", "box"}
 """URDF elements that describe collision shapes."""
+_WITH_AXIS = ("revolute", "continuous", "prismatic", "planar")
+"""Types of URDF joints that have an axis."""
 _TOUCHING = {
     "geom": [(tag, key) for tag, keys in PAIRING.items() for key in keys],
     "collision": [("collision", ""), ("collision", "name")],
@@ -172,14 +174,8 @@ def _without_meshes(root: Element) -> Iterator[Fate]:
 
 def _mechanics(mujoco: Any, root: Element, path: Path, tags: set[str]) -> Any:
     """Return the spec of a URDF reduced to elements with the given tags."""
-    for joint in root.iter("joint"):
-        axis = joint.find("axis")
-        normal = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
-        if joint.get("type") == "planar" and [float(x) for x in normal.split()] != [0, 0, 1]:
-            raise InputError(
-                f"joint {joint.get('name')!r} is planar with the normal {normal}, but MuJoCo "
-                "assumes 0 0 1; turn its origin so that this is the normal"
-            )
+    for joint in root.findall("joint"):
+        _check_axis(joint)
     reduced = copy.deepcopy(root)
     for parent in list(reduced.iter()):
         for child in [child for child in parent if child.tag not in tags]:
@@ -189,6 +185,25 @@ def _mechanics(mujoco: Any, root: Element, path: Path, tags: set[str]) -> Any:
     except ValueError:
         mujoco.MjSpec.from_file(str(path))  # raises with the line in the file itself
         raise
+
+
+def _check_axis(joint: Element) -> None:
+    """Raise InputError if a joint of a URDF has an axis that is no direction, or MuJoCo ignores."""
+    kind, axis = joint.get("type", ""), joint.find("axis")
+    text = "1 0 0" if axis is None else axis.get("xyz", "")
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError:
+        values = []
+    is_direction = all(map(math.isfinite, values)) and any(values)
+    if len(values) != 3 or not (is_direction or kind not in _WITH_AXIS):
+        msg = f"joint {joint.get('name')!r} has the axis {text!r}, "
+        raise InputError(f"{msg}allowed are three finite numbers that are not all 0")
+    if kind == "planar" and values != [0, 0, 1]:
+        raise InputError(
+            f"joint {joint.get('name')!r} is planar with the normal {text}, but MuJoCo "
+            "assumes 0 0 1; turn its origin so that this is the normal"
+        )
 
 
 def _stated_limits(root: Element) -> dict[str, tuple[float, float]]:

@@ -23,6 +23,7 @@ _LINKS = (
     '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
     '<joint name="j" type="{}"><parent link="a"/><child link="b"/>{}</joint>'
 )
+_SLIDES = '<robot name="r">' + _LINKS.format("prismatic", '<axis xyz="{}"/>') + "</robot>"
 
 _BAD = {
     "mesh": (_MJCF.format(_BODY, '<asset><mesh file="gone.stl"/></asset>'), "gone.stl"),
@@ -73,6 +74,9 @@ _BAD = {
     "expression": ('<robot name="r"><link name="${a}"/></robot>', "expand it first"),
     "rigid": (f'<robot name="r">{_LINKS.format("fixed", "")}</robot>', "nothing in it moves"),
     "planar": (f'<robot name="r">{_LINKS.format("planar", "")}</robot>', "the normal 1 0 0"),
+    "zero axis": (_SLIDES.format("0 0 0"), "joint 'j' has the axis '0 0 0'"),
+    "endless axis": (_SLIDES.format("0 inf 0"), "joint 'j' has the axis"),
+    "short axis": (_SLIDES.format("0 1"), "joint 'j' has the axis '0 1'"),
     "text": (f'<robot name="r">\n{_LINKS.format("fixed", _WORDS)}</robot>', "line 2"),
     "joint": (f'<robot name="r">{_LINKS.format("screw", "")}</robot>', "invalid joint type"),
 }  # fmt: skip
