@@ -27,7 +27,7 @@ from .assembling import assemble
 from .contacts import NO_SPHERES
 from .drives import drives, mechanics_of_drives, on_joints
 from .facts import facts_of
-from .fates import COLLISION, fates_of
+from .fates import COLLISION, NO_FOLLOWER, fates_of
 from .geoms import PAIRING, Geoms, touching
 from .mending import mend_mjcf, mend_urdf, remove_unknown
 from .parts import Drive, Freedom, Mass, Part, Parts, Property
@@ -66,7 +66,6 @@ _TOUCHING = {
     "collision": [("collision", ""), ("collision", "name")],
 }
 """Elements and attributes reported for each shape on the ground, by the format's word for it."""
-_NO_FOLLOWER = "it, or what it follows, is no hinge or slider"
 _NAMING_NOTHING = ("Element name ''", "Element name '', id 0")
 """Lines of the compiler's messages that say nothing."""
 _ALIASES = {
@@ -226,7 +225,7 @@ def _lost_mimics(root: Element, parts: Parts) -> Iterator[Fate]:
         each.get("name", "") for each in root.findall("joint") if each.find("mimic") is not None
     ]
     if lost := tuple(name for name in names if name not in followers):
-        yield Fate("mimic", (), "dropped", _NO_FOLLOWER, True, lost, len(lost))
+        yield Fate("mimic", (), "dropped", NO_FOLLOWER, True, lost, len(lost))
 
 
 def _replace_masses(spec: Any, floating: bool) -> dict[str, Any]:

@@ -20,6 +20,7 @@ Row = tuple[Outcome, bool, str, str]
 
 _APART = "no collisions of bodies are made of a model"
 COLLISION = f"{_APART}; with --ground they meet a plane"
+NO_FOLLOWER = "it, or what it follows, is no hinge or slider"
 _SOLVER = "a setting of an engine, not of the mechanism"
 _VISUAL = "drawn only"
 _UNKNOWN: Entry = ("dropped", True, "unknown to this reader")
@@ -126,8 +127,8 @@ def by_key(rows: Iterable[Row]) -> dict[str, Entry]:
 
 
 _TABLES = {"mujoco": by_key(_MJCF), "robot": by_key(_URDF), "sdf": by_key(_SDF)}
-_REPORTED = {"mujoco": {"equality", "tendon", "actuator"}, "robot": {"mimic"}, "sdf": set()}
-"""Elements that are reported from the compiled model instead."""
+_REPORTED = {"mujoco": {"equality", "tendon", "actuator"}, "robot": {"mimic"}, "sdf": {"mimic"}}
+"""Elements that the readers report instead."""
 _WHOLE = {"visual", "custom", "sensor", "keyframe", "collision", "gazebo", "transmission",
           "material", "extension", "plugin", "skin", "ros2_control", "contact", "physics",
           "velocity_decay", "light", "gui", "scene", "geometry", "torsional"}  # fmt: skip

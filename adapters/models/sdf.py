@@ -5,7 +5,8 @@ from __future__ import annotations
 import copy
 import itertools
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping, Set
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement, fromstring, tostring
@@ -20,8 +21,8 @@ from mbds_xsim.scene.imported import Fate, Imported
 from mbds_xsim.simulate.adapter import version_of
 
 from .assembling import assemble
-from .fates import fates_of
-from .parts import Freedom, Mass, Part, Parts, Property, Solid, Solids, bounded
+from .fates import NO_FOLLOWER, fates_of
+from .parts import Freedom, Mass, ModelCoupling, Part, Parts, Property, Solid, Solids, bounded
 from .sdf_shapes import REPORTED, pair, shapes_of
 from .sdf_values import masses_of, number, numbers
 from .source import read_source
@@ -32,6 +33,7 @@ _LABELS = {
     "damping": ("damping", ""),
     "friction": ("friction", ""),
     "limits": ("lower", ""),
+    "coupling": ("mimic", ""),
 }
 _KINDS = {"RevoluteJoint": "hinge", "PrismaticJoint": "slider", "BallJoint": "ball",
           "FreeJoint": "free"}  # fmt: skip
@@ -58,6 +60,7 @@ _AXES = {
     "axis2": ("revolute2", "universal"),
 }
 """Types of joints that need each of the two axes."""
+_MIMIC = (("multiplier", 1.0), ("offset", 0.0), ("reference", 0.0))
 _UNSUPPORTED = ("include", "frame", "experimental:params")
 
 
@@ -91,19 +94,56 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
         shapes += shapes_of(element, parts[first:], first) if ground else ()
     name = models[0].get("name") or path.stem
     solids = Solids("collision", tuple(shapes), pair) if ground else None
-    model = Parts(name, tuple(parts), _gravity(root, gravity), labels=_LABELS, solids=solids)
+    mimics = [mimic for each in models for mimic in _mimics(each, _unique_axes(parts))]
+    model = Parts(
+        name,
+        tuple(parts),
+        _gravity(root, gravity),
+        couplings=tuple(mimic for mimic in mimics if isinstance(mimic, ModelCoupling)),
+        labels=_LABELS,
+        solids=solids,
+    )
     reported = {label: key in model.stated for key, label in _LABELS.items()}
     reported["upper", ""] = reported["lower", ""]
     reported |= dict.fromkeys(REPORTED if ground else (), True)
     _mark(root)
     reader = f"DART {version_of('dartpy')}"
     fates = [*fates_of(root, reported, touching=ground)]
+    fates += [mimic for mimic in mimics if isinstance(mimic, Fate)]
     if skipped:
         fates.append(Fate("joint", (), "dropped", _ONE, True, tuple(skipped), len(skipped)))
     fates += _defaults(moving)
     if _states_no_gravity(root):
         fates.append(Fate("gravity", (), "approximated", _NO_GRAVITY, True))
     return assemble(model, file=path.name, kind="SDF", reader=reader, fates=fates)
+
+
+def _unique_axes(parts: list[Part]) -> set[str]:
+    """Return the hinges and sliders whose name no other one has, be it in another model."""
+    freedoms = [each for part in parts for each in part.freedoms if each.axis.any()]
+    counts = Counter(each.name for each in freedoms)
+    return {name for name, count in counts.items() if count == 1}
+
+
+def _mimics(model: Element, axes: Set[str]) -> Iterator[ModelCoupling | Fate]:
+    """Yield what makes one axis follow another, which DART's parser does not read."""
+    types = {joint.get("name", ""): joint.get("type") for joint in model.findall("joint")}
+
+    def freedom(joint: str, axis: str) -> str:
+        single = axis == "axis" and types.get(joint) not in _AXES["axis2"]
+        return joint if single else f"{joint} {axis.removeprefix('axis') or 1}"
+
+    for joint, axis in itertools.product(model.findall("joint"), _AXES):
+        path = f"{axis}/mimic"
+        if (mimic := joint.find(path)) is None:
+            continue
+        ratio, offset, middle = (number(joint, f"{path}/{key}", value) for key, value in _MIMIC)
+        follower = freedom(joint.get("name", ""), axis)
+        leader = freedom(mimic.get("joint", ""), mimic.get("axis", "axis"))
+        if axes >= {follower, leader}:
+            yield ModelCoupling(follower, leader, (offset - ratio * middle, ratio))
+        else:
+            yield Fate("mimic", (), "dropped", NO_FOLLOWER, True, (follower,))
 
 
 def _moving_links(skeleton: Any, model: Element) -> list[Element]:

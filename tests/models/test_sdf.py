@@ -144,6 +144,49 @@ def test_a_continuous_joint_is_a_hinge_without_limits(here: Path) -> None:
     assert (joint.kind, joint.limits) == ("hinge", None)
 
 
+_MIMIC = (
+    "<mimic {}><multiplier>2</multiplier><offset>0.1</offset><reference>0.2</reference></mimic>"
+)
+
+
+def _led(kind: str, how: str) -> str:
+    """Return a joint, and one that follows it."""
+    first = _ARM.format("", kind, "").replace("</axis>", "</axis><axis2><xyz>0 1 0</xyz></axis2>")
+    second = _ARM.replace("arm", "hand").replace("pivot", "clip")
+    return first + second.format("", "revolute", _MIMIC.format(how))
+
+
+@pytest.mark.parametrize(
+    ("kind", "how", "leader"),
+    [
+        ("revolute", 'joint="pivot"', "pivot"),
+        ("universal", 'joint="pivot"', "pivot 1"),
+        ("universal", 'joint="pivot" axis="axis2"', "pivot 2"),
+    ],
+)
+def test_a_joint_follows_another(here: Path, kind: str, how: str, leader: str) -> None:
+    imported = _read(here, _led(kind, how), "1.11")
+
+    (coupling,) = imported.scene.couplings
+    assert (coupling.joint, coupling.follows, coupling.ratio) == ("clip", leader, 2.0)
+    assert coupling.offset == pytest.approx(0.1 - 2 * 0.2)
+    (fate,) = (fate for fate in imported.fates if fate.element == "mimic")
+    assert (fate.outcome, fate.places) == ("kept", (f"clip follows {leader}",))
+    assert imported.facts.couplings == 1
+
+
+@pytest.mark.parametrize(
+    ("kind", "how"),
+    [("ball", 'joint="pivot"'), ("revolute", ""), ("revolute", 'joint="pivot" axis="axis2"')],
+)
+def test_a_mimic_of_nothing_is_dropped_by_name(here: Path, kind: str, how: str) -> None:
+    imported = _read(here, _led(kind, how), "1.11")
+
+    (fate,) = (fate for fate in imported.fates if fate.element == "mimic")
+    assert (fate.outcome, fate.places) == ("dropped", ("clip",))
+    assert not imported.scene.couplings
+
+
 def test_a_joint_that_closes_a_loop_is_told(here: Path) -> None:
     """The reader keeps the first joint of a link, as DART does."""
     again = '<joint name="second" type="ball"><parent>world</parent><child>arm</child></joint>'
