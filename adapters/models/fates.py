@@ -135,6 +135,11 @@ _WHOLE = {"visual", "custom", "sensor", "keyframe", "collision", "gazebo", "tran
 """Elements whose children share their fate."""
 _OPEN = {"mujoco": {"contact"}, "robot": set(), "sdf": {"contact"}}
 """Exceptions in each format: their children have fates of their own."""
+PAIRING = {
+    "geom": ("contype", "conaffinity", "condim", "priority", "friction"),
+    "exclude": ("name", "body1", "body2"),
+}
+"""MJCF elements and attributes that decide how shapes collide."""
 _NONE_AT_ZERO = {"density", "viscosity", "wind", "magnetic", "gravcomp"}
 
 

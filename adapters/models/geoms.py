@@ -7,30 +7,21 @@ from typing import Any
 
 from mbds_xsim.scene.imported import Fate
 
+from .fates import PAIRING
 from .parts import Pair, Solid, Solids
+from .resolved import Resolved
 
 _KINDS = ("plane", "height field", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh",
           "signed distance field")  # fmt: skip
 """Kinds of geoms, in the order of MuJoCo's `mjtGeom`."""
-PAIRING = {
-    "geom": ("contype", "conaffinity", "condim", "priority", "friction"),
-    "exclude": ("name", "body1", "body2"),
-}
-"""MJCF elements and attributes that decide how shapes collide."""
 
 
 class Geoms:
-    """Collision shapes at the reference pose.
+    """Collision shapes at the reference pose, and the format's word for them."""
 
-    Args:
-        model: The compiled model.
-        data: Its `MjData`, with positions at the reference pose.
-        element: The format's word for a shape.
-        active: Whether contact is switched on.
-    """
-
-    def __init__(self, model: Any, data: Any, element: str, *, active: bool) -> None:
-        self._model, self._data, self._element, self._active = model, data, element, active
+    def __init__(self, resolved: Resolved, element: str) -> None:
+        self._model, self._data, self._element = resolved.model, resolved.data, element
+        self._active = not resolved.off["CONTACT"]
 
     def solids(self) -> Solids:
         """Return all shapes but those that are only drawn."""

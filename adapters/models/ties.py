@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
-from typing import Any, Literal
+from collections.abc import Iterator
+from typing import Literal
 
+import mujoco
 import numpy as np
 
 from mbds_xsim.base import rotation
@@ -13,62 +14,19 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.imported import Fate
 
 from .parts import Closing, Line, ModelCoupling
+from .resolved import HIGHER, NOT_YET, SWITCHED_OFF, SWITCHES, Resolved
 
 _APART = 1e-9  # [m or turn]: largest gap of an equality that is met at the reference pose
-_NOT_YET = "not yet in the scene description"
-SWITCHED_OFF = "switched off in MuJoCo, and not in the scene either"
-HIGHER = f"terms that are not linear in place and rate are {_NOT_YET}"
-_SWITCHES = {
-    "stiffness": "SPRING",
-    "springyield": "SPRING",
-    "stiffnesspoly": "SPRING",
-    "damping": "DAMPER",
-    "dampingpoly": "DAMPER",
-}
-"""Properties of joints and tendons, with the flag that switches each off."""
 _WEIGHT = 10  # index in `eq_data` of how much the turn counts in a weld
 
 
-def higher(model: Any, kind: str, k: int, off: Mapping[str, bool]) -> tuple[str, ...]:
-    """Return the attributes of a joint or tendon that state forces that are not linear.
-
-    Args:
-        model: The compiled model.
-        kind: "jnt", "dof" or "tendon".
-        k: Index of the element.
-        off: Flags of MuJoCo, true where one switches something off.
-    """
-    return tuple(
-        key.removesuffix("poly")
-        for key in ("stiffnesspoly", "dampingpoly", "springyield")
-        if not off[_SWITCHES[key]] and np.any(getattr(model, f"{kind}_{key}", np.zeros(k + 1))[k])
-    )
-
-
-def element_name(mujoco: Any, model: Any, kind: str, k: int) -> str:
-    """Return the name of an element, or one of its kind and number that no other has."""
-    object_type = getattr(mujoco.mjtObj, f"mjOBJ_{kind}")
-    if name := mujoco.mj_id2name(model, object_type, k):
-        return str(name)
-    name = f"{kind.lower()} {k}"
-    while mujoco.mj_name2id(model, object_type, name) >= 0:
-        name += "_"
-    return name
-
-
 class Ties:
-    """Equalities and tendons at the reference pose.
+    """Equalities and tendons at the reference pose."""
 
-    Args:
-        mujoco: The module.
-        model: The compiled model.
-        data: Its `MjData`, with positions at the reference pose.
-        off: Flags of MuJoCo, true where one switches something off.
-    """
-
-    def __init__(self, mujoco: Any, model: Any, data: Any, off: Mapping[str, bool]) -> None:
-        self._mujoco, self._model, self._data, self._off = mujoco, model, data, off
-        active = not off["EQUALITY"]
+    def __init__(self, resolved: Resolved) -> None:
+        self._model, self._data, self._off = resolved.model, resolved.data, resolved.off
+        self._name, self._higher = resolved.name, resolved.higher
+        model, active = resolved.model, not resolved.off["EQUALITY"]
         self._active = [e for e in range(model.neq) if active and model.eq_active0[e]]
         kinds = mujoco.mjtEq
         self._points = (int(kinds.mjEQ_CONNECT), int(kinds.mjEQ_WELD))
@@ -105,7 +63,7 @@ class Ties:
         model = self._model
         for e in self._active:
             followed = int(model.eq_obj2id[e])
-            if model.eq_type[e] == self._mujoco.mjtEq.mjEQ_JOINT and followed >= 0:
+            if model.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT and followed >= 0:
                 yield ModelCoupling(
                     joint=self._name("JOINT", int(model.eq_obj1id[e])),
                     follows=self._name("JOINT", followed),
@@ -142,7 +100,7 @@ class Ties:
             place = (self._name("EQUALITY", e),)
             yield Fate("equality", (), "kept", SWITCHED_OFF, True, place)
         for e in self._active:
-            couples = model.eq_type[e] == self._mujoco.mjtEq.mjEQ_JOINT and model.eq_obj2id[e] >= 0
+            couples = model.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT and model.eq_obj2id[e] >= 0
             if not (self._holds(e) or self._rigid(e) or couples):
                 name = self._name("EQUALITY", e)
                 yield Fate("equality", (), "dropped", self._why(e), True, (name,))
@@ -152,17 +110,17 @@ class Ties:
             if not self._straight(t):
                 properties += [key for key in ("stiffness", "damping") if self._linear(key, t)]
             place = (self._name("TENDON", t),)
-            if nonlinear := higher(model, "tendon", t, self._off):
+            if nonlinear := self._higher("tendon", t):
                 yield Fate("tendon", nonlinear, "dropped", HIGHER, True, place)
             if properties:
-                yield Fate("tendon", tuple(properties), "dropped", _NOT_YET, True, place)
+                yield Fate("tendon", tuple(properties), "dropped", NOT_YET, True, place)
             elif not nonlinear and not self._straight(t):
                 yield Fate("tendon", (), "dropped", "it exerts nothing by itself", False, place)
 
     def _linear(self, key: str, t: int) -> float:
         """Return the stiffness or damping of a tendon, which flags may switch off."""
         value = getattr(self._model, f"tendon_{key}")[t]
-        return 0.0 if self._off[_SWITCHES[key]] else float(value)
+        return 0.0 if self._off[SWITCHES[key]] else float(value)
 
     def _straight(self, t: int) -> bool:
         """Whether a tendon goes from one site to another and has one rest length."""
@@ -170,15 +128,13 @@ class Ties:
         first, count = model.tendon_adr[t], model.tendon_num[t]
         kinds = model.wrap_type[first : first + count]
         low, high = model.tendon_lengthspring[t]
-        return bool(
-            count == 2 and (kinds == self._mujoco.mjtWrap.mjWRAP_SITE).all() and low == high
-        )
+        return bool(count == 2 and (kinds == mujoco.mjtWrap.mjWRAP_SITE).all() and low == high)
 
     def _rigid(self, e: int) -> bool:
         """Whether an equality keeps a straight tendon at one length."""
         model = self._model
         return bool(
-            model.eq_type[e] == self._mujoco.mjtEq.mjEQ_TENDON
+            model.eq_type[e] == mujoco.mjtEq.mjEQ_TENDON
             and model.eq_obj2id[e] < 0
             and self._straight(int(model.eq_obj1id[e]))
         )
@@ -193,18 +149,18 @@ class Ties:
     def _turns(self, e: int) -> bool:
         """Whether an equality holds orientations, too."""
         kind, weight = self._model.eq_type[e], self._model.eq_data[e, _WEIGHT]
-        return bool(kind == self._mujoco.mjtEq.mjEQ_WELD and weight != 0)
+        return bool(kind == mujoco.mjtEq.mjEQ_WELD and weight != 0)
 
     def _why(self, e: int) -> str:
         if int(self._model.eq_type[e]) in self._points:
             return f"its two sides are {self._gap(e):.3g} (m or turn) apart at the reference pose"
-        if int(self._model.eq_type[e]) == self._mujoco.mjtEq.mjEQ_JOINT:
+        if int(self._model.eq_type[e]) == mujoco.mjtEq.mjEQ_JOINT:
             return "it holds one joint at a place"
-        return f"equalities of tendons and flexes are {_NOT_YET}"
+        return f"equalities of tendons and flexes are {NOT_YET}"
 
     def _ends(self, e: int) -> tuple[tuple[int, Array], tuple[int, Array]]:
         """Return the bodies of an equality, and the points that it keeps together, in W."""
-        mujoco, model, data = self._mujoco, self._model, self._data
+        model, data = self._model, self._data
         ids = (int(model.eq_obj1id[e]), int(model.eq_obj2id[e]))
         if model.eq_objtype[e] == mujoco.mjtObj.mjOBJ_SITE:
             first, second = ((int(model.site_bodyid[k]), data.site_xpos[k].copy()) for k in ids)
@@ -219,7 +175,7 @@ class Ties:
         return first, second
 
     def _gap(self, e: int) -> float:
-        mujoco, model, data = self._mujoco, self._model, self._data
+        model, data = self._model, self._data
         (first, point), (second, other) = self._ends(e)
         gap = float(np.linalg.norm(point - other))
         if not self._turns(e):
@@ -232,6 +188,3 @@ class Ties:
             turn = rotation.multiply(data.xquat[first], model.eq_data[e, 6:10])
             other_turn = data.xquat[second]
         return gap + 1.0 - abs(float(turn @ other_turn))
-
-    def _name(self, kind: str, k: int) -> str:
-        return element_name(self._mujoco, self._model, kind, k)
