@@ -25,29 +25,11 @@ from mbds_xsim.scene.imported import Fate, Imported, ModelFacts
 from .assembling import assemble
 from .contacts import NO_SPHERES
 from .facts import facts_of
-from .fates import NO_FOLLOWER, PAIRING, fates_of
+from .fates import LABELS, NO_FOLLOWER, PAIRING, fates_of, labelled
 from .mending import mend_mjcf, mend_urdf, remove_unknown
 from .parts import Parts
 from .source import read_source
 
-_LABELS = {
-    "mujoco": {
-        "stiffness": ("joint", "stiffness"),
-        "rest": ("joint", "springref"),
-        "damping": ("joint", "damping"),
-        "armature": ("joint", "armature"),
-        "friction": ("joint", "frictionloss"),
-        "limits": ("joint", "range"),
-        "coupling": ("equality", "joint"),
-    },
-    "robot": {
-        "damping": ("dynamics", "damping"),
-        "friction": ("dynamics", "friction"),
-        "limits": ("limit", "lower"),
-        "coupling": ("mimic", "multiplier"),
-    },
-}
-"""Element and attribute that state each property, by root element of the format."""
 _MECHANICAL = {
     "link", "inertial", "mass", "inertia", "origin", "joint", "parent", "child", "axis", "limit",
     "dynamics", "mimic",
@@ -64,12 +46,6 @@ _TOUCHING = {
 """Elements and attributes reported for each shape on the ground, by the format's word for it."""
 _NAMING_NOTHING = ("Element name ''", "Element name '', id 0")
 """Lines of the compiler's messages that say nothing."""
-_ALIASES = {
-    ("joint", "limited"): "limits",
-    ("joint", "springdamper"): "damping",
-    ("joint", "springyield"): "springyield",
-    ("limit", "upper"): "limits",
-}
 
 
 def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
@@ -78,7 +54,7 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     from .reading import Reading
 
     root = read_source(path, folder)
-    if root.tag not in _LABELS:
+    if root.tag not in ("mujoco", "robot"):
         raise InputError(f"its outermost element is <{root.tag}>, allowed are <mujoco> and <robot>")
     masses: dict[str, Any] | None = None
     limits: dict[str, tuple[float, float]] = {}
@@ -96,10 +72,8 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     shape = "" if not ground else "geom" if root.tag == "mujoco" else "collision"
     reading = Reading(model, masses, shape, limits)
     name = (root.get("model") or root.get("name") or "").strip() or path.stem
-    parts = reading.parts(name, _LABELS[root.tag])
-    reported = {label: key in parts.stated for key, label in _LABELS[root.tag].items()}
-    reported |= {label: key in parts.stated for label, key in _ALIASES.items()}
-    reported |= dict.fromkeys(_TOUCHING.get(shape, ()), True)
+    parts = reading.parts(name, LABELS[root.tag])
+    reported = labelled(root.tag, parts.stated) | dict.fromkeys(_TOUCHING.get(shape, ()), True)
     own = [*reading.fates(), *_lost_mimics(root, parts)]
     of_joints = (fate for fate in own if fate.element == "joint")
     reported |= {("joint", key): True for fate in of_joints for key in fate.properties}

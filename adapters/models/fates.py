@@ -1,14 +1,14 @@
 """Fates of all elements and attributes of MJCF, URDF and SDF, in one table for each format.
 
 Keys are `element` and `element@attribute`; the latter takes precedence, and anything in no row is
-dropped as unknown. Properties of joints are in the readers' own tables (`_LABELS`), and elements
-that a compiled model describes better are reported from there.
+dropped as unknown. Properties of joints are in `LABELS`, and elements that a compiled model
+describes better are reported from there.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Hashable, Iterable, Iterator, Mapping
+from collections.abc import Container, Hashable, Iterable, Iterator, Mapping
 from xml.etree.ElementTree import Element
 
 from mbds_xsim.scene.imported import Fate, Outcome
@@ -18,6 +18,39 @@ Entry = tuple[Outcome, bool, str]
 Row = tuple[Outcome, bool, str, str]
 """An entry, then its keys separated by spaces."""
 
+LABELS = {
+    "mujoco": {
+        "stiffness": ("joint", "stiffness"),
+        "rest": ("joint", "springref"),
+        "damping": ("joint", "damping"),
+        "armature": ("joint", "armature"),
+        "friction": ("joint", "frictionloss"),
+        "limits": ("joint", "range"),
+        "coupling": ("equality", "joint"),
+    },
+    "robot": {
+        "damping": ("dynamics", "damping"),
+        "friction": ("dynamics", "friction"),
+        "limits": ("limit", "lower"),
+        "coupling": ("mimic", "multiplier"),
+    },
+    "sdf": {
+        "stiffness": ("spring_stiffness", ""),
+        "rest": ("spring_reference", ""),
+        "damping": ("damping", ""),
+        "friction": ("friction", ""),
+        "limits": ("lower", ""),
+        "coupling": ("mimic", ""),
+    },
+}
+"""Element and attribute that state each property, by root element of the format."""
+_ALIASES = {
+    ("joint", "limited"): "limits",
+    ("joint", "springdamper"): "damping",
+    ("joint", "springyield"): "springyield",
+    ("limit", "upper"): "limits",
+    ("upper", ""): "limits",
+}
 _APART = "no collisions of bodies are made of a model"
 COLLISION = f"{_APART}; with --ground they meet a plane"
 NO_FOLLOWER = "it, or what it follows, is no hinge or slider"
@@ -141,6 +174,12 @@ PAIRING = {
 }
 """MJCF elements and attributes that decide how shapes collide."""
 _NONE_AT_ZERO = {"density", "viscosity", "wind", "magnetic", "gravcomp"}
+
+
+def labelled(kind: str, stated: Container[str]) -> dict[tuple[str, str], bool]:
+    """Return whether a model has what an element or attribute of a format states for joints."""
+    labels = {label: key for key, label in LABELS[kind].items()} | _ALIASES
+    return {label: key in stated for label, key in labels.items()}
 
 
 def fates_of(

@@ -21,20 +21,12 @@ from mbds_xsim.scene.imported import Fate, Imported
 from mbds_xsim.simulate.adapter import version_of
 
 from .assembling import assemble
-from .fates import NO_FOLLOWER, fates_of
+from .fates import LABELS, NO_FOLLOWER, fates_of, labelled
 from .parts import Freedom, Mass, ModelCoupling, Part, Parts, Property, Solid, Solids, bounded
 from .sdf_shapes import REPORTED, pair, shapes_of
 from .sdf_values import masses_of, number, numbers
 from .source import read_source
 
-_LABELS = {
-    "stiffness": ("spring_stiffness", ""),
-    "rest": ("spring_reference", ""),
-    "damping": ("damping", ""),
-    "friction": ("friction", ""),
-    "limits": ("lower", ""),
-    "coupling": ("mimic", ""),
-}
 _KINDS = {"RevoluteJoint": "hinge", "PrismaticJoint": "slider", "BallJoint": "ball",
           "FreeJoint": "free"}  # fmt: skip
 _WITHOUT_AXIS = ("BallJoint", "FreeJoint")
@@ -100,12 +92,10 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
         tuple(parts),
         _gravity(root, gravity),
         couplings=tuple(mimic for mimic in mimics if isinstance(mimic, ModelCoupling)),
-        labels=_LABELS,
+        labels=LABELS["sdf"],
         solids=solids,
     )
-    reported = {label: key in model.stated for key, label in _LABELS.items()}
-    reported["upper", ""] = reported["lower", ""]
-    reported |= dict.fromkeys(REPORTED if ground else (), True)
+    reported = labelled("sdf", model.stated) | dict.fromkeys(REPORTED if ground else (), True)
     _mark(root)
     reader = f"DART {version_of('dartpy')}"
     fates = [*fates_of(root, reported, touching=ground)]
