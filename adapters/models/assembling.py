@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from typing import Any
 
 import msgspec
@@ -157,9 +158,15 @@ class _Builder:
         return owners
 
     def _report(
-        self, outcome: str, element: str, reason: str, place: str, *, moves: bool = True
+        self, outcome: Outcome, element: str, reason: str, place: str, *, moves: bool = True
     ) -> None:
-        self.fates.append(Fate(element, (), outcome, reason, moves, (place,)))  # type: ignore[arg-type]
+        self.fates.append(Fate(element, (), outcome, reason, moves, (place,)))
+
+    def _report_label(self, key: str, reason: str, note: str, place: str) -> None:
+        """Report a property as kept, with a note, unless there is a reason not to."""
+        element, attribute = self._model.labels[key]
+        outcome: Outcome = "dropped" if reason else "kept"
+        self.fates.append(Fate(element, (attribute,), outcome, reason or note, True, (place,)))
 
     def _add(self, k: int) -> None:
         part = self._parts[k]
@@ -171,9 +178,9 @@ class _Builder:
             return
         mass = self._sound(part, self._own[k], carried)
         *between, last = self._merge_joints(part)
-        name = self._unique_name(part.name)
+        name = _unique(part.name, self._names)
         for freedom in between:
-            middle = self._unique_name(f"{part.name} after {freedom.name}")
+            middle = _unique(f"{part.name} after {freedom.name}", self._names)
             self.bodies.append(_body(middle, part, small(carried, freedom.anchor, self.length)))
             self._join(freedom, above, middle)
             above = middle
@@ -186,11 +193,6 @@ class _Builder:
         self.bodies.append(_body(name, part, mass))
         self._join(last, above, name)
         self._body_names[k] = name
-
-    def _unique_name(self, wanted: str) -> str:
-        name = _unique(wanted, self._names)
-        self._names.add(name)
-        return name
 
     def _sound(self, part: Part, own: Mass, carried: Mass) -> Mass:
         """Return a physically possible mass and inertia, and report every change."""
@@ -239,19 +241,14 @@ class _Builder:
     def _join(self, freedom: Freedom, parent: str, child: str) -> None:
         properties: dict[str, Any] = {}
         for key, value in freedom.properties.items():
-            scalar = freedom.kind in ("hinge", "slider")
-            reason = ("" if scalar else _SCALAR) or _wrong(key, value, freedom)
+            reason = _wrong(key, value, freedom)
             if not reason:
                 properties[key] = value
-            element, attribute = self._model.labels[key]
             place = f"{freedom.name}: {_format(value)}"
-            outcome, note = _outcome(reason, _NOTES.get(key, _AS_IS))
-            self.fates.append(Fate(element, (attribute,), outcome, note, True, (place,)))
+            self._report_label(key, reason, _NOTES.get(key, _AS_IS), place)
         if freedom.kind == "free":
             return
-        name = _unique(freedom.name, self._taken)
-        self._taken.add(name)
-        self._joint_names[freedom.name] = name
+        name = self._joint_names[freedom.name] = _unique(freedom.name, self._taken)
         axis = freedom.axis.tolist() if freedom.kind in ("hinge", "slider") else None
         if "limits" in properties:
             self.limits[name] = properties["limits"]
@@ -265,7 +262,6 @@ class _Builder:
             self._report("dropped", "equality", _TIES_NOTHING, closing.name, moves=False)
             return
         name = _unique(closing.name, self._taken)
-        self._taken.add(name)
         axis = None if closing.axis is None else closing.axis.tolist()
         anchor = closing.anchor.tolist()
         self.joints.append(Joint(name, closing.kind, *ends, anchor=anchor, axis=axis))
@@ -300,33 +296,28 @@ class _Builder:
         k, c, place, speed = drive.stiffness, drive.damping, (drive.position,), (drive.velocity,)
         with located(f"{element} {drive.name!r}"):
             self.servos.append(Servo(joint, place, speed, k, c, limit=drive.limit))
-        if drive.limit_loss:
-            reason = f"a servo {drive.target}, without the limit of its torque: {drive.limit_loss}"
-            self._report("approximated", element, reason, drive.name)
-        else:
-            self._report("kept", element, f"a servo {drive.target}", drive.name)
+        loss = f", without the limit of its torque: {drive.limit_loss}" if drive.limit_loss else ""
+        outcome: Outcome = "approximated" if loss else "kept"
+        self._report(outcome, element, f"a servo {drive.target}{loss}", drive.name)
 
     def _couple(self, coupling: ModelCoupling) -> None:
-        element, attribute = self._model.labels["coupling"]
         place = f"{coupling.joint} follows {coupling.follows}"
-        joints = [self._joint_names.get(each) for each in (coupling.joint, coupling.follows)]
+        follower, leader = map(self._joint_names.get, (coupling.joint, coupling.follows))
         offset, ratio, *higher = coupling.polynomial
-        follower, leader = joints
         reason = ""
         if follower is None or leader is None:
             reason = _TIES_NOTHING
         elif any(higher) or not ratio:
             reason = "not in proportion to the other's coordinate"
         else:
-            with located(f"{element} of {place!r}"):
+            with located(f"{self._model.labels['coupling'][0]} of {place!r}"):
                 couplings = [*self.couplings, Coupling(follower, leader, ratio, offset)]
             try:
                 check_couplings(tuple(couplings))
                 self.couplings = couplings
             except SceneError:
                 reason = "it follows another joint, or itself, by others that are kept"
-        outcome, note = _outcome(reason, "a rigid coupling")
-        self.fates.append(Fate(element, (attribute,), outcome, note, True, (place,)))
+        self._report_label("coupling", reason, "a rigid coupling", place)
 
     def _ends(self, parts: tuple[int, int]) -> tuple[str, str] | None:
         """Return the names of two parts' bodies; None if they are the same or one was dropped."""
@@ -357,11 +348,6 @@ def _reach(parts: tuple[Part, ...], masses: list[Mass]) -> float:
     return max([extent, *sizes]) or 1.0
 
 
-def _outcome(reason: str, note: str) -> tuple[Outcome, str]:
-    """Return what is reported: something is kept, with a note, unless there is a reason not to."""
-    return ("dropped", reason) if reason else ("kept", note)
-
-
 def _span(freedoms: tuple[Freedom, ...]) -> bool:
     return bool(abs(np.linalg.det([freedom.axis for freedom in freedoms])) > _INDEPENDENT)
 
@@ -371,12 +357,18 @@ def _in_a_point(freedoms: tuple[Freedom, ...]) -> bool:
 
 
 def _unique(wanted: str, taken: set[str]) -> str:
-    names: Iterator[str] = (f"{wanted} {k}" for k in range(2, len(taken) + 3))
-    return wanted if wanted and wanted not in taken else next(n for n in names if n not in taken)
+    """Return a name that is not taken, and take it."""
+    name, numbered = wanted, (f"{wanted} {k}" for k in itertools.count(2))
+    while not name or name in taken:
+        name = next(numbered)
+    taken.add(name)
+    return name
 
 
 def _wrong(key: str, value: Property, freedom: Freedom) -> str:
     """Return why a property's value cannot be kept, or "" if it can."""
+    if freedom.kind not in ("hinge", "slider"):
+        return _SCALAR
     if isinstance(value, float):
         return "it is negative" if key in ("stiffness", "damping") and value < 0 else ""
     if not value[0] < value[1]:
