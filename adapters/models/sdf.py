@@ -42,8 +42,13 @@ _INERTIAL = (
     "<inertial><mass>1</mass><inertia><ixx>1</ixx><ixy>0</ixy><ixz>0</ixz><iyy>1</iyy><iyz>0</iyz>"
     "<izz>1</izz></inertia></inertial>"
 )
-_KILOGRAM = "not stated: 1 kg, the specification's default"
-_MOMENTS = "not all are stated: moments of 1 kg·m², the specification's default"
+_UNSTATED = (
+    ("mass", ["mass"], "not stated: 1 kg, the specification's default"),
+    ("inertia", [f"inertia/{key}" for key in ("ixx", "iyy", "izz")],
+     "not all are stated: moments of 1 kg·m², the specification's default"),
+)  # fmt: skip
+"""Elements whose defaults are told, and what states them."""
+_DOWN = (0.0, 0.0, -9.8)
 _NO_GRAVITY = "not stated: 9.8 m/s² downwards, the specification's default"
 _OFF = ("0", "false")
 _LAW = ("damping", "friction", "spring_stiffness", "spring_reference")
@@ -68,18 +73,16 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
         _check_numbers(each)
     masses = [masses_of(each) for each in models]
     try:
-        skeletons, gravity = _skeletons(dartpy.utils.SdfParser, root)
+        skeletons = _skeletons(dartpy.utils.SdfParser, root)
     except (RuntimeError, ValueError) as error:  # ValueError: malformed numbers
         raise InputError(f"DART's parser refuses it: {error}") from error
     if len(models) != len(skeletons):
         raise InputError(f"DART's parser returns {len(skeletons)} of its {len(models)} models")
     parts: list[Part] = []
     shapes: list[Solid] = []
-    skipped: list[str] = []
-    moving: list[Element] = []
+    fates: list[Fate] = []
     for skeleton, element, link_masses in zip(skeletons, models, masses, strict=True):
-        skipped += _skipped_joints(skeleton, element)
-        moving += _moving_links(skeleton, element)
+        fates += [*_skipped_joints(skeleton, element), *_defaults(skeleton, element)]
         skeleton.setPositions(np.zeros(skeleton.getNumDofs()))
         first = len(parts)
         parts += _parts(skeleton, first, link_masses)
@@ -87,24 +90,20 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     name = models[0].get("name") or path.stem
     solids = Solids("collision", tuple(shapes), pair) if ground else None
     mimics = [mimic for each in models for mimic in _mimics(each, _unique_axes(parts))]
+    gravity, gravity_fates = _gravity(root)
     model = Parts(
         name,
         tuple(parts),
-        _gravity(root, gravity),
+        gravity,
         couplings=tuple(mimic for mimic in mimics if isinstance(mimic, ModelCoupling)),
         labels=LABELS["sdf"],
         solids=solids,
     )
     reported = labelled("sdf", model.stated) | dict.fromkeys(REPORTED if ground else (), True)
     _mark(root)
+    fates += fates_of(root, reported, touching=ground)
+    fates += [*gravity_fates, *(mimic for mimic in mimics if isinstance(mimic, Fate))]
     reader = f"DART {version_of('dartpy')}"
-    fates = [*fates_of(root, reported, touching=ground)]
-    fates += [mimic for mimic in mimics if isinstance(mimic, Fate)]
-    if skipped:
-        fates.append(Fate("joint", (), "dropped", _ONE, True, tuple(skipped), len(skipped)))
-    fates += _defaults(moving)
-    if _states_no_gravity(root):
-        fates.append(Fate("gravity", (), "approximated", _NO_GRAVITY, True))
     return assemble(model, file=path.name, kind="SDF", reader=reader, fates=fates)
 
 
@@ -136,22 +135,15 @@ def _mimics(model: Element, axes: Set[str]) -> Iterator[ModelCoupling | Fate]:
             yield Fate("mimic", (), "dropped", NO_FOLLOWER, True, (follower,))
 
 
-def _moving_links(skeleton: Any, model: Element) -> list[Element]:
+def _defaults(skeleton: Any, model: Element) -> Iterator[Fate]:
+    """Report the moving links whose mass or moments of inertia are defaults."""
     nodes = skeleton.getBodyNodes() if skeleton.isMobile() else ()
-    names = {node.getName() for node in nodes if node.getNumDependentGenCoords()}
-    return [link for link in model.findall("link") if link.get("name") in names]
-
-
-def _defaults(links: list[Element]) -> Iterator[Fate]:
-    """Report the links whose mass or moments of inertia are defaults."""
-    moments = tuple(f"inertia/{key}" for key in ("ixx", "iyy", "izz"))
-    for element, paths, reason in (("mass", ("mass",), _KILOGRAM), ("inertia", moments, _MOMENTS)):
-        unstated = [
-            link for link in links if any(link.find(f"inertial/{path}") is None for path in paths)
-        ]
-        if unstated:
-            places = tuple(link.get("name", "") for link in unstated)
-            yield Fate(element, (), "approximated", reason, True, places, len(places))
+    moving = {node.getName() for node in nodes if node.getNumDependentGenCoords()}
+    for link in model.findall("link"):
+        for element, paths, reason in _UNSTATED:
+            stated = all(link.find(f"inertial/{path}") is not None for path in paths)
+            if link.get("name") in moving and not stated:
+                yield Fate(element, (), "approximated", reason, True, (link.get("name", ""),))
 
 
 def _mark(root: Element) -> None:
@@ -164,7 +156,7 @@ def _mark(root: Element) -> None:
             ode.remove(across)  # the same as mu: nothing is lost
 
 
-def _skeletons(parser: Any, root: Element) -> tuple[list[Any], Array]:
+def _skeletons(parser: Any, root: Element) -> list[Any]:
     """Let DART read the models without shapes and masses, which are read from the file itself.
 
     It crashes on missing meshes, and skips links with incomplete inertias.
@@ -185,7 +177,6 @@ def _skeletons(parser: Any, root: Element) -> tuple[list[Any], Array]:
     for axis in itertools.chain.from_iterable(map(bare.iter, ("axis", "axis2"))):
         if axis.find("xyz") is None:
             SubElement(axis, "xyz").text = "0 0 1"
-    gravity = np.array([0.0, 0.0, -9.81])
     with tempfile.NamedTemporaryFile("w", suffix=".sdf", encoding="utf-8") as file:
         file.write(tostring(bare, encoding="unicode"))
         file.flush()
@@ -195,23 +186,20 @@ def _skeletons(parser: Any, root: Element) -> tuple[list[Any], Array]:
             world = parser.readWorld(file.name)
             count = world.getNumSkeletons() if world is not None else 0
             skeletons = [world.getSkeleton(k) for k in range(count)]
-            gravity = np.array(world.getGravity()) if world is not None else gravity
     if not skeletons or None in skeletons:
         raise InputError("DART's parser returns no model")
-    return skeletons, gravity
+    return skeletons
 
 
-def _gravity(root: Element, parsed: Array) -> Array:
-    """Return the world's own gravity (an element since SDF 1.6), which DART's parser ignores."""
+def _gravity(root: Element) -> tuple[Array, list[Fate]]:
+    """Return the gravity of the world, or of its physics as before SDF 1.6; a fate if unstated."""
     world = root.find("world")
-    if _states_no_gravity(root):
-        return np.array([0.0, 0.0, -9.8])
-    return parsed if world is None else numbers(world, "gravity", (*parsed,))
-
-
-def _states_no_gravity(root: Element) -> bool:
-    worlds = root.findall("world")
-    return any(w.find("gravity") is None and w.find("physics/gravity") is None for w in worlds)
+    if world is None:
+        return np.array([0.0, 0.0, -9.81]), []
+    for path in ("gravity", "physics/gravity"):
+        if world.find(path) is not None:
+            return numbers(world, path, _DOWN), []
+    return np.array(_DOWN), [Fate("gravity", (), "approximated", _NO_GRAVITY, True)]
 
 
 def _refuse(root: Element) -> None:
@@ -253,8 +241,8 @@ def _check_numbers(model: Element) -> None:
                 raise InputError(msg)
 
 
-def _skipped_joints(skeleton: Any, model: Element) -> list[str]:
-    """Return the names of joints that DART's parser skips; raise InputError if it skips links."""
+def _skipped_joints(skeleton: Any, model: Element) -> Iterator[Fate]:
+    """Report joints that DART's parser skips; raise InputError if it skips links."""
     nodes = skeleton.getBodyNodes()
     links, joints = {n.getName() for n in nodes}, {n.getParentJoint().getName() for n in nodes}
     for link in model.findall("link"):
@@ -264,7 +252,9 @@ def _skipped_joints(skeleton: Any, model: Element) -> list[str]:
                 "revolute2, continuous, prismatic, ball, universal, screw or fixed, and parents "
                 "that are links of the model or world"
             )
-    return [n for joint in model.findall("joint") if (n := joint.get("name", "")) not in joints]
+    for joint in model.findall("joint"):
+        if (name := joint.get("name", "")) not in joints:
+            yield Fate("joint", (), "dropped", _ONE, True, (name,))
 
 
 def _parts(skeleton: Any, first: int, masses: Mapping[str, Mass]) -> Iterator[Part]:
