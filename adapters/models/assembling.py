@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+from collections import defaultdict
 from collections.abc import Iterable
 from typing import Any
 
@@ -18,9 +19,7 @@ from mbds_xsim.scene.imported import Fate, Imported, Outcome, gathered
 from mbds_xsim.scene.scene import WORLD, Body, DistanceLink, Inertia, Joint, Scene, SpringDamper
 from mbds_xsim.scene.servo import Servo
 
-from .contacts import contacts_of
-from .facts import facts_of
-from .floor import floor_of, on_the_floor
+from .contacts import contacts_of, floor_of, on_the_floor
 from .masses import SHARE, physical, small
 from .parts import FAR, Closing, Drive, Freedom, Line, Mass, ModelCoupling, Part, Parts, Property
 from .starts import check_above_ground, drop_limits, starts
@@ -50,7 +49,7 @@ def assemble(model: Parts, *, file: str, kind: str, reader: str, fates: Iterable
     _check_finite(model)
     model = on_the_floor(model, floor)
     builder = _Builder(model)
-    if not builder.bodies:
+    if not builder.tables["bodies"]:
         raise InputError(
             "nothing in it moves: all is fixed in the world or has no mass; "
             "--floating frees a URDF's root link"
@@ -59,14 +58,9 @@ def assemble(model: Parts, *, file: str, kind: str, reader: str, fates: Iterable
         name=model.name,
         description=f"imported from {file}",
         source=f"{file} ({kind}), read by {reader}",
-        bodies=tuple(builder.bodies),
-        joints=tuple(builder.joints),
-        distance_links=tuple(builder.links),
-        springs=tuple(builder.springs),
-        servos=tuple(builder.servos),
-        couplings=tuple(builder.couplings),
         length=builder.length,
         gravity=model.gravity.tolist(),
+        **builder.tables,
     )
     contact_fates: list[Fate] = []
     if model.solids is not None:
@@ -76,7 +70,7 @@ def assemble(model: Parts, *, file: str, kind: str, reader: str, fates: Iterable
     scene, limit_fates = drop_limits(scene, model.labels.get("limits", ("joint", "limits")))
     check_above_ground(scene)
     report = gathered([*fates, *builder.fates, *contact_fates, *limit_fates])
-    return Imported(scene, file, kind, reader, report, facts_of(model, reader))
+    return Imported(scene, file, kind, reader, report, model.facts(reader))
 
 
 def _check_finite(model: Parts) -> None:
@@ -91,12 +85,12 @@ def _check_finite(model: Parts) -> None:
 
 
 class _Builder:
-    """Bodies, joints and elements of the scene, with the fates of the parts."""
+    """Tables of the scene, with the fates of the parts."""
 
     def __init__(self, model: Parts) -> None:
         self._model, self._parts = model, model.parts
-        self.bodies: list[Body] = []
-        self.joints: list[Joint] = []
+        self.tables: dict[str, Any] = defaultdict(list)
+        """Bodies, joints and elements, keyed by the scene's name for each kind."""
         self.fates: list[Fate] = []
         self.limits: dict[str, tuple[float, float]] = {}
         """Limits of hinges and sliders, keyed by joint name."""
@@ -106,53 +100,45 @@ class _Builder:
         self._joint_names: dict[str, str] = {}
         """Joint names in the scene, keyed by those in the model."""
         self._owner = self._owners()
-        """Index of the part that each part moves with; −1 is the world."""
+        """Index of the part that each part, and at last the world, moves with; −1 is the world."""
         self._own = [_NOTHING] * len(self._parts)
-        for k, owner in enumerate(self._owner):
+        for part, owner in zip(self._parts, self._owner, strict=False):
             if owner >= 0:
-                part = self._parts[k]
                 bounds.at_least_zero(f"mass of {part.name!r}", part.mass.mass)
                 self._own[owner] += part.mass
         self._carried = list(self._own)
-        for k in reversed(range(len(self._parts))):
-            if self._owner[k] == k and (above := self._above(k)) >= 0:
+        movers = [k for k in range(len(self._parts)) if self._owner[k] == k]
+        for k in reversed(movers):
+            if (above := self._owner[self._parts[k].parent]) >= 0:
                 self._carried[above] += self._carried[k]
         self.length = _reach(self._parts, self._own)
         self._body_names = {-1: WORLD}
-        for k in range(len(self._parts)):
-            if self._owner[k] == k:
-                self._add(k)
+        for k in movers:
+            self._add(k)
         for closing in model.closings:
             self._close(closing)
-        self.springs: list[SpringDamper] = []
-        self.links: list[DistanceLink] = []
         for line in model.lines:
             self._draw(line)
-        self.servos: list[Servo] = []
         for drive in model.drives:
             self._drive(drive)
-        self.couplings: list[Coupling] = []
         for coupling in model.couplings:
             self._couple(coupling)
 
     def body_of(self, part: int) -> str | None:
         """Return the name of the body that a part belongs to; None if that body was dropped."""
-        return self._body_names.get(self._owner[part] if part >= 0 else -1)
-
-    def _above(self, k: int) -> int:
-        parent = self._parts[k].parent
-        return self._owner[parent] if parent >= 0 else -1
+        return self._body_names.get(self._owner[part])
 
     def _owners(self) -> list[int]:
-        owners: list[int] = []
+        owners = [-1] * (len(self._parts) + 1)
         for k, part in enumerate(self._parts):
-            owner = owners[part.parent] if part.parent >= 0 else -1
-            owners.append(k if part.freedoms else owner)
-            if not part.freedoms and owner >= 0:
+            owners[k] = k if part.freedoms else owners[part.parent]
+            if part.freedoms:
+                continue
+            if owners[k] >= 0:
                 reason = "one with the body that it is fixed to: masses and inertias are added"
-                place = f"{part.name} in {self._parts[owner].name}"
+                place = f"{part.name} in {self._parts[owners[k]].name}"
                 self._report("kept", "body", reason, place)
-            elif not part.freedoms:
+            else:
                 reason = "fixed in the world, where its mass moves nothing"
                 self._report("kept", "body", reason, part.name, moves=False)
         return owners
@@ -171,7 +157,7 @@ class _Builder:
     def _add(self, k: int) -> None:
         part = self._parts[k]
         carried = self._carried[k]
-        above = self._body_names.get(self._above(k))
+        above = self.body_of(part.parent)
         if not (carried.mass > 0 or np.trace(carried.inertia) > 0) or above is None:
             reason = "it has no mass and carries none: nothing determines its motion"
             self._report("dropped", "body", reason, part.name, moves=False)
@@ -181,7 +167,8 @@ class _Builder:
         name = _unique(part.name, self._names)
         for freedom in between:
             middle = _unique(f"{part.name} after {freedom.name}", self._names)
-            self.bodies.append(_body(middle, part, small(carried, freedom.anchor, self.length)))
+            link = _body(middle, part, small(carried, freedom.anchor, self.length))
+            self.tables["bodies"].append(link)
             self._join(freedom, above, middle)
             above = middle
         if between:
@@ -190,7 +177,7 @@ class _Builder:
                 f"{SHARE:g} of the mass and inertia that they carry"
             )
             self._report("approximated", "joint", reason, part.name)
-        self.bodies.append(_body(name, part, mass))
+        self.tables["bodies"].append(_body(name, part, mass))
         self._join(last, above, name)
         self._body_names[k] = name
 
@@ -254,7 +241,8 @@ class _Builder:
             self.limits[name] = properties["limits"]
         with located(f"joint {name!r}"):
             anchor = freedom.anchor.tolist()
-            self.joints.append(Joint(name, freedom.kind, parent, child, anchor, axis, **properties))
+            joint = Joint(name, freedom.kind, parent, child, anchor, axis, **properties)
+        self.tables["joints"].append(joint)
 
     def _close(self, closing: Closing) -> None:
         ends = self._ends(closing.parts)
@@ -264,7 +252,7 @@ class _Builder:
         name = _unique(closing.name, self._taken)
         axis = None if closing.axis is None else closing.axis.tolist()
         anchor = closing.anchor.tolist()
-        self.joints.append(Joint(name, closing.kind, *ends, anchor=anchor, axis=axis))
+        self.tables["joints"].append(Joint(name, closing.kind, *ends, anchor=anchor, axis=axis))
         reason = "a rigid joint that closes a loop, where the engine's own is soft"
         self._report("approximated", "equality", reason, closing.name)
 
@@ -280,11 +268,11 @@ class _Builder:
         name, k, c, length = line.name, line.stiffness, line.damping, line.length
         with located(f"tendon {name!r}"):
             if line.rigid:
-                self.links.append(DistanceLink(name, ends, points, length))
+                self.tables["distance_links"].append(DistanceLink(name, ends, points, length))
                 reason = "a rigid distance link, where the engine's own is soft"
                 self._report("approximated", "tendon", reason, name)
             else:
-                self.springs.append(SpringDamper(name, ends, points, k, c, length))
+                self.tables["springs"].append(SpringDamper(name, ends, points, k, c, length))
                 self._report("kept", "tendon", "a spring and damper between two points", name)
 
     def _drive(self, drive: Drive) -> None:
@@ -295,7 +283,7 @@ class _Builder:
             return
         k, c, place, speed = drive.stiffness, drive.damping, (drive.position,), (drive.velocity,)
         with located(f"{element} {drive.name!r}"):
-            self.servos.append(Servo(joint, place, speed, k, c, limit=drive.limit))
+            self.tables["servos"].append(Servo(joint, place, speed, k, c, limit=drive.limit))
         loss = f", without the limit of its torque: {drive.limit_loss}" if drive.limit_loss else ""
         outcome: Outcome = "approximated" if loss else "kept"
         self._report(outcome, element, f"a servo {drive.target}{loss}", drive.name)
@@ -311,10 +299,10 @@ class _Builder:
             reason = "not in proportion to the other's coordinate"
         else:
             with located(f"{self._model.labels['coupling'][0]} of {place!r}"):
-                couplings = [*self.couplings, Coupling(follower, leader, ratio, offset)]
+                couplings = [*self.tables["couplings"], Coupling(follower, leader, ratio, offset)]
             try:
                 check_couplings(tuple(couplings))
-                self.couplings = couplings
+                self.tables["couplings"] = couplings
             except SceneError:
                 reason = "it follows another joint, or itself, by others that are kept"
         self._report_label("coupling", reason, "a rigid coupling", place)

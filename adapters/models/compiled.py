@@ -24,7 +24,6 @@ from mbds_xsim.scene.imported import Fate, Imported, ModelFacts
 
 from .assembling import assemble
 from .contacts import NO_SPHERES
-from .facts import facts_of
 from .fates import LABELS, NO_FOLLOWER, PAIRING, fates_of, labelled
 from .mending import mend_mjcf, mend_urdf, remove_unknown
 from .parts import Parts
@@ -97,7 +96,7 @@ def load(path: Path, floating: bool) -> ModelFacts:
         if floating:
             spec.worldbody.first_body().add_freejoint()
         reading = Reading(spec.compile())
-    return facts_of(reading.parts("", {}), f"MuJoCo {mujoco.__version__}")
+    return reading.parts("", {}).facts(f"MuJoCo {mujoco.__version__}")
 
 
 @contextlib.contextmanager

@@ -1,4 +1,4 @@
-"""Fates of all elements and attributes of MJCF, URDF and SDF, in one table for each format.
+"""Fates of all elements and attributes of MJCF, URDF, SDF and USD, in one table for each format.
 
 Keys are `element` and `element@attribute`; the latter takes precedence, and anything in no row is
 dropped as unknown. Properties of joints are in `LABELS`, and elements that a compiled model
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Container, Hashable, Iterable, Iterator, Mapping
+from typing import Any
 from xml.etree.ElementTree import Element
 
 from mbds_xsim.scene.imported import Fate, Outcome
@@ -154,12 +155,12 @@ _SDF: tuple[Row, ...] = (
 )  # fmt: skip
 
 
-def by_key(rows: Iterable[Row]) -> dict[str, Entry]:
+def _by_key(rows: Iterable[Row]) -> dict[str, Entry]:
     """Return the entry of each key."""
     return {key: row[:3] for row in rows for key in row[3].split()}
 
 
-_TABLES = {"mujoco": by_key(_MJCF), "robot": by_key(_URDF), "sdf": by_key(_SDF)}
+_TABLES = {"mujoco": _by_key(_MJCF), "robot": _by_key(_URDF), "sdf": _by_key(_SDF)}
 _REPORTED = {"mujoco": {"equality", "tendon", "actuator"}, "robot": {"mimic"}, "sdf": {"mimic"}}
 """Elements that the readers report instead."""
 _WHOLE = {"visual", "custom", "sensor", "keyframe", "collision", "gazebo", "transmission",
@@ -174,6 +175,47 @@ PAIRING = {
 }
 """MJCF elements and attributes that decide how shapes collide."""
 _NONE_AT_ZERO = {"density", "viscosity", "wind", "magnetic", "gravcomp"}
+_USD = _by_key((
+    ("kept", True, "as the library of OpenUSD parses it",
+     "physics:mass physics:density physics:centerOfMass physics:diagonalInertia "
+     "physics:principalAxes physics:gravityDirection physics:gravityMagnitude physics:axis "
+     "physics:localPos0 physics:localRot0 physics:localPos1 physics:localRot1 physics:body0 "
+     "physics:body1 physics:rigidBodyEnabled physics:jointEnabled physics:kinematicEnabled "
+     "physics:excludeFromArticulation physics:minDistance physics:maxDistance "
+     "limit:physics:low limit:physics:high"),
+    ("dropped", True, COLLISION,
+     "physics:collisionEnabled physics:staticFriction physics:dynamicFriction "
+     "physics:restitution"),
+    ("dropped", False, COLLISION, "physics:filteredPairs physics:filteredGroups "
+     "physics:invertFilteredGroups physics:mergeGroup collection physics:approximation "
+     "physics:simulationOwner"),
+    ("dropped", True, "the model starts in the reference pose, at rest",
+     "physics:velocity physics:angularVelocity"),
+    ("dropped", True, "it is not of a hinge or slider, or PhysicsDriveAPI is not applied", "drive"),
+    ("dropped", True, "joints do not break", "physics:breakForce physics:breakTorque"),
+    ("dropped", False, _SOLVER, "physics:startsAsleep"),
+    ("dropped", True, "not yet in the scene description",
+     "physics:coneAngle0Limit physics:coneAngle1Limit"),
+))  # fmt: skip
+_CONTACT = "decides how shapes meet the ground"
+_USD_TOUCHING = _by_key((
+    ("kept", True, _CONTACT,
+     "physics:collisionEnabled physics:dynamicFriction physics:restitution collection "
+     "physics:filteredPairs physics:filteredGroups physics:invertFilteredGroups "
+     "physics:mergeGroup"),
+    ("dropped", True, "the ground has the dynamic one alone", "physics:staticFriction"),
+))  # fmt: skip
+"""Rows that replace those above if shapes touch the ground."""
+_SIZES = "radius height size axis"
+_USD_SHAPE = {
+    True: _by_key([("kept", True, _CONTACT, f"material {_SIZES}")]),
+    False: _by_key([("kept", True, "its mass, where its body states none", _SIZES)]),
+}
+"""Attributes of collision shapes, by whether they touch the ground."""
+_USD_LIMITS = ("physics:lowerLimit", "physics:upperLimit")
+_DRIVE_JOINTS = ("PhysicsRevoluteJoint", "PhysicsPrismaticJoint", "PhysicsJoint")
+"""Types of joints whose drives are reported one by one."""
+_SIMULATORS = ("physx", "mjc", "newton", "isaac")
 
 
 def labelled(kind: str, stated: Container[str]) -> dict[tuple[str, str], bool]:
@@ -250,3 +292,48 @@ def _look_up(kind: str, element: Element, attribute: str) -> Entry:
     if attribute in _NONE_AT_ZERO and not element.get(attribute, "").strip("0. "):
         return _NONE
     return fate
+
+
+def fates_of_stage(stage: Any, *, limited: bool, touching: bool) -> Iterator[Fate]:
+    """Walk a stage and return the fates of all authored properties.
+
+    Args:
+        stage: The stage.
+        limited: Whether limits are reported joint by joint.
+        touching: Whether shapes touch the ground, and are reported one by one.
+    """
+    from pxr import Usd
+
+    table = _USD | _USD_TOUCHING if touching else _USD
+    found = []
+    for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
+        kind, place = str(prim.GetTypeName()) or "Prim", prim.GetName()
+        solid = "PhysicsCollisionAPI" in prim.GetAppliedSchemas()
+        for attribute in prim.GetAuthoredProperties():
+            name = attribute.GetName()
+            if not ((name in _USD_LIMITS and limited) or _is_of_drive(prim, name)):
+                entry = _usd_entry(table | _USD_SHAPE[touching] if solid else table, name)
+                found.append((kind, entry, name, prim.GetPath(), place))
+    return grouped(found)
+
+
+def _is_of_drive(prim: Any, name: str) -> bool:
+    """Whether a property belongs to a drive that the library parses."""
+    first, _, rest = name.partition(":")
+    applied = f"PhysicsDriveAPI:{rest.partition(':')[0]}" in prim.GetAppliedSchemas()
+    return first == "drive" and applied and prim.GetTypeName() in _DRIVE_JOINTS
+
+
+def _usd_entry(table: Mapping[str, Entry], name: str) -> Entry:
+    first, _, rest = name.partition(":")
+    general = f"{first}:{rest.partition(':')[2]}"  # limit:rotX:physics:low
+    for key in (name, general, first):
+        if key in table:
+            return table[key]
+    if name in _USD_LIMITS:
+        return ("kept", True, "none, or without bounds")
+    if first in ("physics", "limit") or first.startswith(_SIMULATORS):
+        return ("dropped", True, "unknown to this reader")
+    if first == "xformOp" or name == "xformOpOrder":
+        return ("kept", True, "as the library of OpenUSD composes it")
+    return ("dropped", False, "drawn only")

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from mbds_xsim.base.arrays import Array
+from mbds_xsim.scene.imported import JointFacts, LinkFacts, ModelFacts
 
 Property = float | tuple[float, float]
 FAR = 1e9  # [rad or m]: no joint gets so far
@@ -60,6 +61,18 @@ class Freedom:
     """Nonzero properties, by field of `Joint`; coordinates count from the reference pose."""
     named: bool = True
     """Whether the file names it."""
+
+    @property
+    def facts(self) -> JointFacts:
+        """What readers are compared by."""
+        properties = {key: value for key, value in self.properties.items() if key != "rest"}
+        return JointFacts(
+            self.name,
+            self.kind,
+            self.anchor.tolist(),
+            self.axis.tolist(),
+            **properties,  # type: ignore[arg-type]
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,9 +158,9 @@ class Solid:
     part: int
     """Index of the part that the shape is fixed to; −1 is the world."""
     kind: str
-    """A key of `balls.BALLS`, "plane", or another word."""
+    """A key of `contacts.BALLS`, "plane", or another word."""
     size: Array
-    """Half-sizes as `balls.BALLS` takes them [m], shape (3,)."""
+    """Half-sizes as `contacts.BALLS` takes them [m], shape (3,)."""
     place: Array
     """Centre in W at the reference pose [m], shape (3,)."""
     axes: Array
@@ -205,3 +218,21 @@ class Parts:
         """Properties that some freedom has."""
         freedoms = (freedom for part in self.parts for freedom in part.freedoms)
         return frozenset(key for freedom in freedoms for key in freedom.properties)
+
+    def facts(self, reader: str) -> ModelFacts:
+        """Return facts about named joints and named links that move, fixed to another or not."""
+        bodies: list[str] = []
+        for part in self.parts:
+            above = bodies[part.parent] if part.parent >= 0 else ""
+            bodies.append(part.name if part.freedoms else above)
+        parts = [(part, body) for part, body in zip(self.parts, bodies, strict=True) if body]
+        return ModelFacts(
+            reader,
+            tuple(
+                LinkFacts.of(part.name, part.mass.mass, part.mass.com, part.mass.inertia, body)
+                for part, body in parts
+                if part.named
+            ),
+            tuple(freedom.facts for part, _ in parts for freedom in part.freedoms if freedom.named),
+            len(self.couplings),
+        )

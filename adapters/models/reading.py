@@ -11,12 +11,15 @@ from mbds_xsim.base import rotation
 from mbds_xsim.scene.imported import Fate
 
 from .drives import Actuators
-from .fates import COLLISION
-from .geoms import Geoms, touching
-from .parts import Drive, Freedom, Mass, Part, Parts, Property
+from .fates import COLLISION, PAIRING
+from .parts import Drive, Freedom, Mass, Pair, Part, Parts, Property, Solid, Solids
 from .resolved import HIGHER, Resolved
 from .ties import Ties
 
+_KINDS = ("plane", "height field", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh",
+          "signed distance field")  # fmt: skip
+"""Kinds of geoms, in the order of MuJoCo's `mjtGeom`."""
+_AS_PAIRED = "as MuJoCo pairs each shape with the ground"
 _NO_MASS = (0.0, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros((3, 3)))
 
 
@@ -39,7 +42,10 @@ class Reading(Resolved):
     ) -> None:
         super().__init__(model)
         self._stated_masses, self._stated_limits = stated, limits or {}
-        self._geoms = Geoms(self, shape) if shape else None
+        self._shape = shape
+        masks = model.geom_contype | model.geom_conaffinity
+        self._geoms = np.flatnonzero(masks).tolist()
+        """Shapes that are not only drawn."""
         self._ties, self._actuators = Ties(self), Actuators(self)
         self._drives = tuple(self._actuators.drives())
         self._armature, self._damping = map(self._actuators.on_joints, ("armature", "damping"))
@@ -47,6 +53,7 @@ class Reading(Resolved):
 
     def parts(self, name: str, labels: Mapping[str, tuple[str, str]]) -> Parts:
         """Return the model's parts."""
+        solids = map(self._solid, self._geoms)
         return Parts(
             name=name,
             parts=tuple(map(self._part, range(1, self.model.nbody))),
@@ -55,7 +62,7 @@ class Reading(Resolved):
             couplings=tuple(self._ties.couplings()),
             lines=tuple(self._ties.lines()),
             drives=tuple(drive for drive in self._drives if isinstance(drive, Drive)),
-            solids=self._geoms.solids() if self._geoms is not None else None,
+            solids=Solids(self._shape, tuple(solids), self._pair) if self._shape else None,
             labels=labels,
         )
 
@@ -115,12 +122,14 @@ class Reading(Resolved):
 
     def fates(self) -> Iterator[Fate]:
         """Report the fates of contact, equalities, tendons and actuators that are not servos."""
-        geoms = touching(self.model)
-        if self._geoms is not None:
-            yield from self._geoms.fates()
-        elif (len(geoms) > 1 or self.model.npair) and not self.off["CONTACT"]:
-            names = tuple(self.name("GEOM", g) for g in geoms)
-            yield Fate("geom", ("contact",), "dropped", COLLISION, True, names, len(geoms))
+        if self._shape == "geom":
+            yield Fate("geom", PAIRING["geom"], "kept", _AS_PAIRED, True)
+        if self._shape and self.model.nexclude:
+            yield Fate("exclude", (), "kept", _AS_PAIRED, True)
+        several = len(self._geoms) > 1 or self.model.npair
+        if several and not (self._shape or self.off["CONTACT"]):
+            names = tuple(self.name("GEOM", g) for g in self._geoms)
+            yield Fate("geom", ("contact",), "dropped", COLLISION, True, names, len(names))
         for j in range(self.model.njnt):  # forces that are not linear
             keys = self.higher("jnt", j) + self.higher("dof", int(self.model.jnt_dofadr[j]))
             if keys:
@@ -128,3 +137,50 @@ class Reading(Resolved):
         yield from self._ties.fates()
         yield from self._actuators.mechanics()
         yield from (fate for fate in self._drives if isinstance(fate, Fate))
+
+    def _solid(self, g: int) -> Solid:
+        model, data = self.model, self.data
+        return Solid(
+            name=self._geom_name(g),
+            part=int(model.geom_bodyid[g]) - 1,
+            kind=_KINDS[model.geom_type[g]],
+            size=model.geom_size[g].copy(),
+            place=data.geom_xpos[g].copy(),
+            axes=data.geom_xmat[g].reshape(3, 3).copy(),
+            own=g,
+        )
+
+    def _geom_name(self, g: int) -> str:
+        geom = self.model.geom(g)
+        return geom.name or f"of {self.model.body(geom.bodyid[0]).name or geom.bodyid[0]}"
+
+    def _pair(self, shape: Solid, floor: Solid | None) -> Pair:
+        """Return a shape's contact with the ground, by MuJoCo's rules.
+
+        Of the geoms of the highest priority, the largest values count.
+        """
+        model, g, plane = self.model, shape.own, floor.own if floor is not None else None
+        geoms = [g] if plane is None else [g, plane]
+        highest = max(model.geom_priority[k] for k in geoms)
+        deciding = [k for k in geoms if model.geom_priority[k] == highest]
+        dimension = int(max(model.geom_condim[k] for k in deciding))
+        friction = None
+        if self._shape == "geom":
+            slippery = dimension == 1
+            friction = 0.0 if slippery else float(max(model.geom_friction[k, 0] for k in deciding))
+        return Pair(friction, None, self._apart(g, plane), dimension > 3)
+
+    def _apart(self, g: int, plane: int | None) -> str:
+        """Return why a shape passes through the ground, or "" if it does not."""
+        model = self.model
+        if self.off["CONTACT"]:
+            return "contact is switched off in the file"
+        if plane is not None:
+            first, second = sorted(int(model.geom_bodyid[k]) for k in (plane, g))
+            if (first << 16) + second in model.exclude_signature:
+                return "the file excludes contact of its body and the ground"
+        masks = model.geom_contype, model.geom_conaffinity
+        own = [mask[g] for mask in masks]
+        other = [1, 1] if plane is None else [mask[plane] for mask in masks]  # a plane's default
+        meets = own[0] & other[1] or other[0] & own[1]
+        return "" if meets else "by contype and conaffinity it passes through the ground"

@@ -70,7 +70,7 @@ def shapes_of(model: Element, parts: Sequence[Part], first: int) -> Iterator[Sol
 
 
 def _size(shape: Element, kind: str) -> Array:
-    """Return half-sizes as `balls.BALLS` takes them."""
+    """Return half-sizes as `contacts.BALLS` takes them."""
     size = np.zeros(3)
     for k, tag in enumerate(_DIMENSIONS.get(kind, ())):
         path = f"geometry/{kind}/{tag}"

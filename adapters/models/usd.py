@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mbds_xsim.base import bounds, rotation
+from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.frame import optional
 from mbds_xsim.scene.imported import Fate, Imported
 
 from .assembling import assemble
+from .fates import fates_of_stage
 from .graph import Tie, tree_of
 from .parts import Drive, Freedom, Line, Mass, Part, Parts, Solids, bounded
-from .usd_fates import fates_of
-from .usd_masses import mass_of, matrix_of
-from .usd_shapes import Shapes
+from .usd_bodies import Shapes, Stage, mass_of, matrix_of
 
 _UNLIMITED = 3e38  # limit of a drive; single precision has no larger number
 _LARGEST_FILE = 64 * 10**6  # bytes
@@ -49,7 +47,7 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
         parts = reading.model(path.stem, ground=ground)
     except tf.ErrorException as error:
         raise InputError(f"OpenUSD does not read it: {_reason(str(error))}") from error
-    fates = [*fates_of(stage, limited=reading.limited, touching=ground), *reading.fates]
+    fates = [*fates_of_stage(stage, limited=reading.limited, touching=ground), *reading.fates]
     version = ".".join(map(str, usd.GetVersion()))
     return assemble(parts, file=path.name, kind="USD", reader=f"OpenUSD {version}", fates=fates)
 
@@ -83,108 +81,75 @@ def _check_layers(sdf: Any, path: Path, folder: Path) -> None:
             stack.append(asset if asset.exists() else file.parent / name)
 
 
-class _Reading:
-    """A stage, read in SI units with z up."""
+class _Reading(Stage):
+    """The model of a stage."""
 
     def __init__(self, stage: Any) -> None:
-        from pxr import UsdGeom, UsdPhysics
-
-        self._stage, self._physics = stage, UsdPhysics
-        self._metre = UsdGeom.GetStageMetersPerUnit(stage)
-        self._kilogram = UsdPhysics.GetStageKilogramsPerUnit(stage)
-        bounds.positive("metersPerUnit", self._metre)
-        bounds.positive("kilogramsPerUnit", self._kilogram)
-        upright = UsdGeom.GetStageUpAxis(stage) == "Z"
-        turn = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # y up to z up
-        self._up = np.eye(3) if upright else turn
-        self._places = UsdGeom.XformCache()
-        self._objects = UsdPhysics.UsdPhysicsLoadStageFromPrimRange(stage, ["/"])
-        self._count = Counter(prim.GetName() for prim in stage.Traverse())
+        super().__init__(stage)
         self.fates: list[Fate] = []
         self.limited = False
         """Whether a joint has limits, which are then reported joint by joint."""
         self._drives: list[Drive] = []
 
     def model(self, name: str, *, ground: bool) -> Parts:
-        bodies = [desc for desc in self._all("RigidBody") if desc.rigidBodyEnabled]
+        bodies = [desc for desc in self.all("RigidBody") if desc.rigidBodyEnabled]
         moving = [desc for desc in bodies if not desc.kinematicBody]
         index = {desc.primPath: k for k, desc in enumerate(moving)}
         nodes = [self._part(desc) for desc in moving]
         places = np.array([node.position for node in nodes] or [np.zeros(3)])
         extent = float(np.linalg.norm(np.ptp(places, axis=0))) or 1.0
-        joints = [(key, desc) for key in _KINDS for desc in self._all(key) if desc.jointEnabled]
+        joints = [(key, desc) for key in _KINDS for desc in self.all(key) if desc.jointEnabled]
         joints.sort(key=lambda joint: joint[1].excludeFromArticulation)  # loop closures last
         candidates = (self._tie(desc, key, index, extent) for key, desc in joints)
         ties = [tie for tie in candidates if tie is not None]
         parts, closings = tree_of(nodes, ties)
-        self._report_limits(ties, {closing.name for closing in closings})
+        kept = {freedom.name for part in parts for freedom in part.freedoms}
+        self._report_closing(ties, kept)
+        drives = tuple(drive for drive in self._drives if drive.joint in kept)
         part_index = {part.name: k for k, part in enumerate(parts)}
-        lines = tuple(self._lines(index, [part_index[node.name] for node in nodes]))
-        drives = tuple(self._tree_drives({f.name for part in parts for f in part.freedoms}))
+        part_of = {path: part_index[nodes[k].name] for path, k in index.items()}
+        lines = tuple(self._lines(part_of))
         solids = None
         if ground:
-            shapes = Shapes(self._stage, self._all, self._frame, self._name, self._metre)
-            part = {path: part_index[nodes[k].name] for path, k in index.items()}
-            solids = Solids("Collision", tuple(shapes.solids(part)), shapes.pair)
+            shapes = Shapes(self)
+            solids = Solids("Collision", tuple(shapes.solids(part_of)), shapes.pair)
         return Parts(name, parts, self._gravity(), closings, (), lines, _LABELS, drives, solids)
 
-    def _report_limits(self, ties: list[Tie], closing: set[str]) -> None:
-        """Report the limits of joints that close loops; those of the others are kept."""
-        limited = [tie.name for tie in ties if any(each.properties for each in tie.freedoms)]
+    def _report_closing(self, ties: list[Tie], kept: set[str]) -> None:
+        """Report limits and drives of joints that close loops; `kept` are freedoms of others."""
+        limited = [
+            (tie.name, each.name) for tie in ties for each in tie.freedoms if each.properties
+        ]
         self.limited = bool(limited)
         element, attribute = _LABELS["limits"]
-        for name in (name for name in limited if name in closing):
+        for name in (name for name, freedom in limited if freedom not in kept):
             self.fates.append(Fate(element, (attribute,), "dropped", _CLOSES, True, (name,)))
-
-    def _tree_drives(self, freedoms: set[str]) -> Iterator[Drive]:
-        """Yield the drives of tree joints, and drop those of joints that close loops."""
-        for drive in self._drives:
-            if drive.joint in freedoms:
-                yield drive
-            else:
-                self.fates.append(Fate("drive", (), "dropped", _CLOSES, True, (drive.joint,)))
-
-    def _all(self, schema: str) -> list[Any]:
-        object_type = getattr(self._physics.ObjectType, schema)
-        return list(self._objects.get(object_type, ((), ()))[1])
+        for name in (drive.joint for drive in self._drives if drive.joint not in kept):
+            self.fates.append(Fate("drive", (), "dropped", _CLOSES, True, (name,)))
 
     def _gravity(self) -> Array:
-        for scene in self._all("Scene"):
+        for scene in self.all("Scene"):
             return np.asarray(
-                self._up @ np.array(scene.gravityDirection) * scene.gravityMagnitude * self._metre
+                self.up @ np.array(scene.gravityDirection) * scene.gravityMagnitude * self.metre
             )
         self.fates.append(Fate("PhysicsScene", (), "approximated", _NO_SCENE, True))
         return np.array([0.0, 0.0, -_GRAVITY])
 
     def _part(self, desc: Any) -> Part:
-        prim = self._stage.GetPrimAtPath(desc.primPath)
-        place, turn = self._frame(desc.primPath)
+        place, turn = self.frame(desc.primPath)
         if np.linalg.norm(turn.T @ turn - np.eye(3)) > _GAP or np.linalg.det(turn) < 0:
             raise InputError(
                 f"the frame of {desc.primPath} is mirrored or sheared by scales, allowed are "
                 "rotations and scales along its axes; scale its shapes and places instead"
             )
-        local = mass_of(prim, self._all, desc, self._metre, self._kilogram)
+        local = mass_of(self, desc)
         mass = Mass(local.mass, place + turn @ local.com, turn @ local.inertia @ turn.T)
-        return Part(self._name(desc.primPath), -1, place, rotation.from_matrix(turn), mass, ())
-
-    def _name(self, path: Any) -> str:
-        """Return the last part of a path if it is unique, or else the whole path."""
-        unique = self._count[path.name] == 1
-        return path.name if unique else str(path).removeprefix("/").replace("/", " ")
-
-    def _frame(self, path: Any) -> tuple[Array, Array]:
-        """Return position and axes of a prim in W."""
-        if path.isEmpty or str(path) == "/":
-            return np.zeros(3), self._up
-        matrix = np.array(self._places.GetLocalToWorldTransform(self._stage.GetPrimAtPath(path)))
-        axes = matrix[:3, :3] / np.linalg.norm(matrix[:3, :3], axis=1, keepdims=True)
-        return self._up @ matrix[3, :3] * self._metre, self._up @ axes.T
+        return Part(self.name(desc.primPath), -1, place, rotation.from_matrix(turn), mass, ())
 
     def _side(self, body: Any, place: Any, turn: Any) -> tuple[Array, Array]:
         """Return position and axes of a joint's frame on one side, in W."""
-        origin, axes = self._frame(body)  # the library has scaled the place
-        return origin + axes @ np.array(place, dtype=float) * self._metre, axes @ matrix_of(turn)
+        origin, axes = self.frame(body)  # the library has scaled the place
+        return origin + axes @ np.array(place, dtype=float) * self.metre, axes @ matrix_of(turn)
 
     def _sides(self, desc: Any) -> _Sides:
         first = self._side(desc.body0, desc.localPose0Position, desc.localPose0Orientation)
@@ -193,7 +158,7 @@ class _Reading:
 
     def _tie(self, desc: Any, schema: str, index: dict[Any, int], extent: float) -> Tie | None:
         (point, axes), (other, other_axes) = self._sides(desc)
-        name, kind = self._name(desc.primPath), _KINDS[schema]
+        name, kind = self.name(desc.primPath), _KINDS[schema]
         ends = (index.get(desc.body0, -1), index.get(desc.body1, -1))
         if ends[0] == ends[1]:
             reason = "it joins what does not move"
@@ -269,9 +234,8 @@ class _Reading:
         if reason:
             self.fates.append(Fate("drive", (), "dropped", reason, True, (joint,)))
             return
-        turns = kind == "hinge"
-        unit = math.pi / 180 if turns else self._metre
-        force = self._kilogram * self._metre * (self._metre if turns else 1.0)
+        unit = math.pi / 180 if kind == "hinge" else self.metre
+        force = self.kilogram * self.metre * (self.metre if kind == "hinge" else 1.0)
         limit = force * drive.forceLimit if drive.forceLimit < _UNLIMITED else None
         self._drives.append(
             Drive(
@@ -290,24 +254,23 @@ class _Reading:
     def _limits(self, limit: Any, kind: str, start: float) -> dict[str, tuple[float, float]]:
         if limit is None or kind == "ball":
             return {}  # the library disables limits of hinges with one side; they count here
-        unit = math.pi / 180 if kind == "hinge" else self._metre
+        unit = math.pi / 180 if kind == "hinge" else self.metre
         span = bounded(limit.lower * unit - start, limit.upper * unit - start)
         return {"limits": span} if span else {}
 
-    def _lines(self, index: dict[Any, int], order: list[int]) -> Iterator[Line]:
-        for desc in self._all("DistanceJoint"):
-            name = self._name(desc.primPath)
+    def _lines(self, part_of: dict[Any, int]) -> Iterator[Line]:
+        for desc in self.all("DistanceJoint"):
+            name = self.name(desc.primPath)
             (point, _), (other, _) = self._sides(desc)
-            low, high = desc.limit.lower * self._metre, desc.limit.upper * self._metre
+            low, high = desc.limit.lower * self.metre, desc.limit.upper * self.metre
             if not (desc.minEnabled and desc.maxEnabled and low == high):
                 reason = "distances that may vary are not in the scene description"
                 self.fates.append(Fate("DistanceJoint", (), "dropped", reason, True, (name,)))
                 continue
-            ends = [index.get(body, -1) for body in (desc.body0, desc.body1)]
-            first, second = (order[k] if k >= 0 else -1 for k in ends)
+            ends = part_of.get(desc.body0, -1), part_of.get(desc.body1, -1)
             apart = float(np.linalg.norm(other - point))
             length = apart if abs(apart - low) < _GAP * max(apart, low) else low
-            yield Line(name, (first, second), (point, other), length, rigid=True)
+            yield Line(name, ends, (point, other), length, rigid=True)
 
 
 def _locks(limit: Any) -> bool:
