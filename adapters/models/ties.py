@@ -18,6 +18,9 @@ from .resolved import HIGHER, NOT_YET, SWITCHED_OFF, SWITCHES, Resolved
 
 _APART = 1e-9  # [m or turn]: largest gap of an equality that is met at the reference pose
 _WEIGHT = 10  # index in `eq_data` of how much the turn counts in a weld
+_CONNECT, _WELD, _JOINT, _TENDON = (
+    int(getattr(mujoco.mjtEq, f"mjEQ_{kind}")) for kind in ("CONNECT", "WELD", "JOINT", "TENDON")
+)
 
 
 class Ties:
@@ -26,30 +29,27 @@ class Ties:
     def __init__(self, resolved: Resolved) -> None:
         self._model, self._data, self._off = resolved.model, resolved.data, resolved.off
         self._name, self._higher = resolved.name, resolved.higher
-        model, active = resolved.model, not resolved.off["EQUALITY"]
-        self._active = [e for e in range(model.neq) if active and model.eq_active0[e]]
-        kinds = mujoco.mjtEq
-        self._points = (int(kinds.mjEQ_CONNECT), int(kinds.mjEQ_WELD))
-        rigid = [e for e in self._active if self._rigid(e)]
-        self._longer = {int(model.eq_obj1id[e]): float(model.eq_data[e, 0]) for e in rigid}
-        """Length of each rigid tendon in excess of that at the reference pose [m], by index."""
+        active = [] if self._off["EQUALITY"] else np.flatnonzero(resolved.model.eq_active0).tolist()
+        self._meaning = {e: self._means(e) for e in active}
+        """What each equality that is switched on stands for."""
 
     def closings(self) -> Iterator[Closing]:
         """Yield the joints that close loops; two points between the same bodies make a hinge."""
         connects: dict[tuple[int, int], list[Closing]] = defaultdict(list)
-        for e in self._active:
-            if kind := self._holds(e):
-                (first, point), (second, _) = self._ends(e)
-                name = self._name("EQUALITY", e).removesuffix(" 0")
-                closing = Closing(name, kind, (first - 1, second - 1), point)
-                if kind == "ball":
-                    back = closing.parts[::-1]
-                    same = connects[back if back in connects else closing.parts]
-                    # The same point again holds nothing more.
-                    if all(np.linalg.norm(point - each.anchor) >= _APART for each in same):
-                        same.append(closing)
-                else:
-                    yield closing
+        for e, kind in self._meaning.items():
+            if kind not in ("fixed", "ball"):
+                continue
+            (first, point, _), (second, _, _) = self._ends(e)
+            name = self._name("EQUALITY", e).removesuffix(" 0")
+            closing = Closing(name, kind, (first - 1, second - 1), point)
+            if kind == "fixed":
+                yield closing
+                continue
+            back = closing.parts[::-1]
+            same = connects[back if back in connects else closing.parts]
+            # The same point again holds nothing more.
+            if all(np.linalg.norm(point - each.anchor) >= _APART for each in same):
+                same.append(closing)
         for balls in connects.values():
             if len(balls) != 2:
                 yield from balls
@@ -61,21 +61,19 @@ class Ties:
     def couplings(self) -> Iterator[ModelCoupling]:
         """Yield the joints that follow another."""
         model = self._model
-        for e in self._active:
-            followed = int(model.eq_obj2id[e])
-            if model.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT and followed >= 0:
-                yield ModelCoupling(
-                    joint=self._name("JOINT", int(model.eq_obj1id[e])),
-                    follows=self._name("JOINT", followed),
-                    polynomial=tuple(model.eq_data[e, :5].tolist()),
-                )
+        for e in (e for e, meaning in self._meaning.items() if meaning == "coupling"):
+            yield ModelCoupling(
+                joint=self._name("JOINT", int(model.eq_obj1id[e])),
+                follows=self._name("JOINT", int(model.eq_obj2id[e])),
+                polynomial=tuple(model.eq_data[e, :5].tolist()),
+            )
 
     def lines(self) -> Iterator[Line]:
         """Yield tendons between two points, as springs or as links of constant length."""
         model = self._model
-        for t in range(model.ntendon):
-            if not self._straight(t):
-                continue
+        rigid = [e for e, meaning in self._meaning.items() if meaning == "length"]
+        longer = {int(model.eq_obj1id[e]): float(model.eq_data[e, 0]) for e in rigid}
+        for t in filter(self._straight, range(model.ntendon)):
             sites = model.wrap_objid[model.tendon_adr[t] :][:2]
             first, second = (self._data.site_xpos[site].copy() for site in sites)
             bodies = [int(model.site_bodyid[site]) - 1 for site in sites]
@@ -89,21 +87,19 @@ class Ties:
             )
             if line.stiffness or line.damping:
                 yield line
-            if t in self._longer:
-                length = float(model.tendon_length0[t]) + self._longer[t]
+            if t in longer:
+                length = float(model.tendon_length0[t]) + longer[t]
                 yield Line(line.name, line.parts, line.points, length, rigid=True)
 
     def fates(self) -> Iterator[Fate]:
         """Report equalities and tendons that are not converted, with the reasons."""
         model = self._model
-        for e in {*range(model.neq)}.difference(self._active):
+        for e in range(model.neq):
             place = (self._name("EQUALITY", e),)
-            yield Fate("equality", (), "kept", SWITCHED_OFF, True, place)
-        for e in self._active:
-            couples = model.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT and model.eq_obj2id[e] >= 0
-            if not (self._holds(e) or self._rigid(e) or couples):
-                name = self._name("EQUALITY", e)
-                yield Fate("equality", (), "dropped", self._why(e), True, (name,))
+            if e not in self._meaning:
+                yield Fate("equality", (), "kept", SWITCHED_OFF, True, place)
+            elif not self._meaning[e]:
+                yield Fate("equality", (), "dropped", self._why(e), True, place)
         for t in range(model.ntendon):
             keys = ["frictionloss", "limited", "armature"]
             properties = [key for key in keys if np.any(getattr(model, f"tendon_{key}")[t])]
@@ -130,61 +126,46 @@ class Ties:
         low, high = model.tendon_lengthspring[t]
         return bool(count == 2 and (kinds == mujoco.mjtWrap.mjWRAP_SITE).all() and low == high)
 
-    def _rigid(self, e: int) -> bool:
-        """Whether an equality keeps a straight tendon at one length."""
-        model = self._model
-        return bool(
-            model.eq_type[e] == mujoco.mjtEq.mjEQ_TENDON
-            and model.eq_obj2id[e] < 0
-            and self._straight(int(model.eq_obj1id[e]))
-        )
-
-    def _holds(self, e: int) -> Literal["fixed", "ball", ""]:
-        """Return the joint that an equality stands for; "" if none, or if its ends are apart."""
-        kind = int(self._model.eq_type[e])
-        if kind not in self._points or self._gap(e) > _APART:
-            return ""
-        return "fixed" if self._turns(e) else "ball"
+    def _means(self, e: int) -> Literal["fixed", "ball", "coupling", "length", ""]:
+        """Return what an equality stands for; "" if nothing, or if its ends are apart."""
+        kind, single = int(self._model.eq_type[e]), self._model.eq_obj2id[e] < 0
+        if kind in (_CONNECT, _WELD) and self._gap(e) <= _APART:
+            return "fixed" if self._turns(e) else "ball"
+        if kind == _JOINT and not single:
+            return "coupling"
+        straight = kind == _TENDON and single and self._straight(int(self._model.eq_obj1id[e]))
+        return "length" if straight else ""
 
     def _turns(self, e: int) -> bool:
         """Whether an equality holds orientations, too."""
-        kind, weight = self._model.eq_type[e], self._model.eq_data[e, _WEIGHT]
-        return bool(kind == mujoco.mjtEq.mjEQ_WELD and weight != 0)
+        return bool(self._model.eq_type[e] == _WELD and self._model.eq_data[e, _WEIGHT] != 0)
 
     def _why(self, e: int) -> str:
-        if int(self._model.eq_type[e]) in self._points:
+        kind = int(self._model.eq_type[e])
+        if kind in (_CONNECT, _WELD):
             return f"its two sides are {self._gap(e):.3g} (m or turn) apart at the reference pose"
-        if int(self._model.eq_type[e]) == mujoco.mjtEq.mjEQ_JOINT:
+        if kind == _JOINT:
             return "it holds one joint at a place"
         return f"equalities of tendons and flexes are {NOT_YET}"
 
-    def _ends(self, e: int) -> tuple[tuple[int, Array], tuple[int, Array]]:
-        """Return the bodies of an equality, and the points that it keeps together, in W."""
-        model, data = self._model, self._data
+    def _ends(self, e: int) -> list[tuple[int, Array, Array]]:
+        """Return the bodies of an equality, and the points and turns that it keeps together."""
+        model, data, law = self._model, self._data, self._model.eq_data[e]
         ids = (int(model.eq_obj1id[e]), int(model.eq_obj2id[e]))
         if model.eq_objtype[e] == mujoco.mjtObj.mjOBJ_SITE:
-            first, second = ((int(model.site_bodyid[k]), data.site_xpos[k].copy()) for k in ids)
-            return first, second
-        places = model.eq_data[e, :3], model.eq_data[e, 3:6]
-        if model.eq_type[e] == mujoco.mjtEq.mjEQ_WELD:
-            places = places[::-1]
-        first, second = (
-            (k, data.xpos[k] + data.xmat[k].reshape(3, 3) @ place)
+            axes = [rotation.from_matrix(data.site_xmat[k].reshape(3, 3)) for k in ids]
+            bodies = [int(model.site_bodyid[k]) for k in ids]
+            return list(zip(bodies, data.site_xpos[list(ids)], axes, strict=True))
+        welds = model.eq_type[e] == _WELD
+        places = (law[3:6], law[:3]) if welds else (law[:3], law[3:6])
+        first = rotation.multiply(data.xquat[ids[0]], law[6:10]) if welds else data.xquat[ids[0]]
+        points = [
+            data.xpos[k] + data.xmat[k].reshape(3, 3) @ place
             for k, place in zip(ids, places, strict=True)
-        )
-        return first, second
+        ]
+        return list(zip(ids, points, (first, data.xquat[ids[1]]), strict=True))
 
     def _gap(self, e: int) -> float:
-        model, data = self._model, self._data
-        (first, point), (second, other) = self._ends(e)
+        (_, point, turn), (_, other, other_turn) = self._ends(e)
         gap = float(np.linalg.norm(point - other))
-        if not self._turns(e):
-            return gap
-        if model.eq_objtype[e] == mujoco.mjtObj.mjOBJ_SITE:
-            turn, other_turn = np.zeros((2, 4))
-            mujoco.mju_mat2Quat(turn, data.site_xmat[model.eq_obj1id[e]])
-            mujoco.mju_mat2Quat(other_turn, data.site_xmat[model.eq_obj2id[e]])
-        else:
-            turn = rotation.multiply(data.xquat[first], model.eq_data[e, 6:10])
-            other_turn = data.xquat[second]
-        return gap + 1.0 - abs(float(turn @ other_turn))
+        return gap + 1.0 - abs(float(turn @ other_turn)) if self._turns(e) else gap
