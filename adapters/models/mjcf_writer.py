@@ -10,11 +10,11 @@ import numpy as np
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.frame import optional
 from mbds_xsim.base.xml import indented, numbers
-from mbds_xsim.scene.imported import Fate, Written, gathered
+from mbds_xsim.scene.imported import Fate, Written
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 
-from .writing import dropped_fate, first_targets, lacking, no_model, without_servos
+from .writing import dropped_fate, first_targets, without_servos, written
 
 _LACKS = {"joints.restitution": "a softness of limits stands for it in MuJoCo"}
 _NO_LAW = "a joint that closes a loop is an equality, on which nothing acts"
@@ -45,9 +45,9 @@ def write(scene: Scene) -> Written:
         for servo in servos:  # command 0 keeps its first target, other commands move it
             push = servo.stiffness * servo.position[0] + servo.damping * servo.velocity[0]
             add_servo(actuators, servo, push, gainprm=repr(servo.stiffness or servo.damping))
-    fates = [*no_model(scene), *lacking(scene, _LACKS), *_loops(mechanism), *first_targets(scene)]
-    fates += [dropped_fate("servos", _NO_LAW, [s.joint]) for s in scene.servos if s.joint in loops]
-    return Written(indented(root), gathered(fates))
+    fates = [*_loops(mechanism), *first_targets(scene)]
+    fates += [dropped_fate("servos", _NO_LAW, s.joint) for s in scene.servos if s.joint in loops]
+    return written(indented(root), scene, _LACKS, fates)
 
 
 def _loops(mechanism: Mechanism) -> Iterator[Fate]:
@@ -55,7 +55,7 @@ def _loops(mechanism: Mechanism) -> Iterator[Fate]:
         reason = "its points are held together by a soft solver"
         yield Fate("joints", (), "approximated", reason, True, (joint.name,))
         if joint.complies:
-            yield dropped_fate("joints", _NO_LAW, [joint.name], "stiffness", "damping")
+            yield dropped_fate("joints", _NO_LAW, joint.name, "stiffness", "damping")
     for pair in mechanism.distances:
         reason = "a tendon of constant length, held by a soft solver"
         yield Fate("distance_links", (), "approximated", reason, True, (pair.name,))

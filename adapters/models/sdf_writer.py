@@ -10,11 +10,11 @@ from collections.abc import Iterable, Mapping
 from xml.etree.ElementTree import Element, SubElement
 
 from mbds_xsim.base.xml import indented, numbers
-from mbds_xsim.scene.imported import Written, gathered
+from mbds_xsim.scene.imported import Written
 from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint
 from mbds_xsim.scene.scene import Scene
 
-from .writing import dropped_fate, lacking, name_of, no_model, tensor_words, unlike, without_servos
+from .writing import dropped_fate, name_of, tensor_words, unlike, without_servos, written
 
 _KINDS = {"hinge": "revolute", "slider": "prismatic", "ball": "ball", "fixed": "fixed"}
 _UNLIMITED = (-1e16, 1e16)  # the specification's defaults; limits are required
@@ -45,9 +45,8 @@ def write(scene: Scene) -> Written:
         if link.joint is not None:
             name = names["joints", link.joint.name]
             _joint(model, mechanism, link.joint, name)
-    fates += [*no_model(scene), *lacking(scene, _LACKS)]
-    fates += [dropped_fate("joints", _TREE, [joint.name]) for joint in mechanism.loops]
-    return Written(indented(root), gathered(fates))
+    fates += [dropped_fate("joints", _TREE, joint.name) for joint in mechanism.loops]
+    return written(indented(root), scene, _LACKS, fates)
 
 
 def _link(model: Element, mechanism: Mechanism, body: int) -> None:

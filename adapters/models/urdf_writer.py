@@ -9,11 +9,11 @@ import numpy as np
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.xml import indented, numbers
-from mbds_xsim.scene.imported import Fate, Written, gathered
+from mbds_xsim.scene.imported import Fate, Written
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism
 from mbds_xsim.scene.scene import GRAVITY, WORLD, Scene
 
-from .writing import dropped_fate, lacking, name_of, no_model, tensor_words, unique, without_servos
+from .writing import dropped_fate, name_of, tensor_words, unique, without_servos, written
 
 _KINDS = {"hinge": "continuous", "slider": "prismatic", "fixed": "fixed", None: "floating"}
 _LIMITED = {"hinge": "revolute", "slider": "prismatic"}
@@ -40,11 +40,10 @@ def write(scene: Scene) -> Written:
     frames: dict[int, Array] = {WORLD_INDEX: np.zeros(3)}
     for link in mechanism.links:
         _link(root, mechanism, link, frames)
-    fates = [*no_model(scene), *lacking(scene, _LACKS)]
-    fates += [dropped_fate("joints", _TREE, [joint.name]) for joint in mechanism.loops]
+    fates = [dropped_fate("joints", _TREE, joint.name) for joint in mechanism.loops]
     if scene.gravity != GRAVITY:
         fates.append(Fate("gravity", (), "dropped", "URDF has no gravity", True))
-    return Written(indented(root), gathered(fates))
+    return written(indented(root), scene, _LACKS, fates)
 
 
 def _link(root: Element, mechanism: Mechanism, link: Link, frames: dict[int, Array]) -> None:

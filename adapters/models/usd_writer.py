@@ -15,12 +15,12 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.frame import optional
-from mbds_xsim.scene.imported import Fate, Written, gathered
+from mbds_xsim.scene.imported import Fate, Written
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
 from mbds_xsim.scene.scene import Joint, Scene
 from mbds_xsim.scene.servo import Servo
 
-from .writing import dropped_fate, first_targets, lacking, no_model, unlike, without_servos
+from .writing import dropped_fate, first_targets, unlike, without_servos, written
 
 _KINDS = {"hinge": "RevoluteJoint", "slider": "PrismaticJoint", "ball": "SphericalJoint",
           "fixed": "FixedJoint"}  # fmt: skip
@@ -48,8 +48,7 @@ def write(scene: Scene) -> Written:
     """
     optional("pxr.UsdPhysics", "writing USD", "usd")
     stage = _Stage(scene)
-    fates = [*no_model(scene), *lacking(scene, _LACKS), *first_targets(scene), *stage.fates]
-    return Written(stage.text(), gathered(fates))
+    return written(stage.text(), scene, _LACKS, [*first_targets(scene), *stage.fates])
 
 
 class _Stage:
@@ -127,10 +126,23 @@ class _Stage:
         if joint.limits:
             prim.CreateLowerLimitAttr(joint.limits[0] / unit)
             prim.CreateUpperLimitAttr(joint.limits[1] / unit)
-        servo, fates = _drive(self._scene.joints[joint.index], self._scene.servos)
-        self.fates += fates
+        servo = self._servo(self._scene.joints[joint.index])
         if servo is not None:
             self._drive(prim.GetPrim(), servo, joint.kind)
+
+    def _servo(self, joint: Joint) -> Servo | None:
+        """Return servos, spring and damper of a joint as one servo; one with a limit is alone."""
+        laws = [servo for servo in self._scene.servos if servo.joint == joint.name]
+        springs = joint.stiffness or joint.damping
+        if springs:
+            laws.append(Servo(joint.name, (joint.rest,), (0.0,), joint.stiffness, joint.damping))
+        limited = next((servo for servo in laws if servo.limit is not None), None)
+        if limited is None and springs:
+            law = ("stiffness", "damping", "rest")
+            self.fates.append(Fate("joints", law, "kept", _AS_SERVO, True, (joint.name,)))
+        elif limited is not None and len(laws) > 1:
+            self.fates.append(dropped_fate("joints", _ONE, joint.name, "drives"))
+        return limited or _sum(laws)
 
     def _drive(self, prim: Any, servo: Servo, kind: str) -> None:
         unit = _unit(kind)
@@ -174,20 +186,6 @@ def _principal(inertia: Array) -> tuple[list[float], Array]:
     if float(low) + float(mid) < float(high):  # possible for flat bodies after rounding
         high = np.nextafter(low + mid, np.float32(0.0))
     return [float(low), float(mid), float(high)], axes * np.linalg.det(axes)
-
-
-def _drive(joint: Joint, servos: tuple[Servo, ...]) -> tuple[Servo | None, list[Fate]]:
-    """Return a joint's servos, spring and damper as one servo; one with a limit stands alone."""
-    laws = [servo for servo in servos if servo.joint == joint.name]
-    fates = []
-    if joint.stiffness or joint.damping:
-        laws.append(Servo(joint.name, (joint.rest,), (0.0,), joint.stiffness, joint.damping))
-        law = ("stiffness", "damping", "rest")
-        fates = [Fate("joints", law, "kept", _AS_SERVO, True, (joint.name,))]
-    limited = next((servo for servo in laws if servo.limit is not None), None)
-    if limited is None:
-        return _sum(laws), fates
-    return limited, [dropped_fate("joints", _ONE, [joint.name], "drives")] if len(laws) > 1 else []
 
 
 def _sum(laws: list[Servo]) -> Servo | None:

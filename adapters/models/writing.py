@@ -8,7 +8,7 @@ from itertools import combinations_with_replacement
 import msgspec
 
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.scene.imported import Fate
+from mbds_xsim.scene.imported import Fate, Written, gathered
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
 from mbds_xsim.scene.scene import WORLD, Scene
 
@@ -34,7 +34,14 @@ _NO_START = dict.fromkeys(
 )
 
 
-def no_model(scene: Scene) -> Iterator[Fate]:
+def written(
+    text: str, scene: Scene, lacks: Mapping[str, str], fates: Iterable[Fate] = ()
+) -> Written:
+    """Return a scene in another format, with what no format takes and what this one lacks."""
+    return Written(text, gathered([*_no_model(scene), *_lacking(scene, lacks), *fates]))
+
+
+def _no_model(scene: Scene) -> Iterator[Fate]:
     """Report what no model format takes, and particles, which become one inertia."""
     defaults = {field.name: field.default for field in msgspec.structs.fields(Scene)}
     for key, (moves, reason) in _NO_MODEL.items():
@@ -42,14 +49,14 @@ def no_model(scene: Scene) -> Iterator[Fate]:
         if value and value != defaults[key]:
             count = len(value) if isinstance(value, tuple) else 1
             yield Fate(key, (), "dropped", reason, moves, (), count)
-    yield from lacking(scene, _NO_START)
+    yield from _lacking(scene, _NO_START)
     reason = "one inertia, without the single particles"
     for body in scene.bodies:
         if body.particles:
             yield Fate("bodies", ("particles",), "kept", reason, True, (body.name,))
 
 
-def lacking(scene: Scene, lacks: Mapping[str, str]) -> Iterator[Fate]:
+def _lacking(scene: Scene, lacks: Mapping[str, str]) -> Iterator[Fate]:
     """Report everything in a scene that one format has no place for.
 
     Args:
@@ -61,13 +68,12 @@ def lacking(scene: Scene, lacks: Mapping[str, str]) -> Iterator[Fate]:
         table, _, field = key.partition(".")
         for item in getattr(scene, table):
             if not field or getattr(item, field):
-                yield dropped_fate(table, reason, [getattr(item, "name", "") or item.joint], field)
+                yield dropped_fate(table, reason, getattr(item, "name", "") or item.joint, field)
 
 
-def dropped_fate(element: str, reason: str, names: Iterable[str], *properties: str) -> Fate:
-    """Return the fate of things that affect the motion and are not in the model."""
-    places = tuple(names)
-    return Fate(element, tuple(filter(None, properties)), "dropped", reason, True, places)
+def dropped_fate(element: str, reason: str, name: str, *properties: str) -> Fate:
+    """Return the fate of something that affects the motion and is not in the model."""
+    return Fate(element, tuple(filter(None, properties)), "dropped", reason, True, (name,))
 
 
 Names = dict[tuple[str, str], str]
