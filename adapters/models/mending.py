@@ -24,6 +24,8 @@ _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 _SINGLE = {"inertial", "mass", "inertia", "origin", "axis", "limit", "dynamics", "mimic"}
 _UNRECOGNIZED = re.compile(r"unrecognized attribute: '([^']+)'\s+Element '([^']+)'")
 _ORIENTATIONS = {"quat", "axisangle", "xyaxes", "zaxis", "euler"}
+_TWICE = "drawn only; defined twice"
+_LOCAL = "frames of bodies are W at the reference pose"
 _POSITIONED = ("joint", "geom", "site", "inertial")
 
 
@@ -49,11 +51,9 @@ def _free_from_root(root: Element) -> Iterator[Fate]:
         for parent in joint.findall("parent"):
             if parent.get("link") not in carried:
                 parent.set("link", "world")
-                yield _fate(joint, "kept", "it floats in the world", place=joint.get("name", ""))
-    if (
-        root.find("link[@name='world']") is None
-        and root.find("*/parent[@link='world']") is not None
-    ):
+                yield _fate(joint, "kept", "it floats in the world", joint.get("name", ""))
+    on_world = root.find("*/parent[@link='world']") is not None
+    if on_world and root.find("link[@name='world']") is None:
         SubElement(root, "link", name="world")
 
 
@@ -62,7 +62,7 @@ def _clean_numbers(element: Element, place: str) -> Iterator[Fate]:
         if (plain := _leading_numbers(text, _NUMBERS.get(key, 0))) != text:
             element.set(key, plain)
             detail = f"{place}: {text} read as {plain}"
-            yield _fate(element, "approximated", "not plain numbers", key, detail)
+            yield _fate(element, "approximated", "not plain numbers", detail, key)
 
 
 def _remove_duplicates(parent: Element, place: str) -> Iterator[Fate]:
@@ -72,7 +72,7 @@ def _remove_duplicates(parent: Element, place: str) -> Iterator[Fate]:
         if first is not element and element.tag in _SINGLE:
             parent.remove(element)
             outcome: Outcome = "kept" if first.attrib == element.attrib else "approximated"
-            yield _fate(element, outcome, "stated again; the first counts", place=place)
+            yield _fate(element, outcome, "stated again; the first counts", place)
 
 
 def mend_mjcf(root: Element) -> Iterator[Fate]:
@@ -87,7 +87,7 @@ def mend_mjcf(root: Element) -> Iterator[Fate]:
                 yield _strip(child, "material", "there is no such material", moves=False)
             if parent.tag == "asset" and child.tag in ("material", "texture"):
                 if (asset := (child.tag, child.get("name", ""))) in assets and asset[1]:
-                    yield _remove(parent, child, "dropped", "drawn only; defined twice", False)
+                    yield _remove(parent, child, "dropped", _TWICE, moves=False)
                 assets.add(asset)
             if child.tag == "joint" and child.get("type") == "fixed":
                 yield _remove(parent, child, "kept", "no freedom at all")
@@ -115,9 +115,7 @@ def _make_local(root: Element) -> Iterator[Fate]:
             del compiler.attrib["coordinate"]
             for body in bodies:
                 body.attrib.pop("pos", None)
-            yield _fate(
-                compiler, "kept", "frames of bodies are W at the reference pose", "coordinate"
-            )
+            yield _fate(compiler, "kept", _LOCAL, "", "coordinate")
 
 
 def _leading_numbers(text: str, count: int) -> str:
@@ -131,27 +129,20 @@ def _leading_numbers(text: str, count: int) -> str:
 
 
 def _remove(
-    parent: Element, child: Element, outcome: Outcome, reason: str, moves: bool = True
+    parent: Element, child: Element, outcome: Outcome, reason: str, *, moves: bool = True
 ) -> Fate:
     parent.remove(child)
     place = child.get("name", "") or parent.get("name", "")
-    return _fate(child, outcome, reason, place=place, moves=moves)
+    return _fate(child, outcome, reason, place, moves=moves)
 
 
 def _strip(element: Element, attribute: str, reason: str, *, moves: bool = True) -> Fate:
     value, place = element.attrib.pop(attribute), element.get("name", "")
     detail = f"{place}: {value}" if place else value
-    return _fate(element, "dropped", reason, attribute, detail, moves=moves)
+    return _fate(element, "dropped", reason, detail, attribute, moves=moves)
 
 
 def _fate(
-    element: Element,
-    outcome: Outcome,
-    reason: str,
-    attribute: str = "",
-    place: str = "",
-    *,
-    moves: bool = True,
+    element: Element, outcome: Outcome, reason: str, place: str, *keys: str, moves: bool = True
 ) -> Fate:
-    properties = (attribute,) if attribute else ()
-    return Fate(element.tag, properties, outcome, reason, moves, (place,) if place else ())
+    return Fate(element.tag, keys, outcome, reason, moves, (place,) if place else ())
