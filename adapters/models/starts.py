@@ -44,9 +44,8 @@ def starts(scene: Scene, limits: Mapping[str, tuple[float, float]]) -> tuple[Dra
     """
     mechanism, length = Mechanism.of(scene), scene.length
     looped = _loop_bodies(mechanism)
-    joints = [j for link in mechanism.links if (j := link.joint) is not None]
-    moving = [j for j in joints if j.kind in ("hinge", "slider") and not j.coupled]
-    independent = [j for j in moving if j.child not in looped]
+    outside = [j for link in mechanism.links if (j := link.joint) and j.child not in looped]
+    independent = [j for j in outside if j.kind in ("hinge", "slider") and not j.coupled]
     ranges = defaultdict(list)
     for joint in independent:
         default, largest = (math.pi, math.pi) if joint.kind == "hinge" else (0.1 * length, length)
@@ -55,8 +54,8 @@ def starts(scene: Scene, limits: Mapping[str, tuple[float, float]]) -> tuple[Dra
         ranges[clipped if clipped[0] < clipped[1] else (low, high)].append(joint.name)
     poses = [Pose(tuple(names), _levels(*span)) for span, names in ranges.items()]
     hinges = tuple(joint.name for joint in independent if joint.kind == "hinge")
-    rates = [HingeRate(hinges, _levels(-1.0, 1.0, _RATES))] if hinges else []
     spin = _levels(-1.0, 1.0, _RATES)
+    rates = [HingeRate(hinges, spin)] if hinges else []
     throws = [Throw(body, angular_velocity=(spin, spin, spin)) for body in _free(mechanism)]
     heights = Levels(*((low * length, high * length) for low, high in pairwise(_HEIGHTS)))
     liftable = _liftable_bodies(mechanism, looped) if scene.contacts else ()
@@ -134,24 +133,21 @@ def drop_limits(scene: Scene, label: tuple[str, str]) -> tuple[Scene, list[Fate]
         scene: Scene with its draws, which keep the joints that they pose within their limits.
         label: Element and attribute that state limits in the format.
     """
-    broken = {*_violated_limits(scene)}
-    if not broken:
-        return scene, []
-    joints = (
+    broken, (element, attribute) = sorted({*_violated_limits(scene)}), label
+    joints = tuple(
         msgspec.structs.replace(joint, limits=None) if joint.name in broken else joint
         for joint in scene.joints
     )
-    element, attribute = label
-    fate = Fate(element, (attribute,), "dropped", _PAST, True, tuple(sorted(broken)), len(broken))
-    return msgspec.structs.replace(scene, joints=tuple(joints)), [fate]
+    fates = [Fate(element, (attribute,), "dropped", _PAST, True, (name,)) for name in broken]
+    return msgspec.structs.replace(scene, joints=joints), fates
 
 
 def _violated_limits(scene: Scene) -> Iterator[str]:
     drawn = {name for draw in scene.sampling if isinstance(draw, Pose) for name in draw.joints}
     mechanism = Mechanism.of(scene)
     undrawn = [joint for joint in mechanism.limited if joint.name not in drawn]
-    start = assemble(mechanism) if undrawn else None
-    for joint in undrawn:
-        assert start is not None
-        if joint.beyond(joint_coordinate(joint, start.position, start.native)) > _ROUNDED:
-            yield joint.name
+    if undrawn:
+        start = assemble(mechanism)
+        for joint in undrawn:
+            if joint.beyond(joint_coordinate(joint, start.position, start.native)) > _ROUNDED:
+                yield joint.name
