@@ -67,7 +67,7 @@ def assemble(model: Parts, *, file: str, kind: str, reader: str, fates: Iterable
         contacts, ground, contact_fates = contacts_of(model.solids, floor, builder.body_of)
         scene = msgspec.structs.replace(scene, contacts=contacts, ground=ground)
     scene = msgspec.structs.replace(scene, sampling=starts(scene, builder.limits))
-    scene, limit_fates = drop_limits(scene, model.labels.get("limits", ("joint", "limits")))
+    scene, limit_fates = drop_limits(scene, model.labels["limits"])
     check_above_ground(scene)
     report = gathered([*fates, *builder.fates, *contact_fates, *limit_fates])
     return Imported(scene, file, kind, reader, report, model.facts(reader))
@@ -99,8 +99,8 @@ class _Builder:
         """Names of joints."""
         self._joint_names: dict[str, str] = {}
         """Joint names in the scene, keyed by those in the model."""
-        self._owner = self._owners()
-        """Index of the part that each part, and at last the world, moves with; −1 is the world."""
+        self._owner = model.owners
+        self._report_fixed()
         self._own = [_NOTHING] * len(self._parts)
         for part, owner in zip(self._parts, self._owner, strict=False):
             if owner >= 0:
@@ -128,20 +128,17 @@ class _Builder:
         """Return the name of the body that a part belongs to; None if that body was dropped."""
         return self._body_names.get(self._owner[part])
 
-    def _owners(self) -> list[int]:
-        owners = [-1] * (len(self._parts) + 1)
-        for k, part in enumerate(self._parts):
-            owners[k] = k if part.freedoms else owners[part.parent]
+    def _report_fixed(self) -> None:
+        for part, owner in zip(self._parts, self._owner, strict=False):
             if part.freedoms:
                 continue
-            if owners[k] >= 0:
+            if owner >= 0:
                 reason = "one with the body that it is fixed to: masses and inertias are added"
-                place = f"{part.name} in {self._parts[owners[k]].name}"
+                place = f"{part.name} in {self._parts[owner].name}"
                 self._report("kept", "body", reason, place)
             else:
                 reason = "fixed in the world, where its mass moves nothing"
                 self._report("kept", "body", reason, part.name, moves=False)
-        return owners
 
     def _report(
         self, outcome: Outcome, element: str, reason: str, place: str, *, moves: bool = True

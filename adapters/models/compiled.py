@@ -29,10 +29,8 @@ from .mending import mend_mjcf, mend_urdf, remove_unknown
 from .parts import Parts
 from .source import read_source
 
-_MECHANICAL = {
-    "link", "inertial", "mass", "inertia", "origin", "joint", "parent", "child", "axis", "limit",
-    "dynamics", "mimic",
-}  # fmt: skip
+_MECHANICAL = {"link", "inertial", "mass", "inertia", "origin", "joint", "parent", "child", "axis",
+               "limit", "dynamics", "mimic"}  # fmt: skip
 """URDF elements that describe the mechanism."""
 _SOLID = {"collision", "geometry", "sphere", "capsule", "cylinder", "box"}
 """URDF elements that describe collision shapes."""
@@ -182,10 +180,8 @@ def _stated_limits(root: Element) -> dict[str, tuple[float, float]]:
     """Return the limits in a URDF, by joint: one of the two that is not stated is 0."""
     limits = {}
     for joint in root.findall("joint"):
-        limit = joint.find("limit")
-        if limit is None or joint.get("type") not in ("revolute", "prismatic"):
-            continue
-        if "lower" in limit.attrib or "upper" in limit.attrib:
+        limit, limited = joint.find("limit"), joint.get("type") in ("revolute", "prismatic")
+        if limited and limit is not None and {"lower", "upper"} & limit.attrib.keys():
             low, high = (float(limit.get(key, "").strip() or "0") for key in ("lower", "upper"))
             limits[joint.get("name", "")] = (low, high)
     return limits
@@ -210,10 +206,9 @@ def _replace_masses(spec: Any, floating: bool) -> dict[str, Any]:
     spec.compiler.fusestatic = False
     masses = {}
     for body in spec.bodies[1:]:
-        full = np.array(body.fullinertia)
-        xx, yy, zz, xy, xz, yz = full
+        xx, yy, zz, xy, xz, yz = body.fullinertia
         tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        if np.isnan(full[0]):
+        if np.isnan(xx):
             tensor = np.diag(body.inertia)
         if body.explicitinertial:
             masses[body.name] = (body.mass, np.array(body.ipos), np.array(body.iquat), tensor)

@@ -175,13 +175,7 @@ def floor_of(model: Parts) -> Solid | None:
     """Return the first horizontal plane that is fixed in the world; None if there is none."""
     shapes = model.solids.shapes if model.solids is not None else ()
     planes = (s for s in shapes if s.kind == "plane" and s.axes[2, 2] > _LEVEL)
-    return next((plane for plane in planes if _is_fixed(model.parts, plane.part)), None)
-
-
-def _is_fixed(parts: tuple[Part, ...], k: int) -> bool:
-    while k >= 0 and not parts[k].freedoms:
-        k = parts[k].parent
-    return k < 0
+    return next((plane for plane in planes if model.owners[plane.part] < 0), None)
 
 
 def on_the_floor(model: Parts, floor: Solid | None) -> Parts:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -219,13 +220,18 @@ class Parts:
         freedoms = (freedom for part in self.parts for freedom in part.freedoms)
         return frozenset(key for freedom in freedoms for key in freedom.properties)
 
+    @functools.cached_property
+    def owners(self) -> list[int]:
+        """Index of the part that each part, and at last the world, moves with; −1 is the world."""
+        owners = [-1] * (len(self.parts) + 1)
+        for k, part in enumerate(self.parts):
+            owners[k] = k if part.freedoms else owners[part.parent]
+        return owners
+
     def facts(self, reader: str) -> ModelFacts:
         """Return facts about named joints and named links that move, fixed to another or not."""
-        bodies: list[str] = []
-        for part in self.parts:
-            above = bodies[part.parent] if part.parent >= 0 else ""
-            bodies.append(part.name if part.freedoms else above)
-        parts = [(part, body) for part, body in zip(self.parts, bodies, strict=True) if body]
+        owners = (self.parts[k].name if k >= 0 else "" for k in self.owners[:-1])
+        parts = [(part, body) for part, body in zip(self.parts, owners, strict=True) if body]
         return ModelFacts(
             reader,
             tuple(

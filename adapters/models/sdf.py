@@ -23,13 +23,11 @@ from mbds_xsim.simulate.adapter import version_of
 from .assembling import assemble
 from .fates import LABELS, NO_FOLLOWER, fates_of, labelled
 from .parts import Freedom, Mass, ModelCoupling, Part, Parts, Property, Solid, Solids, bounded
-from .sdf_shapes import REPORTED, pair, shapes_of
-from .sdf_values import masses_of, number, numbers
+from .sdf_bodies import REPORTED, masses_of, number, numbers, pair, shapes_of
 from .source import read_source
 
 _KINDS = {"RevoluteJoint": "hinge", "PrismaticJoint": "slider", "BallJoint": "ball",
           "FreeJoint": "free"}  # fmt: skip
-_WITHOUT_AXIS = ("BallJoint", "FreeJoint")
 _VERSIONS = ("1.5", "1.6", "1.7", "1.8", "1.9", "1.10", "1.11")
 """Accepted versions. Up to 1.4, axes were in the model's frame, a difference that DART ignores."""
 _FRAMES = (
@@ -169,12 +167,10 @@ def _skeletons(parser: Any, root: Element) -> list[Any]:
             for limit in joint.findall("axis/limit"):
                 limit.clear()
     for link in list(bare.iter("link")):
-        for shape in [*link.findall("visual"), *link.findall("collision")]:
-            link.remove(shape)
-        for inertial in link.findall("inertial"):
-            link.remove(inertial)
+        for child in [each for each in link if each.tag in ("visual", "collision", "inertial")]:
+            link.remove(child)
         link.append(fromstring(_INERTIAL))
-    for axis in itertools.chain.from_iterable(map(bare.iter, ("axis", "axis2"))):
+    for axis in [*bare.iter("axis"), *bare.iter("axis2")]:
         if axis.find("xyz") is None:
             SubElement(axis, "xyz").text = "0 0 1"
     with tempfile.NamedTemporaryFile("w", suffix=".sdf", encoding="utf-8") as file:
@@ -291,7 +287,7 @@ def _freedoms(node: Any) -> Iterator[Freedom]:
     anchor, axes = np.array(place.translation()), np.array(place.rotation())
     name = joint.getName()
     if kind in _KINDS:
-        axis = np.zeros(3) if kind in _WITHOUT_AXIS else axes @ joint.getAxis()
+        axis = axes @ joint.getAxis() if _KINDS[kind] in ("hinge", "slider") else np.zeros(3)
         yield Freedom(name, _KINDS[kind], anchor, axis, _properties(joint, 0))  # type: ignore[arg-type]
     elif kind == "UniversalJoint":
         for k, axis in enumerate((joint.getAxis1(), joint.getAxis2())):

@@ -68,7 +68,7 @@ class _Reader:
         file = next((place for place in places if place.is_file()), None)
         if file is None:
             raise InputError(f"{path.name} includes {name!r}, which is not there")
-        self.check(file, name)
+        check_inside(file, self._folder, f"names {name!r}")
         return self.document(file, (*above, path))
 
     def check_files(self, root: Element) -> None:
@@ -79,15 +79,17 @@ class _Reader:
             for key, name in element.attrib.items():
                 if key.startswith("file") and name:
                     for folder in folders:
-                        self.check(self._base / folder / name, str(Path(folder) / name))
+                        text = f"names {str(Path(folder) / name)!r}"
+                        check_inside(self._base / folder / name, self._folder, text)
 
-    def check(self, path: Path, name: str) -> None:
-        """Raise InputError if a path leads out of the folder."""
-        if not path.resolve().is_relative_to(self._folder):
-            raise InputError(
-                f"names {name!r}, which is not in {self._folder}; if that is intended, "
-                "give `mbds-xsim import` a --folder with all files of the model"
-            )
+
+def check_inside(path: Path, folder: Path, text: str) -> None:
+    """Raise InputError, with what the model says of it, if a path leads out of the folder."""
+    if not path.resolve().is_relative_to(folder):
+        raise InputError(
+            f"{text}, which is not in {folder}; if that is intended, "
+            "give `mbds-xsim import` a --folder with all files of the model"
+        )
 
 
 def _parse(path: Path) -> Element:

@@ -19,6 +19,7 @@ from .assembling import assemble
 from .fates import fates_of_stage
 from .graph import Tie, tree_of
 from .parts import Drive, Freedom, Line, Mass, Part, Parts, Solids, bounded
+from .source import check_inside
 from .usd_bodies import Shapes, Stage, mass_of, matrix_of
 
 _UNLIMITED = 3e38  # limit of a drive; single precision has no larger number
@@ -66,11 +67,7 @@ def _check_layers(sdf: Any, path: Path, folder: Path) -> None:
         if file in visited:
             continue
         visited.add(file)
-        if not file.is_relative_to(folder):
-            raise InputError(
-                f"refers to {str(file)!r}, which is not in {folder}; if that is intended, "
-                "give `mbds-xsim import` a --folder with all files of the model"
-            )
+        check_inside(file, folder, f"refers to {str(file)!r}")
         if not file.is_file():
             raise InputError(f"refers to {file.name!r}, which is not there")
         if file.stat().st_size > _LARGEST_FILE:
@@ -177,13 +174,11 @@ class _Reading(Stage):
         if kind == "hinge":
             start = _standing(_angle(axes, other_axes, column), desc.limit, desc.drive)
         _check_frames(name, gap, tilt, extent)
-        if kind == "fixed":
-            return Tie(name, ends, (), point)
-        limits = self._limits(getattr(desc, "limit", None), kind, start)
-        if kind != "ball":
+        freedoms = (Freedom(name, "ball", point, np.zeros(3)),) if kind == "ball" else ()
+        if kind in ("hinge", "slider"):
             self._lead(desc.drive, name, kind, start)
-        freedom = Freedom(name, kind, point, axis if kind != "ball" else np.zeros(3), limits)  # type: ignore[arg-type]
-        return Tie(name, ends, (freedom,), point)
+            freedoms = (Freedom(name, kind, point, axis, self._limits(desc.limit, kind, start)),)  # type: ignore[arg-type]
+        return Tie(name, ends, freedoms, point)
 
     def _freedoms(self, desc: Any, name: str, extent: float) -> Iterator[Freedom]:
         """Yield the freedoms that a general joint does not lock: those to slide, then to turn."""
@@ -252,7 +247,7 @@ class _Reading(Stage):
         )
 
     def _limits(self, limit: Any, kind: str, start: float) -> dict[str, tuple[float, float]]:
-        if limit is None or kind == "ball":
+        if limit is None:
             return {}  # the library disables limits of hinges with one side; they count here
         unit = math.pi / 180 if kind == "hinge" else self.metre
         span = bounded(limit.lower * unit - start, limit.upper * unit - start)

@@ -257,19 +257,14 @@ class Shapes:
     def _filters(self, group: Any, other: Any) -> bool:
         """Whether a collision group does not collide with another."""
         filtered = set(self._groups[group].filteredGroups)
-        inverted = any(
-            _is_inverted(self._stage.stage.GetPrimAtPath(p)) for p in self._merged_groups(group)
-        )
+        merged = [self._stage.stage.GetPrimAtPath(path) for path in self._merged_groups(group)]
+        # The library calls all groups inverted.
+        inverted = any(each.GetAttribute("physics:invertFilteredGroups").Get() for each in merged)
         return bool(filtered & set(self._merged_groups(other))) != inverted
 
     def _merged_groups(self, group: Any) -> list[Any]:
         """Return the paths of all groups merged with a group, including its own."""
         return [group, *self._groups[group].mergedGroups]
-
-
-def _is_inverted(group: Any) -> bool:
-    """Whether a group collides only with those it names; the library reports this of all groups."""
-    return bool(group.GetAttribute("physics:invertFilteredGroups").Get())
 
 
 def _size(shape: Any, kind: str) -> Array:

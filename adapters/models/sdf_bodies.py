@@ -1,4 +1,4 @@
-"""Collision shapes of SDF, and how two of them touch.
+"""Bodies of SDF: numbers, poses, masses and collision shapes, and how two of these touch.
 
 The format describes each surface but not how two of them combine. The smaller friction and
 restitution count here, as in Gazebo, for which the format was made.
@@ -6,6 +6,7 @@ restitution count here, as in Gazebo, for which the format was made.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from functools import reduce
 from operator import and_
@@ -17,8 +18,7 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 
-from .parts import Pair, Part, Solid
-from .sdf_values import number, numbers, pose
+from .parts import Mass, Pair, Part, Solid
 
 _TAGS = ("collision", "geometry", "mu", "restitution_coefficient", "torsional")
 REPORTED = (("collision", "name"), *((tag, "") for tag in _TAGS))
@@ -38,6 +38,90 @@ _SURFACE = (
     ("bounce/threshold", _NEVER),
 )
 """Paths to the numbers of a surface, each with its default."""
+
+
+def numbers(
+    element: Element, path: str, unstated: tuple[float, ...], *, endless: bool = False
+) -> Array:
+    """Read the numbers in an element below another.
+
+    Args:
+        element: The element to start from.
+        path: Path to the element that is read, such as `surface/friction/ode/mu`.
+        unstated: Values if that element is absent; if present, it must have as many.
+        endless: Whether numbers may be infinite.
+
+    Raises:
+        InputError: There are fewer or more numbers, or one is not finite.
+    """
+    text = element.findtext(path)
+    if text is None:
+        return np.array(unstated)
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError:
+        values = []
+    sound = [math.isfinite(value) or (endless and math.isinf(value)) for value in values]
+    if len(values) != len(unstated) or not all(sound):
+        tag = path.rpartition("/")[2]
+        count = {1: "a number", 3: "three numbers", 6: "six numbers"}[len(unstated)]
+        msg = f"<{tag}> of <{element.tag}> {element.get('name', '')!r} is {text!r}, "
+        raise InputError(f"{msg}allowed is {count}")
+    return np.array(values)
+
+
+def number(element: Element, path: str, unstated: float) -> float:
+    """Read one number, as in `numbers`."""
+    return float(numbers(element, path, (unstated,))[0])
+
+
+def pose(element: Element, path: str = "pose") -> tuple[Array, Array]:
+    """Return position [m], shape (3,), and axes as columns, shape (3, 3), of an element's pose."""
+    values = numbers(element, path, (0.0,) * 6)
+    turns = (rotation.from_vector(v) for v in np.diag(values[3:]))
+    about_x, about_y, about_z = map(rotation.matrix, turns)
+    return values[:3], np.asarray(about_z @ about_y @ about_x)
+
+
+def masses_of(model: Element) -> dict[str, Mass]:
+    """Read the masses of a model's links, in the links' frames, and refuse duplicate names.
+
+    Returns:
+        Masses keyed by link. Defaults are the specification's: 1 kg, and moments of 1 kg·m².
+
+    Raises:
+        InputError: A number is malformed, a moving mass is not above 0, two links share a name, or
+            a mass would follow from shapes.
+    """
+    links, static = model.findall("link"), model.findtext("static") in ("1", "true")
+    for link in links if not static else ():
+        inertial = link.find("inertial")
+        if inertial is not None and inertial.get("auto") in ("1", "true"):
+            raise InputError(
+                f'<inertial> of <link> {link.get("name", "")!r} has auto="true", but masses of '
+                "shapes are not computed; state its <pose>, <mass> and <inertia>"
+            )
+    names = [link.get("name", "") for link in links]
+    masses = dict(zip(names, map(_mass, links), strict=True))
+    for name, each in masses.items():
+        if each.mass <= 0 and not static:
+            msg = f"<mass> of <link> {name!r} is {each.mass:g}, allowed is above 0; a link that "
+            raise InputError(f"{msg}does not move needs one, too, and a fixed joint to the world")
+    if len(masses) < len(links):
+        repeated = next(name for name in names if names.count(name) > 1)
+        msg = f"<model> {model.get('name', '')!r} has two links called {repeated!r}, allowed is one"
+        raise InputError(msg)
+    return masses
+
+
+def _mass(link: Element) -> Mass:
+    xx, yy, zz, xy, xz, yz = (
+        number(link, f"inertial/inertia/i{key}", 1.0 if key[0] == key[1] else 0.0)
+        for key in ("xx", "yy", "zz", "xy", "xz", "yz")
+    )
+    place, axes = pose(link, "inertial/pose")
+    inertia = axes @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ axes.T
+    return Mass(number(link, "inertial/mass", 1.0), place, inertia)
 
 
 def shapes_of(model: Element, parts: Sequence[Part], first: int) -> Iterator[Solid]:
