@@ -124,6 +124,24 @@ def test_figures_that_a_study_does_not_judge_only_change(
     assert [one["name"] for one in diff["scenes"][0]["entries"]] == [entry]
 
 
+def test_parts_without_an_answer_in_time_make_no_engine_worse(compare: Compare) -> None:
+    late = _MISSING | {"reason": "no answer within 60 s"}
+
+    def all_late(new: Json) -> None:
+        new.update(figures=[], missing=[late, late | {"part": "impacts"}])
+
+    _, diff = compare(stored.contact(), lambda new: new["missing"].append(late))
+    whole = compare(stored.contact(), all_late)[1]
+    crashed = compare(
+        stored.contact(), lambda new: new["missing"].extend((late, _MISSING | {"part": "rest"}))
+    )[1]
+
+    (entry,) = diff["scenes"][0]["entries"]
+    assert (diff["verdict"], entry["new_verdict"]) == ("changed", "lacks cost")
+    assert (whole["verdict"], whole["scenes"][0]["worse"]) == ("changed", [])
+    assert crashed["scenes"][0]["worse"] == ["dart native: complete → lacks cost, rest"]
+
+
 def test_times_and_keys_of_rows_are_no_change(compare: Compare) -> None:
     edit = compare(stored.history(), lambda new: new["rows"][0].update(key="0b", cpu_s=9.0))
 

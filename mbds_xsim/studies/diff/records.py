@@ -17,6 +17,8 @@ ABLATION, CONTACT, RELEASES = SCHEMA, "mbds-xsim/contact/1", steps.SCHEMA
 _LOST = FAILING + 1
 _ASKED = {True: ("as asked", 0), False: ("not as asked", FAILING), None: ("not seen", _LOST)}
 _COST = "cost of a simulated second"
+_LATE = "no answer within"
+"""Beginning of the reason of a part that ran into its time limit: the machine decides that."""
 _RANKS = {"done": 0, "timed out": None}
 
 
@@ -72,6 +74,9 @@ def contact_view(part: object) -> View:
 
 
 def _contact_entries(study: ContactStudy) -> Iterator[tuple[str, Entry]]:
+    for m in study.missing:
+        if m.reason.startswith(_LATE):
+            yield f"{m.engine} {m.profile}", _completed(study, m.engine, m.profile)
     for figure in study.figures:
         parent = f"{figure.engine} {figure.profile}"
         yield parent, _completed(study, figure.engine, figure.profile)
@@ -94,12 +99,16 @@ def _contact_entries(study: ContactStudy) -> Iterator[tuple[str, Entry]]:
 
 
 def _completed(study: ContactStudy, engine: str, profile: str) -> Entry:
-    """Return the entry of an engine: it is the worse the more parts it did not complete."""
+    """Return the entry of an engine: it is the worse the more parts it did not complete.
+
+    Parts without an answer in time make it neither better nor worse.
+    """
     own = (m for m in study.missing if (m.engine, m.profile) == (engine, profile))
     reasons = {m.part: m.reason for m in own}
+    lost = sum(not reason.startswith(_LATE) for reason in reasons.values())
     return Entry(
         verdict=f"lacks {', '.join(reasons)}" if reasons else "complete",
-        rank=FAILING + len(reasons) if reasons else 0,
+        rank=FAILING + lost if lost else None if reasons else 0,
         reasons=tuple(f"{part}: {reason}" for part, reason in reasons.items()),
     )
 
