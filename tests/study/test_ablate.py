@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.base.isolate import HERE
+from mbds_xsim.base.isolate import HERE, Silent
 from mbds_xsim.measure import quick
 from mbds_xsim.scene.file import write_scene
 from mbds_xsim.scene.mechanism import Mechanism
@@ -75,6 +76,27 @@ def test_settings_that_a_search_does_not_find_are_not_searched_again(
     _ablate(_compound_pendulum(0.5, 0.1, 0.05), "mujoco")
 
     assert engines == ["mujoco"]
+
+
+def test_each_piece_of_work_is_counted_by_itself() -> None:
+    class Count(Silent):
+        def __init__(self) -> None:
+            self.pieces: list[list[int]] = []
+
+        def begin(self, total: int, done: int = 0) -> None:
+            self.pieces.append([total, done])
+
+        def advance(self, work: str) -> None:
+            self.pieces[-1][1] += 1
+
+    count = Count()
+    conduct = dataclasses.replace(HERE, meter=count)
+
+    ablate(
+        _compound_pendulum(0.5, 0.1, 0.05), choice=Choice.parse(engines="mujoco"), conduct=conduct
+    )
+
+    assert [total for total, _ in count.pieces] == [done for _, done in count.pieces]
 
 
 def test_the_inertia_of_a_compound_pendulum_is_worth_what_its_period_says() -> None:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from mbds_xsim import reference
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.isolate import USUAL, Conduct, Crash, Meter, Task, run_tasks
+from mbds_xsim.base.isolate import USUAL, Conduct, Crash, Task, run_tasks
 from mbds_xsim.base.text import counted
 from mbds_xsim.checks import agreement
 from mbds_xsim.measure.quick import searched
@@ -63,7 +62,7 @@ def ablate(
     Raises:
         InputError: An argument cannot be used, or no engine delivered a motion.
     """
-    begin, conduct = time.perf_counter(), replace(conduct, meter=_Phases(conduct.meter))
+    begin = time.perf_counter()
     chosen = searched(scene, choice or Choice.parse(), conduct)
     validation, evidence = validate_with_evidence(
         scene, choice=chosen, starts=starts, conduct=conduct, search=False
@@ -97,19 +96,6 @@ def ablate(
         command=command,
         wall_s=time.perf_counter() - begin,
     )
-
-
-class _Phases:
-    """Meter that reports successive pieces of work as one."""
-
-    def __init__(self, meter: Meter) -> None:
-        self._begin, self._before = meter.begin, 0
-        self.advance, self.doing, self.notice = meter.advance, meter.doing, meter.notice
-        self.forecast = meter.forecast
-
-    def begin(self, total: int) -> None:
-        self._before += total
-        self._begin(self._before)
 
 
 _TIMEOUT = 600.0  # for all starts of one ablated scene [s]
