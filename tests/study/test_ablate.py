@@ -274,8 +274,8 @@ def test_the_smallest_model(
     name: str, freedom: int, coordinates: int, conditions: int, spheres: int
 ) -> None:
     least = least_size(registry.load_scene(name))
-    assert (least.degrees_of_freedom, least.coordinates) == (freedom, coordinates)
-    assert (least.conditions, least.spheres) == (conditions, spheres)
+    assert (least.degrees_of_freedom, least.joint_coordinates) == (freedom, coordinates)
+    assert (least.loop_conditions, least.contact_spheres) == (conditions, spheres)
 
 
 def test_one_is_told_as_one() -> None:

@@ -84,10 +84,7 @@ def ablate(
         failed={r.engine: r.reasons[0] for r in validation.engines if r.verdict == "fail"},
         left_out=validation.left_out,
         rows=tuple(rows),
-        degrees_of_freedom=least.degrees_of_freedom,
-        joint_coordinates=least.coordinates,
-        loop_conditions=least.conditions,
-        contact_spheres=least.spheres,
+        **vars(least),
         sizes=tuple(sizes),
         trajectories=validation.trajectories,
         seed=validation.seed,
@@ -235,7 +232,11 @@ def _blocks(ablation: Ablation) -> Iterator[Block]:
         ]
     )
     headings = ("engine", ">coordinates", ">constraints", ">contact pairs", "")
-    yield table_of(headings, map(_size_row, ablation.sizes))
+    sizes = (
+        (s.engine, str(s.coordinates), str(s.constraints), str(s.contact_pairs), _more(s))
+        for s in ablation.sizes
+    )
+    yield table_of(headings, sizes)
     yield Remarks.of([("scene", _smallest(ablation))])
 
 
@@ -252,11 +253,6 @@ def _row(row: WeakenedEffect) -> Row:
     plain = row.verdict == ("needed" if above else "not needed") or not row.sentence
     verdict = Cell(row.verdict, _MARKS.get(row.verdict, ""))
     return Row((*map(Cell, texts), verdict), reasons=() if plain else (row.sentence,))
-
-
-def _size_row(size: Size) -> tuple[str, ...]:
-    counts = map(str, (size.coordinates, size.constraints, size.contact_pairs))
-    return size.engine, *counts, _more(size)
 
 
 def _conclusion(ablation: Ablation) -> str:

@@ -324,14 +324,13 @@ _IN_LINE, _IN_PLANE = (0, 4), (0, 2, 4)
 
 @dataclass(frozen=True)
 class Least:
-    """The smallest model of a scene."""
+    """The smallest model of a scene, in the fields of an `Ablation`."""
 
     degrees_of_freedom: int
-    coordinates: int
+    joint_coordinates: int
     """Coordinates of the spanning tree; in one and two dimensions, the degrees of freedom."""
-    conditions: int
-    """Independent conditions of the loops."""
-    spheres: int
+    loop_conditions: int
+    contact_spheres: int
 
 
 def least_size(scene: Scene) -> Least:
@@ -358,9 +357,9 @@ def sizes_of(
                 coordinates=size.coordinates,
                 constraints=size.constraints,
                 contact_pairs=size.contact_pairs,
-                more_coordinates=size.coordinates - least.coordinates,
-                more_constraints=size.constraints - least.conditions,
-                more_pairs=size.contact_pairs - least.spheres,
+                more_coordinates=size.coordinates - least.joint_coordinates,
+                more_constraints=size.constraints - least.loop_conditions,
+                more_pairs=size.contact_pairs - least.contact_spheres,
             )
 
 
