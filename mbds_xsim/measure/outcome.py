@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -38,14 +38,13 @@ class Outcome:
 
     def keep_step(self, step: float, answer: Simulation | Crash) -> None:
         """Store the sample's run at another step [s]; if it crashed, NaN with the reason."""
-        frames = np.arange(self.batch.steps + 1.0)
+        frames, count = np.arange(self.batch.steps + 1.0), len(self.sample)
         if isinstance(answer, Simulation):
             self.other_steps[step] = answer.trajectory.padded(frames)
-            return
-        count = len(self.sample)
-        empty = Trajectory.empty(frames, count, len(self.scene.bodies))
-        failures = (Failure(0, answer.reason),) * count
-        self.other_steps[step] = replace(empty, failures=failures)
+        else:
+            lost = Failure(0, answer.reason)
+            bodies = len(self.scene.bodies)
+            self.other_steps[step] = Trajectory.empty(frames, count, bodies, lost)
 
     @property
     def simulations(self) -> list[Simulation]:

@@ -159,11 +159,13 @@ class Trajectory:
         return Trajectory(parts[0].time, **arrays, failures=failures)
 
     @staticmethod
-    def empty(time: Array, trajectory_count: int, body_count: int) -> Trajectory:
-        """Make a trajectory of NaN, for a run to fill in."""
+    def empty(
+        time: Array, trajectory_count: int, body_count: int, failure: Failure | None = None
+    ) -> Trajectory:
+        """Make a trajectory of NaN, for a run to fill in, or one that failed as a whole."""
         shape = (trajectory_count, len(time), body_count)
         place, turn, speed, spin = (np.full((*shape, size), np.nan) for size in (3, 4, 3, 3))
-        return Trajectory(time, place, turn, speed, spin, (None,) * trajectory_count)
+        return Trajectory(time, place, turn, speed, spin, (failure,) * trajectory_count)
 
 
 _INERT = ("name", "description", "source", "budget", "anchors", "edges")

@@ -80,8 +80,7 @@ class ContactBench:
                 return checked(run.rollout(batch), batch)
         except Unsupported as refusal:
             time = scene.clock.frame * np.arange(batch.steps + 1, dtype=np.float64)
-            empty = Trajectory.empty(time, len(batch), len(scene.bodies))
-            return dataclasses.replace(empty, failures=(Failure(0, str(refusal)),) * len(batch))
+            return Trajectory.empty(time, len(batch), len(scene.bodies), Failure(0, str(refusal)))
 
     def figure(
         self,
