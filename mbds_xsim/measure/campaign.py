@@ -58,8 +58,7 @@ def run_campaign(
     compiling = None if scene.contacts else compilation(meter.notice)
     compiled = None if compiling is None else 0
     work = [] if compiling is None else [Piece("compiler", "compiler", *compiling)]
-    for rows in _reference_chunks(scene, len(batch)):
-        task = Task(reference_of, (scene, batch[rows], conduct.cache), _TIMEOUT, after=compiled)
+    for task in _reference_tasks(scene, batch, conduct.cache, compiled):
         work.append(Piece(REFERENCE, REFERENCE, task, references.append))
     for outcome in outcomes:
         work += _engine_work(outcome, after=compiled if outcome.method.is_truth else None)
@@ -96,11 +95,8 @@ def run_references(scene: Scene, batch: Batch, conduct: Conduct) -> ReferenceOut
     """
     if not scene.contacts:
         compile_once(conduct.meter.notice, workers=conduct.workers)
-    parts = [
-        Task(reference_of, (scene, batch[rows], conduct.cache), _TIMEOUT)
-        for rows in _reference_chunks(scene, len(batch))
-    ]
-    return _joined(run_tasks(parts, workers=conduct.workers))
+    tasks = _reference_tasks(scene, batch, conduct.cache)
+    return _joined(run_tasks(tasks, workers=conduct.workers))
 
 
 def _engine_work(outcome: Outcome, after: int | None) -> list[Piece]:
@@ -130,9 +126,12 @@ def _chunks(count: int, *, least: int) -> list[list[int]]:
     return [rows.tolist() for rows in np.array_split(np.arange(count), parts)]
 
 
-def _reference_chunks(scene: Scene, count: int) -> list[list[int]]:
-    """Split rows into chunks of `_LANES` (1 with contact), or larger ones beyond `_CHUNKS`."""
-    return _chunks(count, least=1 if scene.contacts else _LANES)
+def _reference_tasks(
+    scene: Scene, batch: Batch, cache: bool, after: int | None = None
+) -> list[Task]:
+    """Split the reference into chunks of `_LANES` (1 with contact), or larger beyond `_CHUNKS`."""
+    chunks = _chunks(len(batch), least=1 if scene.contacts else _LANES)
+    return [Task(reference_of, (scene, batch[rows], cache), _TIMEOUT, after) for rows in chunks]
 
 
 def reference_of(scene: Scene, batch: Batch, cache: bool) -> ReferenceOutcome:
@@ -159,14 +158,10 @@ def _check_closed(scene: Scene, batch: Batch, trajectory: Trajectory) -> None:
 
 
 def _joined(parts: list[Any]) -> ReferenceOutcome:
-    reasons = [part.reason for part in parts if isinstance(part, Crash)]
-    reasons += [
-        f.reason
-        for part in parts
-        if not isinstance(part, Crash)
-        for f in part.trajectory.failures
-        if f is not None and not isinstance(f, reference.FirstImpact)
+    ends = [part for part in parts if isinstance(part, Crash)] or [
+        end for part in parts for end in part.trajectory.failures
     ]
+    reasons = [e.reason for e in ends if e is not None and not isinstance(e, reference.FirstImpact)]
     if reasons:
         raise InputError(f"the reference solution failed, so nothing can be judged: {reasons[0]}")
     return ReferenceOutcome(
