@@ -69,8 +69,8 @@ def reference_result(scene: Scene, batch: Batch, reference: ReferenceOutcome) ->
     findings = {finding.check: finding for finding in audited(record, (gap, energy_balance))}
     return ReferenceResult(
         rtol=reference.rtol,
-        constraint_gap_m=_worst_of(findings, "gap") or 0.0,
-        energy_balance=_worst_of(findings, "energy") or 0.0,
+        constraint_gap_m=worst_of(findings, "gap") or 0.0,
+        energy_balance=worst_of(findings, "energy") or 0.0,
         cached=reference.cached,
         wall_s=reference.busy_s,
         known_s=tuple(
@@ -173,11 +173,11 @@ def _result(
         options=dict(contender.settings.options),
         verdict="fail" if reasons else "pass",
         reasons=reasons,
-        error_1s_m=_worst_of(by_name, "error at 1 s"),
+        error_1s_m=worst_of(by_name, "error at 1 s"),
         error_max_m=None if error is None else _finite(np.nanmax(error, initial=-np.inf)),
-        error_weighted_m=_worst_of(by_name, "error growth-weighted"),
-        constraint_gap_m=_worst_of(by_name, "gap"),
-        energy_balance=_worst_of(by_name, "energy"),
+        error_weighted_m=worst_of(by_name, "error growth-weighted"),
+        constraint_gap_m=worst_of(by_name, "gap"),
+        energy_balance=worst_of(by_name, "energy"),
         agreement_time_s=agreement_s,
         wall_per_simulated_s=sum(s.rollout_s for s in simulations) / simulated
         if simulated
@@ -237,7 +237,8 @@ def finding_result(batch: Batch, finding: Finding) -> FindingResult:
     )
 
 
-def _worst_of(findings: dict[str, Finding], check: str) -> float | None:
+def worst_of(findings: dict[str, Finding], check: str) -> float | None:
+    """Return the worst figure of a check; None if it does not apply or is not finite."""
     if check not in findings:
         return None
     finding = findings[check]

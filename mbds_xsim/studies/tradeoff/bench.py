@@ -16,9 +16,9 @@ import numpy as np
 
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.base.isolate import Conduct, Crash, Task, run_tasks
-from mbds_xsim.checks import Finding, agreement, audit
+from mbds_xsim.checks import agreement, audit
 from mbds_xsim.measure.campaign import run_references
-from mbds_xsim.measure.judge import reference_findings
+from mbds_xsim.measure.judge import reference_findings, worst_of
 from mbds_xsim.measure.runner import Runner, Store, StudyCase, in_time, machine, row_key
 from mbds_xsim.reference import FirstImpact
 from mbds_xsim.reference.solution import confirmed
@@ -316,8 +316,8 @@ def _of_bodies(
         known = truth.trajectory, truth.growth
         findings = [*reference_findings(scene, start, motion, error, *known), *findings]
     return errors | {
-        "gap_m": _figure(by_check, "gap"),
-        "energy": _figure(by_check, "passivity" if scene.contacts else "energy"),
+        "gap_m": worst_of(by_check, "gap"),
+        "energy": worst_of(by_check, "passivity" if scene.contacts else "energy"),
         "broken": tuple(one.check for one in findings if not one.passed.all()),
     }
 
@@ -345,12 +345,6 @@ def _errors(scene: Scene, error: Array, truth: Truth) -> dict[str, float]:
     (weighted,) = agreement.growth_weighted(error[:, known], truth.growth[:, known])
     figures = {"error_m": float(error[0, frame]), "error_weighted_m": float(weighted)}
     return {name: figure for name, figure in figures.items() if np.isfinite(figure)}
-
-
-def _figure(findings: dict[str, Finding], check: str) -> float | None:
-    """Return the worst figure of a check; None if it does not apply or is not finite."""
-    figure = float(findings[check].figure[0]) if check in findings else np.nan
-    return figure if np.isfinite(figure) else None
 
 
 def _worst(series: Array) -> float | None:
