@@ -176,6 +176,13 @@ class EngineMethod(Simulator):
     release: str = ""
     """Version of the engine if it runs elsewhere; empty if it runs here."""
 
+    @classmethod
+    def at(cls, engine: str, scene: Scene, settings: Settings, **fields: Any) -> EngineMethod:
+        """Make the simulator of an engine at its settings for a scene, and at no other step."""
+        count = settings.substeps(scene.clock.frame)
+        options = dict(settings.options)
+        return cls(engine, settings.method, own_options=options, counts=(count,), **fields)
+
     @property
     def family(self) -> str:
         """Family of the method."""

@@ -146,9 +146,7 @@ class ReleaseStudy:
             for name, method in self.adapter.methods.items():
                 if not self.adapter.refusals(case.scene, name) and not method.adaptive:
                     settings = case_settings(self.adapter, case, method, STEPS_PER_FRAME[-1])
-                    ran = EngineMethod(
-                        self.engine, name, own_options=settings.options, release=version
-                    )
+                    ran = EngineMethod.at(self.engine, case.scene, settings, release=version)
                     start = draw_batch(case.scene, [0])
                     key = row_key(case.scene, start, ran, STEPS_PER_FRAME[-1], _VERSION, "case")
                     row = ReleaseRow(key=key, release=version, case=case.name, way=name)
@@ -157,8 +155,8 @@ class ReleaseStudy:
     def _scene_cases(self, version: str) -> Iterator[StudyCase[ReleaseRow]]:
         """Yield the cases of every scene at native and matched settings."""
         for scene in map(load_scene, self.scenes):
-            for ran, count in self._profile_settings(scene, version):
-                start, truth = self._truth(scene)
+            for ran in self._at_profiles(scene, version):
+                (count,), (start, truth) = ran.counts, self._truth(scene)
                 key = row_key(scene, start, ran, count, _VERSION, "scene")
                 row = ReleaseRow(key=key, release=version, case=scene.name, way=ran.profile)
                 yield _case(row, play, ran, scene, start, count, truth)
@@ -166,28 +164,23 @@ class ReleaseStudy:
     def _bounces(self, version: str) -> Iterator[StudyCase[ReleaseRow]]:
         """Yield the cases of a ball's impacts."""
         scene = load_scene(_BOUNCING)
-        for ran, count in self._profile_settings(scene, version):
+        start = draw_batch(scene, [0])
+        for ran in self._at_profiles(scene, version):
             for speed in _SPEEDS:
-                start = draw_batch(scene, [0])
-                key = row_key(scene, start, ran, count, _VERSION, f"rebound {speed}")
+                key = row_key(scene, start, ran, ran.counts[0], _VERSION, f"rebound {speed}")
                 name = f"rebound at {speed:g} m/s"
                 row = ReleaseRow(key=key, release=version, case=name, way=ran.profile)
                 yield _case(row, bounce, self.engine, ran.profile, speed)
 
-    def _profile_settings(self, scene: Scene, version: str) -> Iterator[tuple[EngineMethod, int]]:
-        """Yield the engine at the settings of each profile, with its steps per frame."""
+    def _at_profiles(self, scene: Scene, version: str) -> Iterator[EngineMethod]:
+        """Yield the engine at the settings of each profile."""
         able = any(not self.adapter.refusals(scene, name) for name in self.adapter.methods)
         for profile in PROFILES if able else ():
             settings = settings_for(scene, self.adapter, profile)
             if not self.adapter.refusals(scene, settings.method):
-                ran = EngineMethod(
-                    self.engine,
-                    settings.method,
-                    own_options=settings.options,
-                    profile=profile,
-                    release=version,
+                yield EngineMethod.at(
+                    self.engine, scene, settings, profile=profile, release=version
                 )
-                yield ran, settings.substeps(scene.clock.frame)
 
     def _truth(self, scene: Scene) -> tuple[Batch, Truth]:
         """Return a start of a scene, and its truth."""

@@ -334,8 +334,4 @@ def _native(scene: Scene, adapter: Adapter) -> Iterator[EngineMethod]:
         return
     if adapter.methods[settings.method].adaptive:  # its curve over the tolerances stands for it
         return
-    count = settings.substeps(scene.clock.frame)
-    yield EngineMethod(
-        adapter.name, settings.method, variation=NATIVE, own_options=dict(settings.options),
-        counts=(count,), profile="native",
-    )  # fmt: skip
+    yield EngineMethod.at(adapter.name, scene, settings, variation=NATIVE, profile="native")
