@@ -47,6 +47,7 @@ from mbds_xsim.studies.stability.verdict import CRITERIA, run_cell
 LIMIT = 30.0
 """Time limit of a cell [s]."""
 _REFERENCE_LIMIT = 120.0  # [s]
+_NO_REFERENCE = Crash("rigid contact of several spheres has no unique solution")
 
 
 @dataclass(frozen=True)
@@ -178,41 +179,28 @@ def _refusal(study: Study, simulator: Simulator, scene: Scene) -> str:
 def _instances(
     plan: SurveyPlan, simulators: Sequence[Simulator]
 ) -> tuple[dict[Clock, list[Instance]], dict[str, str]]:
-    """Make the scenes, with their references, for each clock that simulators record with."""
+    """Make the scenes, with their references, for each clock that simulators record with.
+
+    Values that have no reference are also returned with the reason.
+    """
     instances: dict[Clock, list[Instance]] = {}
     unknown: dict[str, str] = {}
     for clock in dict.fromkeys(simulator.clock(plan.study.clock) for simulator in simulators):
-        scenes = {value: plan.study.scene(value, clock) for value in plan.values}
-        truths, missing = _truths(plan, scenes)
-        unknown |= missing
-        instances[clock] = [
-            Instance(value, scene, plan.study.batch(scene), truths.get(value))
-            for value, scene in scenes.items()
-        ]
+        scenes = [plan.study.scene(value, clock) for value in plan.values]
+        starts = [(scene, plan.study.batch(scene)) for scene in scenes]
+        answers: list[Any] = [_NO_REFERENCE] * len(starts)
+        if plan.study.known:
+            cache = plan.conduct.cache
+            tasks = [Task(_truth, (*start, cache), _REFERENCE_LIMIT) for start in starts]
+            answers = run_tasks(tasks, workers=plan.conduct.workers)
+        instances[clock] = []
+        for value, start, answer in zip(plan.values, starts, answers, strict=True):
+            failure = answer if isinstance(answer, Crash) else answer.failures[0]
+            known = failure is None or isinstance(failure, FirstImpact)
+            if not known:
+                unknown[text_of(value)] = failure.reason
+            instances[clock].append(Instance(value, *start, answer if known else None))
     return instances, unknown
-
-
-def _truths(
-    plan: SurveyPlan, scenes: dict[Value, Scene]
-) -> tuple[dict[Value, Trajectory], dict[str, str]]:
-    """Solve the references; values that have none are returned with the reason."""
-    truths: dict[Value, Trajectory] = {}
-    unknown: dict[str, str] = {}
-    if not plan.study.known:
-        reason = "rigid contact of several spheres has no unique solution"
-        return truths, dict.fromkeys(map(text_of, scenes), reason)
-    tasks = [
-        Task(_truth, (scene, plan.study.batch(scene), plan.conduct.cache), _REFERENCE_LIMIT)
-        for scene in scenes.values()
-    ]
-    answers = run_tasks(tasks, workers=plan.conduct.workers)
-    for value, answer in zip(scenes, answers, strict=True):
-        failure = answer if isinstance(answer, Crash) else answer.failures[0]
-        if failure is None or isinstance(failure, FirstImpact):
-            truths[value] = answer
-        else:
-            unknown[text_of(value)] = failure.reason
-    return truths, unknown
 
 
 def _truth(scene: Scene, batch: Batch, cache: bool) -> Trajectory:
@@ -233,18 +221,15 @@ def _panels(
         ]
         for simulator in simulators
     ]
-    planned = [each for panel in grid for row in panel for each in row]
-    cases = [each for each in planned if isinstance(each, StudyCase)]
+    cases = [case for panel in grid for row in panel for case in row if case.row.key]
     cases.sort(key=lambda case: -len(case.arguments()[1].bodies))
     ran = dict(zip(map(id, cases), runner.rows(cases), strict=True))
     return tuple(
         Panel(
-            **_names(s),
-            cells=tuple(
-                tuple(e if isinstance(e, MapCell) else ran[id(e)] for e in row) for row in panel
-            ),
+            **_names(simulator),
+            cells=tuple(tuple(ran.get(id(case), case.row) for case in row) for row in panel),
         )
-        for s, panel in zip(simulators, grid, strict=True)
+        for simulator, panel in zip(simulators, grid, strict=True)
     )
 
 
@@ -254,20 +239,20 @@ def _names(simulator: Simulator) -> dict[str, Any]:
     return {field: getattr(simulator, field) for field in fields}
 
 
-def _row(
-    plan: SurveyPlan, simulator: Simulator, instance: Instance
-) -> list[StudyCase[MapCell] | MapCell]:
-    """Return the case of each cell of a row, or the cell itself if the scene is refused."""
+def _row(plan: SurveyPlan, simulator: Simulator, instance: Instance) -> list[StudyCase[MapCell]]:
+    """Return the case of each cell of a row."""
     refusal = _refusal(plan.study, simulator, instance.scene)
     return [_planned(plan, simulator, instance, count, refusal) for count in simulator.counts]
 
 
 def _planned(
     plan: SurveyPlan, simulator: Simulator, instance: Instance, count: int, refusal: str
-) -> StudyCase[MapCell] | MapCell:
+) -> StudyCase[MapCell]:
+    """Return the case of a cell; if the scene is refused, its row has no key and is the cell."""
     scene, batch, truth = instance.scene, instance.batch, instance.truth
+    more = (truth is None, batch.steps)
     cell = MapCell(
-        key="",
+        key="" if refusal else row_key(scene, batch, simulator, count, *more),
         study=plan.study.name,
         value=instance.value,
         **_names(simulator),
@@ -281,11 +266,8 @@ def _planned(
         reason=" ".join(refusal.split()),
         source=simulator.source,
     )
-    if refusal:
-        return cell
-    key = row_key(scene, batch, simulator, count, truth is None, batch.steps)
     return StudyCase(
-        row=msgspec.structs.replace(cell, key=key),
+        row=cell,
         name=f"{simulator.name}, {text_of(instance.value, plan.study.unit)}",
         function=run_cell,
         arguments=lambda: (simulator, scene, batch, count, truth),
