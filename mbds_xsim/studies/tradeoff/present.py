@@ -46,7 +46,7 @@ def present(study: Tradeoff, picture: str = "") -> blocks.Report:
 
 
 def _blocks(study: Tradeoff) -> Iterator[blocks.Block]:
-    yield _main(study)
+    yield words.main_table(study)
     if study.models:
         yield words.models_table(study)
         yield blocks.Remarks.of([("trained models", words.describe_models(study))])
@@ -64,15 +64,6 @@ def _blocks(study: Tradeoff) -> Iterator[blocks.Block]:
         yield blocks.Section("Failures", (blocks.Remarks(tuple(lines), _MOST_LINES + 1),))
     points = blocks.table_of(_POINTS, _point_rows(study))
     yield blocks.Section("All points", (points,), folded=True, on=blocks.PAGE)
-
-
-def _main(study: Tradeoff) -> blocks.Table:
-    columns = words.columns(study)
-    rows = (
-        blocks.row_of((cell_of(c) for _, cell_of in columns), "muted" if c.variation else "")
-        for c in words.main_curves(study)
-    )
-    return blocks.table_of((column for column, _ in columns), rows, grouped=True)
 
 
 def _charts(study: Tradeoff) -> Iterator[blocks.Block]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Iterator
 
 from mbds_xsim.base.text import counted
 from mbds_xsim.report import quantity
-from mbds_xsim.report.blocks import Column, Table, table_of
+from mbds_xsim.report.blocks import Column, Table, row_of, table_of
 from mbds_xsim.simulate.simulator import NATIVE
 from mbds_xsim.studies.tradeoff import CurveResult, ModelResult, Point, Ratio, Tradeoff
 
@@ -33,20 +33,34 @@ def main_curves(study: Tradeoff) -> list[CurveResult]:
     return sorted(shown, key=lambda curve: curve.variation == NATIVE)
 
 
-def columns(study: Tradeoff) -> list[tuple[Column, Callable[[CurveResult], str]]]:
-    """Return the columns of the main table, each with the function that fills its cells."""
-    place = {id(curve): k for k, curve in enumerate(study.curves)}
-    return [
-        (Column("engine", words=True), lambda c: c.engine),
-        (Column("method", words=True), _method),
-        (Column("order", _ORDER), lambda c: format_order(c, study)),
-        *itertools.chain.from_iterable(_ratio_columns(r, place) for r in _ratios_to_show(study)),
-        (Column("all budgets", _WITHIN), _within),
-        (
-            Column("best error", "Smallest error of all steps that were tried", narrow=False),
-            _best_error,
-        ),
+def main_table(study: Tradeoff) -> Table:
+    """Build the main table: order, cost of some accuracies, and what is best, of each curve."""
+    place, ratios = {id(curve): k for k, curve in enumerate(study.curves)}, _ratios_to_show(study)
+    columns = [
+        Column("engine", words=True),
+        Column("method", words=True),
+        Column("order", _ORDER),
+        *itertools.chain.from_iterable(map(_ratio_columns, ratios)),
+        Column("all budgets", _WITHIN),
+        Column("best error", "Smallest error of all steps that were tried", narrow=False),
     ]
+    rows = (
+        row_of(
+            (
+                curve.engine,
+                f"{curve.method} ({curve.variation})" if curve.variation else curve.method,
+                format_order(curve, study),
+                *itertools.chain.from_iterable(_costs(r, place[id(curve)]) for r in ratios),
+                _within(curve),
+                quantity.length(
+                    min((p.error_m for p in curve.points if p.error_m is not None), default=None)
+                ),
+            ),
+            "muted" if curve.variation else "",
+        )
+        for curve in main_curves(study)
+    )
+    return table_of(columns, rows, grouped=True)
 
 
 def cheapest_within(study: Tradeoff, *, own: bool = False) -> tuple[CurveResult, Point] | None:
@@ -158,36 +172,32 @@ def _ratios_to_show(study: Tradeoff) -> list[Ratio]:
     return ratios
 
 
-def _ratio_columns(
-    ratio: Ratio, place: dict[int, int]
-) -> list[tuple[Column, Callable[[CurveResult], str]]]:
+def _ratio_columns(ratio: Ratio) -> Iterator[Column]:
     accuracy = quantity.length(ratio.error_m)
-    best = None if ratio.best is None else ratio.wall_s[ratio.best]
-
-    def times(curve: CurveResult) -> str:
-        cost = ratio.wall_s[place[id(curve)]]
-        return quantity.NONE if cost is None or best is None else f"{_digits(cost / best)}×"
-
-    column = Column(
+    if ratio.budget:
+        yield Column(
+            f"≤ {accuracy}",
+            "Wall time per simulated second at the budget of the error, "
+            f"{accuracy}, by interpolation",
+        )
+    yield Column(
         "ratio" if ratio.budget else f"at {accuracy}",
         f"Cost at an error of {accuracy} over that of the cheapest, by interpolation",
         narrow=ratio.budget,
     )
-    if not ratio.budget:
-        return [(column, times)]
-    description = (
-        f"Wall time per simulated second at the budget of the error, {accuracy}, by interpolation"
-    )
-    cost = Column(f"≤ {accuracy}", description)
-    return [(cost, lambda c: quantity.span(ratio.wall_s[place[id(c)]])), (column, times)]
+
+
+def _costs(ratio: Ratio, place: int) -> Iterator[str]:
+    """Yield the cells of a curve under the columns of an accuracy."""
+    cost = ratio.wall_s[place]
+    if ratio.budget:
+        yield quantity.span(cost)
+    best = None if ratio.best is None else ratio.wall_s[ratio.best]
+    yield quantity.NONE if cost is None or best is None else f"{_digits(cost / best)}×"
 
 
 def _digits(value: float) -> str:
     return f"{value:.2g}" if value < 99.5 else f"{value:.0f}"
-
-
-def _method(curve: CurveResult) -> str:
-    return f"{curve.method} ({curve.variation})" if curve.variation else curve.method
 
 
 def format_order(curve: CurveResult, study: Tradeoff) -> str:
@@ -202,12 +212,6 @@ def _within(curve: CurveResult) -> str:
         return quantity.NONE
     best = min(points, key=lambda point: point.wall_s or math.inf)
     return f"{quantity.pace(best.step_s, best.rtol)}: {quantity.span(best.wall_s)}"
-
-
-def _best_error(curve: CurveResult) -> str:
-    return quantity.length(
-        min((p.error_m for p in curve.points if p.error_m is not None), default=None)
-    )
 
 
 def _speed(point: Point) -> str:
