@@ -87,6 +87,7 @@ def test_each_piece_of_work_is_counted_by_itself() -> None:
             self.pieces.append([total, done])
 
         def advance(self, work: str) -> None:
+            del work
             self.pieces[-1][1] += 1
 
     count = Count()

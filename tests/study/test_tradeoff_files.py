@@ -122,7 +122,7 @@ def test_an_impact_after_the_error_is_taken_does_not_move_it(study: Tradeoff) ->
 
 
 def _titles(study: Tradeoff) -> list[str]:
-    return [chart.title(study) for chart in charts_of(study)]
+    return [chart.title for chart in charts_of(study)]
 
 
 def test_reasons_that_differ_in_numbers_are_told_once(study: Tradeoff) -> None:

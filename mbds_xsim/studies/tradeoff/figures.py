@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,18 +23,19 @@ _X_LABELS = {"wall_s": "wall time per simulated second [s]", "step_s": "step [s]
 
 @dataclass(frozen=True)
 class Chart:
-    """One chart: its axes, budget and limits."""
+    """One chart of a study: its axes, budget and limits."""
 
-    title: Callable[[Tradeoff], str]
+    study: Tradeoff
+    title: str
     y: str
     """Field of `Point` on the y axis."""
     y_label: str
-    budget: Callable[[Tradeoff], float | None]
+    budget: float | None
     x: str = "wall_s"
     floor: float = 1e-12
-    """Lower bound at which smaller values are drawn; for errors, over the scene's length."""
+    """Lower bound at which smaller values are drawn."""
     top: float = 1.0
-    """Upper bound at which larger values are drawn; for errors, over the scene's length."""
+    """Upper bound at which larger values are drawn."""
     front: bool = False
 
     @property
@@ -42,74 +43,58 @@ class Chart:
         """Whether x is the cost; if not, it is the step."""
         return self.x == "wall_s"
 
-    def spot(self, study: Tradeoff, point: Point) -> tuple[float, float] | None:
+    def spot(self, point: Point) -> tuple[float, float] | None:
         """Return the coordinates of a point; None if it has no value or no step to draw."""
         x, y = getattr(point, self.x), getattr(point, self.y)
         if x is None or y is None or not (self.is_cost or point.rtol is None):
             return None
-        return x, min(max(y, self.scale(study) * self.floor), self.scale(study) * self.top)
-
-    def scale(self, study: Tradeoff) -> float:
-        """Return the scene's length for errors, 1 for other figures."""
-        return study.length_m if self.y.startswith("error") else 1.0
-
-
-def _accuracy(budget: str) -> Callable[[Tradeoff], float | None]:
-    """Return a getter of a budget [m], which is None if methods only have their own limit."""
-    return lambda study: study.budget[budget] * study.length_m if study.own_limit is None else None
-
-
-_OVER_COST = Chart(
-    title=lambda s: f"{_error_name(s)}, over cost",
-    y="error_m", y_label="RMS particle error [m]", budget=_accuracy("error_1s"),
-    floor=FLOOR, top=_TOP, front=True,
-)  # fmt: skip
-_CHARTS: tuple[Chart, ...] = (
-    _OVER_COST,
-    replace(
-        _OVER_COST, title=lambda s: f"{_error_name(s)}, over step", x="step_s", front=False
-    ),
-    replace(
-        _OVER_COST,
-        title=lambda s: f"worst error over {_span(s)}, over the growth of a disturbance",
-        y="error_weighted_m", y_label="max of error / max(1, G) [m]", budget=_accuracy("error"),
-        front=False,
-    ),
-    Chart(
-        title=lambda s: "energy that contact creates" if s.contact else "energy balance",
-        y="energy", y_label="over the energy scale",
-        budget=lambda s: s.budget["passivity" if s.contact else "energy_first_order"], top=10.0,
-    ),
-    Chart(
-        title=lambda _: "worst gap of a joint",
-        y="gap_m", y_label="gap [m]", budget=lambda s: s.budget["gap"],
-    ),
-)  # fmt: skip
+        return x, min(max(y, self.floor), self.top)
 
 
 def charts_of(study: Tradeoff) -> list[Chart]:
     """Return the charts that have anything to show."""
+    length, budget = study.length_m, study.budget
+    # Methods that only have their own limit are not held to the budgets of the error.
+    at_once, at_any = (
+        None if study.own_limit is not None else budget[name] * length
+        for name in ("error_1s", "error")
+    )
+    name = _error_name(study)
+    over_cost = Chart(
+        study, f"{name}, over cost", "error_m", "RMS particle error [m]", at_once,
+        floor=length * FLOOR, top=length * _TOP, front=True,
+    )  # fmt: skip
+    worst = f"worst error over {_span(study)}, over the growth of a disturbance"
+    charts = [
+        over_cost,
+        replace(over_cost, title=f"{name}, over step", x="step_s", front=False),
+        replace(
+            over_cost, title=worst, y="error_weighted_m", y_label="max of error / max(1, G) [m]",
+            budget=at_any, front=False,
+        ),
+        Chart(
+            study, "energy that contact creates" if study.contact else "energy balance",
+            "energy", "over the energy scale",
+            budget.get("passivity" if study.contact else "energy_first_order"), top=10.0,
+        ),
+        Chart(study, "worst gap of a joint", "gap_m", "gap [m]", budget.get("gap")),
+    ]  # fmt: skip
     points = [point for curve in study.curves for point in curve.points]
-    return [chart for chart in _CHARTS if any(_shows(study, chart, point) for point in points)]
+    return [c for c in charts if any(s is not None and s[1] > c.floor for s in map(c.spot, points))]
 
 
-def _shows(study: Tradeoff, chart: Chart, point: Point) -> bool:
-    spot = chart.spot(study, point)
-    return spot is not None and spot[1] > chart.scale(study) * chart.floor
-
-
-def draw_chart(axes: Any, study: Tradeoff, chart: Chart) -> None:
+def draw_chart(axes: Any, chart: Chart) -> None:
     """Draw one chart."""
-    axes.set_title(chart.title(study), fontsize=10, loc="left", color=INK)
+    axes.set_title(chart.title, fontsize=10, loc="left", color=INK)
     axes.set(xscale="log", yscale="log", xlabel=_X_LABELS[chart.x], ylabel=chart.y_label)
     if chart.front:
-        _draw_front(axes, study, chart)
-    for place, curve in enumerate(study.curves):
-        _draw_curve(axes, study, chart, curve, place)
+        _draw_front(axes, chart)
+    for place, curve in enumerate(chart.study.curves):
+        _draw_curve(axes, chart, curve, place)
     if chart.is_cost:
-        for place, model in enumerate(study.models):
-            _draw_model(axes, study, chart, model, place)
-    _levels(axes, study, chart)
+        for place, model in enumerate(chart.study.models):
+            _draw_model(axes, chart, model, place)
+    _levels(axes, chart)
 
 
 def legend_entries(study: Tradeoff) -> Iterator[tuple[str, str, str]]:
@@ -144,11 +129,11 @@ def marker_of(curve: CurveResult) -> str:
     return _NATIVE_MARKER if curve.variation == NATIVE else themed.marker_of(curve.method)
 
 
-def _draw_curve(axes: Any, study: Tradeoff, chart: Chart, curve: CurveResult, place: int) -> None:
+def _draw_curve(axes: Any, chart: Chart, curve: CurveResult, place: int) -> None:
     colour, marker = colour_of(curve.engine), marker_of(curve)
     varied, batch = curve.changed, curve.variation == BATCH
     size = 3.5 if varied else 10 if curve.variation == NATIVE else 5.5
-    spots = [chart.spot(study, point) for point in curve.points]
+    spots = [chart.spot(point) for point in curve.points]
     if chart.front and not varied and not any(spots):
         _draw_cost(axes, curve, colour)
     for run in _unbroken_runs(spots):
@@ -178,10 +163,10 @@ def _draw_cost(axes: Any, curve: CurveResult, colour: str) -> None:
         axes.axvline(cost, color=colour, lw=1.4, ls="--")
 
 
-def _draw_model(axes: Any, study: Tradeoff, chart: Chart, model: ModelResult, place: int) -> None:
+def _draw_model(axes: Any, chart: Chart, model: ModelResult, place: int) -> None:
     """Draw a model with two marks: filled for one trajectory alone, hollow for a batch."""
     colour = themed.model_colour(model.model)
-    spots = [chart.spot(study, point) for point in (model.alone, model.batched)]
+    spots = [chart.spot(point) for point in (model.alone, model.batched)]
     for spot, face in zip(spots, (colour, PAPER), strict=True):
         if spot is not None:
             (dot,) = axes.plot(
@@ -202,35 +187,31 @@ def _unbroken_runs(spots: list[tuple[float, float] | None]) -> Iterator[list[tup
             yield run
 
 
-def _draw_front(axes: Any, study: Tradeoff, chart: Chart) -> None:
+def _draw_front(axes: Any, chart: Chart) -> None:
     spots = sorted(
         spot
-        for curve in study.curves
+        for curve in chart.study.curves
         for point in curve.points
-        if point.on_front and (spot := chart.spot(study, point)) is not None
+        if point.on_front and (spot := chart.spot(point)) is not None
     )
     if spots:
         axes.plot(*zip(*spots, strict=True), color=GREY, lw=7, alpha=0.3, solid_joinstyle="round")
 
 
-def _levels(axes: Any, study: Tradeoff, chart: Chart) -> None:
+def _levels(axes: Any, chart: Chart) -> None:
     """Draw budget, real time and the accuracy of the reference."""
-    budget = chart.budget(study)
-    values = [line.get_ydata() for line in axes.lines]
-    if budget is not None and any(len(value) for value in values):
-        level(axes, budget, "budget")
+    if chart.budget is not None and any(len(line.get_ydata()) for line in axes.lines):
+        level(axes, chart.budget, "budget")
     if chart.is_cost:
         left, right = axes.get_xlim()
         axes.set_xlim(left, max(right, 1.5 * _REAL_TIME))
         axes.axvline(_REAL_TIME, **DOTTED)
         note(axes, "real time", (_REAL_TIME, 0.02), ("data", "axes fraction"), ha="right")
-    floor = chart.scale(study) * chart.floor
-    if floor > 1e-12:
-        low, high = axes.get_ylim()
-        if low <= floor * 1.5:
-            axes.axhspan(low, floor * 1.5, color=GREY, alpha=0.15, lw=0)
-            note(axes, "accuracy of the reference", (0.01, floor), ("axes fraction", "data"))
-            axes.set_ylim(low, high)
+    low, high = axes.get_ylim()
+    if chart.floor > 1e-12 and low <= chart.floor * 1.5:
+        axes.axhspan(low, chart.floor * 1.5, color=GREY, alpha=0.15, lw=0)
+        note(axes, "accuracy of the reference", (0.01, chart.floor), ("axes fraction", "data"))
+        axes.set_ylim(low, high)
 
 
 def _error_name(study: Tradeoff) -> str:

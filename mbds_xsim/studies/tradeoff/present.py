@@ -80,19 +80,17 @@ def _charts(study: Tradeoff) -> Iterator[blocks.Block]:
             "changed options and native settings", (blocks.Legend(changed),), folded=True
         )
     notes, charts = figures.tips(study), enumerate(figures.charts_of(study))
-    shown = tuple(_figure(study, chart, notes, main=not k) for k, chart in charts)
+    shown = tuple(_figure(chart, notes, main=not k) for k, chart in charts)
     yield blocks.FigureGroup(shown, least=480)
 
 
-def _figure(
-    study: Tradeoff, chart: figures.Chart, notes: dict[str, str], *, main: bool
-) -> blocks.Figure:
+def _figure(chart: figures.Chart, notes: dict[str, str], *, main: bool) -> blocks.Figure:
     def draw(axes: Any) -> None:
-        figures.draw_chart(axes, study, chart)
+        figures.draw_chart(axes, chart)
         if main:
-            _legend(axes, study)
+            _legend(axes, chart.study)
 
-    return blocks.chart(chart.title(study), draw, _MAIN if main else _SMALL, tips=notes, wide=main)
+    return blocks.chart(chart.title, draw, _MAIN if main else _SMALL, tips=notes, wide=main)
 
 
 def _legend(axes: Any, study: Tradeoff, **star: Any) -> None:
@@ -142,7 +140,7 @@ def _draw_row(figure: Any, study: Tradeoff) -> None:
         if chart is None:
             axes.set_axis_off()
         else:
-            figures.draw_chart(axes, study, chart)
+            figures.draw_chart(axes, chart)
     _legend(charts[0], study, color=PAPER, mec=INK, ms=9, label="native settings")
     figure.suptitle(
         f"{in_figure(study.scene)}: speed against accuracy", fontsize=12, x=0.01, ha="left"
