@@ -22,7 +22,6 @@ from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import readback
 from mbds_xsim.simulate.claims import RTOL
 from mbds_xsim.simulate.registry import load_adapter
-from mbds_xsim.simulate.timed import Simulation
 
 _ONE_SECOND = 1.0
 
@@ -201,12 +200,11 @@ def _readback_differences(outcome: Outcome) -> list[str]:
     if outcome.contender.profile != "matched":
         return []
     mechanism, settings = Mechanism.of(outcome.scene), outcome.contender.settings
-    for rows, part in zip(outcome.rows, outcome.parts, strict=True):
-        if isinstance(part, Simulation):
-            batch = outcome.batch[rows]
-            lines = readback.compare(mechanism, batch, settings, part.readback, outcome.method)
-            if lines:
-                return [f"read-back: {line}" for line in lines]
+    for rows, part in outcome.ran:
+        batch = outcome.batch[rows]
+        lines = readback.compare(mechanism, batch, settings, part.readback, outcome.method)
+        if lines:
+            return [f"read-back: {line}" for line in lines]
     return []
 
 

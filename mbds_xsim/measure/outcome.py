@@ -47,18 +47,23 @@ class Outcome:
             self.other_steps[step] = Trajectory.empty(frames, count, bodies, lost)
 
     @property
+    def ran(self) -> list[tuple[list[int], Simulation]]:
+        """Parts that did not crash, each with its rows of the batch; none before they have run."""
+        pairs = zip(self.rows, self.parts, strict=False)
+        return [(rows, part) for rows, part in pairs if isinstance(part, Simulation)]
+
+    @property
     def simulations(self) -> list[Simulation]:
         """Parts that did not crash."""
-        return [part for part in self.parts if isinstance(part, Simulation)]
+        return [part for _, part in self.ran]
 
     def trajectory(self, time: Array) -> Trajectory | None:
         """Put the parts together; rows of a crashed part are NaN. Return None if all crashed."""
-        if not self.simulations:
+        if not self.ran:
             return None
         whole = Trajectory.empty(time, len(self.batch), len(self.scene.bodies))
-        for rows, part in zip(self.rows, self.parts, strict=True):
-            if isinstance(part, Simulation):
-                whole = whole.replaced(np.array(rows), part.trajectory)
+        for rows, part in self.ran:
+            whole = whole.replaced(np.array(rows), part.trajectory)
         return whole
 
     @property
@@ -66,12 +71,11 @@ class Outcome:
         """One line for each crash, and for each trajectory that ended early."""
         crashes = dict.fromkeys(p.reason for p in self.parts if isinstance(p, Crash))
         lines = [f"crash: {reason}" for reason in crashes]
-        for rows, part in zip(self.rows, self.parts, strict=True):
-            if isinstance(part, Simulation):
-                for row, failure in zip(rows, part.trajectory.failures, strict=True):
-                    if failure is not None:
-                        where = f"{self.batch.label(row)} ended at frame {failure.frame}"
-                        lines.append(f"{where}: {failure.reason}")
+        for rows, part in self.ran:
+            for row, failure in zip(rows, part.trajectory.failures, strict=True):
+                if failure is not None:
+                    where = f"{self.batch.label(row)} ended at frame {failure.frame}"
+                    lines.append(f"{where}: {failure.reason}")
         return lines
 
 

@@ -14,9 +14,10 @@ import pytest
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import LIMIT, Crash, Task
-from mbds_xsim.dataset import shard
+from mbds_xsim.dataset import gate, shard
 from mbds_xsim.dataset.generate import Generated, Request, generate
 from mbds_xsim.dataset.shard import stage_times
+from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.timed import Simulation, simulate
@@ -119,6 +120,21 @@ def test_what_never_can_be_made_is_told(
     ):
         _make(rod, tmp_path)
     assert contents(tmp_path) == {}
+
+
+def test_an_engine_that_runs_at_no_other_step_fails_no_shard(
+    rod: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    batch = draw_batch(rod, [1])
+    (contender, *_), _ = Choice.parse(engines="mujoco").contenders(rod)
+    made = simulate(rod, batch, contender.engine, contender.settings).trajectory
+
+    def refuse(*_: object) -> None:
+        raise RuntimeError("not at this step")
+
+    monkeypatch.setattr(gate, "simulate", refuse)
+
+    assert gate.limit_faults(rod, contender, batch, made, None) == []
 
 
 @pytest.mark.parametrize("lost", [b'{"first": 16, "cou', b""])
