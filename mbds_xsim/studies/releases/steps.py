@@ -53,15 +53,11 @@ class ReleaseRow(Keyed, frozen=True, kw_only=True):
 
     @property
     def figures(self) -> dict[str, float | None]:
-        """Figures by name."""
-        return {
-            "error": self.error_m,
-            "order": self.order,
-            "gap": self.gap_m,
-            "energy": self.energy,
-            "restitution": self.restitution,
-            "time": self.cpu_s,
-        }
+        """Figures by name, in the order of `UNITS`."""
+        values = (
+            self.error_m, self.order, self.gap_m, self.energy, self.restitution, self.cpu_s,
+        )  # fmt: skip
+        return dict(zip(UNITS, values, strict=True))
 
 
 class Release(msgspec.Struct, frozen=True):
