@@ -121,13 +121,14 @@ def _curve_result(scene: Scene, curve: EngineMethod, points: list[Point]) -> Cur
 
 def _with_front(curves: list[list[Point]], floor: float) -> list[list[Point]]:
     """Mark the points of the Pareto front; errors below the floor count as equal."""
-    places = [
-        (k, n, pair)
+    pairs = {
+        (k, n): pair
         for k, points in enumerate(curves)
         for n, point in enumerate(points)
         if (pair := _pair(point.wall_s, point.error_m)) is not None
-    ]
-    best = {places[k][:2] for k in front([(cost, max(e, floor)) for *_, (cost, e) in places])}
+    }
+    places = list(pairs)
+    best = {places[k] for k in front([(cost, max(e, floor)) for cost, e in pairs.values()])}
     return [
         [msgspec.structs.replace(p, on_front=(k, n) in best) for n, p in enumerate(points)]
         for k, points in enumerate(curves)
