@@ -87,18 +87,25 @@ def _exceeded_limits(signs: Signs) -> dict[Outcome, Mask]:
 def signs_of(record: Record, truth: Trajectory | None) -> Signs:
     """Measure the signs of instability in the motion of one start's bodies.
 
-    The comparison with the reference, if there is one, ends where the reference ends.
+    The comparison with the reference, if there is one, ends where the reference ends; the way
+    covered is NaN where the one that is due is too short.
     """
     reference = None if truth is None else Record(record.scene, record.batch, truth)
+    way = error = _nothing(record)
     with np.errstate(all="ignore"):
+        if reference is not None:
+            length = record.scene.length
+            way = part_of_way(_path_length(record), _path_length(reference), length)
+            run, due = record.trajectory, reference.trajectory
+            error = agreement.particle_error(record.mechanism, run, due)[0] / length
         return Signs(
             time=record.trajectory.time,
             finite=record.finite[0],
             energy=_energy(record, reference),
             gap=_joint_gap(record),
             sunk=_series(record, penetration(record)),
-            way=_way(record, reference),
-            error=_error(record, reference),
+            way=way,
+            error=error,
         )
 
 
@@ -124,13 +131,6 @@ def _series(record: Record, finding: Finding | None) -> Array:
     return _nothing(record) if finding is None else finding.series[0]
 
 
-def _way(record: Record, truth: Record | None) -> Array:
-    """Path length of the particles over the reference's, NaN if that is too short; (frame,)."""
-    if truth is None:
-        return _nothing(record)
-    return part_of_way(_path_length(record), _path_length(truth), record.scene.length)
-
-
 def _path_length(record: Record) -> Array:
     """Mean path length of the particles from the start on [m]; (frame,)."""
     markers = agreement.markers_of(record.mechanism, record.trajectory)[0]
@@ -142,13 +142,6 @@ def _to_the_end(known: Array, flags: Mask) -> Mask:
     """Keep the flags that hold from some frame up to the last known one."""
     lasting = np.logical_and.accumulate((flags | np.isnan(known))[::-1])[::-1]
     return np.asarray(lasting & flags)
-
-
-def _error(record: Record, truth: Record | None) -> Array:
-    if truth is None:
-        return _nothing(record)
-    apart = agreement.particle_error(record.mechanism, record.trajectory, truth.trajectory)
-    return np.asarray(apart[0] / record.scene.length)
 
 
 def _nothing(record: Record) -> Array:
