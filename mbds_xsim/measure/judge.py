@@ -160,7 +160,6 @@ def _result(
     frames = sum(batch.steps if end is None else min(end.frame, batch.steps) for end in ends)
     simulated = float(frames * scene.clock.frame)
     size = simulations[0].size if simulations else None
-    agreement_s = None if error is None else _agreed(scene, error, reference.trajectory)
     return EngineResult(
         engine=contender.engine,
         version=adapter.version(),
@@ -177,7 +176,7 @@ def _result(
         error_weighted_m=worst_of(by_name, "error growth-weighted"),
         constraint_gap_m=worst_of(by_name, "gap"),
         energy_balance=worst_of(by_name, "energy"),
-        agreement_time_s=agreement_s,
+        agreement_time_s=None if error is None else _agreed(scene, error, reference.trajectory),
         wall_per_simulated_s=sum(s.rollout_s for s in simulations) / simulated
         if simulated
         else None,

@@ -138,22 +138,19 @@ def _draw_curve(axes: Any, chart: Chart, curve: CurveResult, place: int) -> None
         _draw_cost(axes, curve, colour)
     for run in _unbroken_runs(spots):
         look = {"lw": 0.6, "alpha": 0.35} if varied else {"lw": 1.4, "alpha": 0.9}
-        (line,) = axes.plot(*zip(*run, strict=True), color=colour, **look)
-        line.set_gid(f"curve-{place}")
+        axes.plot(*zip(*run, strict=True), color=colour, gid=f"curve-{place}", **look)
     for number, (point, spot) in enumerate(zip(curve.points, spots, strict=True)):
         if spot is None:
             continue
         if chart.is_cost and not varied:
             spread = [point.wall_low_s, point.wall_high_s]
-            (bar,) = axes.plot(spread, [spot[1]] * 2, color=colour, lw=0.8)
-            bar.set_gid(f"curve-{place}")
-        (dot,) = axes.plot(
+            axes.plot(spread, [spot[1]] * 2, color=colour, lw=0.8, gid=f"curve-{place}")
+        axes.plot(
             *([value] for value in spot), marker, color=colour, ms=size,
             mfc=PAPER if varied or batch else colour,
             mec=INK if curve.variation == NATIVE else colour, mew=0.8,
-            alpha=0.6 if varied else 1.0, zorder=3,
+            alpha=0.6 if varied else 1.0, zorder=3, gid=f"tip-{place}-{number}",
         )  # fmt: skip
-        dot.set_gid(f"tip-{place}-{number}")
 
 
 def _draw_cost(axes: Any, curve: CurveResult, colour: str) -> None:
@@ -169,14 +166,12 @@ def _draw_model(axes: Any, chart: Chart, model: ModelResult, place: int) -> None
     spots = [chart.spot(point) for point in (model.alone, model.batched)]
     for spot, face in zip(spots, (colour, PAPER), strict=True):
         if spot is not None:
-            (dot,) = axes.plot(
+            axes.plot(
                 *([value] for value in spot), _MODEL_MARKER, color=colour, markersize=6,
-                markerfacecolor=face, zorder=4,
+                markerfacecolor=face, zorder=4, gid=f"tip-model-{place}",
             )  # fmt: skip
-            dot.set_gid(f"tip-model-{place}")
     for run in _unbroken_runs(spots):
-        (line,) = axes.plot(*zip(*run, strict=True), color=colour, lw=0.6, alpha=0.5)
-        line.set_gid("curve-model")
+        axes.plot(*zip(*run, strict=True), color=colour, lw=0.6, alpha=0.5, gid="curve-model")
 
 
 def _unbroken_runs(spots: list[tuple[float, float] | None]) -> Iterator[list[tuple[float, float]]]:
