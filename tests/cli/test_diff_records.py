@@ -142,6 +142,15 @@ def test_parts_without_an_answer_in_time_make_no_engine_worse(compare: Compare) 
     assert crashed["scenes"][0]["worse"] == ["dart native: complete → lacks cost, rest"]
 
 
+@pytest.mark.parametrize(("reason", "worse"), [("no answer within 120 s", 0), ("crashed", 2)])
+def test_a_release_that_is_not_driven_in_time_is_no_worse(
+    compare: Compare, reason: str, worse: int
+) -> None:
+    _, diff = compare(stored.history(), lambda new: new["releases"][0].update(reason=reason))
+
+    assert len(diff["scenes"][0]["worse"]) == worse
+
+
 def test_times_and_keys_of_rows_are_no_change(compare: Compare) -> None:
     edit = compare(stored.history(), lambda new: new["rows"][0].update(key="0b", cpu_s=9.0))
 

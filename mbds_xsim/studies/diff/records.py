@@ -18,7 +18,7 @@ _LOST = FAILING + 1
 _ASKED = {True: ("as asked", 0), False: ("not as asked", FAILING), None: ("not seen", _LOST)}
 _COST = "cost of a simulated second"
 _LATE = "no answer within"
-"""Beginning of the reason of a part that ran into its time limit: the machine decides that."""
+"""Beginning of the reason of what ran into its time limit: the machine decides that."""
 _RANKS = {"done": 0, "timed out": None}
 
 
@@ -129,10 +129,12 @@ def history_view(part: object) -> View:
 
 def _history_entries(history: History) -> Iterator[tuple[str, Entry]]:
     worse = tuple(f"{step.release}, {step.name}: {step.what}" for step in history.regressions)
-    rank = FAILING if history.verdict == "fail" else 0
+    late = history.releases[-1].reason.startswith(_LATE)
+    rank = None if late else FAILING if history.verdict == "fail" else 0
     yield "newest release", Entry(verdict=history.verdict, rank=rank, reasons=worse)
     for release in history.releases:
-        verdict, rank = ("not driven", FAILING) if release.reason else ("driven", 0)
+        verdict, lost = ("not driven", FAILING) if release.reason else ("driven", 0)
+        rank = None if release.reason.startswith(_LATE) else lost
         reasons = (release.reason,) if release.reason else ()
         yield f"release {release.version}", Entry(verdict=verdict, rank=rank, reasons=reasons)
     for row in history.rows:
