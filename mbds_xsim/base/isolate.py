@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
-from mbds_xsim.base.process import Usage, absolute_folders, hold_interruptions, memory_bytes
+from mbds_xsim.base.process import Interruptions, Usage, absolute_folders, memory_bytes
 from mbds_xsim.base.text import in_utf8
 
 LIMIT = 3600.0
@@ -135,7 +135,7 @@ def run_tasks(
         return answers
     waiting, ended, running = list(range(len(tasks))), set[int | None]({None}), list[_Process]()
     with (
-        hold_interruptions() as interruptions,
+        Interruptions() as interruptions,
         tempfile.TemporaryDirectory(prefix="mbds-xsim-") as folder,
     ):
         starter = _Starter(tasks, Path(folder), packages)

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import IO
+from typing import IO, Self
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _EVERY = 0.05  # shortest time between two looks [s]
@@ -90,7 +90,11 @@ def absolute_folders(packages: Path | None = None) -> dict[str, str]:
 
 
 class Interruptions:
-    """Interruptions that are held back until they are let through.
+    """Interruptions that are held back during a block until they are let through.
+
+    Python may raise `KeyboardInterrupt` between any two steps. A process that is just being started
+    would then have no owner. If `subprocess` had just taken the lock under which it asks whether a
+    process has ended, it would never release it, and waiting for that end would take forever.
 
     Signals without a handler in Python are left alone. Outside the main thread, where no signals
     arrive, nothing is held back.
@@ -102,18 +106,25 @@ class Interruptions:
         self._handlers = {number: action for number, action in actions.items() if callable(action)}
         self._came: list[tuple[int, FrameType | None]] = []
 
+    def __enter__(self) -> Self:
+        self._hold()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._release()
+
     def let_through(self) -> None:
         """Let those through that have arrived in the meantime."""
         while self._came:
             number, frame = self._came.pop()
             self._handlers[number](number, frame)
 
-    def hold(self) -> None:
+    def _hold(self) -> None:
         """Hold all interruptions back from now on."""
         for number in self._handlers:
             signal.signal(number, lambda *interruption: self._came.append(interruption))
 
-    def release(self) -> None:
+    def _release(self) -> None:
         """Let all interruptions through from now on, beginning with those held back."""
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
@@ -123,26 +134,10 @@ class Interruptions:
     def released(self) -> Iterator[None]:
         """Let all interruptions through at once during the block."""
         try:
-            self.release()
+            self._release()
             yield
         finally:
-            self.hold()
-
-
-@contextmanager
-def hold_interruptions() -> Iterator[Interruptions]:
-    """Hold interruptions back during the block; yield the object that lets them through.
-
-    Python may raise `KeyboardInterrupt` between any two steps. A process that is just being started
-    would then have no owner. If `subprocess` had just taken the lock under which it asks whether a
-    process has ended, it would never release it, and waiting for that end would take forever.
-    """
-    interruptions = Interruptions()
-    interruptions.hold()
-    try:
-        yield interruptions
-    finally:
-        interruptions.release()
+            self._hold()
 
 
 unwritten: list[OSError] = []
