@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
-from mbds_xsim.base.process import hold_interruptions
+from mbds_xsim.base.process import Interruptions
 from tests.command_line import wait
 
 
@@ -29,7 +29,7 @@ def test_no_task_outlives_a_parent_that_is_killed(tmp_path: Path) -> None:
 
 
 _PARENT = """
-from mbds_xsim.base.process import hold_interruptions
+from mbds_xsim.base.process import Interruptions
 from mbds_xsim.base.isolate import Task, run_tasks
 code = "import os, time; open({told!r}, 'w').write(str(os.getpid())); time.sleep(60)"
 run_tasks([Task(exec, (code,))])
@@ -180,7 +180,7 @@ def test_tasks_of_a_program_that_ignores_interruptions_ignore_them() -> None:
 
 
 def _interrupted(reached: list[str], number: int) -> None:
-    with hold_interruptions() as interruptions:
+    with Interruptions() as interruptions:
         interruptions.let_through()
         signal.raise_signal(number)
         reached.append("the next step")

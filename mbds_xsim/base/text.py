@@ -85,6 +85,14 @@ def all_in_utf8(value: object) -> object:
     return value
 
 
+def encoded(value: object, command: str = "") -> bytes:
+    """Return indented JSON, NaN as null; a result without a schema gets that of its command."""
+    plain = msgspec.to_builtins(value)
+    schema = {"schema": f"mbds-xsim/{command}/1"} if command else {}
+    plain = [schema | item for item in plain] if isinstance(plain, list) else schema | plain
+    return msgspec.json.format(msgspec.json.encode(all_in_utf8(plain)), indent=2)
+
+
 def printable(text: str) -> str:
     """Replace characters that a terminal would obey or hide by `�`."""
     return _UNPRINTABLE.sub("�", in_utf8(text))

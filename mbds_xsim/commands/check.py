@@ -11,7 +11,7 @@ from typer import Argument, Exit, Option
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import LIMIT, Conduct
-from mbds_xsim.base.text import counted, in_utf8
+from mbds_xsim.base.text import counted, encoded, in_utf8
 from mbds_xsim.commands import shared
 from mbds_xsim.report.blocks import Block, Remark, Remarks, Text, table_of
 
@@ -65,7 +65,6 @@ def validate(
         mbds-xsim validate my.toml --engines mujoco
     """
     from mbds_xsim.report.losses import loss_section
-    from mbds_xsim.report.terminal import print_report
     from mbds_xsim.scene.sampling import Starts
     from mbds_xsim.simulate.choice import Choice
     from mbds_xsim.simulate.registry import is_model, read_model
@@ -81,12 +80,12 @@ def validate(
             conduct=Conduct(workers, cache, meter=progress),
             command=shared.command_line(),
         )
-    print_report(present(validation), to.console)
+    to.show(present(validation))
     report = present(validation, evidence if to.paged else None)
     if is_model(scene) and (to.paged or to.markdown):
         losses = loss_section(read_model(Path(scene)))
         report = replace(report, blocks=(*report.blocks, losses))
-    to.give([report], validation.scene, shared.encoded(validation))
+    to.give([report], validation.scene, encoded(validation))
     raise Exit(0 if validation.verdict != "fail" else 1)
 
 
@@ -108,15 +107,14 @@ def diff(
         mbds-xsim diff reports/3ladder.json new.json
         mbds-xsim diff before.json after.json --markdown changes.md
     """
-    from mbds_xsim.report.terminal import print_report
     from mbds_xsim.studies.diff.compare import compare_files
     from mbds_xsim.studies.diff.present import present
 
     comparison = compare_files(old, new, rtol=rtol, factor=factor)
     reports = list(present(comparison))
     for report in reports:
-        print_report(report, to.console)
-    to.give(reports, "", shared.encoded(comparison))
+        to.show(report)
+    to.give(reports, "", encoded(comparison))
     raise Exit(1 if comparison.verdict == "worse" else 0)
 
 
@@ -124,7 +122,7 @@ def diff(
 def import_model(
     to: shared.Outputs,
     model: Model,
-    out: Annotated[Path | None, Option(metavar="FILE", help="Write the scene file.")] = None,
+    out: Annotated[Path | None, shared.file("Write the scene file.")] = None,
     floating: Floating = False,
     ground: OnGround = False,
     folder: Folder = None,
@@ -137,7 +135,6 @@ def import_model(
         mbds-xsim import ant.xml --ground --out ant.toml
     """
     from mbds_xsim.report.losses import import_row, present
-    from mbds_xsim.report.terminal import print_report
     from mbds_xsim.scene.file import save_scene
     from mbds_xsim.simulate.registry import read_model
 
@@ -148,15 +145,15 @@ def import_model(
     if out is not None:
         save_scene(imported.scene, out)
     report = present(imported, shared.command_line())
-    print_report(report, to.console)
-    to.give([report], imported.scene.name, shared.encoded(import_row(imported), "import"))
+    to.show(report)
+    to.give([report], imported.scene.name, encoded(import_row(imported), "import"))
 
 
 @shared.command("check", name="export-model", writes="json")
 def export_model(
     to: shared.Outputs,
     scene: shared.SceneName,
-    out: Annotated[Path, Option(metavar="FILE", help="Write the model.")],
+    out: Annotated[Path, shared.file("Write the model.")],
     kind: Annotated[
         str, Option("--format", metavar="NAME", help="mjcf, urdf, sdf or usda.")
     ] = "mjcf",
@@ -197,7 +194,6 @@ def readers(
     Example:
         mbds-xsim readers arm.urdf --engines pybullet,dart
     """
-    from mbds_xsim.report.terminal import print_report
     from mbds_xsim.simulate.choice import words_of
     from mbds_xsim.studies.readers import compare, present
 
@@ -205,8 +201,8 @@ def readers(
         progress.begin(1, f"reading {model}")
         readings = compare(model, words_of(engines, "--engines"), folder=folder, floating=floating)
     report = present(readings, shared.command_line())
-    print_report(report, to.console)
-    to.give([report], readings.file, shared.encoded(readings))
+    to.show(report)
+    to.give([report], readings.file, encoded(readings))
     raise Exit(0 if all(reading.alike for reading in readings.readings) else 1)
 
 
@@ -252,7 +248,7 @@ def show(
     settings: Annotated[
         str, Option(help="With --native: matched, native, or a file of `match --out`.")
     ] = "matched",
-    png: Annotated[Path | None, Option(metavar="FILE", help="Draw it into a file.")] = None,
+    png: Annotated[Path | None, shared.file("Draw it into a file.")] = None,
     start: Annotated[
         int | None,
         Option(

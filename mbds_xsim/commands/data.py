@@ -12,7 +12,7 @@ from typer import Argument, Exit, Option
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import LIMIT, Conduct
-from mbds_xsim.base.text import counted
+from mbds_xsim.base.text import counted, encoded
 from mbds_xsim.commands import shared
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Block, Cell, Column, Remark, Remarks, Table, Text, table_of
@@ -26,9 +26,7 @@ if TYPE_CHECKING:
 def inspect(
     to: shared.Outputs,
     path: Annotated[Path, Argument(metavar="FILE|DIR", help="A data file or a folder.")],
-    png: Annotated[
-        Path | None, Option(metavar="FILE", help="Draw paths of particles into this file.")
-    ] = None,
+    png: Annotated[Path | None, shared.file("Draw paths of particles into this file.")] = None,
 ) -> None:
     """Sum up data sets: scene, engine, counts, figures of the checks, versions, size.
 
@@ -150,7 +148,7 @@ def export(
     console.print("not carried over:")
     for line in exported.lost:
         say(f"  {line}")
-    shared.write_json(shared.encoded(exported, "export"), to.json)
+    to.write_json(encoded(exported, "export"))
 
 
 @shared.command("data", writes="json html opened")
@@ -191,7 +189,6 @@ def audit(
     from mbds_xsim.dataset.audit import audit_file
     from mbds_xsim.dataset.foreign import Provenance
     from mbds_xsim.dataset.read import parse_numbers
-    from mbds_xsim.report.terminal import print_report
     from mbds_xsim.studies.audit import present
 
     origin = Provenance(
@@ -205,8 +202,8 @@ def audit(
     )
     audited = audit_file(file, None if scene is None else shared.scene_named(scene), origin)
     report = present(audited, shared.command_line())
-    print_report(report, to.console)
-    to.give([report], audited.file, shared.encoded(audited, "audit"))
+    to.show(report)
+    to.give([report], audited.file, encoded(audited, "audit"))
     raise Exit(0 if audited.verdict == "pass" else 1)
 
 
@@ -225,9 +222,7 @@ def verify(
         Option(help="Seed for choosing what to simulate again; random when left out.", min=0),
     ] = None,
     workers: shared.WorkerCount = None,
-    limit: Annotated[
-        float, Option(help="Time limit of each file [s].", min=1.0, max=shared.LONGEST)
-    ] = LIMIT,
+    limit: Annotated[float, shared.seconds("Time limit of each file [s].")] = LIMIT,
 ) -> None:
     """Check data again: layout, checksums, pairing, every check; simulate some trajectories anew.
 

@@ -118,9 +118,7 @@ def generate(
     seed: shared.Seed = 0,
     noise: Annotated[bool, Option(help="Random forces.")] = True,
     workers: shared.WorkerCount = None,
-    limit: Annotated[
-        float, Option(help="Time limit of each shard [s].", min=1.0, max=shared.LONGEST)
-    ] = LIMIT,
+    limit: Annotated[float, shared.seconds("Time limit of each shard [s].")] = LIMIT,
     scheduler: Annotated[
         str | None,
         Option(

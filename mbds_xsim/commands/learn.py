@@ -11,18 +11,14 @@ import typer
 
 from mbds_xsim.base.errors import InputError, check_name
 from mbds_xsim.base.isolate import Carrier, Conduct
-from mbds_xsim.base.text import counted
+from mbds_xsim.base.text import counted, encoded
 from mbds_xsim.commands import shared
 from mbds_xsim.report.blocks import Block, Column, Remarks, Text, table_of
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from mbds_xsim.learn.recipe import Profile
     from mbds_xsim.learn.runs import Cost, TrainingRequest
-    from mbds_xsim.learn.shift.study import ShiftStudy
     from mbds_xsim.learn.trainings import TrainingOutcome, TrainingPlan
-    from mbds_xsim.report.blocks import Report
 
 _Data = Annotated[
     list[Path], typer.Argument(metavar="DATA…", help="Data sets, or folders of them.")
@@ -87,9 +83,7 @@ _At = Annotated[
     typer.Option(help="Frame of answers and tables: 1, 10, 20, …; 10 when left out.", min=1),
 ]
 _Cache = Annotated[bool, typer.Option(help="Use what was solved, predicted and simulated before.")]
-_Rollouts = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Draw rollouts over the truth.")
-]
+_Rollouts = Annotated[Path | None, shared.file("Draw rollouts over the truth.")]
 
 
 @shared.command("learn", writes="json png")
@@ -139,25 +133,19 @@ def train(
         events=tensorboard,
     )
     trainings = planned(request, only=plan)
-    _print_left_out(trainings, to.console)
+    to.print([Remarks.of((f"{k} left out", v) for k, v in trainings.left_out.items())])
     with ExitStack() as stack:
         carrier = _carrier(stack, scheduler, workers, device, out)
         if plan:
-            costs = _costs(trainings, *carrier, to.console)
+            costs = _costs(trainings, *carrier, to)
             result: dict[str, Any] = {"cost": costs, "left_out": trainings.left_out}
         else:
-            result = _trained(trainings, request, *carrier, to.console)
-    shared.write_json(shared.encoded(result, "train"), to.json)
+            result = _trained(trainings, request, *carrier, to)
+    to.write_json(encoded(result, "train"))
     if plan:
         return
-    _draw([out / f"{name}.curve.json" for name in result["runs"]], to.png, to.console)
+    _draw([out / f"{name}.curve.json" for name in result["runs"]], to)
     raise typer.Exit(1 if result["failed"] or result["diverged"] else 0)
-
-
-def _print_left_out(plan: TrainingPlan, console: Console) -> None:
-    from mbds_xsim.report.terminal import print_blocks
-
-    print_blocks([Remarks.of((f"{k} left out", v) for k, v in plan.left_out.items())], console)
 
 
 def _check_plan(*, plan: bool, **places: Path | None) -> None:
@@ -180,17 +168,18 @@ def _models(names: str | None, track: str | None, profile: str) -> Sequence[str]
     return able or trainable()  # their refusal lists the available tracks
 
 
-def _costs(trainings: TrainingPlan, carrier: Carrier, at_once: int, console: Console) -> list[Cost]:
+def _costs(
+    trainings: TrainingPlan, carrier: Carrier, at_once: int, to: shared.Outputs
+) -> list[Cost]:
     """Measure and print the cost of the runs."""
     from mbds_xsim.learn.trainings import costs
-    from mbds_xsim.report.terminal import print_blocks
 
     measured = costs(trainings, workers=at_once, carrier=carrier) if trainings.runs else []
     if measured:
-        print_blocks(_cost_blocks(trainings, measured, at_once), console)
+        to.print(_cost_blocks(trainings, measured, at_once))
     if blocked := [*trainings.blocked.values()]:
         text = f"{len(blocked)} of these runs could not be written there: {blocked[0]}"
-        print_blocks([Text(text)], console)
+        to.print([Text(text)])
     return measured
 
 
@@ -199,26 +188,25 @@ def _trained(
     request: TrainingRequest,
     carrier: Carrier,
     at_once: int,
-    console: Console,
+    to: shared.Outputs,
 ) -> dict[str, Any]:
     """Carry out the runs, and return the results to report."""
     from mbds_xsim.base.files import locked
     from mbds_xsim.learn.curves import log_whole
     from mbds_xsim.learn.trainings import LONG, carry, diverged
     from mbds_xsim.report.progress import TrainingBar
-    from mbds_xsim.report.terminal import print_blocks
 
     with locked(request.out):
         long = request.profile.steps > LONG
-        measured = _costs(trainings, carrier, at_once, console) if long else []
-        with TrainingBar(console) as bar:
+        measured = _costs(trainings, carrier, at_once, to) if long else []
+        with TrainingBar(to.console) as bar:
             outcome = carry(
                 trainings, workers=at_once, carrier=carrier, progress=bar, costs=measured
             )
     if request.events is not None:
         for name in trainings.done:
             log_whole(request.out / f"{name}.curve.json", request.events / name)
-    print_blocks(_outcome(trainings, outcome), console)
+    to.print(_outcome(trainings, outcome))
     runs = dict(sorted({**trainings.done, **outcome.trained}.items()))
     return {
         "runs": runs,
@@ -262,17 +250,17 @@ def _carrier(
     return carrier, process_count(at_once, device)
 
 
-def _draw(curves: Sequence[Path], png: Path | None, console: Console) -> None:
+def _draw(curves: Sequence[Path], to: shared.Outputs) -> None:
     """Draw the curves that exist; copied models may lack theirs."""
-    if png is None:
+    if to.png is None:
         return
     existing = [path for path in curves if path.exists()]
     for path in sorted({*curves} - {*existing}):
-        console.print(f"{path}: not there, and not drawn", highlight=False)
+        to.console.print(f"{path}: not there, and not drawn", highlight=False)
     from mbds_xsim.base.files import write_whole
     from mbds_xsim.learn.curves import read_curve, to_png
 
-    write_whole(png, to_png([read_curve(path) for path in existing]))
+    write_whole(to.png, to_png([read_curve(path) for path in existing]))
 
 
 def _cost_blocks(plan: TrainingPlan, costs: Sequence[Cost], workers: int) -> Iterator[Block]:
@@ -346,8 +334,7 @@ def shift(
     from mbds_xsim.learn.shift.evaluation import to_csv
     from mbds_xsim.learn.shift.study import question_of, study
     from mbds_xsim.learn.trained import Selection
-    from mbds_xsim.report.files import link, results_json, write_if
-    from mbds_xsim.report.terminal import print_report
+    from mbds_xsim.report.files import results_json, write_if
     from mbds_xsim.studies.shift.present import present, samples_png, to_png
 
     to.check(rollouts=rollouts)
@@ -362,29 +349,20 @@ def shift(
             conduct = Conduct(workers, cache, meter=meter)
             command = shared.command_line()
             result = study(question, conduct=conduct, device=device, command=command)
-        print_report(present(result.shift), to.console)
+        to.show(present(result.shift))
         studies.append(result)
     stored = results_json([result.shift for result in studies])
     write_if(to.csv, lambda: to_csv([result.evaluation for result in studies]))
     write_if(to.png, lambda: to_png([result.shift for result in studies], stored))
     write_if(rollouts, lambda: samples_png([result.samples for result in studies]))
     title = "Learned models under a change of engine"
-    to.give(_reports(studies, link(to.png, to.markdown), paged=to.paged), title, stored)
-
-
-def _reports(studies: list[ShiftStudy], picture: str, *, paged: bool) -> list[Report]:
-    """Return a report for each study, on pages with motions; those of a single study play."""
-    from mbds_xsim.studies.shift.present import present
-
-    return [
-        present(
-            study.shift,
-            study.samples if paged else None,
-            played=len(studies) == 1,
-            picture="" if k else picture,
-        )
-        for k, study in enumerate(studies)
+    played = len(studies) == 1  # a page plays the motions of one study
+    samples = [result.samples if to.paged else None for result in studies]
+    reports = [
+        present(result.shift, shown, played=played)
+        for result, shown in zip(studies, samples, strict=True)
     ]
+    to.give(to.pictured(reports), title, stored)
 
 
 def _scenes(models: Path, data: Path) -> list[str]:

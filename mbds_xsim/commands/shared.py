@@ -11,7 +11,7 @@ import re
 import shlex
 import sys
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
@@ -22,7 +22,7 @@ from typer import BadParameter
 from typer.core import TyperCommand, TyperGroup
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.text import all_in_utf8, each_once, in_json, in_utf8
+from mbds_xsim.base.text import each_once, encoded, in_json, in_utf8
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -219,18 +219,22 @@ DeviceWorkers = Annotated[
 ]
 LONGEST = 1e7
 """Upper bound of time limits [s]: JSON has no infinity, and a stored one could not be read."""
-TimeLimit = Annotated[
-    float,
-    typer.Option(
-        "--limit",
-        help="Time limit of each process that runs an engine [s].",
-        min=1.0,
-        max=LONGEST,
-    ),
-]
-JsonFile = Annotated[
-    Path | None, typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.")
-]
+
+
+def seconds(told: str, least: float = 1.0) -> Any:
+    """Declare a time limit [s] with a line of help."""
+    return typer.Option(help=told, min=least, max=LONGEST)
+
+
+TimeLimit = Annotated[float, seconds("Time limit of each process that runs an engine [s].")]
+
+
+def file(told: str) -> Any:
+    """Declare an option that names a file, with a line of help."""
+    return typer.Option(metavar="FILE", help=told)
+
+
+JsonFile = Annotated[Path | None, file("Write JSON; - is standard output.")]
 
 
 @dataclass(frozen=True)
@@ -238,20 +242,14 @@ class Outputs:
     """Destinations of a command's result besides the terminal: options that many commands have."""
 
     json: JsonFile = None
-    csv: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write all that was measured as CSV.")
-    ] = None
-    html: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write a self-contained page.")
-    ] = None
+    csv: Annotated[Path | None, file("Write all that was measured as CSV.")] = None
+    html: Annotated[Path | None, file("Write a self-contained page.")] = None
     opened: Annotated[
         bool,
         typer.Option("--open", help="Open the page in a browser; a temporary file without --html."),
     ] = False
-    png: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the pictures.")] = None
-    markdown: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the tables as Markdown.")
-    ] = None
+    png: Annotated[Path | None, file("Write the pictures.")] = None
+    markdown: Annotated[Path | None, file("Write the tables as Markdown.")] = None
 
     @property
     def console(self) -> Console:
@@ -283,12 +281,29 @@ class Outputs:
             if (other := targets.setdefault(place, option)) != option:
                 raise InputError(f"--{other} and --{option} both name {path}; name two places")
 
-    def answer(self, blocks: Iterable[Block], result: object, name: str = "") -> None:
-        """Print a command's answer, and write its result to the file of `--json`."""
+    def print(self, blocks: Iterable[Block]) -> None:
+        """Print what a terminal can show."""
         from mbds_xsim.report.terminal import print_blocks
 
         print_blocks(blocks, self.console)
-        write_json(encoded(result, name), self.json)
+
+    def show(self, report: Report) -> None:
+        """Print a report."""
+        from mbds_xsim.report.terminal import print_report
+
+        print_report(report, self.console)
+
+    def answer(self, blocks: Iterable[Block], result: object, name: str = "") -> None:
+        """Print a command's answer, and write its result to the file of `--json`."""
+        self.print(blocks)
+        self.write_json(encoded(result, name))
+
+    def pictured(self, reports: Iterable[Report]) -> list[Report]:
+        """Link the picture, which is of all reports, in the first one's Markdown."""
+        from mbds_xsim.report.files import link
+
+        first, *rest = reports
+        return [replace(first, picture=link(self.png, self.markdown)), *rest]
 
     def give(
         self, reports: Sequence[Report], title: str, result: bytes = b"", *, quiet: bool = False
@@ -320,7 +335,16 @@ class Outputs:
             if not webbrowser.open(html.absolute().as_uri()):
                 console.print("there is no browser to open it in; set BROWSER, or open it by hand")
         if result:
-            write_json(result, self.json)
+            self.write_json(result)
+
+    def write_json(self, text: bytes) -> None:
+        """Write JSON to the place that `--json` names, whole or not at all."""
+        from mbds_xsim.base.files import write_whole
+
+        if str(self.json) == "-":
+            print(in_json(text.decode()))
+        elif self.json is not None:
+            write_whole(self.json, text + b"\n")
 
 
 def command_line(*outputs: str) -> str:
@@ -365,7 +389,7 @@ def console_for(json: Path | None) -> Console:
     """Return the console for people: standard error if JSON goes to standard output."""
     from mbds_xsim.report.terminal import Outlet
 
-    return Outlet(stderr=json is not None and str(json) == "-")
+    return Outlet(stderr=str(json) == "-")
 
 
 def progress_on(console: Console) -> ProgressBar:
@@ -373,23 +397,3 @@ def progress_on(console: Console) -> ProgressBar:
     from mbds_xsim.report.progress import ProgressBar
 
     return ProgressBar(console)
-
-
-def write_json(text: bytes, path: Path | None) -> None:
-    """Write JSON to the place that `--json` names, whole or not at all."""
-    if str(path) == "-":
-        print(in_json(text.decode()))
-    elif path is not None:
-        from mbds_xsim.base.files import write_whole
-
-        write_whole(path, text + b"\n")
-
-
-def encoded(value: object, command: str = "") -> bytes:
-    """Return indented JSON; a result without a schema gets the command's."""
-    import msgspec
-
-    plain = msgspec.to_builtins(value)
-    schema = {"schema": f"mbds-xsim/{command}/1"} if command else {}
-    plain = [schema | item for item in plain] if isinstance(plain, list) else schema | plain
-    return msgspec.json.format(msgspec.json.encode(all_in_utf8(plain)), indent=2)

@@ -17,11 +17,9 @@ _Trajectories = Annotated[
 ]
 _HeldOut = Annotated[int, Option(help="Starts of each interval to verify with.", min=1, max=1000)]
 _Seed = Annotated[int, Option(help="Seed of the search; the next one verifies.", min=0)]
-_Limit = Annotated[
-    float, Option(help="Longest rollout of a start [s].", min=0.1, max=shared.LONGEST)
-]
+_Limit = Annotated[float, shared.seconds("Longest rollout of a start [s].", 0.1)]
 _Options = Annotated[bool, Option("--options", help="Vary the engines' own options, too.")]
-_Out = Annotated[Path | None, Option(metavar="FILE", help="Write here, not into scenes/matched.")]
+_Out = Annotated[Path | None, shared.file("Write here, not into scenes/matched.")]
 
 
 @shared.command("study", writes="json html opened")
@@ -45,8 +43,8 @@ def match(
         mbds-xsim match my.toml --out my-settings.toml --engines mujoco
     """
     from mbds_xsim.base.files import write_whole
+    from mbds_xsim.report.files import results_json
     from mbds_xsim.report.progress import StudyBar
-    from mbds_xsim.report.terminal import print_report
     from mbds_xsim.scene.sampling import Starts
     from mbds_xsim.simulate.choice import Choice
     from mbds_xsim.studies.match import matched_toml, present, settings_there
@@ -71,14 +69,12 @@ def match(
                 conduct=Conduct(workers, cache, meter=meter),
                 command=shared.command_line("--out"),
             )
-        print_report(present(result), console)
+        to.show(present(result))
         write_whole(target, matched_toml(result, settings_there(target)).encode())
         console.print(f"written: {target}", highlight=False)
         results.append(result)
     reports = [present(result) for result in results]
-    to.give(
-        reports, "Matched settings", shared.encoded(results[0] if len(results) == 1 else results)
-    )
+    to.give(reports, "Matched settings", results_json(results))
     met = all(engine.meets_budget for result in results for engine in result.engines)
     raise Exit(0 if met else 1)
 
@@ -123,7 +119,7 @@ def ablate(
         mbds-xsim ablate 3ladder
         mbds-xsim ablate 5pendulum balldrop --trajectories 4 --markdown ablation.md
     """
-    from mbds_xsim.report.terminal import print_report
+    from mbds_xsim.report.files import results_json
     from mbds_xsim.scene.sampling import Starts
     from mbds_xsim.simulate.choice import Choice
     from mbds_xsim.studies.ablate import ablate as study
@@ -143,10 +139,10 @@ def ablate(
                 conduct=Conduct(workers, cache, meter=progress),
                 command=shared.command_line(),
             )
-        print_report(present(result), to.console)
+        to.show(present(result))
         results.append(result)
         to.give([present(one) for one in results], "")
-    shared.write_json(shared.encoded(results[0] if len(results) == 1 else results), to.json)
+    to.write_json(results_json(results))
 
 
 @shared.command("study", writes="json markdown")
@@ -227,9 +223,8 @@ def releases(
         mbds-xsim releases dart exudyn --html releases.html --png releases.png
         mbds-xsim releases mujoco --last 2 --json -
     """
-    from mbds_xsim.report.files import link, results_json, rows_csv, write_if
+    from mbds_xsim.report.files import results_json, rows_csv, write_if
     from mbds_xsim.report.progress import StudyBar
-    from mbds_xsim.report.terminal import print_report
     from mbds_xsim.studies.releases import ReleaseStudy
     from mbds_xsim.studies.releases.present import present, to_png
     from mbds_xsim.studies.releases.steps import ReleaseRow
@@ -241,13 +236,11 @@ def releases(
         with StudyBar(to.console, workers or core_count(), engine) as meter:
             study = ReleaseStudy(engine, Conduct(workers, cache, fresh, meter))
             histories.append(study.history(since, last, command=shared.command_line()))
-        print_report(present(histories[-1]), to.console)
+        to.show(present(histories[-1]))
     stored = results_json(histories)
     write_if(
         to.csv, lambda: rows_csv(ReleaseRow, (row for history in histories for row in history.rows))
     )
     write_if(to.png, lambda: to_png(histories, stored))
-    pictures = [link(to.png, to.markdown), *[""] * len(histories)]
-    reports = [present(*pair) for pair in zip(histories, pictures, strict=False)]
-    to.give(reports, "Release by release", stored)
+    to.give(to.pictured(map(present, histories)), "Release by release", stored)
     raise Exit(1 if any(history.verdict == "fail" for history in histories) else 0)

@@ -16,8 +16,6 @@ from mbds_xsim.commands import shared
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from rich.console import Console
-
     from mbds_xsim.learn.trained import TrainedModel
     from mbds_xsim.scene.scene import Scene
     from mbds_xsim.simulate.adapter import Profile
@@ -31,19 +29,11 @@ _STARTS = 3
 _LIMIT = 30.0  # [s]
 _Onto = Annotated[
     Path | None,
-    Option(
-        metavar="FILE",
-        help="With --models: take the engines from the JSON of an earlier run of the scene.",
-    ),
+    shared.file("With --models: take the engines from the JSON of an earlier run of the scene."),
 ]
 _Starts = Annotated[int, Option(help="Starts of the medium interval.", min=1, max=1000)]
 _StartLimit = Annotated[
-    float,
-    Option(
-        help="Longest rollout of one start [s]; slower points are only listed.",
-        min=0.1,
-        max=shared.LONGEST,
-    ),
+    float, shared.seconds("Longest rollout of one start [s]; slower points are only listed.", 0.1)
 ]
 _Fresh = Annotated[bool, Option("--fresh", help="Measure again what was measured earlier.")]
 
@@ -69,14 +59,13 @@ def tradeoff(
         mbds-xsim tradeoff 5pendulum 6pendulum --engines mujoco,exudyn --csv rows.csv
         mbds-xsim tradeoff 6pendulum --models models/6pendulum --onto 6pendulum.json --png both.png
     """
-    from mbds_xsim.report.files import link, results_json, rows_csv, write_if
+    from mbds_xsim.report.files import results_json, rows_csv, write_if
     from mbds_xsim.report.progress import StudyBar
-    from mbds_xsim.report.terminal import print_report
     from mbds_xsim.simulate.choice import Choice
     from mbds_xsim.simulate.registry import REFERENCE
     from mbds_xsim.studies.tradeoff.present import present, to_png
 
-    choice, console = Choice.parse(engines=engines, also=(REFERENCE,)), to.console
+    choice = Choice.parse(engines=engines, also=(REFERENCE,))
     loaded = [shared.scene_named(name) for name in scenes]
     options = {"choice": choice, "starts": starts, "seed": seed, "limit": limit}
     if onto is not None and (engines or (starts, seed, limit) != (_STARTS, 0, _LIMIT)):
@@ -85,19 +74,17 @@ def tradeoff(
     trained = _models(models, onto, loaded)
     studies, rows = [], []
     for scene in loaded:
-        with StudyBar(console, workers or core_count(), scene.name) as meter:
+        with StudyBar(to.console, workers or core_count(), scene.name) as meter:
             study, added = _chart(
                 scene, onto, trained, options, Conduct(workers, cache, fresh, meter)
             )
         studies.append(study)
         rows += added
-        print_report(present(study), console)
+        to.show(present(study))
     stored = results_json(studies)
     write_if(to.csv, lambda: rows_csv(Measurement, rows))
     write_if(to.png, lambda: to_png(studies, stored))
-    pictures = [link(to.png, to.markdown), *[""] * len(studies)]
-    reports = [present(*pair) for pair in zip(studies, pictures, strict=False)]
-    to.give(reports, "Speed against accuracy", stored)
+    to.give(to.pictured(map(present, studies)), "Speed against accuracy", stored)
 
 
 def _chart(
@@ -171,9 +158,7 @@ _Settings = Annotated[str, Option(help="matched (all methods), native, or both: 
 _Value = Annotated[str | None, Option(help="Only this value; any number, or a name of the study.")]
 _Step = Annotated[float | None, Option(help="Only this step [s]; divides a frame of 0.1 s.")]
 _Quick = Annotated[bool, Option("--quick", help="Three values and three steps.")]
-_CellLimit = Annotated[
-    float, Option(help="Time limit of one cell [s].", min=1.0, max=shared.LONGEST)
-]
+_CellLimit = Annotated[float, shared.seconds("Time limit of one cell [s].")]
 _Out = Annotated[Path | None, Option(metavar="DIR", help="Write all files of every study there.")]
 
 
@@ -230,11 +215,10 @@ def stability(
         )
         for study in map(study_named, studies or STUDIES)
     ]
-    _write([_mapped(plan, to.console, out, single=single) for plan in plans], to)
+    _write([_mapped(plan, to, out, single=single) for plan in plans], to)
 
 
 def _list_studies(to: shared.Outputs, out: Path | None) -> None:
-    from mbds_xsim.report.terminal import print_blocks
     from mbds_xsim.studies.stability.present import listing
     from mbds_xsim.studies.stability.studies import STUDIES
 
@@ -242,22 +226,21 @@ def _list_studies(to: shared.Outputs, out: Path | None) -> None:
     if given:
         option = "--" + given[0].replace("opened", "open")
         raise InputError(f"--list: got {option} too, but it only prints names; leave one out")
-    print_blocks([listing(STUDIES.values())], to.console)
+    to.print([listing(STUDIES.values())])
 
 
-def _mapped(plan: SurveyPlan, console: Console, out: Path | None, *, single: bool) -> Survey:
+def _mapped(plan: SurveyPlan, to: shared.Outputs, out: Path | None, *, single: bool) -> Survey:
     """Run and present one study, and write its files before the next one begins."""
     from mbds_xsim.report.progress import StudyBar
-    from mbds_xsim.report.terminal import print_blocks, print_report
     from mbds_xsim.studies.stability.present import cells_of, present
     from mbds_xsim.studies.stability.survey import survey
 
-    with StudyBar(console, plan.conduct.processes, plan.study.name) as meter:
+    with StudyBar(to.console, plan.conduct.processes, plan.study.name) as meter:
         sweep = survey(replace(plan, conduct=replace(plan.conduct, meter=meter)))
     if single:
-        print_blocks(cells_of(sweep), console)
+        to.print(cells_of(sweep))
     else:
-        print_report(present(sweep), console)
+        to.show(present(sweep))
     if out is not None:
         base = out / plan.study.name
         files: dict[str, Any] = {kind: base.with_suffix(end) for kind, end in _ENDS.items()}

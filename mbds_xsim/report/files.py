@@ -13,7 +13,15 @@ from urllib.parse import quote
 import msgspec
 
 from mbds_xsim.base.files import write_whole
-from mbds_xsim.base.text import as_code, csv_text, in_alt_text, in_markdown, printable, sentence
+from mbds_xsim.base.text import (
+    as_code,
+    csv_text,
+    encoded,
+    in_alt_text,
+    in_markdown,
+    printable,
+    sentence,
+)
 from mbds_xsim.report import themed
 from mbds_xsim.report.blocks import Block, Cell, Column, Remarks, Report, Section, Table, Text
 from mbds_xsim.report.terminal import SIGNS
@@ -46,9 +54,8 @@ def link(picture: Path | None, page: Path | None) -> str:
 
 
 def results_json(results: Sequence[msgspec.Struct]) -> bytes:
-    """Encode one result as an object, several as a list; NaN and infinities become null."""
-    content = results[0] if len(results) == 1 else results
-    return msgspec.json.format(msgspec.json.encode(content), indent=2)
+    """Encode one result as an object, several as a list."""
+    return encoded(results[0] if len(results) == 1 else results)
 
 
 def rows_csv(kind: type[msgspec.Struct], rows: Iterable[msgspec.Struct], *more: str) -> bytes:

@@ -6,7 +6,8 @@ import os
 import subprocess
 from pathlib import Path
 
-from mbds_xsim.commands.shared import Outputs, encoded
+from mbds_xsim.base.text import encoded
+from mbds_xsim.commands.shared import Outputs
 from tests.cli.conftest import PROGRAM
 from tests.command_line import CommandLine
 

@@ -15,8 +15,8 @@ import pytest
 from rich.console import Console
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.text import encoded
 from mbds_xsim.commands.data import summary_blocks
-from mbds_xsim.commands.shared import encoded
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.dataset.summary import draw_paths, summaries
 from mbds_xsim.report.terminal import print_blocks

@@ -31,7 +31,7 @@ _DECADES = 3.0
 _CELL, _LINE, _LEFT, _HEAD = 0.27, 0.16, 3.2, 1.5  # [in]
 
 
-def present(history: History, picture: str = "") -> blocks.Report:
+def present(history: History) -> blocks.Report:
     """Report what changed between releases."""
     return blocks.Report(
         title=f"{history.engine}, release by release",
@@ -43,7 +43,6 @@ def present(history: History, picture: str = "") -> blocks.Report:
         made=f"{history.machine}, {counted(history.measured, 'row')} measured, {history.kept} kept "
         f"from earlier, in {quantity.span(history.wall_s)}; "
         + ", ".join(f"{name} {version}" for name, version in history.versions.items()),
-        picture=picture,
         verdict=history.verdict,
     )
 

@@ -32,16 +32,13 @@ _ABREAST = 2  # heat maps: more would be too small to read on a page
 _CURVES = (6.6, 3.4)
 
 
-def present(
-    shift: Shift, samples: Samples | None = None, *, played: bool = False, picture: str = ""
-) -> blocks.Report:
+def present(shift: Shift, samples: Samples | None = None, *, played: bool = False) -> blocks.Report:
     """Report which models survive a change of engine.
 
     Args:
         shift: The study.
         samples: Rollouts to show; without them the page has neither maps nor curves.
         played: Whether the page's only viewer plays this scene's motions.
-        picture: Link to the heat maps, for Markdown.
     """
     before = f", {shift.kept} of {len(shift.models)} models tested before" if shift.kept else ""
     answer = shift.answers[0].answer if shift.answers else "nothing can be told"
@@ -53,7 +50,6 @@ def present(
         blocks=tuple(_blocks(shift, samples, played=played)),
         command=shift.command,
         made=f"{shift.machine}, in {shift.wall_s:.0f} s{before}",
-        picture=picture,
     )
 
 

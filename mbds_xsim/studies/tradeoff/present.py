@@ -29,7 +29,7 @@ _POINTS = (
 )  # fmt: skip
 
 
-def present(study: Tradeoff, picture: str = "") -> blocks.Report:
+def present(study: Tradeoff) -> blocks.Report:
     """Build the report of a study: its conclusion, with the tables and charts that support it."""
     versions = ", ".join(f"{name} {version}" for name, version in study.versions.items())
     rows = f"{counted(study.measured, 'row')} measured, {study.kept} kept from earlier"
@@ -41,7 +41,6 @@ def present(study: Tradeoff, picture: str = "") -> blocks.Report:
         blocks=tuple(_blocks(study)),
         command=study.command,
         made=f"{words.machine_line(study)}; {rows}, in {quantity.span(study.wall_s)}; {versions}",
-        picture=picture,
     )
 
 
