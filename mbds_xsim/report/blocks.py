@@ -212,32 +212,31 @@ class Report:
     picture: str = ""
     """Link to a picture of the result, for Markdown."""
 
-    @property
-    def motion(self) -> Motion | None:
-        """The first motion in it, if any."""
-        return next(_motions(self.blocks), None)
 
-
-def _motions(blocks: Iterable[Block]) -> Iterator[Motion]:
+def motions_in(blocks: Iterable[Block]) -> Iterator[Motion]:
+    """Yield the motions, also those in sections."""
     for block in blocks:
         if isinstance(block, Motion):
             yield block
         elif isinstance(block, Section):
-            yield from _motions(block.blocks)
+            yield from motions_in(block.blocks)
 
 
 def table_of(
     columns: Iterable[Column | str],
     rows: Iterable[Row | Iterable[Cell | str]],
-    *,
-    title: str = "",
-    note: str = "",
-    most: int | None = None,
-    grouped: bool = False,
+    **more: Any,
 ) -> Table:
-    """Make a table of plain texts and cells, under columns or headings as in `columns_of`."""
-    table_rows = (row if isinstance(row, Row) else row_of(row) for row in rows)
-    return Table(columns_of(*columns), tuple(table_rows), title, note, most, grouped)
+    """Make a table of plain texts and cells, under columns or headings; `more` are its fields.
+
+    A heading has words below it, or figures if it begins with `>`.
+    """
+    above = (
+        Column(c.removeprefix(">"), words=not c.startswith(">")) if isinstance(c, str) else c
+        for c in columns
+    )
+    below = (row if isinstance(row, Row) else row_of(row) for row in rows)
+    return Table(tuple(above), tuple(below), **more)
 
 
 def row_of(cells: Iterable[Cell | str], mark: Mark = "", reasons: tuple[str, ...] = ()) -> Row:
@@ -252,9 +251,11 @@ def chart(
     return Figure(title, lambda figure: draw(figure.subplots()), size, **more)
 
 
-def columns_of(*headings: Column | str) -> tuple[Column, ...]:
-    """Make columns from headings: of words, or of figures if the heading begins with `>`."""
-    return tuple(
-        Column(h.removeprefix(">"), words=not h.startswith(">")) if isinstance(h, str) else h
-        for h in headings
-    )
+def plots(
+    title: str, figures: Iterable[Figure | None], text: str = "", *, folded: bool = False
+) -> Iterator[Section]:
+    """Yield a section of figures that only a page shows, below a text; nothing without figures."""
+    drawn = tuple(figure for figure in figures if figure is not None)
+    if drawn:
+        words = (Text(text),) if text else ()
+        yield Section(title, (*words, FigureGroup(drawn)), folded, on=PAGE)

@@ -12,17 +12,10 @@ from urllib.parse import quote
 
 import msgspec
 
+from mbds_xsim.base import text
 from mbds_xsim.base.files import write_whole
-from mbds_xsim.base.text import (
-    as_code,
-    csv_text,
-    encoded,
-    in_alt_text,
-    in_markdown,
-    printable,
-    sentence,
-)
-from mbds_xsim.report import themed
+from mbds_xsim.base.text import as_code, csv_text, in_alt_text, in_markdown, printable, sentence
+from mbds_xsim.report import blocks, themed
 from mbds_xsim.report.blocks import Block, Cell, Column, Remarks, Report, Section, Table, Text
 from mbds_xsim.report.terminal import SIGNS
 
@@ -55,7 +48,7 @@ def link(picture: Path | None, page: Path | None) -> str:
 
 def results_json(results: Sequence[msgspec.Struct]) -> bytes:
     """Encode one result as an object, several as a list."""
-    return encoded(results[0] if len(results) == 1 else results)
+    return text.encoded(results[0] if len(results) == 1 else results)
 
 
 def rows_csv(kind: type[msgspec.Struct], rows: Iterable[msgspec.Struct], *more: str) -> bytes:
@@ -100,7 +93,7 @@ def to_html(reports: Sequence[Report], title: str) -> str:
         svg=lambda figure: themed.svg(
             figure.title, figure.draw, figure.size, figure.tips, next(places)
         ),
-        motion=next((report.motion.data for report in reports if report.motion), None),
+        motion=next((m.data for report in reports for m in blocks.motions_in(report.blocks)), None),
     )
 
 

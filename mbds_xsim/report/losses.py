@@ -7,15 +7,15 @@ from typing import Any
 
 from mbds_xsim.base.text import counted
 from mbds_xsim.report import blocks
-from mbds_xsim.report.blocks import PAGE, WRITTEN, Cell, Section, Table, Text, table_of
+from mbds_xsim.report.blocks import WRITTEN, Cell, Section, Table, Text, table_of
 from mbds_xsim.report.catalogue import scene_row
 from mbds_xsim.report.draw import scene_figure
 from mbds_xsim.scene.imported import Fate, Imported, Outcome, Written
 from mbds_xsim.scene.mechanism import Mechanism
-from mbds_xsim.scene.scene import Scene
 
 _MARKS: dict[Outcome, blocks.Mark] = {"kept": "pass", "approximated": "warn", "dropped": "fail"}
 _MOST = 3  # places that a table names
+_POSE = "The model at its reference pose"  # bodies are ellipsoids of their inertia
 
 
 def import_row(imported: Imported) -> dict[str, Any]:
@@ -48,15 +48,9 @@ def present(imported: Imported, command: str) -> blocks.Report:
         what="imported",
         description=f"{imported.format}, read by {imported.reader}: {size}",
         conclusion=conclusion(imported),
-        blocks=(*loss_blocks(imported), _drawn(imported.scene)),
+        blocks=(*loss_blocks(imported), *blocks.plots(_POSE, [scene_figure(imported.scene)])),
         command=command,
     )
-
-
-def _drawn(scene: Scene) -> Section:
-    """Draw the model in its reference pose; bodies are ellipsoids of their inertia."""
-    figures = blocks.FigureGroup((scene_figure(scene),))
-    return Section("The model at its reference pose", (figures,), on=PAGE)
 
 
 def conclusion(imported: Imported) -> str:

@@ -196,7 +196,7 @@ def test_a_motion_out_of_reach_ends_in_the_view(case: Case) -> None:
     flown.position[0, 20:] += 1e6
     evidence = dataclasses.replace(case.evidence, trajectories=(flown,), errors=(None,))
 
-    packed = pack(evidence, ("x",), (themed.Style(0, False),))
+    packed = pack(evidence, [("x", themed.Style(0, False))])
 
     assert packed["entries"][1]["shown"] == [20, 101, 101]
 
@@ -210,7 +210,7 @@ def test_a_reference_that_ends_early_leaves_engines_in_view(case: Case) -> None:
         case.evidence, reference=cut, trajectories=(motion,), errors=(None,)
     )
 
-    packed = pack(evidence, ("x",), (themed.Style(0, False),))
+    packed = pack(evidence, [("x", themed.Style(0, False))])
 
     assert [entry["shown"] for entry in packed["entries"]] == [[30] * 3, [101] * 3]
 
@@ -232,7 +232,7 @@ def test_beyond_the_reference_an_engine_that_flies_off_is_not_the_measure(
         errors=(None,) * len(names),
     )  # fmt: skip
 
-    packed = pack(evidence, names, (themed.Style(0, False),) * len(names))
+    packed = pack(evidence, [(name, themed.Style(0, False)) for name in names])
 
     reached, *kept = [entry["shown"] for entry in packed["entries"][1:]]
     assert kept == [[101] * 3] * others
@@ -250,23 +250,23 @@ def test_a_blow_up_without_a_reference_leaves_numbers_of_json(case: Case) -> Non
         case.evidence, reference=gone, trajectories=(flown,), errors=(None,)
     )
 
-    packed = pack(evidence, ("x",), (themed.Style(0, False),))
+    packed = pack(evidence, [("x", themed.Style(0, False))])
 
     json.dumps(packed, allow_nan=False)
     assert packed["entries"][1]["shown"] == [40] * 3
 
 
 def test_a_large_scene_is_thinned_to_the_limit(case: Case) -> None:
-    style = (themed.Style(0, False),) * len(case.evidence.trajectories)
-    names = tuple(f"n{k}" for k in range(len(style)))
+    count = len(case.evidence.trajectories)
+    results = [(f"n{k}", themed.Style(0, False)) for k in range(count)]
 
-    frames = pack(case.evidence, names, style, limit=20_000)
-    trajectories = pack(case.evidence, names, style, limit=3_000)
+    frames = pack(case.evidence, results, limit=20_000)
+    trajectories = pack(case.evidence, results, limit=3_000)
 
     assert (frames["frames"], frames["left_out"]) == (51, 0)
     assert frames["step"] == pytest.approx(0.08)
     assert (trajectories["frames"], trajectories["left_out"]) == (26, 2)
-    assert len(frames["base"]) * (len(style) + 1) * 3 / 4 <= 20_000 * 1.01
+    assert len(frames["base"]) * (count + 1) * 3 / 4 <= 20_000 * 1.01
 
 
 @pytest.mark.parametrize("name", ["one_engine", "with_crash"])

@@ -19,7 +19,7 @@ from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.learn.shift.study import SampleRollout, Samples
 from mbds_xsim.report import blocks, themed
-from mbds_xsim.report.blocks import PAGE, Figure, FigureGroup, Section, Text, chart
+from mbds_xsim.report.blocks import PAGE, Figure, FigureGroup, Section, Text, chart, plots
 from mbds_xsim.report.motion import packed
 from mbds_xsim.report.themed import LIGHT, Style, model_style
 from mbds_xsim.scene.sampling_terms import INTERVALS
@@ -55,10 +55,10 @@ def present(shift: Shift, samples: Samples | None = None, *, played: bool = Fals
 
 def _blocks(shift: Shift, samples: Samples | None, *, played: bool) -> Iterator[blocks.Block]:
     yield Text(protocol(shift))
-    change = [_change(shift)] if shift.interactions else []
+    change = _change(shift) if shift.interactions else ()
     models = figures.trained_models(shift)
-    worth = [worth_section(shift)] if has_costs(shift) else []
-    yield from worth + change if shift.harms else change + worth
+    worth = worth_section(shift) if has_costs(shift) else ()
+    yield from (*worth, *change) if shift.harms else (*change, *worth)
     yield blocks.Remarks.of(answers(shift))
     if samples is not None:
         yield from _figures(shift, samples, played=played)
@@ -128,8 +128,8 @@ def _training_sizes(shift: Shift) -> str:
     return f", trained on {' and '.join(each)} trajectories" if each else ""
 
 
-def _change(shift: Shift) -> Section:
-    """Return the section with the picture to look at first: the costs of changes."""
+def _change(shift: Shift) -> Iterator[Section]:
+    """Yield the section with the picture to look at first: the costs of changes."""
     text = (
         "How many times the squared error grows where a model was trained on one's data and is "
         "tested on the other's, both ways together; the luck of single trainings and how hard data "
@@ -137,8 +137,7 @@ def _change(shift: Shift) -> Section:
     )
     title = f"What a change of engine, or of its settings, costs, t = {shift.at}"
     draw = partial(figures.draw_interactions, shift=shift)
-    figure = chart(title, draw, figures.interactions_size(shift))
-    return Section(title, (Text(text), FigureGroup((figure,))), on=PAGE)
+    return plots(title, [chart(title, draw, figures.interactions_size(shift))], text)
 
 
 def _figures(shift: Shift, samples: Samples, *, played: bool) -> Iterator[Section]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -13,7 +13,7 @@ from mbds_xsim.learn.shift.interaction import BEARABLE
 from mbds_xsim.learn.shift.result import Harm, Shift
 from mbds_xsim.learn.shift.worth import HARMFUL, NOTABLE, distances, noise_of, verdict
 from mbds_xsim.report import themed
-from mbds_xsim.report.blocks import PAGE, Figure, FigureGroup, Section, Table, Text
+from mbds_xsim.report.blocks import Figure, Section, Table, plots
 from mbds_xsim.report.quantity import number, with_unit
 from mbds_xsim.studies.shift.changes import texts_of, titled_table
 from mbds_xsim.studies.shift.figures import at, matrix_of, trained_models
@@ -96,8 +96,8 @@ def _harm(before: str, harm: Harm | None, place: int) -> str:
     return f"{before} {value} [{low}, {high}] {verdict(harm, place)}"
 
 
-def worth_section(shift: Shift) -> Section:
-    """Return the chart of `draw_worth` with an explanation."""
+def worth_section(shift: Shift) -> Iterator[Section]:
+    """Yield the chart of `draw_worth` with an explanation."""
     title = f"What data cost, and what is learned from them, t = {shift.at}"
     text = (
         "A point is a model that learned from one engine's data, held against the reference: over "
@@ -105,8 +105,8 @@ def worth_section(shift: Shift) -> Section:
         "where such data harm the model, with 95 % intervals. A line is the least error that so "
         "dear data, or cheaper ones, have brought: where it is level, cheaper data do as well."
     )
-    group = FigureGroup((Figure(title, partial(draw_worth, shift=shift), SIZE, wide=True),))
-    return Section(title, (Text(text), group), folded=not shift.harms, on=PAGE)
+    figure = Figure(title, partial(draw_worth, shift=shift), SIZE, wide=True)
+    return plots(title, [figure], text, folded=not shift.harms)
 
 
 def draw_worth(figure: Any, shift: Shift) -> None:

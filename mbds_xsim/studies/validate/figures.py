@@ -66,7 +66,7 @@ def check_series(validation: Validation, evidence: Evidence, check: str) -> Figu
     unit = next((finding.unit for finding in findings), "")
 
     def draw(axes: Any) -> None:
-        for place, (series, style) in enumerate(_with_styles(validation, evidence.series)):
+        for place, (series, style) in enumerate(styled(validation, evidence.series)):
             if check in series:
                 _curve(axes, evidence.reference.time, _worst(series[check]), style, place)
         for first in words.ends(validation)[:1]:
@@ -88,7 +88,7 @@ def matrix(validation: Validation) -> Figure | None:
     names, shown, count = [validation.names[k] for k in kept], off[np.ix_(kept, kept)], len(kept)
     of_engine = {
         words.label(result): LIGHT[style.colour]
-        for result, style in _with_styles(validation, validation.engines)
+        for result, style in styled(validation, validation.engines)
     }
     colours = [of_engine.get(name, INK) for name in names]
     size = (1.7 + 0.62 * count, 1.2 + 0.42 * count)
@@ -104,7 +104,7 @@ def consistency(validation: Validation) -> Figure | None:
     """Plot every trajectory's consistency over its budget; None if no engine has any."""
     rows = [
         (style, [f for f in result.findings if f.check.startswith("consistency") and f.budget])
-        for result, style in _with_styles(validation, validation.engines)
+        for result, style in styled(validation, validation.engines)
     ]
     checks = list(dict.fromkeys(f.check for _, findings in rows for f in findings))
     if not checks:
@@ -187,7 +187,7 @@ def _error_figure(
 
     def draw(axes: Any) -> None:
         _sensitivity_band(axes, time, evidence.growth[rows], validation.budget["error"] * length)
-        for place, (error, style) in enumerate(_with_styles(validation, evidence.errors)):
+        for place, (error, style) in enumerate(styled(validation, evidence.errors)):
             if error is not None:
                 _curve(axes, time, _worst(error[rows]), style, place)
         level(axes, _AGREEMENT * length, "agreement: 1 % of length")
@@ -200,7 +200,7 @@ def _error_figure(
     return chart("error growth", draw, _SIZE, caption=caption)
 
 
-def _with_styles(validation: Validation, each: Iterable[T]) -> Iterator[tuple[T, Style]]:
+def styled(validation: Validation, each: Iterable[T]) -> Iterator[tuple[T, Style]]:
     """Pair one item per engine result with the style of the result."""
     return zip(each, styles(validation.engines), strict=True)
 

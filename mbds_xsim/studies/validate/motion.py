@@ -33,9 +33,9 @@ _LEAST = 0.05
 
 
 def pack(
-    evidence: Evidence, names: tuple[str, ...], styles: tuple[Style, ...], *, limit: int = _BYTES
+    evidence: Evidence, results: Sequence[tuple[str, Style]], *, limit: int = _BYTES
 ) -> dict[str, Any]:
-    """Return the viewer's data, ready for JSON; names and styles are those of the engine results.
+    """Return the viewer's data, ready for JSON; `results` are names and styles of the engines'.
 
     If positions would take more than `limit` bytes, frames are thinned out first, then
     trajectories are left out.
@@ -47,12 +47,10 @@ def pack(
         for motion in (evidence.reference, *evidence.trajectories)
     ]
     base = _base([motion for motion in motions if motion is not None])
-    every = zip(
-        ("reference", *names), (None, *styles), motions, (None, *evidence.errors), strict=True
-    )
+    every = zip((("reference", None), *results), motions, (None, *evidence.errors), strict=True)
     entries = (
         (name, style, motion, None if error is None else error[:count, ::stride])
-        for name, style, motion, error in every
+        for (name, style), motion, error in every
         if motion is not None
     )
     step = float(evidence.reference.time[1] - evidence.reference.time[0]) * stride

@@ -7,11 +7,21 @@ from collections.abc import Iterator
 from mbds_xsim.base.text import counted
 from mbds_xsim.measure.result import EngineResult, Evidence, FindingResult, Validation
 from mbds_xsim.report import blocks, quantity
-from mbds_xsim.report.blocks import PAGE, Cell, FigureGroup, Section, Table, Text, row_of, table_of
+from mbds_xsim.report.blocks import (
+    PAGE,
+    Cell,
+    FigureGroup,
+    Section,
+    Table,
+    Text,
+    plots,
+    row_of,
+    table_of,
+)
 from mbds_xsim.report.themed import Style
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.studies.validate import figures, motion, words
-from mbds_xsim.studies.validate.figures import styles
+from mbds_xsim.studies.validate.figures import styled
 from mbds_xsim.studies.validate.motion import Contact, contacts_of
 
 _VERDICTS: dict[str, blocks.Mark] = {"pass": "pass", "warn": "warn", "fail": "fail"}
@@ -52,7 +62,7 @@ def _summary(validation: Validation) -> Iterator[blocks.Block]:
 
 def _engines(validation: Validation) -> Table:
     rows = []
-    for result, style in zip(validation.engines, styles(validation.engines), strict=True):
+    for result, style in styled(validation, validation.engines):
         _, *cells = words.cells_of(result, validation)
         verdict = Cell(result.verdict, _VERDICTS.get(result.verdict, ""))
         first = Cell(result.engine, line=style)
@@ -64,29 +74,23 @@ def _behind(validation: Validation, evidence: Evidence) -> Iterator[Section]:
     """Yield the sections that only a page shows."""
     contacts = contacts_of(evidence)
     yield Section("Motion", (_motion(validation, evidence, contacts),), on=PAGE)
-    delivered = figures.restitution(validation, evidence, contacts)
-    if delivered is not None:
-        yield Section("Impacts", (FigureGroup((delivered,)),), on=PAGE)
+    yield from plots("Impacts", [figures.restitution(validation, evidence, contacts)])
     yield _agreement(validation, evidence)
-    checks = [
+    checks = (
         figures.check_series(validation, evidence, check)
         for check in figures.plotted_checks(evidence)
-    ]
-    if checks:
-        text = "The worst of all trajectories at each time; 0 is ideal. Dotted: budgets."
-        first = " Vertical: the earliest first impact." if any(words.ends(validation)[:1]) else ""
-        shown = (Text(text + first), FigureGroup(tuple(checks)))
-        yield Section("Checks over time", shown, on=PAGE)
-    consistency = figures.consistency(validation)
-    if consistency is not None:
-        text = (
-            "Each engine was run again at another step. What its results tend to as the step "
-            "shrinks must meet the reference within the uncertainty of that estimate; this shows "
-            "errors of the model far below the accuracy budgets."
-        )
-        yield Section("Consistency", (Text(text), FigureGroup((consistency,))), on=PAGE)
-    each = zip(validation.engines, styles(validation.engines), strict=True)
-    findings = tuple(_findings(r, style, first=not k) for k, (r, style) in enumerate(each))
+    )
+    first = " Vertical: the earliest first impact." if any(words.ends(validation)[:1]) else ""
+    text = "The worst of all trajectories at each time; 0 is ideal. Dotted: budgets."
+    yield from plots("Checks over time", checks, text + first)
+    text = (
+        "Each engine was run again at another step. What its results tend to as the step shrinks "
+        "must meet the reference within the uncertainty of that estimate; this shows errors of the "
+        "model far below the accuracy budgets."
+    )
+    yield from plots("Consistency", [figures.consistency(validation)], text)
+    each = enumerate(styled(validation, validation.engines))
+    findings = tuple(_findings(result, style, first=not k) for k, (result, style) in each)
     yield Section("Findings", findings, on=PAGE)
     yield Section("Settings", tuple(_settings(validation, evidence)), on=PAGE)
 
@@ -94,10 +98,9 @@ def _behind(validation: Validation, evidence: Evidence) -> Iterator[Section]:
 def _motion(
     validation: Validation, evidence: Evidence, contacts: tuple[Contact | None, ...]
 ) -> blocks.Motion:
-    looks = styles(validation.engines)
-    names = tuple(words.label(result) for result in validation.engines)
-    entries = tuple(zip(names, looks, strict=True))
-    data = motion.pack(evidence, names, looks)
+    names = [words.label(result) for result in validation.engines]
+    entries = tuple(styled(validation, names))
+    data = motion.pack(evidence, entries)
     if not contacts:
         return blocks.Motion(data, "reference", entries)
     count = len(data["trajectories"])
@@ -112,8 +115,7 @@ def _motion(
 
 def _agreement(validation: Validation, evidence: Evidence) -> Section:
     growth = figures.error_growth(validation, evidence)
-    matrix = figures.matrix(validation)
-    shown = (*growth, *([matrix] if matrix is not None else []))
+    shown = tuple(filter(None, (*growth, figures.matrix(validation))))
     text = Text(words.growth_words(validation, evidence, known=bool(growth)))
     distributions = _distributions(validation) if validation.ensembles else ()
     title = "Agreement with the reference" if growth else "Agreement"
@@ -179,7 +181,7 @@ def _settings(validation: Validation, evidence: Evidence) -> Iterator[Table]:
             ),
             quantity.span(result.setup_s),
         ]
-        for result, style in zip(validation.engines, styles(validation.engines), strict=True)
+        for result, style in styled(validation, validation.engines)
     ]
     yield table_of(columns, rows)
     budgets = [(key, quantity.number(value)) for key, value in validation.budget.items()]
