@@ -7,7 +7,6 @@ formula of a spreadsheet. HTML is escaped by its templates.
 from __future__ import annotations
 
 import csv
-import dataclasses
 import io
 import json
 import re
@@ -166,16 +165,11 @@ def _mapped(value: object) -> object:
         case dict():
             return {_mapped(key): _mapped(item) for key, item in value.items()}
         case msgspec.Struct():
-            return msgspec.structs.replace(value, **_fields(value, value.__struct_fields__))
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        names = [field.name for field in dataclasses.fields(value)]
-        return dataclasses.replace(value, **_fields(value, names))
+            fields = msgspec.structs.asdict(value).items()
+            told = {key: _mapped(item) for key, item in fields if not _COMMANDS.fullmatch(key)}
+            return msgspec.structs.replace(value, **told)
     return value
 
 
 def _as_entities(signs: re.Match[str]) -> str:
     return "".join(f"&#{ord(sign)};" for sign in signs[0])
-
-
-def _fields(value: object, names: Iterable[str]) -> dict[str, object]:
-    return {name: _mapped(getattr(value, name)) for name in names if not _COMMANDS.fullmatch(name)}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -54,71 +54,53 @@ def skeleton(scene: Scene) -> Skeleton:
     A body without particles shows its centre of mass. A scene without edges gets lines from the
     centres of its bodies to their joints, and along its distance links and springs.
     """
-    mechanism = Mechanism.of(scene)
-    drawing = _Drawing()
+    mechanism, points = Mechanism.of(scene), _Nodes()
     for body, offset in zip(mechanism.particle_body, mechanism.particle_offset, strict=True):
-        drawing.point(int(body), offset)
+        points.add(int(body), offset)
     for anchor in scene.anchors:
-        drawing.point(WORLD_INDEX, np.array(anchor))
+        points.add(WORLD_INDEX, np.array(anchor))
     centres = {
-        body: drawing.point(body, np.zeros(3))
+        body: points.add(body, np.zeros(3))
         for body, count in enumerate(mechanism.particles_per_body)
         if count == 0
     }
-    if scene.edges:
-        drawing.edges += scene.edges
-    else:
-        _mechanical_edges(mechanism, drawing, centres)
+    lines = scene.edges or list(_mechanical_edges(mechanism, points, centres))
     for body, offset, radius in zip(
         mechanism.sphere_body, mechanism.sphere_offset, mechanism.sphere_radius, strict=True
     ):
-        drawing.point(int(body), offset, float(radius))
-    return drawing.finish(mechanism)
+        points.add(int(body), offset, float(radius))
+    body = np.array([body for body, _, _ in points], dtype=np.int64)
+    offset = np.array([offset for _, offset, _ in points]).reshape(-1, 3)
+    radius = np.array([radius for _, _, radius in points])
+    moving = body != WORLD_INDEX
+    number = np.empty(len(body), dtype=np.int64)
+    number[np.argsort(~moving, kind="stable")] = np.arange(len(body))
+    edges = tuple((int(number[a]), int(number[b])) for a, b in lines)
+    return Skeleton(mechanism, body[moving], offset[moving], radius[moving], offset[~moving], edges)
 
 
-class _Drawing:
-    """Skeleton under construction, with its points in the order of their addition."""
+class _Nodes(list[tuple[int, Array, float]]):
+    """Points of a skeleton under construction: body, offset and radius."""
 
-    def __init__(self) -> None:
-        self.body: list[int] = []
-        self.offset: list[Array] = []
-        self.radius: list[float] = []
-        self.edges: list[Edge] = []
-
-    def point(self, body: int, offset: Array, radius: float = 0.0) -> int:
-        self.body.append(body)
-        self.offset.append(offset)
-        self.radius.append(radius)
-        return len(self.body) - 1
-
-    def finish(self, mechanism: Mechanism) -> Skeleton:
-        body = np.array(self.body, dtype=np.int64)
-        offset, radius = np.array(self.offset).reshape(-1, 3), np.array(self.radius)
-        moving = body != WORLD_INDEX
-        number = np.empty(len(body), dtype=np.int64)
-        number[np.argsort(~moving, kind="stable")] = np.arange(len(body))
-        edges = tuple((int(number[a]), int(number[b])) for a, b in self.edges)
-        return Skeleton(
-            mechanism, body[moving], offset[moving], radius[moving], offset[~moving], edges
-        )
+    def add(self, body: int, offset: Array, radius: float = 0.0) -> int:
+        self.append((body, offset, radius))
+        return len(self) - 1
 
 
-def _mechanical_edges(mechanism: Mechanism, drawing: _Drawing, centres: dict[int, int]) -> None:
+def _mechanical_edges(
+    mechanism: Mechanism, points: _Nodes, centres: dict[int, int]
+) -> Iterator[Edge]:
     bare_end = -1.0
     for joint in mechanism.joints:
-        end = drawing.point(joint.child, joint.in_child, bare_end)
+        end = points.add(joint.child, joint.in_child, bare_end)
         for body in (joint.parent, joint.child):
             if body != WORLD_INDEX:
-                centre = centres.get(body)
-                if centre is None:
-                    centre = centres[body] = drawing.point(body, np.zeros(3), bare_end)
-                drawing.edges.append((centre, end))
+                if body not in centres:
+                    centres[body] = points.add(body, np.zeros(3), bare_end)
+                yield centres[body], end
     for pair in (*mechanism.distances, *mechanism.springs):
-        ends = [
-            drawing.point(body, offset, bare_end)
-            for body, offset in zip(pair.bodies, pair.in_body, strict=True)
-        ]
-        drawing.edges.append((ends[0], ends[1]))
+        one, other = map(points.add, pair.bodies, pair.in_body, (bare_end, bare_end))
+        yield one, other
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,18 +16,8 @@ from rich.text import Text as Words
 
 from mbds_xsim.base.process import discard, unwritten
 from mbds_xsim.base.text import printable
-from mbds_xsim.report.blocks import (
-    Block,
-    Cell,
-    Column,
-    Remark,
-    Remarks,
-    Report,
-    Row,
-    Section,
-    Table,
-    Text,
-)
+from mbds_xsim.report import blocks
+from mbds_xsim.report.blocks import Cell, Column, Remark, Report, Row, Table
 
 _PIPED = 160
 """Number of columns if the width is unknown."""
@@ -99,21 +89,21 @@ def print_report(report: Report, console: Console) -> None:
     )
 
 
-def print_blocks(blocks: Iterable[Block], console: Console) -> None:
+def print_blocks(shown: Iterable[blocks.Block], console: Console) -> None:
     """Print the blocks that a terminal can show."""
-    for block in blocks:
+    for block in shown:
         match block:
             case Table():
                 _print_table(block, console)
-            case Text():
+            case blocks.Text():
                 # A file has no edge: lines stay whole for those who search them.
                 words = Words(block.text, style=_STYLES[block.mark])
                 console.print(words, soft_wrap=not console.is_terminal)
-            case Remarks():
+            case blocks.Remarks():
                 for remark in block.lines[: block.most]:
                     console.print(_remark(remark))
                 _left_out(len(block.lines), block.most, "lines", console)
-            case Section() if "terminal" in block.on:
+            case blocks.Section() if "terminal" in block.on:
                 print_blocks(block.blocks, console)
 
 

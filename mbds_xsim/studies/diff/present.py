@@ -6,16 +6,8 @@ import shlex
 from collections.abc import Iterator
 
 from mbds_xsim.report import blocks, quantity
-from mbds_xsim.studies.diff import Value
-from mbds_xsim.studies.diff.compare import (
-    FACTOR,
-    RTOL,
-    Change,
-    Comparison,
-    Diff,
-    EntryDiff,
-    FigureChange,
-)
+from mbds_xsim.studies.diff import Value, compare
+from mbds_xsim.studies.diff.compare import Change, Comparison, Diff, EntryDiff, FigureChange
 
 _HEADINGS = ("entry", "what", "before", "now", ">change")
 _MOST_FIGURES, _MOST_TIMES = 40, 12
@@ -41,10 +33,12 @@ def present(comparison: Comparison) -> Iterator[blocks.Report]:
 
 
 def _command(comparison: Comparison) -> str:
-    flags = (("--rtol", comparison.rtol, RTOL), ("--factor", comparison.factor, FACTOR))
-    options = (word for name, value, usual in flags if value != usual for word in (name, value))
-    words = ("mbds-xsim", "diff", comparison.old, comparison.new, *options)
-    return shlex.join(map(str, words))
+    words = ["mbds-xsim", "diff", comparison.old, comparison.new]
+    if comparison.rtol != compare.RTOL:
+        words += ["--rtol", str(comparison.rtol)]
+    if comparison.factor != compare.FACTOR:
+        words += ["--factor", str(comparison.factor)]
+    return shlex.join(words)
 
 
 def _blocks(diff: Diff, comparison: Comparison) -> Iterator[blocks.Block]:
