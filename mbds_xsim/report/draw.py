@@ -307,10 +307,9 @@ def _round_number(value: float) -> float:
 
 
 def _length_text(length: float) -> str:
-    for size, unit in ((1.0, "m"), (1e-2, "cm"), (1e-3, "mm")):
-        if length >= size * (1 - 1e-9):
-            return f"{length / size:g} {unit}"
-    return f"{length / 1e-6:g} µm"
+    units = ((1.0, "m"), (1e-2, "cm"), (1e-3, "mm"))
+    size, unit = next((u for u in units if length >= u[0] * (1 - 1e-9)), (1e-6, "µm"))
+    return f"{length / size:g} {unit}"
 
 
 def _title(figure: Any, scene: Scene, start: int | None) -> None:

@@ -52,12 +52,12 @@ class View:
     scene: str
     """Name of the scene; for a study of stability, the name of the study."""
     command: str
-    identity: Mapping[str, Value]
+    identity: Mapping[str, Value] = field(default_factory=dict)
     """Properties that are equal if the scene is the same; a value is None if unknown."""
-    sample: Mapping[str, Value]
+    sample: Mapping[str, Value] = field(default_factory=dict)
     """Sample and how it was judged: seed, starts, budgets."""
     circumstances: Mapping[str, Value]
     """Versions and machine."""
     entries: Mapping[str, Entry]
-    left_out: Mapping[str, str]
+    left_out: Mapping[str, str] = field(default_factory=dict)
     """Engines or methods that were left out, each with the reason."""

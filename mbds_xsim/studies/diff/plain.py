@@ -26,11 +26,9 @@ def plain_view(parts: list[Any]) -> View:
     return View(
         scene=scene,
         command=str(part.get("command", "")),
-        identity={},
         sample=dict(_leaves({key: rest.pop(key) for key in _SAMPLE if key in rest})),
         circumstances=dict(_leaves({key: rest.pop(key) for key in _CIRCUMSTANCES if key in rest})),
         entries=dict(_entries("", rest)),
-        left_out={},
     )
 
 

@@ -65,8 +65,6 @@ def contact_view(part: object) -> View:
     return View(
         scene="contact",
         command=study.command,
-        identity={},
-        sample={},
         circumstances={**study.versions, "machine": study.machine},
         entries=entries,
         left_out={name: why for name, why in lacking if name not in entries},
@@ -120,10 +118,8 @@ def history_view(part: object) -> View:
         scene=history.engine,
         command=history.command,
         identity={"package": history.package},
-        sample={},
         circumstances={**history.versions, "machine": history.machine},
         entries=dict(_history_entries(history)),
-        left_out={},
     )
 
 

@@ -97,18 +97,17 @@ class _Field:
         return joined(self._run(jobs))
 
     def _run(self, jobs: Sequence[tuple[EngineMethod, int, list[int], int]]) -> list[Trial]:
+        tasks = []
+        for curve, count, rows, sample in jobs:
+            how = (curve.engine, curve.settings(self.scene, count))
+            arguments = (self.scene, self.batch[rows], *how, self.reference[rows], sample)
+            tasks.append(Task(run_trial, arguments, _GRACE + _PATIENCE * self.limit * len(rows)))
         answers = run_tasks(
-            [self._task(*job) for job in jobs],
+            tasks,
             workers=self.conduct.workers,
             finished=lambda place, _: self.conduct.meter.advance(jobs[place][0].name),
         )
         return [failed_trial(a) if isinstance(a, Crash) else a for a in answers]
-
-    def _task(self, curve: EngineMethod, count: int, rows: list[int], sample: int) -> Task:
-        settings: Settings = curve.settings(self.scene, count)
-        reference = self.reference[rows]
-        arguments = (self.scene, self.batch[rows], curve.engine, settings, reference, sample)
-        return Task(run_trial, arguments, _GRACE + _PATIENCE * self.limit * len(rows))
 
 
 def match(

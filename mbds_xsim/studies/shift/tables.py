@@ -5,7 +5,6 @@ from __future__ import annotations
 import statistics
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from types import MappingProxyType
 
 from mbds_xsim.learn.model import TRIVIAL
 from mbds_xsim.learn.shift.domains import REFERENCE
@@ -81,15 +80,12 @@ def _one_step(shift: Shift, model: str) -> Table:
         f"Squared distance [m²] of predictions by one frame from true windows, every "
         f"{shift.stride} frames: not chaotic",
         ("trained on", *(domain.name for domain in shift.domains)),
-        _rows(shift, lambda cell: cell.one_step, (model, RESTART, *TRIVIAL)),
+        _rows(shift, lambda cell: cell.one_step, (model, RESTART, *TRIVIAL), {}),
     )
 
 
 def _rows(
-    shift: Shift,
-    pick: Pick,
-    models: Sequence[str],
-    lost: Mapping[tuple[str, str, str], int] = MappingProxyType({}),
+    shift: Shift, pick: Pick, models: Sequence[str], lost: Mapping[tuple[str, str, str], int]
 ) -> Iterator[tuple[str, ...]]:
     """Yield figures of all trainings of models, engines and formulas, with counts of lost ones."""
     for model in models:
