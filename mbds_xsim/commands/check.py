@@ -242,8 +242,7 @@ def show(
     scene: shared.SceneName,
     toml: Annotated[bool, Option("--toml", help="Print it as a scene file.")] = False,
     native: Annotated[
-        str | None,
-        Option(metavar="ENGINE", help="Print this engine's exact input, ready to run."),
+        str | None, Option(metavar="ENGINE", help="Print this engine's exact input, ready to run.")
     ] = None,
     settings: Annotated[
         str, Option(help="With --native: matched, native, or a file of `match --out`.")

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Exit, Option
 
 from mbds_xsim.base.errors import InputError, check_name
 from mbds_xsim.base.isolate import Carrier, Conduct
@@ -20,69 +20,60 @@ if TYPE_CHECKING:
     from mbds_xsim.learn.runs import Cost, TrainingRequest
     from mbds_xsim.learn.trainings import TrainingOutcome, TrainingPlan
 
-_Data = Annotated[
-    list[Path], typer.Argument(metavar="DATA…", help="Data sets, or folders of them.")
-]
-_Out = Annotated[Path, typer.Option(metavar="DIR", help="Folder of the models.")]
-_Models = Annotated[str | None, typer.Option(help="Comma-separated; all of the track if left out.")]
+_Data = Annotated[list[Path], Argument(metavar="DATA…", help="Data sets, or folders of them.")]
+_Out = Annotated[Path, Option(metavar="DIR", help="Folder of the models.")]
+_Models = Annotated[str | None, Option(help="Comma-separated; all of the track if left out.")]
 _On = Annotated[
-    str,
-    typer.Option(help="each, leave-one-out, all, by-interval, mujoco, mujoco-low, …; by commas."),
+    str, Option(help="each, leave-one-out, all, by-interval, mujoco, mujoco-low, …; by commas.")
 ]
-_Seeds = Annotated[int, typer.Option(help="Number of seeds: 0, 1, …", min=1)]
+_Seeds = Annotated[int, Option(help="Number of seeds: 0, 1, …", min=1)]
 _ProfileName = Annotated[
-    str, typer.Option(help="Length of training: smoke (minutes), lite (hours), paper (GPU).")
+    str, Option(help="Length of training: smoke (minutes), lite (hours), paper (GPU).")
 ]
 _Steps = Annotated[
-    int | None,
-    typer.Option(help="Number of steps of every run, in place of the profile's.", min=1),
+    int | None, Option(help="Number of steps of every run, in place of the profile's.", min=1)
 ]
 _Track = Annotated[
-    str | None,
-    typer.Option(help="Hyper-parameters: lite, native, paper, native+; else the profile's."),
+    str | None, Option(help="Hyper-parameters: lite, native, paper, native+; else the profile's.")
 ]
-_Plan = Annotated[bool, typer.Option("--plan", help="Only measure and print the cost.")]
-_Mixed = Annotated[bool, typer.Option("--bf16", help="On cuda: mixed precision with bfloat16.")]
-_Compiled = Annotated[
-    bool, typer.Option("--compile", help="On cuda: compiled networks, as CUDA graphs.")
-]
+_Plan = Annotated[bool, Option("--plan", help="Only measure and print the cost.")]
+_Mixed = Annotated[bool, Option("--bf16", help="On cuda: mixed precision with bfloat16.")]
+_Compiled = Annotated[bool, Option("--compile", help="On cuda: compiled networks, as CUDA graphs.")]
 _Scheduler = Annotated[
     str | None,
-    typer.Option(
+    Option(
         metavar="ADDRESS",
         help="Dask scheduler in place of --workers; its workers must see DATA and DIR.",
     ),
 ]
-_Events = Annotated[Path | None, typer.Option(metavar="DIR", help="Write what TensorBoard reads.")]
-_ModelFolder = Annotated[Path, typer.Argument(metavar="MODELS", help="Folder that train wrote.")]
-_DataFolder = Annotated[Path, typer.Argument(metavar="DATA", help="Folder that generate wrote.")]
+_Events = Annotated[Path | None, Option(metavar="DIR", help="Write what TensorBoard reads.")]
+_ModelFolder = Annotated[Path, Argument(metavar="MODELS", help="Folder that train wrote.")]
+_DataFolder = Annotated[Path, Argument(metavar="DATA", help="Folder that generate wrote.")]
 _OnlyScenes = Annotated[
     list[str] | None,
-    typer.Option(help="Only this scene; may be repeated. All with models when left out."),
+    Option(help="Only this scene; may be repeated. All with models when left out."),
 ]
 _Trajectories = Annotated[
     int | None,
-    typer.Option(help="Most trajectories to test with; all of the test part when left out.", min=1),
+    Option(help="Most trajectories to test with; all of the test part when left out.", min=1),
 ]
 _OnlySettings = Annotated[
     str | None,
-    typer.Option(
+    Option(
         help="Only these, comma-separated: native, matched, or names of settings files; all when "
         "left out."
     ),
 ]
 _OnlyOn = Annotated[
-    str | None,
-    typer.Option(help="Only models trained this way: each, leave-one-out, all, by-interval."),
+    str | None, Option(help="Only models trained this way: each, leave-one-out, all, by-interval.")
 ]
 _OnlySeeds = Annotated[
-    int | None, typer.Option(help="Number of seeds whose models are used: 0, 1, …", min=1)
+    int | None, Option(help="Number of seeds whose models are used: 0, 1, …", min=1)
 ]
 _At = Annotated[
-    int | None,
-    typer.Option(help="Frame of answers and tables: 1, 10, 20, …; 10 when left out.", min=1),
+    int | None, Option(help="Frame of answers and tables: 1, 10, 20, …; 10 when left out.", min=1)
 ]
-_Cache = Annotated[bool, typer.Option(help="Use what was solved, predicted and simulated before.")]
+_Cache = Annotated[bool, Option(help="Use what was solved, predicted and simulated before.")]
 _Rollouts = Annotated[Path | None, shared.file("Draw rollouts over the truth.")]
 
 
@@ -145,7 +136,7 @@ def train(
     if plan:
         return
     _draw([out / f"{name}.curve.json" for name in result["runs"]], to)
-    raise typer.Exit(1 if result["failed"] or result["diverged"] else 0)
+    raise Exit(1 if result["failed"] or result["diverged"] else 0)
 
 
 def _check_plan(*, plan: bool, **places: Path | None) -> None:

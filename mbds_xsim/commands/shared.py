@@ -17,8 +17,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
 
-import typer
-from typer import BadParameter
+from typer import Argument, BadParameter, Exit, Option, Typer
 from typer.core import TyperCommand, TyperGroup
 
 from mbds_xsim.base.errors import InputError
@@ -92,7 +91,7 @@ def _readable(match: re.Match[str]) -> str:
     return f" {_WORDS.get(name, name)}"
 
 
-app = typer.Typer(
+app = Typer(
     name="mbds-xsim",
     help="Multibody simulation data you can trust: one scene, several engines, cross-checked.",
     cls=Commands,
@@ -105,12 +104,11 @@ app = typer.Typer(
 def _print_version(wanted: bool) -> None:
     if wanted:
         print(f"mbds-xsim {version('mbds-xsim')}")
-        raise typer.Exit
+        raise Exit
 
 
 _Version = Annotated[
-    bool,
-    typer.Option("--version", is_eager=True, callback=_print_version, help="Print the version."),
+    bool, Option("--version", is_eager=True, callback=_print_version, help="Print the version.")
 ]
 
 
@@ -177,7 +175,7 @@ def _complete_engines(incomplete: str) -> list[str]:
 
 SceneName = Annotated[
     str,
-    typer.Argument(
+    Argument(
         metavar="SCENE",
         help="A built-in name, a family with a size, or a file (.toml, .xml, .urdf, .sdf, .usda).",
         autocompletion=_complete_scene,
@@ -185,7 +183,7 @@ SceneName = Annotated[
 ]
 SceneNames = Annotated[
     list[str],
-    typer.Argument(
+    Argument(
         metavar="SCENE…",
         help="Built-in names, families with a size, or files.",
         autocompletion=_complete_scene,
@@ -194,28 +192,28 @@ SceneNames = Annotated[
 ]
 EngineNames = Annotated[
     str | None,
-    typer.Option(
+    Option(
         metavar="NAMES",
         help="Comma-separated; all installed when left out.",
         autocompletion=_complete_engines,
     ),
 ]
-Seed = Annotated[int, typer.Option(help="Seed of starts and inputs.", min=0)]
-CacheUse = Annotated[bool, typer.Option(help="Use stored reference solutions.")]
+Seed = Annotated[int, Option(help="Seed of starts and inputs.", min=0)]
+CacheUse = Annotated[bool, Option(help="Use stored reference solutions.")]
 WorkerCount = Annotated[
-    int | None, typer.Option(help="Processes at a time; all cores when left out.", min=1)
+    int | None, Option(help="Processes at a time; all cores when left out.", min=1)
 ]
 ModelPlaces = Annotated[
     list[Path] | None,
-    typer.Option(
+    Option(
         metavar="PATH",
         help="Trained models beside the engines: a file, a folder of models, or a pattern such as "
         "'models/*/*/*/all-s0.pt'; may be repeated.",
     ),
 ]
-Device = Annotated[str, typer.Option(help="cpu or cuda.")]
+Device = Annotated[str, Option(help="cpu or cuda.")]
 DeviceWorkers = Annotated[
-    int | None, typer.Option(help="Processes at a time; all cores when left out, 1 on cuda.", min=1)
+    int | None, Option(help="Processes at a time; all cores when left out, 1 on cuda.", min=1)
 ]
 LONGEST = 1e7
 """Upper bound of time limits [s]: JSON has no infinity, and a stored one could not be read."""
@@ -223,7 +221,7 @@ LONGEST = 1e7
 
 def seconds(told: str, least: float = 1.0) -> Any:
     """Declare a time limit [s] with a line of help."""
-    return typer.Option(help=told, min=least, max=LONGEST)
+    return Option(help=told, min=least, max=LONGEST)
 
 
 TimeLimit = Annotated[float, seconds("Time limit of each process that runs an engine [s].")]
@@ -231,7 +229,7 @@ TimeLimit = Annotated[float, seconds("Time limit of each process that runs an en
 
 def file(told: str) -> Any:
     """Declare an option that names a file, with a line of help."""
-    return typer.Option(metavar="FILE", help=told)
+    return Option(metavar="FILE", help=told)
 
 
 JsonFile = Annotated[Path | None, file("Write JSON; - is standard output.")]
@@ -245,8 +243,7 @@ class Outputs:
     csv: Annotated[Path | None, file("Write all that was measured as CSV.")] = None
     html: Annotated[Path | None, file("Write a self-contained page.")] = None
     opened: Annotated[
-        bool,
-        typer.Option("--open", help="Open the page in a browser; a temporary file without --html."),
+        bool, Option("--open", help="Open the page in a browser; a temporary file without --html.")
     ] = False
     png: Annotated[Path | None, file("Write the pictures.")] = None
     markdown: Annotated[Path | None, file("Write the tables as Markdown.")] = None

@@ -171,7 +171,9 @@ def contact(
     if choice.settings:
         msg = f"--settings: got {settings}, allowed are matched and native: what is measured has "
         raise InputError(msg + "scenes of its own, and a file of settings is matched for one scene")
-    pictures = {} if figures is None else _figure_files(figures)
+    pictures = {}
+    if figures is not None:
+        pictures = {kind: figures / f"contact-{kind}.png" for kind in ("restitution", "friction")}
     for picture in pictures.values():
         to.check(figures=picture)
     with shared.progress_on(to.console) as progress:
@@ -188,16 +190,11 @@ def contact(
         write_whole(to.markdown, contact_page(study, pictures, to.markdown.parent).encode())
 
 
-def _figure_files(folder: Path) -> dict[str, Path]:
-    return {name: folder / f"contact-{name}.png" for name in ("restitution", "friction")}
-
-
 @shared.command("study", writes="json csv html opened png markdown")
 def releases(
     to: shared.Outputs,
     engines: Annotated[
-        list[str],
-        Argument(metavar="ENGINE…", help="Names of engines.", callback=each_once),
+        list[str], Argument(metavar="ENGINE…", help="Names of engines.", callback=each_once)
     ],
     since: Annotated[
         str,

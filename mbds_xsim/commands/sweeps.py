@@ -140,16 +140,11 @@ _ENDS = {"csv": ".csv", "png": ".png", "html": ".html", "markdown": ".md", "json
 
 _Studies = Annotated[
     list[str] | None,
-    Argument(
-        metavar="[STUDY…]",
-        help="Names of --list; all when left out.",
-        callback=each_once,
-    ),
+    Argument(metavar="[STUDY…]", help="Names of --list; all when left out.", callback=each_once),
 ]
 _Listed = Annotated[bool, Option("--list", help="Name the studies, and end.")]
 _Engines = Annotated[
-    str | None,
-    Option(help="Comma-separated; all installed when left out; none: only --models."),
+    str | None, Option(help="Comma-separated; all installed when left out; none: only --models.")
 ]
 _Methods = Annotated[
     str | None, Option("--methods", "--method", help="Comma-separated; all by default.")

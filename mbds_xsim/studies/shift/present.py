@@ -337,9 +337,8 @@ def draw_samples(figure: Any, samples: Samples) -> None:
                 look = {"color": colour, "ls": line, "lw": width, "alpha": 0.85}
                 _draw_nodes(axes, edges, nodes, look)
                 axes.plot([], [], label=label, **look)
-            axes.set_xlim(middle[0] - half, middle[0] + half)
-            axes.set_ylim(middle[2] - half, middle[2] + half)
-            axes.set_aspect("equal")
+            across, upwards = ((x - half, x + half) for x in middle[[0, 2]])
+            axes.set(xlim=across, ylim=upwards, aspect="equal")
             axes.tick_params(labelsize=7)
             if not row:
                 axes.set_title(f"t = {shot}", fontsize=9)

@@ -122,8 +122,7 @@ def draw_worth(figure: Any, shift: Shift) -> None:
         _draw_points(far, shift, model, _points(shift, model, {**apart}), label=model)
     noise = noise_of(shift, place)
     for axes in (dear, far):
-        axes.set_xscale("log")
-        axes.set_yscale("log")
+        axes.set(xscale="log", yscale="log")
         if noise:
             axes.axhline(noise, label="noise floor" if axes is far else None, **themed.DOTTED)
     ends = [noise or nearest, max(apart.values(), default=nearest)]

@@ -164,8 +164,7 @@ def restitution(
             band = f", the budget is {allowed:g} (grey)"
             axes.axhspan(e - allowed, e + allowed, color=GREY, alpha=0.14, linewidth=0)
         axes.set_title(f"dotted: the scene's {e:.4f}{band}", loc="right", fontsize=8)
-        axes.set_xlabel("speed of impact [m/s]")
-        axes.set_ylabel("speed after over before")
+        axes.set(xlabel="speed of impact [m/s]", ylabel="speed after over before")
         axes.margins(x=0.06, y=0.15)
 
     caption = "Restitution delivered: each mark is one impact of one sphere, of all trajectories"
@@ -260,9 +259,7 @@ def _curve(axes: Any, time: Array, values: Array, style: Style, place: int) -> N
 
 
 def _log_axis(axes: Any, ylabel: str) -> None:
-    axes.set_yscale("log")
-    axes.set_xlabel("time [s]")
-    axes.set_ylabel(ylabel)
+    axes.set(yscale="log", xlabel="time [s]", ylabel=ylabel)
     axes.margins(x=0.0)
     # It starts where most of the curves lie, not at their first frames close to zero.
     curves = [line.get_ydata() for line in axes.lines if line.get_gid()]
