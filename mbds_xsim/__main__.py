@@ -15,7 +15,7 @@ from importlib import import_module
 from types import FrameType
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.process import discard, unwritten
+from mbds_xsim.base.process import discard, tell, unwritten
 
 _INTERRUPTED = 130
 
@@ -87,12 +87,7 @@ def _usage(error: Exception) -> str:
 
 
 def _complain(text: str, code: int) -> int:
-    from mbds_xsim.base.text import on_a_line
-
-    try:
-        print(f"mbds-xsim: {on_a_line(text)}", file=sys.stderr, flush=True)
-    except OSError:  # the exit code still tells
-        discard(sys.stderr)
+    tell(text)
     return code
 
 

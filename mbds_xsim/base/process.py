@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -147,6 +148,17 @@ unwritten: list[OSError] = []
 def discard(stream: IO[str]) -> None:
     """Discard all further output of a stream, and what it holds: it cannot be written."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def tell(text: str) -> None:
+    """Write a line on the program to standard error."""
+    from mbds_xsim.base.text import on_a_line
+
+    try:
+        print(f"mbds-xsim: {on_a_line(text)}", file=sys.stderr, flush=True)
+    except OSError as error:  # the output ends, not the work
+        unwritten.append(error)
+        discard(sys.stderr)
 
 
 @contextmanager

@@ -138,11 +138,9 @@ class Projection:
 
 def pose_of(mechanism: Mechanism, start: int | None) -> BodyStates:
     """Return the reference pose, at rest, or the start of a trajectory."""
-    if start is not None:
-        return BodyStates.of(mechanism, draw_batch(mechanism.scene, [start]))[0]
-    still = np.zeros_like(mechanism.com)
-    native = np.tile(rotation.IDENTITY, (mechanism.body_count, 1))
-    return BodyStates(mechanism.com, native, still, still)
+    if start is None:
+        return BodyStates.at_reference(mechanism)
+    return BodyStates.of(mechanism, draw_batch(mechanism.scene, [start]))[0]
 
 
 def outline(mechanism: Mechanism, pose: BodyStates, view: Projection, body: int) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -13,8 +12,7 @@ from rich import progress
 from rich.console import Console
 from rich.text import Text as Words
 
-from mbds_xsim.base.process import discard, unwritten
-from mbds_xsim.base.text import on_a_line
+from mbds_xsim.base.process import tell
 
 _EVERY = 60.0  # between lines of a log [s]
 _SPEED_OVER = 600.0  # work comes in bursts; rate and time left are averages over this time [s]
@@ -66,7 +64,7 @@ class Bar:
         if self._on_terminal:
             self._progress.console.print(Words(line))
         else:
-            _log(line)
+            tell(line)
 
     def doing(self, work: str) -> None:
         """Show the current work."""
@@ -80,8 +78,7 @@ class Bar:
         while not self._ended.wait(_EVERY):
             (task,) = self._progress.tasks
             parts = (part for part in self._parts if not isinstance(part, progress.BarColumn))
-            words = (str(part.render(task)) for part in parts)
-            _log(" ".join(words))
+            tell(" ".join(str(part.render(task)) for part in parts))
 
     def _spent(self) -> float:
         """Return the time since the beginning [s]."""
@@ -204,11 +201,3 @@ def _text(form: str) -> progress.ProgressColumn:
     """Make a column that fills a text's fields with those of the task."""
     described = form.replace("{what", "{task.description")
     return progress.TextColumn(re.sub(r"\{(\w+)\}", r"{task.fields[\1]}", described), markup=False)
-
-
-def _log(line: str) -> None:
-    try:
-        print(f"mbds-xsim: {on_a_line(line)}", file=sys.stderr, flush=True)
-    except OSError as error:  # the output ends, not the work
-        unwritten.append(error)
-        discard(sys.stderr)
