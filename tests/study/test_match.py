@@ -195,7 +195,7 @@ def test_the_best_effort_breaks_the_fewest_checks_and_costs_the_least_of_those(
         candidate.proofs[count] = Trial(reasons, excess, 0.1 * count, 0.1 * count)
     proof = study._Field(scene, draw_batch(scene, range(3)), None, 1.0, HERE)  # type: ignore[arg-type]
 
-    best = study._best_effort(proof, [candidate], (used, candidate.proofs[40]))
+    best = study._Contest(proof, proof, [candidate], used, candidate.proofs[40]).best_effort()
 
     assert (best.steps_per_frame, best.meets_budget) == (10, False)
 
@@ -207,7 +207,7 @@ def test_what_nearly_keeps_the_budgets_is_better_than_what_is_lost(scene: Scene)
     candidate.proofs = {1: near, 2: failed_trial(Crash("no answer within 300 s", timed_out=True))}
     proof = study._Field(scene, draw_batch(scene, range(3)), None, 1.0, HERE)  # type: ignore[arg-type]
 
-    best = study._best_effort(proof, [candidate], (used, near))
+    best = study._Contest(proof, proof, [candidate], used, near).best_effort()
 
     assert (best.steps_per_frame, best.reasons) == (1, near.reasons)
 

@@ -151,7 +151,11 @@ def match(
     used = _try_settings_in_use(ground, {curve.engine for curve in curves})
     candidates = _search_all(ground, curves, used)
     proof = field_of(dataclasses.replace(starts, trajectories=held_out, seed=seed + 1))
-    engines = dict.fromkeys(curve.engine for curve in curves)
+
+    def settled(engine: str) -> MatchedSettings:
+        own = [candidate for candidate in candidates if candidate.curve.engine == engine]
+        return _Contest(ground, proof, own, *used[engine]).settle()
+
     return Match(
         schema=SCHEMA,
         scene=scene.name,
@@ -161,7 +165,7 @@ def match(
         trajectories=starts.trajectories,
         held_out=held_out if len(proof.batch) > 1 else 0,
         machine=machine(),
-        engines=tuple(_settle(ground, proof, candidates, used, name) for name in engines),
+        engines=tuple(map(settled, dict.fromkeys(curve.engine for curve in curves))),
         left_out=left_out,
         fingerprint=fingerprint(scene),
     )
@@ -275,31 +279,81 @@ def _remaining_work(ground: _Field, pending: list[tuple[_Candidate, int]]) -> fl
     return 3.0 * sum(2.0 + 2.0 * simulated * c.cost_at(count) for c, count in pending)
 
 
-def _settle(
-    ground: _Field,
-    proof: _Field,
-    every: list[_Candidate],
-    by_engine: Mapping[str, tuple[Settings, Trial]],
-    engine: str,
-) -> MatchedSettings:
-    """Verify the cheapest; if it fails, its next shorter step, or a method that is now cheaper."""
-    candidates, used = [c for c in every if c.curve.engine == engine], by_engine[engine]
-    pending = [c for c in candidates if c.cost < math.inf]
-    while pending:
-        candidate = min(pending, key=lambda c: c.rank)
-        count = candidate.search.smallest
-        assert count is not None
-        trial = proof.run_spread(candidate.curve, count)
-        candidate.proofs[count] = trial
-        if trial.passed:
-            if count not in candidate.trials:  # for its cost ratio to the settings in use
-                (candidate.trials[count],) = ground.run([(candidate.curve, count)])
-            return _matched_settings(proof, candidate, count, trial, candidates, used)
-        candidate.search.refuse(count)
-        too_slow = candidate.cost * proof.scene.clock.duration > proof.limit
-        if too_slow or _stuck(candidate):
-            pending.remove(candidate)
-    return _best_effort(proof, candidates, used)
+@dataclass
+class _Contest:
+    """Candidates of one engine, tried on some trajectories and verified on others."""
+
+    ground: _Field
+    proof: _Field
+    candidates: list[_Candidate]
+    used: Settings
+    """Settings in use."""
+    until_now: Trial
+    """Trial of the settings in use."""
+
+    def settle(self) -> MatchedSettings:
+        """Verify the cheapest; if it fails, its next shorter step, or what is now cheaper."""
+        pending = [c for c in self.candidates if c.cost < math.inf]
+        while pending:
+            candidate = min(pending, key=lambda c: c.rank)
+            count = candidate.search.smallest
+            assert count is not None
+            trial = self.proof.run_spread(candidate.curve, count)
+            candidate.proofs[count] = trial
+            if trial.passed:
+                if count not in candidate.trials:  # for its cost ratio to the settings in use
+                    (candidate.trials[count],) = self.ground.run([(candidate.curve, count)])
+                return self._settings(candidate, count, trial)
+            candidate.search.refuse(count)
+            too_slow = candidate.cost * self.proof.scene.clock.duration > self.proof.limit
+            if too_slow or _stuck(candidate):
+                pending.remove(candidate)
+        return self.best_effort()
+
+    def best_effort(self) -> MatchedSettings:
+        """Return the setting nearest to the budgets, with its figures on held-out trajectories.
+
+        Of the settings that lose nothing, if there are any, and of those the ones that break the
+        fewest checks, it is the cheapest of the nearest. If any setting passed the search and was
+        verified, only verified ones count; else the search's trials do.
+        """
+
+        def faults(trial: Trial) -> tuple[bool, int]:
+            return not math.isfinite(trial.excess), trial.broken  # what was lost was not judged
+
+        proofs = [(t, c, n) for c in self.candidates for n, t in c.proofs.items()]
+        trials = [(t, c, n) for c in self.candidates for n, t in c.trials.items()]
+        fewest = min(faults(trial) for trial, *_ in proofs or trials)
+        best = [entry for entry in proofs or trials if faults(entry[0]) == fewest]
+        largest = _NEAR * min(trial.excess for trial, *_ in best)
+        near = [entry for entry in best if entry[0].excess <= largest]
+        _, candidate, count = min(near, key=lambda entry: entry[0].cpu_s)
+        trial = candidate.proofs.get(count) or self.proof.run_spread(candidate.curve, count)
+        if trial.passed:  # it failed only on the starts of the search
+            trial = dataclasses.replace(trial, reasons=candidate.trials[count].reasons)
+        return self._settings(candidate, count, trial)
+
+    def _settings(self, candidate: _Candidate, count: int, trial: Trial) -> MatchedSettings:
+        curve, frame = candidate.curve, self.proof.scene.clock.frame
+        here, until_now = candidate.trials.get(count), self.until_now
+        return MatchedSettings(
+            engine=curve.engine,
+            version=registry.load_adapter(curve.engine).version(),
+            method=curve.method,
+            steps_per_frame=count,
+            step_s=frame / count,
+            options=dict(curve.own_options or {}),
+            meets_budget=trial.passed,
+            reasons=trial.reasons,
+            held_out=len(self.proof.batch),
+            wall_per_simulated_s=trial.wall_s,
+            cpu_per_simulated_s=trial.cpu_s,
+            **trial.figures,
+            used_method=self.used.method,
+            used_steps_per_frame=self.used.substeps(frame),
+            cost_ratio=here.cpu_s / until_now.cpu_s if until_now.passed and here else None,
+            trials=sum(len(c.trials) + len(c.proofs) for c in self.candidates),
+        )
 
 
 def _stuck(candidate: _Candidate) -> bool:
@@ -310,59 +364,3 @@ def _stuck(candidate: _Candidate) -> bool:
     *before, (count, last) = ((n, trial.excess) for n, trial in candidate.proofs.items())
     coarse = [excess for n, excess in before if 2 * n <= count]
     return _FAR < last < math.inf and any(last > excess / _NEAR for excess in coarse)
-
-
-def _best_effort(
-    proof: _Field, candidates: list[_Candidate], used: tuple[Settings, Trial]
-) -> MatchedSettings:
-    """Return the setting nearest to the budgets, with its figures on held-out trajectories.
-
-    Of the settings that lose nothing, if there are any, and of those the ones that break the fewest
-    checks, it is the cheapest of the nearest. If any setting passed the search and was verified,
-    only verified ones count; else the search's trials do.
-    """
-
-    def faults(trial: Trial) -> tuple[bool, int]:
-        return not math.isfinite(trial.excess), trial.broken  # what was lost was not judged
-
-    proofs = [(t, c, n) for c in candidates for n, t in c.proofs.items()]
-    trials = [(t, c, n) for c in candidates for n, t in c.trials.items()]
-    fewest = min(faults(trial) for trial, *_ in proofs or trials)
-    best = [entry for entry in proofs or trials if faults(entry[0]) == fewest]
-    largest = _NEAR * min(trial.excess for trial, *_ in best)
-    near = [entry for entry in best if entry[0].excess <= largest]
-    _, candidate, count = min(near, key=lambda entry: entry[0].cpu_s)
-    trial = candidate.proofs.get(count) or proof.run_spread(candidate.curve, count)
-    if trial.passed:  # it failed only on the starts of the search
-        trial = dataclasses.replace(trial, reasons=candidate.trials[count].reasons)
-    return _matched_settings(proof, candidate, count, trial, candidates, used)
-
-
-def _matched_settings(
-    proof: _Field,
-    candidate: _Candidate,
-    count: int,
-    trial: Trial,
-    candidates: list[_Candidate],
-    used: tuple[Settings, Trial],
-) -> MatchedSettings:
-    curve, (settings, until_now) = candidate.curve, used
-    here = candidate.trials.get(count)
-    return MatchedSettings(
-        engine=curve.engine,
-        version=registry.load_adapter(curve.engine).version(),
-        method=curve.method,
-        steps_per_frame=count,
-        step_s=proof.scene.clock.frame / count,
-        options=dict(curve.own_options or {}),
-        meets_budget=trial.passed,
-        reasons=trial.reasons,
-        held_out=len(proof.batch),
-        wall_per_simulated_s=trial.wall_s,
-        cpu_per_simulated_s=trial.cpu_s,
-        **trial.figures,
-        used_method=settings.method,
-        used_steps_per_frame=settings.substeps(proof.scene.clock.frame),
-        cost_ratio=here.cpu_s / until_now.cpu_s if until_now.passed and here else None,
-        trials=sum(len(c.trials) + len(c.proofs) for c in candidates),
-    )
