@@ -132,28 +132,30 @@ class CorrectedModel(BodyModel):
         """Move over a frame without contact.
 
         Returns:
-            The states at the start and after each step, and the joints at the last state.
+            The states at the start and after each step, and the joints at the last state; without
+            joints (`BodyMechanics.unheld`) if nothing will be corrected.
         """
 
     @abstractmethod
-    def corrections(self, view: BodyView) -> tuple[Tensor, Tensor]:
+    def corrections(self, view: BodyView) -> tuple[Tensor | None, Tensor]:
         """Return corrections of bodies and contacts over the deviation of second differences.
 
         Bodies have a displacement and a change of the twist, linear and angular parts, shape
-        (batch, body, 2, 2, 3); contacts have impulses over mass, shape (batch, contact, 2, 3).
+        (batch, body, 2, 2, 3), or None: no change; contacts have impulses over mass, shape
+        (batch, contact, 2, 3).
         """
 
     def predict(self, state: Tensor, inputs: KnownInputs) -> tuple[Tensor, Tensor]:
         states, hold = self.smooth(state, inputs)
-        with torch.no_grad():
-            view, smooth = self.viewer([each.detach() for each in states]), states[-1]
+        view, smooth = BodyView(self.viewer, [each.detach() for each in states]), states[-1]
         of_bodies, of_contacts = self.corrections(view)
         unit = torch.stack([self.viewer.change * self.graph.frame_s, self.viewer.change])
         added = []
         for k in range(ADDED):
-            own = self.on_joints(smooth, of_bodies[:, :, k])
-            impulse = self._wrenches(view, of_contacts[:, :, k])
-            added.append(hold.kept(unit[k] * (own + self.rigid.of_impulse(smooth, impulse))))
+            change = self.rigid.of_impulse(smooth, self._wrenches(view, of_contacts[:, :, k]))
+            if of_bodies is not None:
+                change = self.on_joints(smooth, of_bodies[:, :, k]) + change
+            added.append(hold.kept(unit[k] * change))
         return smooth, torch.stack(added, dim=1)
 
     def _wrenches(self, view: BodyView, pushes: Tensor) -> Tensor:

@@ -9,6 +9,7 @@ body's radius of gyration about its joint.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -50,14 +51,36 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class BodyView:
-    """Everything that a network sees of a frame."""
+    """Everything that a network sees of a frame, computed as far as it looks."""
 
-    bodies: Seen
-    joints: Seen
-    """Each joint as seen from every body that it holds, which is the receiving end."""
-    contacts: Seen
-    arm: Tensor
-    """Vector from the centre of mass to the sphere's lowest point [m], (batch, contact, 3)."""
+    viewer: BodyViewer
+    states: Sequence[Tensor]
+    """States at the steps of the smooth frame, each (batch, body, 13), without gradients."""
+
+    @functools.cached_property
+    def bodies(self) -> Seen:
+        """Bodies, in the order of the scene."""
+        middle = self.states[len(self.states) // 2]
+        return self.viewer.bodies(self.states[0], middle, self.states[-1])
+
+    @functools.cached_property
+    def joints(self) -> Seen:
+        """Each joint as seen from every body that it holds, which is the receiving end."""
+        return self.viewer.joints(self.states[-1])
+
+    @property
+    def contacts(self) -> Seen:
+        """Contact spheres."""
+        return self._touched[0]
+
+    @property
+    def arm(self) -> Tensor:
+        """Vector from the centre of mass to the sphere's lowest point [m], (batch, contact, 3)."""
+        return self._touched[1]
+
+    @functools.cached_property
+    def _touched(self) -> tuple[Seen, Tensor]:
+        return self.viewer.contacts(self.states[0], self.states[-1])
 
 
 class BodyViewer(TensorModule):
@@ -106,19 +129,18 @@ class BodyViewer(TensorModule):
             spread = getattr(statistics, moments_of).spread(graph.moving) / graph.frame_s
             self.register_buffer(name, torch.tensor(spread, dtype=torch.float64))
 
-    def forward(self, states: Sequence[Tensor]) -> BodyView:
-        """Compute the view from states at the steps of a smooth frame, each (batch, body, 13)."""
-        before, middle, after = states[0], states[len(states) // 2], states[-1]
+    def contacts(self, before: Tensor, after: Tensor) -> tuple[Seen, Tensor]:
+        """Return the view of the contacts, and their arms after the frame."""
         first, start, _ = self.touch(before)
         gap, end, arm = self.touch(after)
         radius, speed = self.radius[self.sphere_body], self.speed
         spin = after[:, self.sphere_body, W] * radius
         contacts = [start / speed, end / speed, arm / radius, spin / speed]
         gaps = self._gaps(first, gap, start[..., 2:], end[..., 2:])
-        bodies, joints = self._bodies(before, middle, after), self._joints(after)
-        return BodyView(bodies, joints, Seen.of(contacts, gaps), arm)
+        return Seen.of(contacts, gaps), arm
 
-    def _bodies(self, before: Tensor, middle: Tensor, after: Tensor) -> Seen:
+    def bodies(self, before: Tensor, middle: Tensor, after: Tensor) -> Seen:
+        """Return the view of the bodies."""
         bend = after - 2.0 * middle + before
         motions = (before, self.speed), (after - before, self.change), (bend, self.change)
         vectors = [
@@ -130,7 +152,8 @@ class BodyViewer(TensorModule):
         frame = turning.matrix(after[..., Q]).mT
         return Seen.of([*vectors, *frame.unbind(-2)], self.shape.expand(len(after), -1, -1))
 
-    def _joints(self, state: Tensor) -> Seen:
+    def joints(self, state: Tensor) -> Seen:
+        """Return the view of the joints, after the frame."""
         world = state.new_zeros(len(state), 1, 13)
         world[..., 3] = 1.0
         states = torch.cat([state, world], dim=1)

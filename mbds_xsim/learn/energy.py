@@ -75,14 +75,14 @@ class MassMatrix:
         return mixed(self.mechanics.speed_map.T, own + 4.0 * along * each)
 
     def dense(self) -> Tensor:
-        """Return the matrix in closed form, shape (batch, 3 · node, 3 · node)."""
+        """Return the matrix in closed form, shape (batch, 3 · node, 3 · node), by columns."""
         each, kinetic, size = self.each, self.kinetic, 3 * self.mechanics.free
         outer = 4.0 * kinetic.second[..., None, None] * each[..., :, None] * each[..., None, :]
         own = 2.0 * kinetic.first[..., None, None] * torch.eye(3).to(each) + outer
         blocks = (self.mechanics.coupling @ own.flatten(-2)).flatten(1)
         flat = each.new_zeros(len(each), size * size)
         flat.index_copy_(1, self.mechanics.block, blocks)
-        return flat.view(len(each), size, size)
+        return flat.view(len(each), size, size).mT
 
 
 def potential_force(energy: NodeEnergy, q: Tensor) -> Tensor:

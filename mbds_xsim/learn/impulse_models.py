@@ -86,16 +86,17 @@ class ImpulseModel(CorrectedModel):
             after = self.nodes.bodies(moving, states[-1], step)
             twist = after[..., TWIST] * self.rigid.moves
             states.append(torch.cat([after[..., :7], twist], dim=-1))
-        return states, self.rigid.hold(states[-1].detach())
+        last = states[-1].detach()
+        corrected = len(self.viewer.sphere_body) > 0
+        return states, self.rigid.hold(last) if corrected else self.rigid.unheld(last)
 
-    def corrections(self, view: BodyView) -> tuple[Tensor, Tensor]:
-        carrier, bodies = self.viewer.sphere_body, view.bodies.vectors
+    def corrections(self, view: BodyView) -> tuple[None, Tensor]:
+        carrier = self.viewer.sphere_body
         contacts = self.of_contact(view.contacts.flat)
         own = summed(contacts, carrier, self.graph.body_count)[:, carrier]
         total = contacts.sum(1, keepdim=True).expand_as(contacts)
         pushes = self.to_contact(torch.cat([contacts, own, total], dim=-1))
-        nothing = bodies.new_zeros(*bodies.shape[:2], ADDED, 2, DIMENSION)
-        return nothing, pushes.unflatten(-1, (ADDED, DIMENSION))
+        return None, pushes.unflatten(-1, (ADDED, DIMENSION))
 
 
 def _rolling_steps(graph: Graph, statistics: Statistics) -> int:

@@ -24,7 +24,7 @@ from torch.autograd.function import once_differentiable
 from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.learn.graph import instead
-from mbds_xsim.learn.layers import TensorModule, keep, mixed
+from mbds_xsim.learn.layers import TensorModule, factorised, keep, mixed
 from mbds_xsim.learn.mechanics_points import PointRows, points_of, rows_of
 from mbds_xsim.learn.rigid import Q, V, W, X
 from mbds_xsim.learn.turning import rotate
@@ -40,7 +40,7 @@ class NodeMatrix(Protocol):
         """Return the products with v, shape (batch, node, 3); differentiable."""
 
     def dense(self) -> Tensor:
-        """Return the dense matrices, shape (batch, 3 · node, 3 · node)."""
+        """Return new dense matrices by columns, shape (batch, 3 · node, 3 · node)."""
 
 
 def constrained(
@@ -56,7 +56,7 @@ def constrained(
         redundant: Number of rows of A beyond its rank.
     """
     with torch.no_grad():
-        factor, failed = torch.linalg.cholesky_ex(mass.dense())
+        factor, failed = factorised(mass.dense())
         # The transpose of a contiguous matrix has the layout of LAPACK and is not copied.
         sides = torch.cat([jacobian.dense(), load.flatten(1)[:, None]], dim=1).mT
         half, side = torch.linalg.solve_triangular(factor, sides, upper=False).split(
@@ -159,7 +159,7 @@ class Mechanics(TensorModule):
     coupling: Tensor
     """Share of each node and rod in the nonzero blocks of the mass matrix, (block, node + rod)."""
     block: Tensor
-    """Places of the nine numbers of these blocks in the flat mass matrix, shape (9 · block,)."""
+    """Places of the nine numbers of these blocks in the mass matrix by columns, (9 · block,)."""
 
     def __init__(self, scene: Scene) -> None:
         super().__init__()
@@ -296,7 +296,7 @@ def _blocks(speed_map: Array) -> tuple[Array, Index]:
     i, j = coupling.any(axis=-1).nonzero()
     down, across = np.indices((3, 3)).reshape(2, 9)
     row, column = 3 * i[:, None] + down, 3 * j[:, None] + across
-    return coupling[i, j], (3 * speed_map.shape[1] * row + column).reshape(-1)
+    return coupling[i, j], (3 * speed_map.shape[1] * column + row).reshape(-1)
 
 
 def _table(rows: Sequence[ArrayLike], width: int) -> Array:

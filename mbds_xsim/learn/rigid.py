@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.learn import turning
 from mbds_xsim.learn.graph import Graph, instead
-from mbds_xsim.learn.layers import TensorModule, keep, summed
+from mbds_xsim.learn.layers import TensorModule, factorised, keep, summed
 from mbds_xsim.learn.window import KnownInputs
 from mbds_xsim.scene.constraints import layout_of
 from mbds_xsim.scene.mechanism import Link, Mechanism
@@ -44,7 +44,7 @@ class JointRows(TensorModule):
     """Pairs of ends at the same body (not the world), the first's row not before the second's,
     shape (2, pair)."""
     place: Tensor
-    """Place of the product of each pair in a flat matrix (row, row), shape (pair,)."""
+    """Place of the product of each pair in a flat matrix (row, row) by columns, shape (pair,)."""
 
     def __init__(self, mechanism: Mechanism) -> None:
         super().__init__()
@@ -65,7 +65,7 @@ class JointRows(TensorModule):
             length=layout.length,
             ends=ends,
             pairs=torch.stack([first, second]),
-            place=count * row[first] + row[second],
+            place=count * row[second] + row[first],
             axes=torch.eye(3).double().repeat(layout.points.stop, 1),
         )
 
@@ -79,17 +79,17 @@ class JointRows(TensorModule):
         """
         return (turn[:, self.vector_body] @ self.vector[..., None])[..., 0]
 
-    def halves(self, x: Tensor, turn: Tensor) -> Tensor:
+    def halves(self, vectors: Tensor, span: Tensor) -> Tensor:
         """Return the derivatives of the rows by the twists of the bodies at their ends (`ends`).
 
-        Shape (batch, 2 · row, 6): by the parents' twists first, then by the children's.
+        Shape (batch, 2 · row, 6): by the parents' twists first, then by the children's; arguments
+        are as `spans` returns them.
         """
-        vectors, span, _ = self.spans(x, turn)
         layout, count = self.layout, len(self.first)
         points, along, links = layout.points, layout.along, layout.distances
         begin, end = vectors[:, :count], vectors[:, count : 2 * count]
         directions = [
-            self.axes.expand(len(x), -1, -1),
+            self.axes.expand(len(span), -1, -1),
             vectors[:, layout.along_normal],
             nn.functional.normalize(span[:, links], dim=-1),
         ]
@@ -104,22 +104,25 @@ class JointRows(TensorModule):
             halves.append(sign * torch.cat([move, spin], dim=-1))
         return torch.cat(halves, dim=1)
 
-    def spans(self, x: Tensor, turn: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return rotated body-fixed vectors, spans from parents to children, and residuals.
+    def spans(self, x: Tensor, turn: Tensor) -> tuple[Tensor, Tensor]:
+        """Return rotated body-fixed vectors and spans from parents to children.
 
         `x` has centres of mass [m], `turn` rotation matrices; the world follows the bodies.
-        Residuals are in m or rad, shape (batch, row).
         """
-        layout, vectors, count = self.layout, self.vectors(turn), len(self.first)
+        vectors, count = self.vectors(turn), len(self.first)
         begin, end = vectors[:, :count], vectors[:, count : 2 * count]
-        span = x[:, self.second] + end - x[:, self.first] - begin
+        return vectors, x[:, self.second] + end - x[:, self.first] - begin
+
+    def residual(self, vectors: Tensor, span: Tensor) -> Tensor:
+        """Return how far the joints are open [m or rad], (batch, row), given what `spans` returns."""
+        layout = self.layout
         residual = [
             span[:, layout.points].flatten(1),
             (vectors[:, layout.along_normal] * span[:, layout.along]).sum(-1),
             (vectors[:, layout.lever] * vectors[:, layout.normal]).sum(-1),
             span[:, layout.distances].norm(dim=-1) - self.length,
         ]
-        return vectors, span, torch.cat(residual, dim=1)
+        return torch.cat(residual, dim=1)
 
 
 def _thrice(arms: Tensor) -> Tensor:
@@ -131,9 +134,16 @@ class JointHold:
     """Joints at one pose, which project changes of twists and displacements onto allowed motion.
 
     Each row involves two bodies, so matrices are stored by ends of rows (`JointRows.halves`).
+    Where nothing is held, all from `vectors` on are empty.
     """
 
     rows: JointRows
+    turn: Tensor
+    """Rotation matrices of the bodies, shape (batch, body, 3, 3)."""
+    lightness: Tensor
+    """Inverse inertias in W, same shape."""
+    vectors: Tensor
+    """All body-fixed vectors in W (`JointRows.vectors`)."""
     jacobian: Tensor
     """Jacobian J by the twist at each end, shape (batch, 2 · row, 6)."""
     over_mass: Tensor
@@ -155,7 +165,7 @@ class JointHold:
 
     def kept(self, change: Tensor) -> Tensor:
         """Return the part of changes (batch, body, 6) that the joints allow."""
-        if not len(self.rows):
+        if not len(self.jacobian):
             return change
         whole = nn.functional.pad(change, (0, 0, 0, 1))  # the world does not change
         along = (self.jacobian * whole.index_select(1, self.rows.ends)).sum(-1)
@@ -194,7 +204,7 @@ class BodyMechanics(TensorModule):
             lightness=torch.linalg.inv(inertia),
             gravity=graph.gravity,
             moves=moves.to(graph.gravity),
-            still=torch.tensor([[0.0] * 3 + [1.0] + [0.0] * 3], dtype=torch.float64),
+            still=torch.eye(3, dtype=torch.float64)[None],
             hinge_ends=torch.tensor(ends, dtype=torch.int64) % (mechanism.body_count + 1),
         )
 
@@ -214,38 +224,45 @@ class BodyMechanics(TensorModule):
 
         Linear impulses are in N·s, angular ones in N·m·s.
         """
-        spin = self._turned(self.lightness, state[..., Q]) @ impulse[..., 3:, None]
+        spin = _turned(self.lightness, turning.matrix(state[..., Q])) @ impulse[..., 3:, None]
         return torch.cat([impulse[..., :3] / self.mass, spin[..., 0]], dim=-1) * self.moves
 
     def square(self, state: Tensor, change: Tensor) -> Tensor:
         """Return the mass-weighted mean square of a displacement or twist, shape (batch,)."""
-        spin = (self._turned(self.inertia, state[..., Q]) @ change[..., 3:, None])[..., 0]
+        spin = _times(_turned(self.inertia, turning.matrix(state[..., Q])), change[..., 3:])
         terms = self.mass * change[..., :3].square() + change[..., 3:] * spin
         return terms.sum((-2, -1)) / self.mass.sum()
+
+    def unheld(self, state: Tensor) -> JointHold:
+        """Return joints that allow every change; only `kept` may be called."""
+        return JointHold(self.rows, *[state.new_zeros(0)] * 7)
 
     def hold(self, state: Tensor) -> JointHold:
         """Return the joints at a pose; where there are none, `kept` alone may be called."""
         rows, count = self.rows, len(self.rows)
+        turn = turning.matrix(state[..., Q])
+        lightness = _turned(self.lightness, turn)
         if not count:
-            return JointHold(rows, *[state.new_zeros(0)] * 4)
-        jacobian = rows.halves(*self._placed(state))
+            return JointHold(rows, turn, lightness, *[state.new_zeros(0)] * 5)
+        vectors, span = rows.spans(*self._placed(state, turn))
+        jacobian = rows.halves(vectors, span)
         # Any mass of the world will do: its ends are in no pair, and `least` drops them.
         ends = rows.ends.clamp(max=rows.body_count - 1)
-        lightness = self._turned(self.lightness, state[..., Q]).index_select(1, ends)
-        angular = (jacobian[..., None, 3:] @ lightness)[..., 0, :]
+        angular = (jacobian[..., None, 3:] @ lightness.index_select(1, ends))[..., 0, :]
         over_mass = torch.cat([jacobian[..., :3] / self.mass[ends], angular], dim=-1)
         first, second = rows.pairs
         product = jacobian.index_select(1, first) * over_mass.index_select(1, second)
         matrix = jacobian.new_zeros(len(state), count * count)
-        matrix = matrix.index_add_(1, rows.place, product.sum(-1)).view(-1, count, count)
+        matrix = matrix.index_add_(1, rows.place, product.sum(-1)).view(-1, count, count).mT
         matrix.diagonal(dim1=-2, dim2=-1).mul_(1.0 + _REST)
-        factor, failed = torch.linalg.cholesky_ex(matrix)  # reads the lower half alone
+        factor, failed = factorised(matrix)  # reads the lower half alone
         lost = torch.where(failed > 0, torch.nan, 0.0)[:, None].to(matrix)
-        return JointHold(rows, jacobian, over_mass, factor, lost)
+        return JointHold(rows, turn, lightness, vectors, jacobian, over_mass, factor, lost)
 
     def residual(self, state: Tensor) -> Tensor:
         """Return how far the joints are open [m or rad], shape (batch, row)."""
-        return self.rows.spans(*self._placed(state))[2]
+        placed = self._placed(state, turning.matrix(state[..., Q]))
+        return self.rows.residual(*self.rows.spans(*placed))
 
     def smooth(
         self, state: Tensor, inputs: KnownInputs, frame_s: float, substeps: int
@@ -267,12 +284,12 @@ class BodyMechanics(TensorModule):
     ) -> tuple[Tensor, JointHold]:
         """Take a RATTLE step: half a kick, a drift that ends on the joints, half a kick."""
         half = 0.5 * step
-        inertia = self._turned(self.inertia, state[..., Q])
+        inertia = _turned(self.inertia, hold.turn)
         pull = (self.gravity + inputs.force / self.mass) * self.moves[:3]
         v = state[..., V] + half * pull
-        spin = _times(inertia, state[..., W]) + half * self._couples(state, inputs.torque)
+        spin = _times(inertia, state[..., W]) + half * self._couples(hold, inputs.torque)
         midway = turning.multiply(turning.from_vector(half * state[..., W]), state[..., Q])
-        lightness = self._turned(self.lightness, midway)
+        lightness = _turned(self.lightness, turning.matrix(midway))
         passes = _PASSES if len(self.rows) else 0
         for k in range(passes + 1):
             twist = torch.cat([v, _times(lightness, spin)], dim=-1) * self.moves
@@ -282,29 +299,28 @@ class BodyMechanics(TensorModule):
             kick = hold.least(self.residual(after)) / step
             v, spin = v - kick[..., :3], spin - _times(inertia, kick[..., 3:])
         v = v + half * pull
-        spin = spin + half * self._couples(after, inputs.torque)
-        spin = _times(self._turned(self.lightness, after[..., Q]), spin)
-        twist, hold = torch.cat([v, spin], dim=-1) * self.moves, self.hold(after)
+        hold = self.hold(after)
+        spin = spin + half * self._couples(hold, inputs.torque)
+        twist = torch.cat([v, _times(hold.lightness, spin)], dim=-1) * self.moves
         return torch.cat([after[..., :7], hold.kept(twist)], dim=-1), hold
 
-    def _couples(self, state: Tensor, torque: Tensor) -> Tensor:
+    def _couples(self, hold: JointHold, torque: Tensor) -> Tensor:
         """Return the torques of the driven hinges on the bodies [N·m], shape (batch, body, 3)."""
-        couple = state.new_zeros(len(state), state.shape[1] + 1, 3)
+        couple = hold.turn.new_zeros(len(hold.turn), self.rows.body_count + 1, 3)
         if torque.shape[-1]:
-            _, turn = self._placed(state)
-            along = self.rows.vectors(turn)[:, self.rows.layout.hinge] * torque[..., None]
+            along = hold.vectors[:, self.rows.layout.hinge] * torque[..., None]
             couple = couple.index_add(1, self.hinge_ends, torch.cat([along, -along], dim=1))
         return couple[:, :-1]
 
-    def _placed(self, state: Tensor) -> tuple[Tensor, Tensor]:
+    def _placed(self, state: Tensor, turn: Tensor) -> tuple[Tensor, Tensor]:
         """Return centres of mass and rotation matrices, the world's after the bodies'."""
-        poses = torch.cat([state[..., :7], self.still.expand(len(state), 1, 7)], dim=1)
-        return poses[..., X], turning.matrix(poses[..., Q])
+        centre = nn.functional.pad(state[..., X], (0, 0, 0, 1))
+        return centre, torch.cat([turn, self.still.expand(len(turn), -1, -1, -1)], dim=1)
 
-    def _turned(self, tensor: Tensor, q: Tensor) -> Tensor:
-        """Rotate a tensor from the native frames to W, shape (batch, body, 3, 3)."""
-        turn = turning.matrix(q)
-        return turn @ tensor @ turn.mT
+
+def _turned(tensor: Tensor, turn: Tensor) -> Tensor:
+    """Rotate a tensor from the native frames to W, shape (batch, body, 3, 3)."""
+    return turn @ tensor @ turn.mT
 
 
 def _times(matrix: Tensor, vector: Tensor) -> Tensor:
