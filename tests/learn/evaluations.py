@@ -40,7 +40,7 @@ def entry_of(training: str, seed: int, engines: tuple[str, ...]) -> TrainedModel
     return TrainedModel("gns", name, engines, "native", seed, Path(f"{training}{seed}"), name, "")
 
 
-def evaluation(error: Callable[[str, str, int], Array], floor: float) -> Evaluation:
+def evaluation(error: Callable[[str, str, int], Array], floor: float, seeds: int = 3) -> Evaluation:
     engines = ("a", "b", "c")
     test = paired(engines)
     figures = {
@@ -48,7 +48,7 @@ def evaluation(error: Callable[[str, str, int], Array], floor: float) -> Evaluat
             error(training, engine, seed)
         )
         for training in engines
-        for seed in range(3)
+        for seed in range(seeds)
         for engine in engines
     }
     oracles = {

@@ -78,6 +78,21 @@ def _chance(number: int, alike: bool) -> Callable[[str, str, int], Array]:
     return error
 
 
+def test_two_seeds_hardly_tell_a_loss_that_three_tell() -> None:
+    """With so few, Satterthwaite's degrees of freedom are too many by chance."""
+    two, three = (
+        interactions_of(Draws(evaluation(_unsteady, floor=0.0, seeds=seeds))) for seeds in (2, 3)
+    )
+    assert all(all(each.resolved) for each in three)
+    assert not any(any(each.resolved) for each in two)
+
+
+def _unsteady(training: str, engine: str, seed: int) -> Array:
+    """Return errors that differ between seeds about as much as between trajectories."""
+    away = training != engine
+    return _product(training, engine, 3.0 + 0.5 * seed, 0.3, 3 * away)
+
+
 def test_perfect_models_have_no_interaction() -> None:
     pairs = _found(lambda *_: np.zeros((COUNT, FRAMES)))
     assert all(each.value == (None, None) and each.resolved == (False, False) for each in pairs)
