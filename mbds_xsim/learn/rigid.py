@@ -114,7 +114,7 @@ class JointRows(TensorModule):
         return vectors, x[:, self.second] + end - x[:, self.first] - begin
 
     def residual(self, vectors: Tensor, span: Tensor) -> Tensor:
-        """Return how far the joints are open [m or rad], (batch, row), given what `spans` returns."""
+        """Return how far the joints are open [m or rad], (batch, row), given `spans`."""
         layout = self.layout
         residual = [
             span[:, layout.points].flatten(1),
