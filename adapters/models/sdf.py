@@ -87,20 +87,18 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
         shapes += shapes_of(element, parts[first:], first) if ground else ()
     name = models[0].get("name") or path.stem
     solids = Solids("collision", tuple(shapes), pair) if ground else None
-    mimics = [mimic for each in models for mimic in _mimics(each, _unique_axes(parts))]
-    gravity, gravity_fates = _gravity(root)
+    axes = _unique_axes(parts)
     model = Parts(
         name,
         tuple(parts),
-        gravity,
-        couplings=tuple(mimic for mimic in mimics if isinstance(mimic, ModelCoupling)),
+        _gravity(root, fates),
+        couplings=tuple(mimic for each in models for mimic in _mimics(each, axes, fates)),
         labels=LABELS["sdf"],
         solids=solids,
     )
     reported = labelled("sdf", model.stated) | dict.fromkeys(REPORTED if ground else (), True)
     _mark(root)
     fates += fates_of(root, reported, touching=ground)
-    fates += [*gravity_fates, *(mimic for mimic in mimics if isinstance(mimic, Fate))]
     reader = f"DART {version_of('dartpy')}"
     return assemble(model, file=path.name, kind="SDF", reader=reader, fates=fates)
 
@@ -112,8 +110,8 @@ def _unique_axes(parts: list[Part]) -> set[str]:
     return {name for name, count in counts.items() if count == 1}
 
 
-def _mimics(model: Element, axes: Set[str]) -> Iterator[ModelCoupling | Fate]:
-    """Yield what makes one axis follow another, which DART's parser does not read."""
+def _mimics(model: Element, axes: Set[str], fates: list[Fate]) -> Iterator[ModelCoupling]:
+    """Yield what makes one of the axes follow another, which DART's parser does not read."""
     types = {joint.get("name", ""): joint.get("type") for joint in model.findall("joint")}
 
     def freedom(joint: str, axis: str) -> str:
@@ -130,7 +128,7 @@ def _mimics(model: Element, axes: Set[str]) -> Iterator[ModelCoupling | Fate]:
         if axes >= {follower, leader}:
             yield ModelCoupling(follower, leader, (offset - ratio * middle, ratio))
         else:
-            yield Fate("mimic", (), "dropped", NO_FOLLOWER, True, (follower,))
+            fates.append(Fate("mimic", (), "dropped", NO_FOLLOWER, True, (follower,)))
 
 
 def _defaults(skeleton: Any, model: Element) -> Iterator[Fate]:
@@ -187,15 +185,16 @@ def _skeletons(parser: Any, root: Element) -> list[Any]:
     return skeletons
 
 
-def _gravity(root: Element) -> tuple[Array, list[Fate]]:
-    """Return the gravity of the world, or of its physics as before SDF 1.6; a fate if unstated."""
+def _gravity(root: Element, fates: list[Fate]) -> Array:
+    """Return the gravity of the world, or of its physics as before SDF 1.6."""
     world = root.find("world")
     if world is None:
-        return np.array([0.0, 0.0, -9.81]), []
+        return np.array([0.0, 0.0, -9.81])
     for path in ("gravity", "physics/gravity"):
         if world.find(path) is not None:
-            return numbers(world, path, _DOWN), []
-    return np.array(_DOWN), [Fate("gravity", (), "approximated", _NO_GRAVITY, True)]
+            return numbers(world, path, _DOWN)
+    fates.append(Fate("gravity", (), "approximated", _NO_GRAVITY, True))
+    return np.array(_DOWN)
 
 
 def _refuse(root: Element) -> None:

@@ -184,14 +184,13 @@ class _Reading(Stage):
         """Yield the freedoms that a general joint does not lock: those to slide, then to turn."""
         limits = {pair.first.name: pair.second for pair in desc.jointLimits}
         drives = {pair.first.name: pair.second for pair in desc.jointDrives}
+        locked = {key for key, each in limits.items() if each.enabled and each.lower > each.upper}
         free = {
-            letter: [k for k, axis in enumerate("XYZ") if not _locks(limits.get(letter + axis))]
+            letter: [k for k, axis in enumerate("XYZ") if letter + axis not in locked]
             for letter in ("Trans", "Rot")
         }
-        counts = any(key.startswith("Rot") for key in drives) or any(
-            key.startswith("Rot") and self._limits(limit, "hinge", 0.0)
-            for key, limit in limits.items()
-        )
+        limited = {key for key, limit in limits.items() if self._limits(limit, "hinge", 0.0)}
+        counts = any(key.startswith("Rot") for key in limited | drives.keys())
         sides = (point, axes), (other, _) = self._sides(desc)
         starts = _starts(name, sides, free, extent, counts=counts)
         for kind, letter, anchor in (("slider", "Trans", point), ("hinge", "Rot", other)):
@@ -266,10 +265,6 @@ class _Reading(Stage):
             apart = float(np.linalg.norm(other - point))
             length = apart if abs(apart - low) < _GAP * max(apart, low) else low
             yield Line(name, ends, (point, other), length, rigid=True)
-
-
-def _locks(limit: Any) -> bool:
-    return limit is not None and limit.enabled and limit.lower > limit.upper
 
 
 def _angle(axes: Array, other_axes: Array, column: int) -> float:

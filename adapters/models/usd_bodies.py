@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -34,7 +34,7 @@ class Stage:
     def __init__(self, stage: Any) -> None:
         from pxr import UsdGeom, UsdPhysics
 
-        self.stage, self._physics = stage, UsdPhysics
+        self.stage, self.physics = stage, UsdPhysics
         self.metre = UsdGeom.GetStageMetersPerUnit(stage)
         """Length of a unit [m]."""
         self.kilogram = UsdPhysics.GetStageKilogramsPerUnit(stage)
@@ -50,7 +50,7 @@ class Stage:
 
     def all(self, kind: str) -> list[Any]:
         """Return all objects of a kind."""
-        object_type = getattr(self._physics.ObjectType, kind)
+        object_type = getattr(self.physics.ObjectType, kind)
         return list(self._objects.get(object_type, ((), ()))[1])
 
     def name(self, path: Any) -> str:
@@ -74,11 +74,9 @@ def mass_of(stage: Stage, body: Any) -> Mass:
         stage: The stage.
         body: The body as the library describes it.
     """
-    from pxr import UsdPhysics
-
-    metre, kilogram = stage.metre, stage.kilogram
+    physics, metre, kilogram = stage.physics, stage.metre, stage.kilogram
     prim = stage.stage.GetPrimAtPath(body.primPath)
-    api = UsdPhysics.MassAPI(prim)
+    api = physics.MassAPI(prim)
     mass, moments = (get().Get() for get in (api.GetMassAttr, api.GetDiagonalInertiaAttr))
     place = api.GetCenterOfMassAttr()
     stated = np.array(place.Get() if place.HasAuthoredValue() else (-np.inf,) * 3, dtype=float)
@@ -99,9 +97,9 @@ def mass_of(stage: Stage, body: Any) -> Mass:
                 f"the mass of {body.primPath} depends on the mesh {shape_prim.GetPath()}; state "
                 "its mass, diagonalInertia and centerOfMass"
             )
-        return _information(UsdPhysics, *shapes[shape_prim.GetPath()])
+        return _information(physics, *shapes[shape_prim.GetPath()])
 
-    total_mass, moments, centre, axes = UsdPhysics.RigidBodyAPI(prim).ComputeMassProperties(solid)
+    total_mass, moments, centre, axes = physics.RigidBodyAPI(prim).ComputeMassProperties(solid)
     if not has_moments:  # stated ones are along stated axes, not along those of the shapes
         inertia = _tensor(moments, matrix_of(axes))
     centre = np.array(centre, dtype=float)
@@ -162,19 +160,6 @@ def matrix_of(turn: Any) -> Array:
     return rotation.matrix(quaternion / size) if size > 0 else np.eye(3)
 
 
-@dataclass(frozen=True, eq=False)
-class Touch:
-    """Contact properties of a shape."""
-
-    paths: tuple[Any, ...]
-    """Paths of the shape and of its body."""
-    filtered: tuple[Any, ...]
-    """Paths that neither collides with, including all prims below them."""
-    groups: tuple[Any, ...]
-    friction: float | None
-    restitution: float | None
-
-
 class Shapes:
     """The collision shapes of a stage."""
 
@@ -191,9 +176,7 @@ class Shapes:
         Args:
             part: Indices of moving bodies among the parts, keyed by path.
         """
-        from pxr import UsdPhysics
-
-        for listing in filter(re.compile("Shape$").search, dir(UsdPhysics.ObjectType)):
+        for listing in filter(re.compile("Shape$").search, dir(self._stage.physics.ObjectType)):
             kind = listing.removesuffix("Shape").lower().replace("cube", "box")
             for shape in self._stage.all(listing):
                 if shape.collisionEnabled:
@@ -210,7 +193,7 @@ class Shapes:
             size=_size(shape, kind) * self._stage.metre,
             place=place,
             axes=axes[:, order],
-            own=self._touch(shape),
+            own=shape,
         )
 
     def _is_even(self, path: Any, kind: str, order: list[int]) -> bool:
@@ -225,32 +208,33 @@ class Shapes:
         skew = np.abs(unit @ unit.T - np.eye(3)).max()
         return bool(max(np.ptp(alike) / scales.max(), skew) < _EVEN)
 
-    def _touch(self, shape: Any) -> Touch:
-        body = self._bodies.get(shape.rigidBody)
-        both = [shape] if body is None else [shape, body]
-        material = next((m for p in shape.materials if (m := self._materials.get(p))), None)
-        return Touch(
-            paths=tuple(each.primPath for each in both),
-            filtered=tuple(path for each in both for path in each.filteredCollisions),
-            groups=tuple(shape.collisionGroups),
-            friction=_shortest_decimal(material.dynamicFriction) if material is not None else None,
-            restitution=_shortest_decimal(material.restitution) if material is not None else None,
-        )
-
     def pair(self, shape: Solid, floor: Solid | None) -> Pair:
         """Return how a shape meets the ground; see `parts.Solids`."""
-        sides: list[Touch] = [each.own for each in (shape, floor) if each is not None]
-        apart = self._apart(*sides) if floor is not None else ""
+        sides = [each.own for each in (shape, floor) if each is not None]
         friction, restitution = (
-            _mean([getattr(side, key) for side in sides]) for key in ("friction", "restitution")
+            _mean([self._coefficient(side, key) for side in sides])
+            for key in ("dynamicFriction", "restitution")
         )
-        return Pair(friction, restitution, apart)
+        return Pair(friction, restitution, self._apart(*sides) if floor is not None else "")
 
-    def _apart(self, one: Touch, other: Touch) -> str:
+    def _coefficient(self, shape: Any, key: str) -> float | None:
+        """Return a number of single precision as the material states it: 0.7 and not 0.69999999."""
+        material = next((m for p in shape.materials if (m := self._materials.get(p))), None)
+        return None if material is None else float(str(np.float32(getattr(material, key))))
+
+    def _with_body(self, shape: Any) -> list[Any]:
+        body = self._bodies.get(shape.rigidBody)
+        return [shape] if body is None else [shape, body]
+
+    def _apart(self, one: Any, other: Any) -> str:
         for first, second in ((one, other), (other, one)):
-            if any(path.HasPrefix(prefix) for prefix in first.filtered for path in second.paths):
+            # What a path filters includes all prims below it.
+            filtered = [p for each in self._with_body(first) for p in each.filteredCollisions]
+            paths = [each.primPath for each in self._with_body(second)]
+            if any(path.HasPrefix(prefix) for prefix in filtered for path in paths):
                 return "filteredPairs keeps it from the ground"
-            if any(self._filters(a, b) for a in first.groups for b in second.groups):
+            groups = product(first.collisionGroups, second.collisionGroups)
+            if any(self._filters(*pair) for pair in groups):
                 return "its collision group does not meet the ground's"
         return ""
 
@@ -274,11 +258,6 @@ def _size(shape: Any, kind: str) -> Array:
     if kind in ("sphere", "capsule", "cylinder"):
         return np.array([shape.radius, getattr(shape, "halfHeight", 0.0), 0.0])
     return np.zeros(3)
-
-
-def _shortest_decimal(value: float) -> float:
-    """Return a single-precision number as the file states it: 0.7 and not 0.69999999."""
-    return float(str(np.float32(value)))
 
 
 def _mean(values: list[float | None]) -> float | None:

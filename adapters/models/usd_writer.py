@@ -55,9 +55,9 @@ class _Stage:
     """A stage that holds the scene, with the fates of its names, springs and servos."""
 
     def __init__(self, scene: Scene) -> None:
-        from pxr import Tf, Usd, UsdGeom, UsdPhysics
+        from pxr import Gf, Tf, Usd, UsdGeom, UsdPhysics
 
-        self._schema, self._scene = UsdPhysics, scene
+        self._schema, self._gf, self._scene = UsdPhysics, Gf, scene
         self._stage = Usd.Stage.CreateInMemory()
         UsdGeom.SetStageUpAxis(self._stage, UsdGeom.Tokens.z)
         UsdGeom.SetStageMetersPerUnit(self._stage, 1.0)
@@ -82,20 +82,18 @@ class _Stage:
         return str(self._stage.GetRootLayer().ExportToString())
 
     def _gravity(self, gravity: Array) -> None:
-        from pxr import Gf
-
         world = self._schema.Scene.Define(self._stage, f"{self._root}_world")
         size = float(np.linalg.norm(gravity))
         down = gravity / size if size else np.array([0.0, 0.0, -1.0])
-        world.CreateGravityDirectionAttr(Gf.Vec3f(*down.tolist()))
+        world.CreateGravityDirectionAttr(self._gf.Vec3f(*down.tolist()))
         world.CreateGravityMagnitudeAttr(size)
 
     def _body(self, mechanism: Mechanism, body: int) -> None:
-        from pxr import Gf, UsdGeom
+        from pxr import UsdGeom
 
         path = self._paths["bodies", mechanism.scene.bodies[body].name]
         prim = UsdGeom.Xform.Define(self._stage, path)
-        prim.AddTranslateOp().Set(Gf.Vec3d(*mechanism.com[body].tolist()))
+        prim.AddTranslateOp().Set(self._gf.Vec3d(*mechanism.com[body].tolist()))
         self._schema.RigidBodyAPI.Apply(prim.GetPrim())
         mass = self._schema.MassAPI.Apply(prim.GetPrim())
         moments, axes = _principal(mechanism.inertia[body])
@@ -103,13 +101,11 @@ class _Stage:
             msg = f"the body {path.rpartition('/')[2]!r} has a moment of inertia of {moments[0]:g} "
             raise InputError(f"{msg}kg·m²; USD, of single precision, takes {_LEAST:.2g} or more")
         mass.CreateMassAttr(float(mechanism.mass[body]))
-        mass.CreateCenterOfMassAttr(Gf.Vec3f(0.0))
-        mass.CreateDiagonalInertiaAttr(Gf.Vec3f(*moments))
-        mass.CreatePrincipalAxesAttr(Gf.Quatf(*rotation.from_matrix(axes).tolist()))
+        mass.CreateCenterOfMassAttr(self._gf.Vec3f(0.0))
+        mass.CreateDiagonalInertiaAttr(self._gf.Vec3f(*moments))
+        mass.CreatePrincipalAxesAttr(self._gf.Quatf(*rotation.from_matrix(axes).tolist()))
 
     def _joint(self, joint: PlacedJoint, *, closes: bool) -> None:
-        from pxr import Gf
-
         schema = getattr(self._schema, _KINDS[joint.kind])
         prim = schema.Define(self._stage, self._paths["joints", joint.name])
         self._hold(prim, (joint.parent, joint.child), (joint.in_parent, joint.in_child))
@@ -118,7 +114,7 @@ class _Stage:
         if not joint.axis.any():
             return
         turn = np.column_stack([*rotation.normal_to(joint.axis), joint.axis])
-        frame = Gf.Quatf(*rotation.from_matrix(turn).tolist())
+        frame = self._gf.Quatf(*rotation.from_matrix(turn).tolist())
         prim.CreateAxisAttr("Z")
         prim.CreateLocalRot0Attr(frame)
         prim.CreateLocalRot1Attr(frame)
@@ -164,14 +160,12 @@ class _Stage:
         prim.CreateMaxDistanceAttr(pair.length)
 
     def _hold(self, prim: Any, bodies: tuple[int, int], places: tuple[Array, Array]) -> None:
-        from pxr import Gf
-
         bodies_of = (prim.CreateBody0Rel, prim.CreateBody1Rel)
         places_of = (prim.CreateLocalPos0Attr, prim.CreateLocalPos1Attr)
         for body, place, relate, put in zip(bodies, places, bodies_of, places_of, strict=True):
             if body != WORLD_INDEX:
                 relate().SetTargets([self._paths["bodies", self._scene.bodies[body].name]])
-            put(Gf.Vec3f(*place.tolist()))
+            put(self._gf.Vec3f(*place.tolist()))
 
 
 def _unit(kind: str) -> float:
