@@ -187,6 +187,18 @@ def test_a_mimic_of_nothing_is_dropped_by_name(here: Path, kind: str, how: str) 
     assert not imported.scene.couplings
 
 
+def test_a_mimic_of_joints_whose_names_two_models_have_is_dropped(here: Path) -> None:
+    inside = _led("revolute", 'joint="pivot"')
+    models = "".join(f'<model name="{name}">{inside}</model>' for name in "ab")
+    (here / "model.sdf").write_text(f'<sdf version="1.11"><world name="w">{models}</world></sdf>')
+
+    imported = read_model(here / "model.sdf")
+
+    assert not imported.scene.couplings
+    (fate,) = (fate for fate in imported.fates if fate.element == "mimic")
+    assert (fate.outcome, fate.places, fate.count) == ("dropped", ("clip",), 2)
+
+
 def test_a_joint_that_closes_a_loop_is_told(here: Path) -> None:
     """The reader keeps the first joint of a link, as DART does."""
     again = '<joint name="second" type="ball"><parent>world</parent><child>arm</child></joint>'
