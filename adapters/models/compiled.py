@@ -166,7 +166,7 @@ def _check_axis(joint: Element) -> None:
     except ValueError:
         values = []
     is_direction = all(map(math.isfinite, values)) and any(values)
-    if len(values) != 3 or not (is_direction or kind not in _WITH_AXIS):
+    if len(values) != 3 or (kind in _WITH_AXIS and not is_direction):
         msg = f"joint {joint.get('name')!r} has the axis {text!r}, "
         raise InputError(f"{msg}allowed are three finite numbers that are not all 0")
     if kind == "planar" and values != [0, 0, 1]:
@@ -190,9 +190,8 @@ def _stated_limits(root: Element) -> dict[str, tuple[float, float]]:
 def _lost_mimics(root: Element, parts: Parts) -> Iterator[Fate]:
     """Report joints of a URDF that the compiler does not let follow another."""
     followers = {coupling.joint for coupling in parts.couplings}
-    for joint in root.findall("joint"):
-        name = joint.get("name", "")
-        if joint.find("mimic") is not None and name not in followers:
+    for joint in root.findall("joint[mimic]"):
+        if (name := joint.get("name", "")) not in followers:
             yield Fate("mimic", (), "dropped", NO_FOLLOWER, True, (name,))
 
 
@@ -206,11 +205,10 @@ def _replace_masses(spec: Any, floating: bool) -> dict[str, Any]:
     spec.compiler.fusestatic = False
     masses = {}
     for body in spec.bodies[1:]:
-        xx, yy, zz, xy, xz, yz = body.fullinertia
-        tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        if np.isnan(xx):
-            tensor = np.diag(body.inertia)
         if body.explicitinertial:
+            xx, yy, zz, xy, xz, yz = body.fullinertia
+            full = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+            tensor = np.diag(body.inertia) if np.isnan(xx) else full
             masses[body.name] = (body.mass, np.array(body.ipos), np.array(body.iquat), tensor)
         body.mass, body.inertia, body.ipos, body.iquat = 1.0, np.ones(3), np.zeros(3), [1, 0, 0, 0]
         body.fullinertia = [math.nan] + 5 * [0.0]

@@ -41,10 +41,8 @@ class Reading(Resolved):
         limits: Mapping[str, tuple[float, float]] | None = None,
     ) -> None:
         super().__init__(model)
-        self._stated_masses, self._stated_limits = stated, limits or {}
-        self._shape = shape
-        masks = model.geom_contype | model.geom_conaffinity
-        self._geoms = np.flatnonzero(masks).tolist()
+        self._stated_masses, self._stated_limits, self._shape = stated, limits or {}, shape
+        self._geoms = np.flatnonzero(model.geom_contype | model.geom_conaffinity).tolist()
         """Shapes that are not only drawn."""
         self._ties, self._actuators = Ties(self), Actuators(self)
         self._drives = tuple(self._actuators.drives())

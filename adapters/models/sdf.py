@@ -30,9 +30,7 @@ _KINDS = {"RevoluteJoint": "hinge", "PrismaticJoint": "slider", "BallJoint": "ba
           "FreeJoint": "free"}  # fmt: skip
 _VERSIONS = ("1.5", "1.6", "1.7", "1.8", "1.9", "1.10", "1.11")
 """Accepted versions. Up to 1.4, axes were in the model's frame, a difference that DART ignores."""
-_FRAMES = (
-    "relative_to", "expressed_in", "frame", "placement_frame", "degrees", "rotation_format",
-)  # fmt: skip
+_FRAMES = ("relative_to", "expressed_in", "frame", "placement_frame", "degrees", "rotation_format")
 _PLAIN = ("", "0", "false", "euler_rpy")
 """Values of these attributes that change nothing."""
 _ONE = "DART's parser takes one joint per link, and only between existing links"
