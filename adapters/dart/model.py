@@ -8,7 +8,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.scene.joint_space import BodyStates, to_bodies, to_links
+from mbds_xsim.scene.joint_space import BodyStates, LinkStates, to_bodies, to_links
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.simulate.columns import LinkColumns, link_kinds, links_of
 
@@ -42,8 +42,6 @@ class SkeletonModel:
         self.turning_at, self._free_at = (
             first[links, None] + np.arange(3) for links in (self.turning, self._free)
         )
-        self._scalar = links_of(kinds, "hinge", "slider")
-        self._scalar_at = first[self._scalar]
         self.side = np.repeat([1.0, -1.0], [len(self.turning) - len(self._free), len(self._free)])
         """1 for a ball joint among `turning`, whose increments stand on the right; −1 otherwise."""
 
@@ -54,10 +52,10 @@ class SkeletonModel:
 
     def armature(self) -> Array:
         """Return the rotors' part of the mass matrix, shape (coordinate, coordinate)."""
-        diagonal = np.zeros(self.coordinate_count)
-        joints = (self.mechanism.links[k].joint for k in self._scalar)
-        diagonal[self._scalar_at] = [joint.armature if joint else 0.0 for joint in joints]
-        return np.diag(diagonal)
+        links = LinkStates.still((self.mechanism.body_count,))
+        joints = (link.joint for link in self.mechanism.links)
+        links.rate[:] = [joint.armature if joint else 0.0 for joint in joints]
+        return np.diag(self._columns.of_links(links)[1])
 
     def set_state(self, q: Array, u: Array) -> None:
         """Set the skeleton's generalised coordinates q and velocities u."""
