@@ -82,7 +82,7 @@ class Drake(Adapter):
         for spring in Mechanism.of(scene).springs:
             if spring.length <= 0.0:
                 return f"the spring {spring.name!r} has no rest length; Drake needs more than 0 m"
-        restitution = scene.ground.restitution if scene.ground and scene.contacts else 0.0
+        restitution = scene.ground.restitution if scene.ground else 0.0
         if restitution and not LEAST_REBOUND <= restitution <= MOST_REBOUND:
             bounds = f"Drake can do 0, or {LEAST_REBOUND:g} to {MOST_REBOUND:g}"
             return f"the ground's restitution is {restitution:g}; {bounds}"
@@ -108,7 +108,7 @@ class Drake(Adapter):
             return Settings(
                 method, careful_step(frame, min(_CAREFUL_STEP, springs), _CAREFUL_COUNT)
             )
-        if scene.ground is None or not scene.contacts:
+        if scene.ground is None:
             step = careful_step(frame, min(_OWN_STEP, springs), _OWN_COUNT)
             return Settings(_OWN, at_least(least, step, frame))
         count = steps_of_impact(scene.ground.restitution)

@@ -73,7 +73,7 @@ def contact_lines(mechanism: Mechanism, step: float, count: float) -> Iterator[s
         count: Number of steps that an impact takes; 0 for Drake's own material and solver.
     """
     ground = mechanism.scene.ground
-    if ground is None or not len(mechanism.sphere_body):
+    if ground is None:
         return
     yield _STATEMENTS.format(friction=ground.friction)
     surfaces = [""] * (1 + len(mechanism.sphere_body))

@@ -259,7 +259,7 @@ def _central(inertia: Any) -> Array:
 
 def _rows(mechanism: Mechanism) -> int:
     """Count the constraint rows, contacts excluded."""
-    rows = {"ball": 3, "hinge": 6, "fixed": 6, "slider": 5}
+    rows = {"ball": 3, "hinge": 6, "fixed": 6}
     closing = sum(rows[joint.kind] for joint in mechanism.loops)
     return closing + len(mechanism.distances) + len(mechanism.couplings)
 
