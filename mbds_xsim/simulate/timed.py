@@ -43,9 +43,6 @@ _PATIENCE = 20.0  # time limit for those steps [s]
 class Simulation:
     """Motion that an engine made from a batch, and its times."""
 
-    engine: str
-    version: str
-    settings: Settings
     trajectory: Trajectory
     readback: Readback
     size: ModelSize
@@ -81,9 +78,6 @@ def simulate(scene: Scene, batch: Batch, engine: str, settings: Settings) -> Sim
             lambda: checked(run.rollout(batch), batch), often=False
         )
         return Simulation(
-            engine=engine,
-            version=adapter.version(),
-            settings=settings,
             trajectory=trajectory,
             readback=readback,
             size=size_of(run),
