@@ -28,7 +28,7 @@ class KinematicTree(Formulation):
 
     def __init__(self, mechanism: Mechanism, step: float) -> None:
         super().__init__(mechanism, step)
-        self._order = [link.body for link in mechanism.links]
+        self._number = {link.body: k for k, link in enumerate(mechanism.links)}
 
     def bodies(self) -> Iterator[str]:
         mechanism = self.mechanism
@@ -55,7 +55,7 @@ class KinematicTree(Formulation):
         frame, above = _frame(joint), np.eye(3)
         offset, parent = joint.anchor, -1
         if link.parent != WORLD_INDEX:
-            parent = self._order.index(link.parent)
+            parent = self._number[link.parent]
             holder = _joint(mechanism.links[parent])
             above, offset = _frame(holder), joint.anchor - holder.anchor
         inertia = frame.T @ mechanism.inertia[link.body] @ frame
@@ -69,7 +69,7 @@ class KinematicTree(Formulation):
         )
 
     def marker(self, body: int, point: Array) -> str:
-        number = self._order.index(body)
+        number = self._number[body]
         joint = _joint(self.mechanism.links[number])
         back = _frame(joint).T
         return (
@@ -95,7 +95,7 @@ class KinematicTree(Formulation):
 
     def mass_properties(self) -> tuple[Array, Array, Array, Array]:
         tree, back = self._tree(), self._back()
-        link = [self._order.index(body) for body in range(self.mechanism.body_count)]
+        link = [self._number[body] for body in range(self.mechanism.body_count)]
         inertia = np.array([np.array(tree["linkInertiasCOM"][k]) for k in link])
         places = [marker["localPosition"] for marker in self._markers()]
         off = np.array([tree["linkCOMs"][k] for k in link]) - places
@@ -108,21 +108,21 @@ class KinematicTree(Formulation):
 
     def joint_fields(self, com: Array, turn: Array) -> dict[str, Array]:
         tree, frames = self._tree(), turn @ np.swapaxes(self._back(), -1, -2)
-        place = {link.body: k for k, link in enumerate(self.mechanism.links)}
-        origin = {body: com[body] - frames[body] @ tree["linkCOMs"][k] for body, k in place.items()}
+        numbers = self._number
+        origin = {k: com[k] - frames[k] @ tree["linkCOMs"][numbers[k]] for k in numbers}
 
         def ends(link: Link) -> tuple[Array, Array]:
-            above = np.array(tree["jointOffsets"][place[link.body]])
+            above = np.array(tree["jointOffsets"][numbers[link.body]])
             if link.parent != WORLD_INDEX:
                 above = origin[link.parent] + frames[link.parent] @ above
             return above, origin[link.body]
 
         def law(link: Link, _joint: PlacedJoint) -> tuple[float, float, float]:
-            k = place[link.body]
+            k = numbers[link.body]
             stiffness, damping = tree["jointPControlVector"][k], tree["jointDControlVector"][k]
             return stiffness, damping, tree["jointPositionOffsetVector"][k]
 
-        geared = [place[self.mechanism.carried[joint.index]] for joint in self.mechanism.rotors]
+        geared = [numbers[self.mechanism.carried[joint.index]] for joint in self.mechanism.rotors]
         masses = [rotor["massMatrix"].Convert2DenseMatrix() for rotor in self.objects("rotors")]
         return {
             "joint_axis": joint_axes(self.mechanism, lambda link: frames[link.body][:, 2]),
