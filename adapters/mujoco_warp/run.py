@@ -11,7 +11,7 @@ from mbds_xsim.scene.servo import with_pushes
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import Readback
 
-from ..mujoco.contact import HARDEST, Impact
+from ..mujoco.contact import Impact
 from ..mujoco.model import StepOptions
 from ..mujoco.run import ModelRun
 from ..mujoco.spinless import Bending
@@ -29,9 +29,8 @@ def stepping(step: float, loop: float, link: float) -> StepOptions:
         loop: Time constant of loops, in steps.
         link: Time constant of distance links, in steps.
     """
-    impact = Impact(0.0, 1, HARDEST)
     return StepOptions(
-        "RK4", step, "CG", step * loop, step * link, impact,
+        "RK4", step, "CG", step * loop, step * link, Impact(0.0, 1),
         hard_limits=True, jacobian="sparse", resets=False,
     )  # fmt: skip
 
