@@ -9,18 +9,7 @@ from typing import Any
 from mbds_xsim.base.text import counted
 from mbds_xsim.dataset.audit import Audited
 from mbds_xsim.measure.result import FindingResult
-from mbds_xsim.report import quantity
-from mbds_xsim.report.blocks import (
-    Block,
-    Cell,
-    Figure,
-    FigureGroup,
-    Remark,
-    Remarks,
-    Report,
-    chart,
-    table_of,
-)
+from mbds_xsim.report import blocks, quantity
 from mbds_xsim.report.themed import GREY, INK
 
 _LEAST = 1e-6
@@ -28,9 +17,9 @@ _LEAST = 1e-6
 _COLUMNS = ("check", ">worst", ">budget", ">trajectory", ">frame", "where", "")
 
 
-def present(audited: Audited, command: str) -> Report:
+def present(audited: Audited, command: str) -> blocks.Report:
     """Report whether the trajectories keep the budgets of all checks that ran."""
-    return Report(
+    return blocks.Report(
         title=audited.file,
         what=audited.verdict,
         description=f"{audited.scene}, {counted(audited.trajectories, 'trajectory')} of "
@@ -43,15 +32,16 @@ def present(audited: Audited, command: str) -> Report:
     )
 
 
-def _blocks(audited: Audited) -> Iterator[Block]:
-    yield Remarks.of(("taken for granted", line) for line in audited.taken)
+def _blocks(audited: Audited) -> Iterator[blocks.Block]:
+    yield blocks.Remarks.of(("taken for granted", line) for line in audited.taken)
     note = "worst of all trajectories and frames, beside what is allowed"
-    yield table_of(_COLUMNS, map(_row, audited.findings), note=note)
+    yield blocks.table_of(_COLUMNS, map(_row, audited.findings), note=note)
     judged = [finding for finding in audited.findings if finding.budget]
     if judged:
-        yield FigureGroup((_shares(judged),))
-    yield Remarks(tuple(Remark("broken", reason, "fail") for reason in audited.reasons))
-    yield Remarks.of(_skipped_checks(audited))
+        yield blocks.FigureGroup((_shares(judged),))
+    broken = (blocks.Remark("broken", reason, "fail") for reason in audited.reasons)
+    yield blocks.Remarks(tuple(broken))
+    yield blocks.Remarks.of(_skipped_checks(audited))
 
 
 def _conclusion(audited: Audited) -> str:
@@ -70,10 +60,10 @@ def _skipped_checks(audited: Audited) -> Iterator[tuple[str, str]]:
         yield f"not checked: {', '.join(name for name, _ in names)}", reason
 
 
-def _row(finding: FindingResult) -> tuple[Cell | str, ...]:
+def _row(finding: FindingResult) -> tuple[blocks.Cell | str, ...]:
     judged = finding.budget is not None
     figure, budget = quantity.beside(finding.figure, finding.budget, finding.unit)
-    mark = Cell("", "pass" if finding.passed else "fail") if judged else Cell("")
+    mark = blocks.Cell("", "pass" if finding.passed else "fail") if judged else blocks.Cell("")
     return (
         finding.check,
         figure,
@@ -85,7 +75,7 @@ def _row(finding: FindingResult) -> tuple[Cell | str, ...]:
     )
 
 
-def _shares(judged: list[FindingResult]) -> Figure:
+def _shares(judged: list[FindingResult]) -> blocks.Figure:
     """Draw the share of its budget that each check uses."""
     shares = [max(f.figure / (f.budget or 1.0), _LEAST) for f in judged]
 
@@ -103,4 +93,4 @@ def _shares(judged: list[FindingResult]) -> Figure:
     summary = ", ".join(
         f"{f.check} {quantity.number(share)}" for f, share in zip(judged, shares, strict=True)
     )
-    return chart(f"shares of the budgets: {summary}", draw, (7.0, 0.9 + 0.26 * len(judged)))
+    return blocks.chart(f"shares of the budgets: {summary}", draw, (7.0, 0.9 + 0.26 * len(judged)))
