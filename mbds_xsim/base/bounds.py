@@ -37,8 +37,7 @@ _TOO_SMALL = "products of smaller numbers underflow"
 
 def rows(key: str, values: tuple[float | tuple[float, ...], ...]) -> None:
     """Raise unless a series has at least one row and all its numbers are finite."""
-    if not values:
-        raise SceneError(f"{key}: got no row, allowed is one or more")
+    _require(bool(values), key, "no row", "is one or more")
     for value in values:
         finite(key, value)
 
@@ -72,16 +71,13 @@ def interval(key: str, value: float) -> None:
 
 def share(key: str, value: float) -> None:
     """Raise unless a value is in [0, 1]."""
-    if not 0.0 <= value <= 1.0:
-        raise SceneError(f"{key}: got {value}, allowed is 0 to 1")
+    _require(0.0 <= value <= 1.0, key, value, "is 0 to 1")
 
 
 def span(key: str, values: tuple[float, float]) -> None:
     """Raise unless two numbers are finite and the first is the smaller one."""
     finite(key, values)
-    if not values[0] < values[1]:
-        msg = f"{key}: got {list(values)}, allowed are two numbers, the smaller one first"
-        raise SceneError(msg)
+    _require(values[0] < values[1], key, list(values), "are two numbers, the smaller one first")
 
 
 def size(key: str, value: float) -> None:
@@ -92,8 +88,7 @@ def size(key: str, value: float) -> None:
 
 def positive(key: str, value: float, *, least: float = _SMALLEST, why: str = _TOO_SMALL) -> None:
     """Raise unless a number is finite, above 0 and at least `least`; `why` explains that bound."""
-    if not (math.isfinite(value) and value > 0):
-        raise SceneError(f"{key}: got {value}, allowed is a finite number above 0")
+    _require(math.isfinite(value) and value > 0, key, value, "is a finite number above 0")
     if value < least:
         raise SceneError(f"{key}: got {value}, allowed is {least:.0e} or more: {why}")
     finite(key, value)
@@ -101,8 +96,7 @@ def positive(key: str, value: float, *, least: float = _SMALLEST, why: str = _TO
 
 def at_least_zero(key: str, value: float) -> None:
     """Raise unless a number is finite and 0 or more."""
-    if not (math.isfinite(value) and value >= 0):
-        raise SceneError(f"{key}: got {value}, allowed is a finite number, 0 or more")
+    _require(math.isfinite(value) and value >= 0, key, value, "is a finite number, 0 or more")
     finite(key, value)
 
 
@@ -120,14 +114,19 @@ def name(key: str, value: str) -> None:
 
 def names(key: str, values: tuple[str, ...]) -> None:
     """Raise unless a list has at least one name and no duplicates."""
-    if not values or len(set(values)) < len(values):
-        raise SceneError(f"{key}: got {list(values)}, allowed is one name or more, each once")
+    unique = bool(values) and len(set(values)) == len(values)
+    _require(unique, key, list(values), "is one name or more, each once")
 
 
 def count(key: str, got: int, most: int, why: str) -> None:
     """Raise if a number of things exceeds `most`; `why` explains that bound."""
     if got > most:
         raise SceneError(f"{key}: got {got}, allowed are {most} at most: {why}")
+
+
+def _require(holds: bool, key: str, got: object, allowed: str) -> None:
+    if not holds:
+        raise SceneError(f"{key}: got {got}, allowed {allowed}")
 
 
 def _at_most(key: str, value: float, most: float, why: str) -> None:
@@ -146,8 +145,7 @@ def direction(key: str, value: tuple[float, ...]) -> None:
     """Raise unless a vector is finite and non-zero."""
     if not all(map(math.isfinite, value)):
         finite(key, value)
-    if not math.hypot(*value) > 0:
-        raise SceneError(f"{key}: got {list(value)}, allowed is any non-zero vector")
+    _require(math.hypot(*value) > 0, key, list(value), "is any non-zero vector")
 
 
 def unit(key: str, value: tuple[float, ...]) -> None:
@@ -205,7 +203,10 @@ class Neutral(
     fingerprints, so that those of older scenes do not change."""
 
     def __post_init__(self) -> None:
-        """Check every value against the bounds that its type names, and make numbers floats."""
+        """Check every value against the bounds that its type names, and make numbers floats.
+
+        What is right already stays the same object: by that, defaults are left out of texts.
+        """
         for key, check in _bounds_of(type(self)):
             check(key, getattr(self, key))
         for key in _float_keys(type(self)):
