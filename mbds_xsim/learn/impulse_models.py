@@ -10,6 +10,7 @@ energy does everything, as in `energy_models`, but is learned from poses and twi
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Mapping
 from typing import ClassVar
@@ -171,13 +172,17 @@ class BodyNodes(TensorModule):
         """
         spin = state[:, None, self.carrier, W].detach()
 
+        @functools.cache
+        def turn(time: float) -> Tensor:
+            return turning.matrix(turning.from_vector(time * spin))
+
         def corotating_rate(at: Tensor, time: float) -> Tensor:
-            at = self._turned(at, time * spin)
+            at = self._turned(at, turn(time))
             arm = at - self._centre(at)
             slope = rate(at) - torch.linalg.cross(spin.expand_as(arm), arm)
-            return self._turned(slope, -time * spin)
+            return self._turned(slope, turn(-time))
 
-        return self._turned(runge_kutta(corotating_rate, moving, step), step * spin)
+        return self._turned(runge_kutta(corotating_rate, moving, step), turn(step))
 
     def bodies(self, moving: Tensor, before: Tensor, step: float) -> Tensor:
         """Return the states (batch, body, 13) of nodes and velocities (batch, 2, node, 3).
@@ -204,10 +209,9 @@ class BodyNodes(TensorModule):
         return torch.cat([moving, self.still.expand(len(moving), -1, -1, -1)], dim=2)
 
     def _turned(self, moving: Tensor, turn: Tensor) -> Tensor:
-        """Turn nodes and velocities by rotation vectors [rad] about their centres."""
+        """Turn nodes and velocities by rotation matrices about their centres."""
         centre = self._centre(moving)
-        matrix = turning.matrix(turning.from_vector(turn))
-        return centre + (matrix @ (moving - centre)[..., None])[..., 0]
+        return centre + (turn @ (moving - centre)[..., None])[..., 0]
 
     def _summed(self, values: Tensor) -> Tensor:
         """Sum over each body's tips."""

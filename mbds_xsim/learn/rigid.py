@@ -88,20 +88,16 @@ class JointRows(TensorModule):
         layout, count = self.layout, len(self.first)
         points, along, links = layout.points, layout.along, layout.distances
         begin, end = vectors[:, :count], vectors[:, count : 2 * count]
-        directions = [
-            self.axes.expand(len(span), -1, -1),
-            vectors[:, layout.along_normal],
-            nn.functional.normalize(span[:, links], dim=-1),
+        axes, normals = self.axes.expand(len(span), -1, -1), vectors[:, layout.along_normal]
+        lever, unit = vectors[:, layout.lever], nn.functional.normalize(span[:, links], dim=-1)
+        move = torch.cat([axes, normals, torch.zeros_like(lever), unit], dim=1)
+        about = torch.cat([axes, normals, vectors[:, layout.normal], unit], dim=1)
+        parents = [_thrice(begin[:, points]), (begin + span)[:, along], lever, begin[:, links]]
+        children = [_thrice(end[:, points]), end[:, along], lever, end[:, links]]
+        halves = [
+            sign * torch.cat([move, torch.linalg.cross(torch.cat(arms, dim=1), about)], dim=-1)
+            for arms, sign in ((parents, -1.0), (children, 1.0))
         ]
-        parents = [_thrice(begin[:, points]), (begin + span)[:, along], begin[:, links]]
-        children = [_thrice(end[:, points]), end[:, along], end[:, links]]
-        lever = torch.linalg.cross(vectors[:, layout.lever], vectors[:, layout.normal])
-        move = torch.cat([*directions[:2], torch.zeros_like(lever), directions[2]], dim=1)
-        halves = []
-        for arms, sign in ((parents, -1.0), (children, 1.0)):
-            swing = [torch.linalg.cross(*pair) for pair in zip(arms, directions, strict=True)]
-            spin = torch.cat([*swing[:2], lever, swing[2]], dim=1)
-            halves.append(sign * torch.cat([move, spin], dim=-1))
         return torch.cat(halves, dim=1)
 
     def spans(self, x: Tensor, turn: Tensor) -> tuple[Tensor, Tensor]:
