@@ -29,7 +29,7 @@ from mbds_xsim.checks.ground import (
     pushed,
     pushes_of,
 )
-from mbds_xsim.checks.rebounds import at_impacts, dull_impacts_of, dull_note, restitution_note
+from mbds_xsim.checks.rebounds import at_impacts, rebound_figures
 from mbds_xsim.checks.record import Record
 from mbds_xsim.checks.spheres import direction
 from mbds_xsim.scene.joint_space import BodyStates
@@ -62,19 +62,10 @@ def eccentric_restitution(record: Record) -> Figures | None:
     groups = _deviations(record)
     if not groups:
         return None
-    ratios = [ratio for _, hits, _ in groups for ratio in (hits.leaving / hits.arriving).tolist()]
-    note = restitution_note(ratios, record.ground.restitution)
-    if ratios:
-        rigid = sum(int(off[2].sum()) for _, _, off in groups)
-        note += f"; {rigid} of {len(ratios)} impacts by the rigid law"
-    least = _LEFT * record.ground.restitution
-    dull = [dull_impacts_of(record, push) for push in _groups(record)]
-    errors = [
-        each.beside((hits.row, hits.step, off[0]), least)
-        for each, (_, hits, off) in zip(dull, groups, strict=True)
-    ]
-    names = [name for name, _, _ in groups]
-    return Figures(at_impacts(record, errors), names, note + dull_note(dull, least))
+    rigid = np.concatenate([off[2] for _, _, off in groups])
+    remark = f"; {rigid.sum():.0f} of {len(rigid)} impacts by the rigid law" if len(rigid) else ""
+    errors, least = [off[0] for _, _, off in groups], _LEFT * record.ground.restitution
+    return rebound_figures(record, _groups(record), errors, least, remark)
 
 
 @check("eccentric friction", lambda record: _budgets(record)[1])

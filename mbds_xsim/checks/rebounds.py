@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,20 +36,43 @@ def restitution(record: Record) -> Figures | None:
     if not pushes:
         return None
     wanted = record.ground.restitution
+    impacts = (fast_impacts_of(record, push) for push in pushes)
+    errors = [np.abs(hits.leaving / hits.arriving - wanted) for hits in impacts]
+    return rebound_figures(record, pushes, errors, wanted)
+
+
+def rebound_figures(
+    record: Record, pushes: list[Push], errors: list[Array], wanted: float, remark: str = ""
+) -> Figures:
+    """Put errors of fast impacts, and what dull ones miss of a restitution, at the frames after.
+
+    Args:
+        record: Record of the motion.
+        pushes: Groups of bodies, at least one.
+        errors: Errors of the fast impacts of each group.
+        wanted: Restitution that dull impacts must allow.
+        remark: Remark on the fast impacts for the note.
+    """
     impacts = [fast_impacts_of(record, push) for push in pushes]
-    dull = [dull_impacts_of(record, push) for push in pushes]
-    ratios = [hits.leaving / hits.arriving for hits in impacts]
-    errors = [(h.row, h.step, np.abs(r - wanted)) for h, r in zip(impacts, ratios, strict=True)]
-    errors = [d.beside(each, wanted) for d, each in zip(dull, errors, strict=True)]
-    note = restitution_note(np.concatenate(ratios).tolist(), wanted) + dull_note(dull, wanted)
-    return Figures(at_impacts(record, errors), [push.name for push in pushes], note)
+    dull = [_dull_impacts_of(record, push) for push in pushes]
+    placed = [
+        (
+            np.append(fast.row, slow.row),
+            np.append(fast.step, slow.step),
+            np.append(error, np.maximum(wanted - slow.most, 0.0)),
+        )
+        for fast, slow, error in zip(impacts, dull, errors, strict=True)
+    ]
+    ratios = np.concatenate([hits.leaving / hits.arriving for hits in impacts]).tolist()
+    note = restitution_note(ratios, record.ground.restitution) + remark
+    most = np.concatenate([slow.most for slow in dull])
+    few = most[most < wanted]
+    if len(few):
+        note += f"; {len(few)} more deliver {few.max():.2g} at most"
+    return Figures(at_impacts(record, placed), [push.name for push in pushes], note)
 
 
-_Placed = tuple[Index, Index, Array]
-"""Rows, steps and values of impacts."""
-
-
-def at_impacts(record: Record, groups: Sequence[_Placed]) -> Array:
+def at_impacts(record: Record, groups: Sequence[tuple[Index, Index, Array]]) -> Array:
     """Put values of impacts, by row and step, at the frames after, (trajectory, frame, group)."""
     parts = np.full((*record.finite.shape, len(groups)), np.nan)
     parts[:, 0] = 0.0  # not every trajectory bounces
@@ -67,15 +89,7 @@ def restitution_note(ratios: list[float], wanted: float) -> str:
     return f"{text}, the scene has {wanted:.4f}"
 
 
-def dull_note(dull: Sequence[DullImpacts], wanted: float) -> str:
-    """Say how many impacts deliver too little restitution to be followed; "" if none does."""
-    most = np.concatenate([each.most for each in dull])
-    few = most[most < wanted]
-    return f"; {len(few)} more deliver {few.max():.2g} at most" if len(few) else ""
-
-
-@dataclass(frozen=True, eq=False)
-class DullImpacts:
+class _DullImpacts(NamedTuple):
     """Fast impacts of one sphere each whose rebound is not seen, one entry per impact."""
 
     row: Index
@@ -83,15 +97,8 @@ class DullImpacts:
     most: Array
     """Most restitution that the next frame allows: the leaving speed over the arriving one."""
 
-    def beside(self, known: _Placed, wanted: float) -> _Placed:
-        """Add what these impacts miss of a restitution to the errors of others."""
-        missed = self.row, self.step, np.maximum(wanted - self.most, 0.0)
-        row, step, values = (np.concatenate(pair) for pair in zip(known, missed, strict=True))
-        return row, step, values
 
-
-@functools.lru_cache(maxsize=4)
-def dull_impacts_of(record: Record, push: Push) -> DullImpacts:
+def _dull_impacts_of(record: Record, push: Push) -> _DullImpacts:
     """Find the single impacts that may leave a sphere on the ground, from where it was in flight.
 
     If a sphere leaves at a speed u at a time t before the frame ends, and nothing pulls it back by
@@ -103,7 +110,7 @@ def dull_impacts_of(record: Record, push: Push) -> DullImpacts:
     wanted, time = record.ground.restitution, record.contact_time
     if time is None or not wanted or _is_sprung(record, push):
         none = np.zeros(0, dtype=int)
-        return DullImpacts(none, none, np.zeros(0))
+        return _DullImpacts(none, none, np.zeros(0))
     alone = (push.reach.sum(axis=2) == 1) & undisturbed(record, push)
     begins = push.untouched[:, :-1] & alone & (push.impulse[..., 2] > 0.0)
     hits = impacts_of(record, push)
@@ -119,7 +126,7 @@ def dull_impacts_of(record: Record, push: Push) -> DullImpacts:
     row, step, sphere, left = row[fast], step[fast], sphere[fast], left[fast]
     gap = np.maximum(record.spheres.gap[row, step + 1, sphere], 0.0)
     most = (gap / left + 0.5 * pull[fast] * left) / -before.climb[fast]
-    return DullImpacts(row, step, np.asarray(most))
+    return _DullImpacts(row, step, np.asarray(most))
 
 
 def _pull(record: Record, row: Index, step: Index, sphere: Index) -> Array:
