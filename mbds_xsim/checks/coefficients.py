@@ -20,7 +20,7 @@ import numpy as np
 
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.conservation import energy_of, flights_of, gain_of, input_work, work_of_forces
-from mbds_xsim.checks.coordinates import coordinate_of, hinge_rates, hinge_turns
+from mbds_xsim.checks.coordinates import coordinate_of, hinge_turns
 from mbds_xsim.checks.eccentric import ImpactEvidence, Pool, impact_evidence_of
 from mbds_xsim.checks.finding import Figures, check
 from mbds_xsim.checks.flights import numbers
@@ -239,8 +239,8 @@ def _power_change(record: Record) -> Array:
     load = record.force + mechanism.mass[:, None] * np.array(record.scene.gravity)
     change = np.einsum("tsbi,tsbi->ts", np.diff(record.bodies.velocity, axis=1), load)
     if mechanism.hinges:
-        rates = np.diff(hinge_rates(record), axis=1)
-        change += np.einsum("tsh,tsh->ts", rates, record.batch.torque[:, steps])
+        rates = np.stack([joint_rate(joint, record.world) for joint in mechanism.hinges], axis=-1)
+        change += np.einsum("tsh,tsh->ts", np.diff(rates, axis=1), record.batch.torque[:, steps])
     if mechanism.springs:
         states, springs = record.world, mechanism.springs
         rate = pair_rate(states, springs)
@@ -296,15 +296,12 @@ def steps_of(record: Record) -> Steps:
     for residual, inputs in (energy, *_momenta(record)):
         residual = np.where(np.isfinite(residual), residual, 0.0)
         inputs = np.where(np.isfinite(inputs), inputs, 0.0)
-        sizes = np.stack([_size(each) for each in (residual, residual + inputs, inputs)])
+        vectors = residual, residual + inputs, inputs
+        sizes = np.sqrt([np.einsum("tsc,tsc->ts", each, each) for each in vectors])
         most = np.max(sizes[2], axis=1, keepdims=True, initial=0.0)
         scale = np.maximum(_besides(sizes[0], _CLOSE), _FAINT * most + np.finfo(float).tiny)
         squares += np.where(most > 0.0, sizes / scale, 0.0) ** 2
     return Steps(*np.sqrt(squares))
-
-
-def _size(values: Array) -> Array:
-    return np.asarray(np.sqrt(np.einsum("tsc,tsc->ts", values, values)))
 
 
 def _around(values: Array, reach: int) -> Array:

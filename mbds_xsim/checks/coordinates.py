@@ -71,13 +71,6 @@ def hinge_turns(record: Record) -> Array:
     return np.stack([joint_turns(joint, world, frame) for joint in hinges], axis=-1)
 
 
-@functools.lru_cache(maxsize=1)
-def hinge_rates(record: Record) -> Array:
-    """Compute angular velocities across hinges [rad/s], shape (trajectory, frame, hinge)."""
-    world, hinges = record.world, record.mechanism.hinges
-    return np.stack([joint_rate(joint, world) for joint in hinges], axis=-1)
-
-
 def coupling_errors(record: Record, kind: str) -> tuple[Array, Array]:
     """Return errors of followers of a kind, and their rates, (trajectory, frame, coupling)."""
     couplings = [c for c in record.mechanism.couplings if c.follower.kind == kind]

@@ -45,10 +45,12 @@ class CarriedPoints:
     def each(self, vectors: Array) -> Array:
         """Return the RMS over each body's points, moved out to the body's ends, shape (…, body).
 
-        Vectors relative to the centre grow in proportion to the distance from it.
+        Vectors relative to the centre grow in proportion to the distance from it. The ends are at
+        least at the radius of gyration. A slender rod that twists hardly moves its mass, but does
+        move a joint on its side.
         """
-        center = vectors[..., :1, :]
-        stretch = _extents(self.mechanism) / _gyrations(self.mechanism)
+        center, radii = vectors[..., :1, :], _gyrations(self.mechanism)
+        stretch = np.maximum(radii, _reaches(self.mechanism)) / radii
         ends = center + stretch[:, None, None] * (vectors - center)
         return np.sqrt(np.einsum("...bpi,...bpi->...b", ends, ends) / len(_ARMS))
 
@@ -329,15 +331,6 @@ def _gyrations(mechanism: Mechanism) -> Array:
 
 
 @functools.lru_cache(maxsize=64)
-def _extents(mechanism: Mechanism) -> Array:
-    """Return distances of the farthest things that bodies carry from their centres [m], (body,).
-
-    They are at least the radius of gyration. A slender rod that twists hardly moves its mass, but
-    does move a joint on its side.
-    """
-    return np.maximum(_gyrations(mechanism), _reaches(mechanism))
-
-
 def _reaches(mechanism: Mechanism) -> Array:
     """Return how far joints, particles, spheres and attachments reach from centres of mass [m]."""
     reaches = np.zeros(len(mechanism.mass))
