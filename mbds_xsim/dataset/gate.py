@@ -6,7 +6,6 @@ A few of them are also compared with the reference, which would cost too much fo
 from __future__ import annotations
 
 import dataclasses
-import time
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
@@ -264,7 +263,6 @@ def _beginning(
 
 
 def _briefly(scene: Scene, batch: Batch) -> ReferenceOutcome:
-    begin = time.perf_counter()
     truth = reference.solve(scene, batch, rtol=RTOL, cache=False)
     growth = np.full(truth.position.shape[:2], _GROWTH)
-    return ReferenceOutcome(truth, growth, RTOL, 0, time.perf_counter() - begin)
+    return ReferenceOutcome(truth, growth, RTOL, 0, 0.0)  # nothing asks how long

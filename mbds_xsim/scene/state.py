@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from mbds_xsim.base.arrays import Array, Index, Mask
+from mbds_xsim.base.arrays import Array, Index, Mask, Picked
 from mbds_xsim.base.bounds import Neutral
 from mbds_xsim.scene.sampling_terms import INTERVALS, Interval, Levels
 from mbds_xsim.scene.scene import Inertia, Scene
@@ -26,7 +26,7 @@ STATES = ("position", "orientation", "velocity", "angular_velocity")
 
 
 @dataclass(frozen=True, eq=False)
-class Batch:
+class Batch(Picked):
     """Starts and inputs of some trajectories."""
 
     index: Index
@@ -56,10 +56,6 @@ class Batch:
         """Return a readable name of a row, with its interval unless the row is the only one."""
         interval = f" ({self.interval(row)})" if len(self) > 1 else ""
         return f"trajectory {self.index[row]}{interval}"
-
-    def __getitem__(self, rows: slice | list[int] | Index) -> Batch:
-        """Select some of the trajectories."""
-        return Batch(*(getattr(self, key)[rows] for key in self.__dataclass_fields__))
 
     def truncated(self, steps: int) -> Batch:
         """Keep the inputs of the first steps only."""
