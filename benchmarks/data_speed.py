@@ -31,7 +31,7 @@ from benchmarks.harness import both_s, print_table, processor_s, take_turns
 from mbds_xsim.dataset.gate import limit_faults, sample_findings
 from mbds_xsim.dataset.generate import Request, generate
 from mbds_xsim.dataset.read import load_dataset
-from mbds_xsim.dataset.shard import LOG, make_shard
+from mbds_xsim.dataset.shard import LOG, STAGES, make_shard
 from mbds_xsim.dataset.variant import Item, Variant
 from mbds_xsim.measure.campaign import reference_of
 from mbds_xsim.scene.sampling import draw_batch
@@ -43,7 +43,6 @@ SCENE = "6pendulum"
 COUNTS = {"mujoco": 217, "pybullet": 12, "dart": 6, "exudyn": 30}
 REPEATS = 5
 PAPER = 15_000
-STAGES = ("draw_s", "simulate_s", "check_s", "write_s")
 TRAJECTORIES, FRAMES, BATCH, BATCHES = 1000, 6, 512, 200
 
 
