@@ -18,9 +18,9 @@ from typing import Annotated, Literal
 from mbds_xsim.base import bounds
 from mbds_xsim.base.bounds import Neutral
 from mbds_xsim.base.errors import SceneError, UnknownName
-from mbds_xsim.scene.budget import Budget
+from mbds_xsim.scene.budget import Budget, Positive
 from mbds_xsim.scene.collisions import Collisions, check_collisions
-from mbds_xsim.scene.coupling import Coupling, check_couplings
+from mbds_xsim.scene.coupling import Coupling, Finite, check_couplings
 from mbds_xsim.scene.sampling_terms import Draw, Lift, Pose, Roll, Throw
 from mbds_xsim.scene.servo import Servo
 
@@ -30,8 +30,6 @@ Place = Annotated[Vector, bounds.place]
 Direction = Annotated[Vector, bounds.direction]
 Quaternion = Annotated[tuple[float, float, float, float], bounds.unit]
 Name = Annotated[str, bounds.name]
-Finite = Annotated[float, bounds.finite]
-Positive = Annotated[float, bounds.positive]
 NotNegative = Annotated[float, bounds.at_least_zero]
 Size = Annotated[float, bounds.size]
 Count = Annotated[int, bounds.at_least_one]
