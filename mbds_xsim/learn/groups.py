@@ -88,7 +88,11 @@ def groups(paths: Sequence[Path]) -> list[TrainingGroup]:
                 f"{about['engine']} {about['profile']}; give one of them"
             )
         engines[about["engine"]] = data
-    result = [_group(*key, dict(sorted(each.items()))) for key, each in sorted(by_group.items())]
+    result = []
+    for key, each in sorted(by_group.items()):
+        lacking = {engine: data.lack for engine, data in sorted(each.items()) if data.lack}
+        usable = {e: data.path for e, data in sorted(each.items()) if not data.lack}
+        result.append(TrainingGroup(*key, usable, lacking))
     full = [group for group in result if group.files]
     if result and not full:
         lacks = [
@@ -98,12 +102,6 @@ def groups(paths: Sequence[Path]) -> list[TrainingGroup]:
     for group in full:
         _check(group)
     return result
-
-
-def _group(scene: str, variant: str, engines: Mapping[str, Dataset]) -> TrainingGroup:
-    lacking = {engine: data.lack for engine, data in engines.items() if data.lack}
-    files = {engine: data.path for engine, data in engines.items() if engine not in lacking}
-    return TrainingGroup(scene, variant, files, lacking)
 
 
 def _check(group: TrainingGroup) -> None:

@@ -24,7 +24,7 @@ from torch.autograd.function import once_differentiable
 from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.learn.graph import instead
-from mbds_xsim.learn.layers import TensorModule, factorised, keep, mixed
+from mbds_xsim.learn.layers import TensorModule, factorised, keep, mixed, summed
 from mbds_xsim.learn.mechanics_points import PointRows, points_of, rows_of
 from mbds_xsim.learn.rigid import Q, V, W, X
 from mbds_xsim.learn.turning import rotate
@@ -236,7 +236,7 @@ class Mechanics(TensorModule):
 
     def applied(self, q: Tensor, v: Tensor, inputs: KnownInputs) -> Tensor:
         """Return known forces on nodes, without gravity and elastic ones [N], (batch, node, 3)."""
-        load = torch.zeros_like(self.all_nodes(q)).index_add(1, self.com, inputs.force)
+        load = summed(inputs.force, self.com, self.points.count)
         if len(self.hinge_axis):
             load = self._add_torques(load, self.all_nodes(q), inputs.torque)
         if len(self.spring):

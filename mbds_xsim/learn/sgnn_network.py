@@ -178,15 +178,14 @@ class Passing(nn.Module):
         *edge_scalars: Tensor,
     ) -> tuple[Tensor, Tensor]:
         """Pass messages; vectors (batch, node, channel, 3), scalars (batch, node, hidden)."""
-        if not len(edges.senders):  # no messages: a node reads only its own state
-            for _ in range(self.steps):
-                vectors, scalars = self.update(vectors, scalars)
-            return vectors, scalars
         for _ in range(self.steps):
-            whole, at_ends = ends(vectors, edges, edge_vectors), end_scalars(scalars, edges)
-            messages, hidden = self.message(whole, *at_ends, *edge_scalars)
-            received = torch.cat([vectors, pool(edges.mean, messages)], dim=-2)
-            vectors, scalars = self.update(received, scalars, edges.mean @ hidden)
+            seen, known = vectors, [scalars]
+            if len(edges.senders):  # without messages a node reads only its own state
+                whole, at_ends = ends(vectors, edges, edge_vectors), end_scalars(scalars, edges)
+                messages, hidden = self.message(whole, *at_ends, *edge_scalars)
+                seen = torch.cat([vectors, pool(edges.mean, messages)], dim=-2)
+                known.append(edges.mean @ hidden)
+            vectors, scalars = self.update(seen, *known)
         return vectors, scalars
 
 

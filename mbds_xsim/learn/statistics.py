@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.learn.graph import DIMENSION, Graph
-from mbds_xsim.learn.layers import keep
+from mbds_xsim.learn.layers import TensorModule, keep
 from mbds_xsim.learn.window import KnownInputs, Motions
 from mbds_xsim.scene.mechanism import WORLD_INDEX, PlacedJoint
 from mbds_xsim.scene.sampling_terms import HingeTorque
@@ -33,21 +33,13 @@ _NEGLIGIBLE = 1e-9  # of the scene's length: smaller deviations are rounding
 _KINDS = ("position", "displacement", "acceleration")
 
 
-class Channels(nn.Module):
+class Channels(TensorModule):
     """Module that turns inputs into vectors at the nodes.
 
     A rollout knows only particles, so the axis of a driven hinge must follow from them. If they
     span space, it is a fixed combination of their positions; if they span a plane, its part normal
     to the plane is along the cross product of two such combinations. Both turn with the body.
     """
-
-    along: Tensor
-    first: Tensor
-    second: Tensor
-    fixed: Tensor
-    acts: Tensor
-    share: Tensor
-    owner: Tensor
 
     def __init__(self, graph: Graph) -> None:
         super().__init__()

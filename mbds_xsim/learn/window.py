@@ -18,7 +18,6 @@ from mbds_xsim.scene.sampling import has_known_forces
 HISTORY = 6
 """Number of frames that a model is shown; all rollouts start after them, even if it uses fewer."""
 
-_PARTICLES = ("position", "velocity")
 # Inputs that a model may know: `input/force` contains the noise and is never read.
 _KNOWN_FORCE, _TORQUE = "input/known_force", "input/torque"
 _BODIES = ("body/position", "body/orientation", "body/velocity", "body/angular_velocity")
@@ -35,7 +34,7 @@ def names_read(data: Dataset, *, bodies: bool) -> tuple[str, ...]:
             f"{data.path}: lacks {_KNOWN_FORCE}, which earlier versions did not write for the "
             "servos of sliders; generate the data again in an empty folder"
         )
-    return (*_PARTICLES, *forces, _TORQUE, *(_BODIES if bodies else ()))
+    return ("position", "velocity", *forces, _TORQUE, *(_BODIES if bodies else ()))
 
 
 @dataclass(frozen=True, eq=False)
