@@ -161,7 +161,7 @@ def _by_key(rows: Iterable[Row]) -> dict[str, Entry]:
 
 
 _TABLES = {"mujoco": _by_key(_MJCF), "robot": _by_key(_URDF), "sdf": _by_key(_SDF)}
-_REPORTED = {"mujoco": {"equality", "tendon", "actuator"}, "robot": {"mimic"}, "sdf": {"mimic"}}
+_REPORTED = {"mujoco": {"equality", "tendon", "actuator"}, "robot": {"mimic"}, "sdf": set()}
 """Elements that the readers report instead."""
 _WHOLE = {"visual", "custom", "sensor", "keyframe", "collision", "gazebo", "transmission",
           "material", "extension", "plugin", "skin", "ros2_control", "contact", "physics",

@@ -6,7 +6,7 @@ import copy
 import itertools
 import tempfile
 from collections import Counter
-from collections.abc import Iterator, Mapping, Set
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement, fromstring, tostring
@@ -53,6 +53,7 @@ _AXES = {
     "axis2": ("revolute2", "universal"),
 }
 """Types of joints that need each of the two axes."""
+_NO_FOLLOWER = f"{NO_FOLLOWER}, or has the name of another joint"
 _MIMIC = (("multiplier", 1.0), ("offset", 0.0), ("reference", 0.0))
 _UNSUPPORTED = ("include", "frame", "experimental:params")
 
@@ -68,6 +69,7 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     for each in models:
         _check_numbers(each)
     masses = [masses_of(each) for each in models]
+    mimics = [mimic for each in models for mimic in _take_mimics(each)]
     try:
         skeletons = _skeletons(dartpy.utils.SdfParser, root)
     except (RuntimeError, ValueError) as error:  # ValueError: malformed numbers
@@ -86,11 +88,14 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     name = models[0].get("name") or path.stem
     solids = Solids("collision", tuple(shapes), pair) if ground else None
     axes = _unique_axes(parts)
+    couplings = tuple(mimic for mimic in mimics if axes >= {mimic.joint, mimic.follows})
+    lost = [mimic.joint for mimic in mimics if mimic not in couplings]
+    fates += [Fate("mimic", (), "dropped", _NO_FOLLOWER, True, (name,)) for name in lost]
     model = Parts(
         name,
         tuple(parts),
         _gravity(root, fates),
-        couplings=tuple(mimic for each in models for mimic in _mimics(each, axes, fates)),
+        couplings=couplings,
         labels=LABELS["sdf"],
         solids=solids,
     )
@@ -102,31 +107,32 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
 
 
 def _unique_axes(parts: list[Part]) -> set[str]:
-    """Return the hinges and sliders whose name no other one has, be it in another model."""
-    freedoms = [each for part in parts for each in part.freedoms if each.axis.any()]
+    """Return the hinges and sliders whose name no other joint has, be it in another model."""
+    freedoms = [each for part in parts for each in part.freedoms]
     counts = Counter(each.name for each in freedoms)
-    return {name for name, count in counts.items() if count == 1}
+    return {each.name for each in freedoms if each.axis.any() and counts[each.name] == 1}
 
 
-def _mimics(model: Element, axes: Set[str], fates: list[Fate]) -> Iterator[ModelCoupling]:
-    """Yield what makes one of the axes follow another, which DART's parser does not read."""
+def _take_mimics(model: Element) -> Iterator[ModelCoupling]:
+    """Remove from the axes what makes them follow others, and yield it.
+
+    DART's parser ignores its reference, and does not tell the rest.
+    """
     types = {joint.get("name", ""): joint.get("type") for joint in model.findall("joint")}
 
     def freedom(joint: str, axis: str) -> str:
         single = axis == "axis" and types.get(joint) not in _AXES["axis2"]
         return joint if single else f"{joint} {axis.removeprefix('axis') or 1}"
 
-    for joint, axis in itertools.product(model.findall("joint"), _AXES):
-        path = f"{axis}/mimic"
-        if (mimic := joint.find(path)) is None:
+    for joint, key in itertools.product(model.findall("joint"), _AXES):
+        axis, path = joint.find(key), f"{key}/mimic"
+        if axis is None or (mimic := axis.find("mimic")) is None:
             continue
-        ratio, offset, middle = (number(joint, f"{path}/{key}", value) for key, value in _MIMIC)
-        follower = freedom(joint.get("name", ""), axis)
+        ratio, offset, middle = (number(joint, f"{path}/{each}", value) for each, value in _MIMIC)
         leader = freedom(mimic.get("joint", ""), mimic.get("axis", "axis"))
-        if axes >= {follower, leader}:
-            yield ModelCoupling(follower, leader, (offset - ratio * middle, ratio))
-        else:
-            fates.append(Fate("mimic", (), "dropped", NO_FOLLOWER, True, (follower,)))
+        follower = freedom(joint.get("name", ""), key)
+        yield ModelCoupling(follower, leader, (offset - ratio * middle, ratio))
+        axis.remove(mimic)
 
 
 def _defaults(skeleton: Any, model: Element) -> Iterator[Fate]:

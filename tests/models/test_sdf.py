@@ -187,16 +187,33 @@ def test_a_mimic_of_nothing_is_dropped_by_name(here: Path, kind: str, how: str) 
     assert not imported.scene.couplings
 
 
-def test_a_mimic_of_joints_whose_names_two_models_have_is_dropped(here: Path) -> None:
-    inside = _led("revolute", 'joint="pivot"')
-    models = "".join(f'<model name="{name}">{inside}</model>' for name in "ab")
+@pytest.mark.parametrize(("other", "count"), [("revolute", 2), ("ball", 1)])
+def test_a_mimic_of_joints_whose_names_two_models_have_is_dropped(
+    here: Path, other: str, count: int
+) -> None:
+    first, second = _led("revolute", 'joint="pivot"'), _ARM.format("", other, "")
+    inside = {"a": first, "b": first if other == "revolute" else second}
+    models = "".join(f'<model name="{name}">{text}</model>' for name, text in inside.items())
     (here / "model.sdf").write_text(f'<sdf version="1.11"><world name="w">{models}</world></sdf>')
 
     imported = read_model(here / "model.sdf")
 
     assert not imported.scene.couplings
     (fate,) = (fate for fate in imported.fates if fate.element == "mimic")
-    assert (fate.outcome, fate.places, fate.count) == ("dropped", ("clip",), 2)
+    assert (fate.outcome, fate.places, fate.count) == ("dropped", ("clip",), count)
+
+
+@pytest.mark.parametrize(
+    ("place", "kept"), [("</axis>", 1), ("</joint>", 0)], ids=["twice", "in a joint"]
+)
+def test_a_mimic_that_nothing_reads_is_told(here: Path, place: str, kept: int) -> None:
+    more = '<mimic joint="other"/>'
+    start, _, end = _led("revolute", 'joint="pivot"' if kept else "").rpartition(place)
+    imported = _read(here, f"{start}{more}{place}{end}", "1.11")
+
+    assert len(imported.scene.couplings) == kept
+    unknown = [fate for fate in imported.fates if fate.properties == ("joint",)]
+    assert [(fate.element, fate.outcome) for fate in unknown] == [("mimic", "dropped")]
 
 
 def test_a_joint_that_closes_a_loop_is_told(here: Path) -> None:
@@ -284,6 +301,8 @@ _BAD = {
              "<lower> of <joint> 'pivot' is '-1,5', allowed is a number"),
     "pusher": (_ARM.format("", "revolute", "<dynamics><damping>-1</damping></dynamics>"),
                "<damping> of <joint> 'pivot' is -1, allowed is 0 or more"),
+    "leader": (_ARM.format("", "revolute", "<mimic><multiplier>two</multiplier></mimic>"),
+               "<multiplier> of <joint> 'pivot' is 'two', allowed is a number"),
     "axis": (_SOUND.replace("1 0 0</xyz>", "0 0 0</xyz>"), "joint 'pivot': axis: got [0.0, 0.0, 0"),
     "frames": (_ARM.format("", "revolute", "").replace("<pose>1", '<pose relative_to="b">1'),
                "does not read (relative_to=)"),
