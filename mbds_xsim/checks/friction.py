@@ -84,26 +84,30 @@ def _beside(record: Record, push: Push) -> Array:
     spread = np.linalg.norm(ahead[0] - toward, axis=-1)
     slowest = np.minimum(*(np.linalg.norm(part, axis=-1) for part in (begin, end)))
     takes = np.maximum(_LITTLE * push.weight, _SPRING_SHARE * up)
-    least = mu * takes / push.mass + _tumbling(record, push)
+    tumbling = _tumbling(record, push)
+    least = mu * takes / push.mass + tumbling
     slips = slowest > least + _LASTING * np.linalg.norm(end - begin, axis=-1)
     slips &= (spread < _ALIKE) & (up > _LITTLE * push.weight)
     residual = push.impulse[..., :2] / (mu * up)[..., None] + toward
-    deviation = np.linalg.norm(residual, axis=-1) - spread - push.blur / (mu * up)
+    turned = spread + tumbling / slowest
+    deviation = np.linalg.norm(residual, axis=-1) - turned - push.blur / (mu * up)
     return np.where(slips, np.maximum(deviation, 0.0), np.nan)
 
 
 def _tumbling(record: Record, push: Push) -> Array:
     """Bound the slip that unequal moments of a ball give its lowest point in a step [m/s].
 
-    By Euler's equations, without moments, at most as at the step's ends plus their difference.
+    By Euler's equations, without moments, its spin changes in the step at most as fast as at the
+    ends, plus their difference; the more it turns in the step, the faster in between.
     """
     mechanism, body = record.mechanism, push.bodies[0]
-    moment = rotation.cross(record.turning[:, :, body], record.spin[:, :, body])
+    spin = record.spin[:, :, body]
+    moment = rotation.cross(record.turning[:, :, body], spin)
     change = np.linalg.solve(mechanism.inertia[body], moment[..., None])[..., 0]
-    across = rotation.rotate(record.bodies.native[:, :, body], change)[..., :2]
-    begin, end = across[:, :-1], across[:, 1:]
-    fastest = np.maximum(rotation.norm(begin), rotation.norm(end)) + rotation.norm(end - begin)
-    return mechanism.sphere_radius[push.spheres[0]] * fastest * record.frame
+    rate, size = rotation.norm(change), rotation.norm(spin)
+    fastest = np.maximum(rate[:, 1:], rate[:, :-1]) + rotation.norm(np.diff(change, axis=1))
+    turn = np.maximum(size[:, 1:], size[:, :-1]) * record.frame
+    return mechanism.sphere_radius[push.spheres[0]] * record.frame * fastest * (1.0 + turn / 2.0)
 
 
 def _yielding(record: Record, push: Push) -> float:

@@ -125,6 +125,33 @@ def test_contact_explains_a_ball_that_turns_about_all_axes(mu: float) -> None:
     assert max(each.finding(record).figure.max() for each in (balance, cones, rolling)) < 1e-7
 
 
+@pytest.mark.parametrize(
+    ("mu", "radius", "inertia", "turn", "velocity", "spin"),
+    [
+        (0.621, 0.06753, Inertia(6.3346, (0.004183, 0.004185, 0.0076)),
+         (-0.24, 0.113, -0.71, -0.652), (-2.8543, 2.3106, 0.0), (-40.471, -36.036, 1.409)),
+        (0.273, 0.01228, Inertia(5.6521, (2.75e-4, 2.181e-4, 3.849e-4)),
+         (0.512, 0.535, 0.118, -0.661), (-2.6469, 0.5441, 0.0), (49.029, -128.121, 6.128)),
+    ],
+    ids=["rolls", "slips"],
+)  # fmt: skip
+def test_uneven_balls_that_turn_far_in_a_frame_are_sound(
+    mu: float, radius: float, inertia: Inertia, turn: Any, velocity: Any, spin: Any
+) -> None:
+    """Between two frames their slip grows most, or turns aside."""
+    place, orientation = (0.0, 0.0, radius), tuple((turn / np.linalg.norm(turn)).tolist())
+    ball = Body(
+        "ball", inertia=inertia, position=place, orientation=orientation,
+        velocity=velocity, angular_velocity=spin,
+    )  # fmt: skip
+    touch = ContactSphere("ball", place, radius)
+    law, clock = Ground(mu, 0.0), Clock(0.04, 2)
+    scene = Scene("ball", (ball,), 1.0, contacts=(touch,), ground=law, clock=clock)
+    batch = draw_batch(scene, [0])
+    record = Record(scene, batch, reference.solve(scene, batch, cache=False))
+    assert max(each.finding(record).figure.max() for each in (friction, rolling)) < 1e-7
+
+
 def test_a_ball_that_turns_about_a_principal_axis_is_judged_whatever_its_other_moments() -> None:
     """Its slip of 0.15 m/s changes like that of a ball with equal moments, and ends in a frame."""
     ball = Body(
