@@ -63,6 +63,7 @@ def tradeoff(
     from mbds_xsim.report.progress import StudyBar
     from mbds_xsim.simulate.choice import Choice
     from mbds_xsim.simulate.registry import REFERENCE
+    from mbds_xsim.studies.tradeoff import Measurement
     from mbds_xsim.studies.tradeoff.present import present, to_png
 
     choice = Choice.parse(engines=engines, also=(REFERENCE,))

@@ -261,11 +261,12 @@ def test_the_command_puts_models_onto_a_stored_study(
 ) -> None:
     from mbds_xsim.scene.file import write_scene
 
-    path, stored, out = (tmp_path / name for name in ("scene.toml", "study.json", "both.json"))
+    names = ("scene.toml", "study.json", "both.json", "rows.csv")
+    path, stored, out, rows = (tmp_path / name for name in names)
     path.write_text(write_scene(scene))
     stored.write_bytes(results_json([engines]))
     words = ["tradeoff", str(path), "--models", str(folder / "1pendulum"), "--onto", str(stored),
-             "--json", str(out), "--workers", "1"]  # fmt: skip
+             "--json", str(out), "--csv", str(rows), "--workers", "1"]  # fmt: skip
 
     assert run(*words).code == 0
 
@@ -274,6 +275,7 @@ def test_the_command_puts_models_onto_a_stored_study(
     assert len(study.models) == 2
     assert " && mbds-xsim tradeoff" in study.command
     assert [model.alone.reason for model in study.models] == ["", ""]
+    assert len(rows.read_text().splitlines()) > len(study.models)
 
 
 @pytest.mark.parametrize(
