@@ -208,9 +208,11 @@ def test_what_came_is_let_through_where_it_is_asked_for_or_at_the_end(
 
 
 def _alive(process: int) -> bool:
+    status = Path(f"/proc/{process}/status")
     try:
         os.kill(process, 0)
+        return "State:\tZ" not in status.read_text()  # a dead one may wait for its new parent
     except ProcessLookupError:
         return False
-    status = Path(f"/proc/{process}/status")  # a dead one may wait for its new parent
-    return not (status.exists() and "State:\tZ" in status.read_text())
+    except FileNotFoundError:  # it has just ended, or there is no such file for any process
+        return not Path("/proc").exists()
