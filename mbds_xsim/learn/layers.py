@@ -58,7 +58,7 @@ def factorised(matrix: Tensor) -> tuple[Tensor, Tensor]:
     """Return Cholesky factors of matrices and what failed, as `torch.linalg.cholesky_ex` does.
 
     The factors replace matrices that are stored by columns, unless these need a gradient: torch
-    would copy them element by element, which takes a third as long as to factorise them.
+    would copy them element by element, which takes a third as long as factorising them.
     """
     if matrix.requires_grad:
         return torch.linalg.cholesky_ex(matrix)
