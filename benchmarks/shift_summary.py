@@ -28,7 +28,6 @@ from mbds_xsim.report.files import table_lines
 from mbds_xsim.report.quantity import NONE, number, ratio
 from mbds_xsim.studies.shift.changes import texts_of
 from mbds_xsim.studies.shift.figures import at, best_formula, draw_costs, matrix_of, trained_models
-from mbds_xsim.studies.shift.present import answers, protocol
 
 _HEAD = """\
 # Learned models under a change of engine, in short
@@ -89,12 +88,8 @@ and tested on every engine's. Each study's page has all figures.
 Brackets are 95 % intervals; below 1 several engines help, above 1 matched data lessen the shift.
 [How this is measured](../../docs/shift.md).
 """
-_PICTURES = {
-    "": "Error by training and test domain",
-    "-rollouts": "Rollouts over the truth",
-    "-curves": "Learning curves",
-}
-"""Captions of pictures by the ending of their file names."""
+_PICTURES = {"-rollouts": "rollouts over the truth", "-curves": "learning curves"}
+"""Words for pictures beside a page's own, by the ending of their file names."""
 _NATIVE = "native"
 _HEADINGS = (
     "study, frame|data|model|>beside a formula|>change of engine|>resolved|>worst gap"
@@ -123,11 +118,14 @@ def _page(
     yield _HEAD
     costs = [line for name, shift in several.items() for line in _costs(name, shift)]
     yield from table_lines(["scene", "model", *(f">{factor}" for factor in _FACTORS)], costs)
+    yield "\n## What each study says\n"
+    for name, shift in studies.items():
+        pictures = {f"{name}{ending}.png": words for ending, words in _PICTURES.items()}
+        links = [f"[{w}]({file})" for file, w in pictures.items() if (folder / file).is_file()]
+        yield f"- [{name}]({name}.md) ({', '.join(links)}): {shift.answers[0].answer}."
     yield _ALL
     rows = [row for name, shift in studies.items() for row in rows_of(shift, name)]
     yield from table_lines(_HEADINGS.split("|"), [*rows, *_over_scenes(studies.values())])
-    for name, shift in studies.items():
-        yield from _answers(shift, folder / name)
 
 
 def _costs(name: str, shift: Shift) -> Iterator[tuple[str, ...]]:
@@ -281,18 +279,6 @@ def _ratio(shift: Shift, kind: str, model: str, variant: str, place: int) -> str
             figures = (bounded.value[place], bounded.low[place], bounded.high[place])
             return "{} [{}, {}]".format(*map(ratio, figures))
     return NONE
-
-
-def _answers(shift: Shift, page: Path) -> Iterator[str]:
-    yield f"\n## {page.name}\n"
-    for ending, words in _PICTURES.items():
-        picture = page.with_name(f"{page.name}{ending}.png")
-        if picture.is_file():
-            yield f"![{words}, {page.name}]({picture.name})\n"
-    yield f"{protocol(shift)}.\n"
-    for subject, text in answers(shift):
-        question = subject.endswith("?")
-        yield f"- **{subject}** {text}" if question else f"- {subject}: {text}"
 
 
 if __name__ == "__main__":
