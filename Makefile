@@ -20,7 +20,7 @@ comma = ,
 	reports-tradeoff reports-stability reports-ablation reports-overhead \
 	reports-learn-speed reports-learn-speed-gpu reports-shift reports-lite reports-models reports-models-in-the-wild \
 	reports-data \
-	reports-data-full reports-paper-tables reports-releases reports-pages pictures readme
+	reports-data-full reports-paper-tables reports-releases reports-pages pictures readme study
 
 validate: $(VENV)/ready
 	$(BIN)/mbds-xsim validate $(SCENE) --json out/$(SCENE).json --html out/$(SCENE).html
@@ -73,8 +73,8 @@ files = --json $(REPORTS)/$(1).json --markdown $(REPORTS)/$(1).md
 figures = --csv $(REPORTS)/$(1).csv --png $(REPORTS)/$(1).png
 
 reports: reports-validate reports-tradeoff reports-stability \
-	reports-shift reports-lite reports-models reports-ablation reports-overhead \
-	reports-learn-speed reports-data reports-data-full reports-paper-tables reports-pages readme
+	study reports-models reports-ablation reports-overhead \
+	reports-learn-speed reports-data reports-data-full reports-pages readme
 
 # A verdict of fail (exit code 1) is a result too.
 reports-validate: $(VENV)/ready
@@ -178,6 +178,9 @@ shift-targets = $(addprefix shift-,$(SHIFTED))
 factor-targets = $(SCENES:%=shift-%-factors)
 worth-targets = $(SCENES:%=shift-%-worth)
 .PHONY: $(shift-targets) $(factor-targets) $(worth-targets)
+
+# The whole study of learned models: some thirty core-hours from nothing.
+study: reports-shift reports-lite reports-paper-tables
 
 reports-shift: $(shift-targets)
 	$(BIN)/python -m benchmarks.shift_summary $(REPORTS)/shift --png $(REPORTS)/shift/factors.png \
