@@ -18,7 +18,7 @@ from mbds_xsim.scene.imported import Fate, Imported
 from .assembling import assemble
 from .fates import fates_of_stage
 from .graph import Tie, tree_of
-from .parts import Drive, Freedom, Line, Mass, Part, Parts, Solids, bounded
+from .parts import FAR, Drive, Freedom, Line, Mass, Part, Parts, Solids, bounded
 from .source import check_inside
 from .usd_bodies import Shapes, Stage, mass_of, matrix_of
 
@@ -198,7 +198,7 @@ class _Reading(Stage):
                 axis, start = "XYZ"[k], starts[letter][k]
                 label = f"{name} {letter.lower()} {axis.lower()}"
                 drive, limit = drives.pop(f"{letter}{axis}", None), limits.get(f"{letter}{axis}")
-                if kind == "hinge" and start:
+                if kind == "hinge":
                     start = _standing(start, limit, drive)
                 if drive is not None:
                     self._lead(drive, label, kind, start)
@@ -274,7 +274,7 @@ def _angle(axes: Array, other_axes: Array, column: int) -> float:
 
 
 def _standing(angle: float, limit: Any, drive: Any) -> float:
-    """Return the angle of a hinge with as many whole turns as put it within its limits.
+    """Return the angle of a hinge with as many whole turns as put it within its limits, or nearest.
 
     Half a turn may count either way: it is the one nearer to the target, or else the positive one.
 
@@ -284,15 +284,16 @@ def _standing(angle: float, limit: Any, drive: Any) -> float:
         drive: The drive of the hinge; None if it has none.
     """
     low, high = (-math.inf, math.inf) if limit is None else (limit.lower, limit.upper)
+    low, high = math.radians(low), math.radians(high)
     led = drive is not None and drive.enabled and drive.stiffness > 0
     target = math.radians(drive.targetPosition) if led else math.pi
     middle = target if math.pi - abs(angle) < _GAP else 0.0
+    turns = (round((side - angle) / math.tau) for side in (0.0, low, high) if abs(side) < FAR)
 
-    def unlikely(each: float) -> tuple[bool, float]:
-        beyond = max(math.radians(low) - each, each - math.radians(high))
-        return beyond > _GAP, abs(each - middle)
+    def unlikely(each: float) -> tuple[float, float]:
+        return max(low - each, each - high, _GAP), abs(each - middle)
 
-    return min((angle, angle + 2 * math.pi, angle - 2 * math.pi), key=unlikely)
+    return min((angle + math.tau * (n + k) for n in turns for k in (0, 1, -1)), key=unlikely)
 
 
 def _starts(

@@ -49,6 +49,19 @@ def test_half_a_turn_counts_as_limits_say(
     assert joint.limits == pytest.approx(np.radians([low - standing, high - standing]), abs=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("low", "high", "standing"), [(350, 370, 1), (-730, -710, -2), (190, 270, 1)]
+)
+def test_whole_turns_count_as_limits_say(
+    low: float, high: float, standing: int, here: Path
+) -> None:
+    limits = f"    float physics:lowerLimit = {low}\n    float physics:upperLimit = {high}\n"
+    span = np.radians([low - 360 * standing, high - 360 * standing])
+    for joint in (joined("Revolute", "hip", ("", "rod"), limits), general(("rotX", low, high))):
+        (read_joint,) = read(here, rigid("rod", "(0, 0, 0)"), joint).scene.joints
+        assert read_joint.limits == pytest.approx(span, abs=1e-6)
+
+
 def test_a_drive_to_half_a_turn_does_not_wind_up(here: Path) -> None:
     for target in (180, -180):
         inside = (
