@@ -18,7 +18,7 @@ from mbds_xsim.base.frame import optional
 from mbds_xsim.scene.imported import Fate, Written
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
 from mbds_xsim.scene.scene import Joint, Scene
-from mbds_xsim.scene.servo import Servo
+from mbds_xsim.scene.servo import Servo, by_joint
 
 from .writing import dropped_fate, first_targets, unlike, without_servos, written
 
@@ -58,6 +58,7 @@ class _Stage:
         from pxr import Gf, Tf, Usd, UsdGeom, UsdPhysics
 
         self._schema, self._gf, self._scene = UsdPhysics, Gf, scene
+        self._servos = by_joint(scene.servos)
         self._stage = Usd.Stage.CreateInMemory()
         UsdGeom.SetStageUpAxis(self._stage, UsdGeom.Tokens.z)
         UsdGeom.SetStageMetersPerUnit(self._stage, 1.0)
@@ -128,7 +129,7 @@ class _Stage:
 
     def _servo(self, joint: Joint) -> Servo | None:
         """Return servos, spring and damper of a joint as one servo; one with a limit is alone."""
-        laws = [servo for servo in self._scene.servos if servo.joint == joint.name]
+        laws = [*self._servos[joint.name]]
         springs = joint.stiffness or joint.damping
         if springs:
             laws.append(Servo(joint.name, (joint.rest,), (0.0,), joint.stiffness, joint.damping))

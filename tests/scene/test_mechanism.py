@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import itertools
 import math
 from typing import Literal
@@ -28,7 +29,7 @@ from mbds_xsim.scene.scene import (
     SpringDamper,
 )
 from mbds_xsim.scene.servo import Servo
-from mbds_xsim.simulate.registry import load_scene
+from mbds_xsim.simulate.registry import load_scene, write_model
 from tests.random_scenes import random_tree
 
 UNIT = Inertia(1.0, (1.0, 1.0, 1.0))
@@ -267,6 +268,8 @@ def _comparisons(joints: int) -> int:
     )
     assert Mechanism.of(scene).joints[-1].coupled
     assert not has_known_forces(scene)
+    if importlib.util.find_spec("pxr"):
+        write_model(scene, "usda")
     return _Counted.comparisons - before
 
 
