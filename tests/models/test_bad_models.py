@@ -76,6 +76,7 @@ _BAD = {
     "planar": (f'<robot name="r">{_LINKS.format("planar", "")}</robot>', "the normal 1 0 0"),
     "zero axis": (_SLIDES.format("0 0 0"), "joint 'j' has the axis '0 0 0'"),
     "endless axis": (_SLIDES.format("0 inf 0"), "joint 'j' has the axis"),
+    "long axis": (_SLIDES.format("0 1e200 0"), "joint 'j' has the axis '0 1e200 0'"),
     "short axis": (_SLIDES.format("0 1"), "joint 'j' has the axis '0 1'"),
     "text": (f'<robot name="r">\n{_LINKS.format("fixed", _WORDS)}</robot>', "line 2"),
     "joint": (f'<robot name="r">{_LINKS.format("screw", "")}</robot>', "invalid joint type"),
