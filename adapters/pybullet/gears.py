@@ -22,8 +22,8 @@ IMPULSE_CAP = 1e12
 """Largest impulse of a constraint in a step [N·s]; Bullet's own cap is 500."""
 
 
-def tie(client: Client, ends: Sequence[tuple[int, int]], ratio: float, **more: float) -> None:
-    """Tie the rates of two links' joints, the first of which follows.
+def tie(client: Client, ends: Sequence[tuple[int, int]], ratio: float, **more: float) -> int:
+    """Tie the rates of two links' joints, the first of which follows; return Bullet's number.
 
     The start satisfies the gear, and Bullet keeps it so.
     """
@@ -32,6 +32,7 @@ def tie(client: Client, ends: Sequence[tuple[int, int]], ratio: float, **more: f
         "createConstraint", *ends[0], *ends[1], Constant("JOINT_GEAR"), zero, zero, zero
     )
     client.build("changeConstraint", number, gearRatio=-ratio, maxForce=IMPULSE_CAP, **more)
+    return int(number)
 
 
 def speed(joint: PlacedJoint) -> float:

@@ -20,7 +20,7 @@ from mbds_xsim.scene.collisions import count_pairs
 from mbds_xsim.scene.joint_space import BodyStates, to_links
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
 from mbds_xsim.simulate.adapter import ModelSize
-from mbds_xsim.simulate.readback import joint_anchors, joint_axes
+from mbds_xsim.simulate.readback import joint_anchors, joint_axes, joint_laws
 
 from .carriers import carriers
 from .client import BARE_LINK, Client, Constant
@@ -81,10 +81,11 @@ class Multibodies:
         rows = sum(self._close(joint) for joint in self.closures)
         rows += len(mechanism.couplings) + len(mechanism.rotors)
         bodies = mechanism.carried
+        self._gears = []
         for each in mechanism.couplings:
             client.note(each.name)
             ends = [self.address(bodies[joint.index]) for joint in (each.follower, each.leader)]
-            tie(client, ends, each.ratio)
+            self._gears.append(tie(client, ends, each.ratio))
         if contact:
             contact.join(self.addresses)
         self.size = ModelSize(
@@ -191,9 +192,9 @@ class Multibodies:
     def fields(self, reading: Array) -> dict[str, Array]:
         """Return the fields of `Readback` on masses and joints in the present state.
 
-        Bullet reports neither drag on links nor damping that was set after a joint was made, as it
-        is here.
+        Bullet reports neither drag on links nor the motors that brake joints.
         """
+        self.client.call("syncBodyInfo")  # reports damping and limits as they have been set since
         dynamics, info = (self.client.function(f"get{what}Info") for what in ("Dynamics", "Joint"))
         joints = {body: info(*self.address(body)) for body in self._links}
 
@@ -227,13 +228,21 @@ class Multibodies:
             for number, part in zip(self._ids, self.parts, strict=True)
             for rotor, (joint, _) in enumerate(part.geared, len(part.links))
         }
-        bodies = range(self.mechanism.body_count)
+        bodies, carried = range(self.mechanism.body_count), self.mechanism.carried
+        damped = {carried[joint.index] for joint in self.mechanism.compliant}
+
+        def law(link: Link, joint: PlacedJoint) -> tuple[float, float, float]:
+            return joint.stiffness, joints[link.body][6], joint.rest  # springs are the adapter's
+
         return {
             "mass": np.array([self._dynamics(body)[0] for body in bodies]),
             "joint_axis": joint_axes(self.mechanism, axis),
             "anchor": anchors,
-            "damping": np.array([joint[6:8] for joint in joints.values()]).reshape(-1),
+            "damping": np.array([info[6] for body, info in joints.items() if body not in damped]),
+            "law": joint_laws(self.mechanism, law),
+            "limits": np.array([joints[carried[j.index]][8:10] for j in self.mechanism.limited]),
             "armature": np.array([armature[joint.index] for joint in self.mechanism.rotors]),
+            "coupling": np.array([(-constraint(gear)[11], np.nan) for gear in self._gears]),
         }
 
     def _dynamics(self, body: int) -> Any:

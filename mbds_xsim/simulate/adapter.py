@@ -121,7 +121,7 @@ class Readback:
     drive: Array | None = None
     """Stiffness, damping, limit (0: none) of `Mechanism.drives`, (drive, 3); as for `spring`."""
     coupling: Array | None = None
-    """Ratio and offset of `Mechanism.couplings`, shape (coupling, 2)."""
+    """Ratio and offset (NaN if not reported) of `Mechanism.couplings`, shape (coupling, 2)."""
 
 
 @dataclass(frozen=True)

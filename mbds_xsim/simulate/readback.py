@@ -160,7 +160,8 @@ def _quantities(mechanism: Mechanism, batch: Batch, readback: Readback) -> Itera
     yield from _columns("servos", _SERVO, _known(readback.drive, drives), drives, names)
     couplings = np.array([(coupling.ratio, coupling.offset) for coupling in mechanism.couplings])
     names = [coupling.name for coupling in mechanism.couplings]
-    yield from _columns("couplings", ("ratio", "offset"), readback.coupling, couplings, names)
+    got = _known(readback.coupling, couplings)
+    yield from _columns("couplings", ("ratio", "offset"), got, couplings, names)
     yield from _of_contact(mechanism, world, readback)
 
 
