@@ -217,7 +217,9 @@ class ModelRun(Bending):
         return np.asarray(self.data.joint(joint_name(link.joint.name)).xaxis)
 
     def _loop_axis(self, hinge: PlacedJoint) -> Array:
-        """Return the direction through the two points that close a hinge."""
+        """Return the direction through the two points that close a hinge; NaN if nothing does."""
+        if hinge not in open_loops(self._mechanism):
+            return np.full(3, np.nan)
         ends = [self.data.site(f"{closing_point(hinge, k)} parent").xpos for k in (0, 1)]
         return np.asarray((ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0]))
 

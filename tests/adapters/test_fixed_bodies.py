@@ -21,8 +21,10 @@ _WELDED = Scene(
     clock=Clock(steps=3),
 )
 _PULL = SpringDamper("pull", ("world", "b"), ((0.0, 0.0, 2.0), (0.0, 0.1, 0.0)), 10.0, 1.0, 0.5)
+_PIN = Joint("pin", "hinge", "world", "b", _NONE, (0.0, 1.0, 0.0))
 _SCENES = {
     "alone": _WELDED,
+    "hinged as well": msgspec.structs.replace(_WELDED, joints=(*_WELDED.joints, _PIN)),
     "pushed": msgspec.structs.replace(_WELDED, forces=(Force("b", ((1.0, 2.0, 3.0),)),)),
     "pulled": msgspec.structs.replace(_WELDED, springs=(_PULL,)),
 }
