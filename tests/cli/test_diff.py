@@ -64,6 +64,27 @@ def test_a_pass_that_fails_is_worse(compare: Compare) -> None:
     assert "WORSE" in ended.out
 
 
+@pytest.mark.parametrize(
+    ("gap", "end", "worse"),
+    [
+        (None, "crash: no answer within 9 s", ()),
+        (1.0, "crash: no answer within 9 s", ("pass → fail", "gap no longer keeps its budget")),
+        (None, "crash: killed", ("pass → fail", "gap no longer keeps its budget")),
+    ],
+)
+def test_an_engine_that_is_late_is_worse_only_by_what_it_answered(
+    compare: Compare, gap: float | None, end: str, worse: tuple[str, ...]
+) -> None:
+    def late(result: Json) -> None:
+        _engine(result, "mujoco").update(verdict="fail", failures=[end], reasons=[end])
+        finding = _finding(result, "mujoco", "gap")
+        finding.update(passed=False, figures=[None, gap, *finding["figures"][2:]])
+
+    _, result = compare(stored.validation(), late)
+
+    assert result["scenes"][0]["worse"] == [f"mujoco matched: {line}" for line in worse]
+
+
 def test_a_fail_that_passes_is_better(compare: Compare) -> None:
     bad = stored.validation()
     _failed(bad)

@@ -151,6 +151,13 @@ def test_a_release_that_is_not_driven_in_time_is_no_worse(
     assert len(diff["scenes"][0]["worse"]) == worse
 
 
+@pytest.mark.parametrize("reason", ["crash: no answer within 9 s", "crash: killed"])
+def test_an_engine_of_an_ablation_that_is_late_is_no_worse(compare: Compare, reason: str) -> None:
+    _, diff = compare(stored.ablation(), lambda new: new["failed"].update(dart=reason))
+
+    assert diff["scenes"][0]["worse"] == ["dart: pass → fail"] * ("killed" in reason)
+
+
 def test_times_and_keys_of_rows_are_no_change(compare: Compare) -> None:
     edit = compare(stored.history(), lambda new: new["rows"][0].update(key="0b", cpu_s=9.0))
 

@@ -94,12 +94,14 @@ def _engine_entry(engine: result.EngineResult, stored: result.Validation) -> Ent
     budget = stored.budget.get("error", 0.0) * stored.length_m
     settings = _fields(engine, "version", "method", "step_s", "coordinates", "constraints")
     findings = engine.findings
+    late = bool(engine.failures) and all(map(records.is_late, engine.failures))
+    broken = [f for f in findings if not f.passed and not (late and _keeps_where_known(f))]
     return Entry(
         verdict=engine.verdict,
-        rank=_VERDICTS.get(engine.verdict),
+        rank=None if late and not broken else _VERDICTS.get(engine.verdict),
         settings={**settings, **engine.options},
         reasons=tuple(dict.fromkeys((*engine.reasons, *engine.failures))),
-        broken=frozenset(finding.check for finding in findings if not finding.passed),
+        broken=frozenset(finding.check for finding in broken),
         judged=frozenset(f.check for f in findings if f.budget is not None),
         figures={
             f.check: PhysicalFigure(_finite(f.figure), f.unit, f.budget or 0.0) for f in findings
@@ -107,6 +109,12 @@ def _engine_entry(engine: result.EngineResult, stored: result.Validation) -> Ent
         | _figures(engine, "error_max_m", "agreement_time_s", error_max_m=budget),
         timings=_fields(engine, "wall_per_simulated_s", "setup_s"),
     )
+
+
+def _keeps_where_known(finding: result.FindingResult) -> bool:
+    """Return whether all trajectories keep a budget, except those that have no figure."""
+    known = [figure for figure in finding.figures if figure is not None]
+    return finding.budget is None or max(known, default=0.0) <= finding.budget
 
 
 def _tradeoff(part: object) -> View:

@@ -17,9 +17,19 @@ ABLATION, CONTACT, RELEASES = SCHEMA, "mbds-xsim/contact/1", steps.SCHEMA
 _LOST = FAILING + 1
 _ASKED = {True: ("as asked", 0), False: ("not as asked", FAILING), None: ("not seen", _LOST)}
 _COST = "cost of a simulated second"
-_LATE = "no answer within"
-"""Beginning of the reason of what ran into its time limit: the machine decides that."""
 _RANKS = {"done": 0, "timed out": None}
+
+
+def is_late(reason: str) -> bool:
+    """Return whether something ran into its time limit: the machine decides that."""
+    return reason.removeprefix("crash: ").startswith("no answer within")
+
+
+def _named(reason: str, good: str, bad: str) -> Entry:
+    """Return an entry that is good without a reason."""
+    if not reason:
+        return Entry(verdict=good, rank=0)
+    return Entry(verdict=bad, rank=None if is_late(reason) else FAILING, reasons=(reason,))
 
 
 def ablation_view(part: object) -> View:
@@ -38,9 +48,8 @@ def ablation_view(part: object) -> View:
 
 def _ablation_entries(stored: Ablation) -> Iterator[tuple[str, Entry]]:
     for engine in dict.fromkeys((*stored.floor_engines, *stored.failed)):
-        reason = stored.failed.get(engine)
-        rank, reasons = (0, ()) if reason is None else (FAILING, (reason,))
-        yield engine, Entry(verdict="fail" if rank else "pass", rank=rank, reasons=reasons)
+        reason = stored.failed.get(engine, "")
+        yield engine, _named(reason, "pass", "fail")
     for size in stored.sizes:
         counts: dict[str, Any] = msgspec.structs.asdict(size)
         yield f"model of {counts.pop('engine')}", Entry(verdict="", rank=None, settings=counts)
@@ -73,7 +82,7 @@ def contact_view(part: object) -> View:
 
 def _contact_entries(study: ContactStudy) -> Iterator[tuple[str, Entry]]:
     for m in study.missing:
-        if m.reason.startswith(_LATE):
+        if is_late(m.reason):
             yield f"{m.engine} {m.profile}", _completed(study, m.engine, m.profile)
     for figure in study.figures:
         parent = f"{figure.engine} {figure.profile}"
@@ -103,7 +112,7 @@ def _completed(study: ContactStudy, engine: str, profile: str) -> Entry:
     """
     own = (m for m in study.missing if (m.engine, m.profile) == (engine, profile))
     reasons = {m.part: m.reason for m in own}
-    lost = sum(not reason.startswith(_LATE) for reason in reasons.values())
+    lost = sum(not is_late(reason) for reason in reasons.values())
     return Entry(
         verdict=f"lacks {', '.join(reasons)}" if reasons else "complete",
         rank=FAILING + lost if lost else None if reasons else 0,
@@ -125,14 +134,11 @@ def history_view(part: object) -> View:
 
 def _history_entries(history: History) -> Iterator[tuple[str, Entry]]:
     worse = tuple(f"{step.release}, {step.name}: {step.what}" for step in history.regressions)
-    late = history.releases[-1].reason.startswith(_LATE)
+    late = is_late(history.releases[-1].reason)
     rank = None if late else FAILING if history.verdict == "fail" else 0
     yield "newest release", Entry(verdict=history.verdict, rank=rank, reasons=worse)
     for release in history.releases:
-        verdict, lost = ("not driven", FAILING) if release.reason else ("driven", 0)
-        rank = None if release.reason.startswith(_LATE) else lost
-        reasons = (release.reason,) if release.reason else ()
-        yield f"release {release.version}", Entry(verdict=verdict, rank=rank, reasons=reasons)
+        yield f"release {release.version}", _named(release.reason, "driven", "not driven")
     for row in history.rows:
         parent, figures = f"release {row.release}", dict(row.figures)
         timings = {"processor time per simulated second": figures.pop("time")}
