@@ -184,7 +184,7 @@ def stability(
         mbds-xsim stability mass-ratio --engines mujoco --methods RK4 --value 1000 --step 0.01
         mbds-xsim stability pace links --models models/6pendulum --engines none
     """
-    from mbds_xsim.simulate.choice import Choice
+    from mbds_xsim.simulate.choice import Choice, words_of
     from mbds_xsim.studies.stability.studies import STUDIES, study_named
     from mbds_xsim.studies.stability.survey import SurveyPlan
 
@@ -201,7 +201,7 @@ def stability(
             engines=choice.engines,
             faulty=choice.faulty,
             others=others,
-            methods=_words(methods),
+            methods=words_of(methods or (), "--methods"),
             profiles=_profiles(settings),
             values=_values(study, value, quick=quick),
             counts=_counts(step, quick=quick),
@@ -267,18 +267,15 @@ def _outsiders(places: list[Path] | None) -> tuple[Simulator, ...]:
 
 def _profiles(words: str) -> tuple[Profile, ...]:
     """Return the named profiles, each once; refuse files of settings."""
-    from mbds_xsim.simulate.choice import as_profile, is_file
+    from mbds_xsim.simulate.choice import as_profile, is_file, words_of
 
-    if paths := [word for word in words.split(",") if is_file(word)]:
+    listed = words_of(words, "--settings")
+    if paths := [word for word in listed if is_file(word)]:
         raise InputError(
             f"--settings {paths[0]}: a file has the settings of one scene, and a map makes scenes "
             "and steps of its own; allowed are matched, native, or both"
         )
-    return tuple(dict.fromkeys(as_profile(word.strip()) for word in words.split(",")))
-
-
-def _words(text: str | None) -> tuple[str, ...]:
-    return tuple(word.strip() for word in text.split(",")) if text else ()
+    return tuple(map(as_profile, listed))
 
 
 def _values(study: Study, value: str | None, *, quick: bool) -> tuple[Value, ...]:

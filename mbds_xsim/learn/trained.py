@@ -175,11 +175,11 @@ def trained_model(path: Path) -> TrainedModel:
 
 
 def trained_in(places: Sequence[Path]) -> list[TrainedModel]:
-    """Find the models in files, in patterns of files, and in all files *.pt below folders.
+    """Find the models in files, in patterns of files, and in all files *.pt below folders, once.
 
     Raises InputError if a place has none, or if a file is not a trained model.
     """
-    models: list[TrainedModel] = []
+    found: dict[Path, Path] = {}
     for place in places:
         if place.is_dir():
             paths = sorted(place.rglob("*.pt"))
@@ -190,8 +190,8 @@ def trained_in(places: Sequence[Path]) -> list[TrainedModel]:
         if not paths:
             msg = f"{place}: no trained models (*.pt) there; make some with mbds-xsim train"
             raise InputError(msg)
-        models += map(trained_model, paths)
-    return models
+        found |= {path.resolve(): path for path in paths}
+    return [*map(trained_model, found.values())]
 
 
 @dataclass(frozen=True)

@@ -64,8 +64,8 @@ def engines(scene: Scene) -> Tradeoff:
 
 @pytest.fixture(scope="module")
 def both(engines: Tradeoff, scene: Scene, folder: Path) -> tuple[Tradeoff, list[Measurement]]:
-    """The engine and the models."""
-    return with_models(engines, scene, trained_in([folder]), conduct=HERE)
+    """The engine and the models, of which a second place names one again."""
+    return with_models(engines, scene, trained_in([folder, folder / "1pendulum"]), conduct=HERE)
 
 
 class _Perfect(GNS):
