@@ -112,8 +112,7 @@ def error_findings(
     ]
     frame = scene.clock.frame
     at_one = known & (np.abs(time - max(_ONE_SECOND, frame)) < 0.5 * frame)
-    calm = np.array([batch.interval(row) != "high" for row in range(len(batch))])
-    calm &= at_one.any(axis=1)
+    calm = batch.regular & at_one.any(axis=1)
     if calm.any():
         finding = Finding.of(
             "error at 1 s",

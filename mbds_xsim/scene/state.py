@@ -52,6 +52,11 @@ class Batch(Picked):
         """Return the sampling interval of a row."""
         return INTERVALS[int(self.index[row]) % len(INTERVALS)]
 
+    @property
+    def regular(self) -> Mask:
+        """Whether each row is of the low or medium interval, judged at 1 s."""
+        return self.index % len(INTERVALS) != INTERVALS.index("high")
+
     def label(self, row: int) -> str:
         """Return a readable name of a row, with its interval unless the row is the only one."""
         interval = f" ({self.interval(row)})" if len(self) > 1 else ""
@@ -96,7 +101,7 @@ class Trajectory:
     def __len__(self) -> int:
         return len(self.position)
 
-    def __getitem__(self, rows: slice | list[int]) -> Trajectory:
+    def __getitem__(self, rows: slice | list[int] | Mask) -> Trajectory:
         """Select some of the trajectories."""
         arrays = {key: getattr(self, key)[rows] for key in STATES}
         failures = tuple(self.failures[row] for row in np.arange(len(self))[rows])

@@ -204,13 +204,12 @@ def window_of(evidence: Evidence, apart: Array) -> Window:
         calm &= apart <= _APART * evidence.scene.length
         ends = "engines part by 1 % of the length in contact"
     judged = np.logical_and.accumulate(calm, axis=1)
-    interval = [evidence.batch.interval(row) for row in range(len(evidence.batch))]
     return Window(
         judged=judged,
         weight=np.maximum(1.0, growth),
         time=evidence.reference.time,
         apart=apart,
-        regular=np.array([name != "high" for name in interval]),
+        regular=evidence.batch.regular,
         ends="" if judged.all() else ends,
     )
 

@@ -20,7 +20,6 @@ from mbds_xsim.measure.result import SCHEMA, EnsembleResult, Evidence, Reference
 from mbds_xsim.measure.runner import Account, machine, versions_of
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import Starts
-from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory, fingerprint
 from mbds_xsim.simulate.choice import Choice, Contender
@@ -28,7 +27,6 @@ from mbds_xsim.simulate.claims import TRUTH
 
 _ONE_SECOND = 1.0
 _LEAST_TIME = 0.01  # shorter work is left out of the account [s]
-_HIGH = INTERVALS.index("high")
 _STARTS = Starts()
 _VERDICTS = ("pass", "warn", "fail")  # the worst last
 
@@ -58,7 +56,7 @@ def validate_with_evidence(
     voting = time.perf_counter()
     results, times = [row.result for row in rows], reference.trajectory.time
     runs, families = _runs(rows, reference)
-    matrix, odd = _vote(scene, runs, families)
+    matrix, odd = _vote(scene, batch, runs, families)
     ensembles = _ensembles(scene, batch, runs)
     spent["checks"] += time.perf_counter() - voting
     validation = Validation(
@@ -148,13 +146,13 @@ def _runs(
 
 
 def _vote(
-    scene: Scene, runs: Mapping[str, Trajectory], families: tuple[str, ...]
+    scene: Scene, batch: Batch, runs: Mapping[str, Trajectory], families: tuple[str, ...]
 ) -> tuple[tuple[tuple[float, ...], ...], str | None]:
     """Compare all pairs of runs, the reference last, at 1 s on low and medium starts."""
     names, mechanism = tuple(runs), Mechanism.of(scene)
-    regular = [k for k in range(len(runs["reference"])) if k % len(INTERVALS) != _HIGH]
     instant = min(_ONE_SECOND, scene.clock.duration)
-    matrix = agreement.pairwise(mechanism, [run[regular] for run in runs.values()], instant)
+    regular = [run[batch.regular] for run in runs.values()]
+    matrix = agreement.pairwise(mechanism, regular, instant)
     allowed = scene.budget.error_1s * scene.length
     # Past a first impact no solution is unique, and sound engines may stand apart.
     unique = np.isfinite(matrix[-1, :-1]).any()
