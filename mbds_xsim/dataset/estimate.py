@@ -34,6 +34,8 @@ class ShardCost:
     """Number of trajectories in a measured shard."""
     published: int
     """Number of published trajectories in the two measured shards."""
+    start_s: float
+    """Processor time that the first shard of a process adds, to load the engine [s]."""
     shard_s: float
     """Processor time of a shard without trajectories [s]."""
     trajectory_s: float
@@ -125,12 +127,12 @@ def estimate(
     about = variant.name, variant.method.name, variant.contender.settings.step
     if isinstance(answer, Crash):
         return Estimate(*about, None, answer.reason, shards, None, None, None)
-    audits = math.ceil(trajectories / AUDIT_EVERY)
+    audits, processes = math.ceil(trajectories / AUDIT_EVERY), min(workers, shards)
     seconds = shards * answer.shard_s + trajectories * answer.trajectory_s + audits * audit_s
-    hours = seconds / _HOUR
+    hours = (seconds + processes * answer.start_s) / _HOUR
     size = shards * answer.shard_bytes
     size += trajectories * (answer.trajectory_bytes + _JOINED_BYTES)
-    return Estimate(*about, answer, "", shards, hours, hours / min(workers, shards), size)
+    return Estimate(*about, answer, "", shards, hours, hours / processes, size)
 
 
 def measure(variant: Variant, sample: int, audit: bool) -> ShardCost:
@@ -140,7 +142,7 @@ def measure(variant: Variant, sample: int, audit: bool) -> ShardCost:
     """
     with tempfile.TemporaryDirectory() as folder:
         out, first = Path(folder), AUDITED
-        _make(Item(variant, first, 1), out / "cold")
+        cold = _make(Item(variant, first, 1), out / "cold")
         one = _make(Item(variant, first, 1), out / "one")
         items = [Item(variant, first + k * sample, sample) for k in range(2)]
         runs = [_make(item, out / f"many{item.first}") for item in items]
@@ -158,6 +160,7 @@ def measure(variant: Variant, sample: int, audit: bool) -> ShardCost:
     return ShardCost(
         sample=sample,
         published=sum(run["published"] for run in runs),
+        start_s=max(cold["seconds"] - one["seconds"], 0.0),
         shard_s=shard_s,
         trajectory_s=trajectory_s,
         spread=abs(seconds[0] - seconds[1]) / mean,

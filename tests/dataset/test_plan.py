@@ -24,6 +24,7 @@ from tests.dataset.conftest import Make
 KNOWN = ShardCost(
     sample=6,
     published=12,
+    start_s=2.0,
     shard_s=3.0,
     trajectory_s=0.5,
     spread=0.1,
@@ -84,7 +85,7 @@ def test_costs_add_up_at_any_size(variant: Variant) -> None:
     for count in (1, 300, 301, 15_001, 4_000_000_000):
         cost = estimate(variant, KNOWN, count, audit_s=7.0, workers=8)
         shards = variant.shard_count(count)
-        seconds = 3.0 * shards + 0.5 * count + 7.0 * -(-count // 15_000)
+        seconds = 2.0 * min(8, shards) + 3.0 * shards + 0.5 * count + 7.0 * -(-count // 15_000)
         assert cost.shards == shards
         assert cost.core_hours == pytest.approx(seconds / 3600)
         assert cost.wall_hours == pytest.approx(seconds / 3600 / min(8, shards))
