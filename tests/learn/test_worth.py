@@ -96,7 +96,7 @@ def _named(name: str) -> tuple[str, str, str]:
 
 
 def test_harm_is_found_where_it_was_planted() -> None:
-    shift = _study({"a-coarse": 4.0, "b-coarse": 1.3})
+    shift = _study({"a-coarse": 4.0, "b-coarse": 1.6})
     harms = {harm.first: harm for harm in shift.harms}
     assert set(harms) == set(_COSTS) - {"reference-fine"}
     assert {harm.second for harm in shift.harms} == {"reference-fine"}

@@ -43,7 +43,6 @@ INTERACTION = "interaction"
 FALSE = 0.05
 """Share of the resolved pairs that may be due to chance."""
 _ROUNDING = 1e-9  # of a logarithm
-_FEW = 2  # seeds, of which Satterthwaite's degrees of freedom are too many
 BEARABLE = 2.0
 """Ratio of squared errors below which a model survives a change."""
 _SEVERAL = 2  # least number of changes to put side by side
@@ -97,22 +96,25 @@ def compared(
 
 
 def _chance(draws: Draws, ratio: Callable[[Look], Array], bounded: Bounded, seeds: int) -> Array:
-    """Compute the p-value of the ratio's logarithm, from its spread over the draws.
-
-    The spread of three seeds is known roughly only. Student's t allows for that, by Satterthwaite's
-    degrees of freedom of a sum of two variances (1946, Biometrics Bull. 2, 110). With two seeds
-    these are too many: up to 12 % instead of 5 % would be false, and 8 % instead of 1 %. There one
-    degree of freedom is counted, the least possible, by which no more are false than should be.
-    """
+    """Compute the p-value of the ratio's logarithm, from its spread over the draws."""
     with np.errstate(divide="ignore", invalid="ignore"):
         whole, part = (np.log(ratio(look)).var(axis=0) for look in (draws.drawn, draws.reseeded))
-        rest, trajectories = np.maximum(whole - part, 0.0), len(draws.evaluation.test.index)
-        parts = part**2 / max(seeds - 1, 1) + rest**2 / max(trajectories - 1, 1)
-        freedom = np.where(parts > 0.0, (part + rest) ** 2 / parts, np.inf)
-        if seeds == _FEW:
-            freedom = np.where(part > 0.0, 1.0, freedom)
         size = np.abs(np.log(bounded.value)) / (np.sqrt(whole) + _ROUNDING)
-        return np.asarray(2.0 * t.sf(size, freedom))
+        share = np.where(part > 0.0, np.minimum(part / whole, 1.0), 0.0)
+        return chance_beyond(size, share, seeds, len(draws.evaluation.test.index))
+
+
+def chance_beyond(size: Array, share: Array, seeds: int, trajectories: int) -> Array:
+    """Return the chance that a mean is off by more than `size` of its standard deviations.
+
+    Seeds bring a `share` of its variance, trajectories the rest. The spread of three seeds is known
+    roughly only, for which Student's t allows. The weights of both t are those of their tails in
+    the distribution of Behrens and Fisher (1935, Ann. Eugenics 6, 391). Satterthwaite's degrees of
+    freedom would be too many where few seeds show less spread by chance than they have.
+    """
+    few, many = max(seeds - 1, 1), max(trajectories - 1, 1)
+    weight = share ** (0.5 * few)
+    return np.asarray(2.0 * (weight * t.sf(size, few) + (1.0 - weight) * t.sf(size, many)))
 
 
 def interaction(first: TrainedModel, second: TrainedModel, look: Look) -> Array:
