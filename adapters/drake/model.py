@@ -147,8 +147,9 @@ def _loops(mechanism: Mechanism) -> Iterator[str]:
         if welded[joint.parent] != welded[joint.child]:  # bodies welded into one need no tie
             yield from _closure(mechanism, joint)
     for link in mechanism.distances:
-        ends = _ends(link.bodies, link.in_body)
-        yield f"plant.AddDistanceConstraint({ends}, {link.length!r})  # {link.name!r}"
+        if welded[link.bodies[0]] != welded[link.bodies[1]]:
+            ends = _ends(link.bodies, link.in_body)
+            yield f"plant.AddDistanceConstraint({ends}, {link.length!r})  # {link.name!r}"
     native = mechanism.carried
     for each in mechanism.couplings:
         pair = f"joints[{native[each.follower.index]}], joints[{native[each.leader.index]}]"
