@@ -84,12 +84,12 @@ def _beside(record: Record, push: Push) -> Array:
     spread = np.linalg.norm(ahead[0] - toward, axis=-1)
     slowest = np.minimum(*(np.linalg.norm(part, axis=-1) for part in (begin, end)))
     takes = np.maximum(_LITTLE * push.weight, _SPRING_SHARE * up)
-    tumbling = _tumbling(record, push)
-    least = mu * takes / push.mass + tumbling
+    aside = _tumbling(record, push) + _swaying(record, push, toward)
+    least = mu * takes / push.mass + aside
     slips = slowest > least + _LASTING * np.linalg.norm(end - begin, axis=-1)
     slips &= (spread < _ALIKE) & (up > _LITTLE * push.weight)
     residual = push.impulse[..., :2] / (mu * up)[..., None] + toward
-    turned = spread + tumbling / slowest
+    turned = spread + aside / slowest
     deviation = np.linalg.norm(residual, axis=-1) - turned - push.blur / (mu * up)
     return np.where(slips, np.maximum(deviation, 0.0), np.nan)
 
@@ -108,6 +108,25 @@ def _tumbling(record: Record, push: Push) -> Array:
     fastest = np.maximum(rate[:, 1:], rate[:, :-1]) + rotation.norm(np.diff(change, axis=1))
     turn = np.maximum(size[:, 1:], size[:, :-1]) * record.frame
     return mechanism.sphere_radius[push.spheres[0]] * record.frame * fastest * (1.0 + turn / 2.0)
+
+
+def _swaying(record: Record, push: Push, toward: Array) -> Array:
+    """Bound how far the slip sways in a step as unequal moments turn under friction [m/s].
+
+    What friction changes it by follows the inverse inertia, which changes at most by its range.
+    In mid-step the slip is off the course between the ends by a quarter of what that adds.
+    """
+    mechanism, body = record.mechanism, push.bodies[0]
+    inverse, rates = np.linalg.inv(mechanism.inertia[body]), []
+    torque = np.stack([-toward[..., 1], toward[..., 0], np.zeros(toward.shape[:-1])], axis=-1)
+    for ends in (slice(None, -1), slice(1, None)):
+        axis = rotation.rotate(rotation.conjugate(record.bodies.native[:, ends, body]), torque)
+        spin = record.spin[:, ends, body]
+        rate = rotation.cross(spin, axis @ inverse) - rotation.cross(spin, axis) @ inverse
+        rates.append(rotation.norm(rate))
+    change = np.minimum(record.frame * np.maximum(*rates), np.ptp(np.linalg.eigvalsh(inverse)))
+    radius, takes = mechanism.sphere_radius[push.spheres[0]], push.impulse[..., 2]
+    return np.asarray(radius**2 * record.ground.friction * takes * change / 4.0)
 
 
 def _yielding(record: Record, push: Push) -> float:

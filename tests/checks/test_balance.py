@@ -132,13 +132,15 @@ def test_contact_explains_a_ball_that_turns_about_all_axes(mu: float) -> None:
          (-0.24, 0.113, -0.71, -0.652), (-2.8543, 2.3106, 0.0), (-40.471, -36.036, 1.409)),
         (0.273, 0.01228, Inertia(5.6521, (2.75e-4, 2.181e-4, 3.849e-4)),
          (0.512, 0.535, 0.118, -0.661), (-2.6469, 0.5441, 0.0), (49.029, -128.121, 6.128)),
+        (0.17039, 0.059535, Inertia(1.0, (1.095e-3, 1.0366e-4, 1.0544e-3)),
+         (-0.7613, 0.0, 0.0, 0.6484), (0.15035, 0.40649, 0.0), (-0.0748, 0.02634, 40.524)),
     ],
-    ids=["rolls", "slips"],
+    ids=["rolls", "slips", "sways"],
 )  # fmt: skip
 def test_uneven_balls_that_turn_far_in_a_frame_are_sound(
     mu: float, radius: float, inertia: Inertia, turn: Any, velocity: Any, spin: Any
 ) -> None:
-    """Between two frames their slip grows most, or turns aside."""
+    """Between two frames their slip grows most, turns aside, or sways as their moments turn."""
     place, orientation = (0.0, 0.0, radius), tuple((turn / np.linalg.norm(turn)).tolist())
     ball = Body(
         "ball", inertia=inertia, position=place, orientation=orientation,
