@@ -27,6 +27,7 @@ _CENTRED = 1e-9  # tolerance [m], and relative of moments of inertia that are eq
 _OVER = 1e-6  # share of the relative speed; once a collision is over, it changes by less
 _EXACT = 1e-4  # share of a frame to which the time of a touch must be known
 _SLOW = 3.0  # times what gravity or loads add in a frame; slower impacts show no restitution
+_TINY = np.finfo(float).tiny
 _GLANCE = 0.1  # share of the speed at which surfaces meet; a slower approach is a glance
 
 
@@ -42,8 +43,12 @@ class Hits(Picked):
     """Parting speed afterwards [m/s], shape (collision,)."""
     slip: Array
     """Slip between the contact points at the touch [m/s], shape (collision, 3)."""
-    final_slip: Array
-    """Slip afterwards [m/s], shape (collision, 3)."""
+    aside: Array
+    """Tangential impulse on the first ball that changed the slip [N·s], shape (collision, 3)."""
+    stopping: Array
+    """The same that would have stopped the slip [N·s], shape (collision, 3)."""
+    straight: Array
+    """Cosine of half the angle by which the slip turned, shape (collision,)."""
     gap: Array
     """Distance of the balls where the two motions meet [m], negative if they overlap; NaN if they
     stay together."""
@@ -80,8 +85,8 @@ def collision_restitution(record: Record) -> Figures | None:
 def collision_friction(record: Record) -> Figures:
     """Compare tangential impulses with Coulomb's law, over μ times normal; None without balls.
 
-    They must stop the slip, or be μ times the normal impulse against it. For balls with uneven
-    inertia only an excess over μ times the normal impulse counts.
+    They must stop the slip, or be μ times the normal impulse against it. The slip of balls with
+    uneven inertia may turn: there only the impulse's size counts, less what it may lose by that.
     """
     return _figures(record, [_aside(record, pair, hits) for pair, hits in _all(record).items()])
 
@@ -128,7 +133,7 @@ def _of_pair(record: Record, pair: int) -> Hits:
         return neighbours_of(mechanism, bodies)[:, pair]
 
     row, step = np.nonzero(_alone(record, pair))
-    _, before, falling = at_touch(record, row, step, step, look)
+    there, before, falling = at_touch(record, row, step, step, look)
     _, after, rising = at_touch(record, row, step, step + 1, look)
     end, pull = record.bodies[row, step + 1], _pull(record, pair)[row, step]
     speed = end.velocity[:, one] - end.velocity[:, other] - (frame - falling)[:, None] * pull
@@ -138,12 +143,41 @@ def _of_pair(record: Record, pair: int) -> Hits:
     normal = np.where(parted[:, None], after.normal, before.normal)
     parting = rotation.dot(speed, normal)
     slip_after = speed - parting[:, None] * normal - rotation.cross(turning, normal)
+    yields = _yields(mechanism, pair, there, before.normal)
+    if not _is_even(mechanism, pair):  # the spins change until the frame
+        slip_after = np.where(parted[:, None], after.slip, slip_after)
+    changes = np.stack([slip_after - before.slip, -before.slip], axis=-1)
+    ways = [w / np.maximum(rotation.norm(w), _TINY)[:, None] for w in (before.slip, slip_after)]
+    straight = rotation.norm(ways[0] + ways[1]) / 2.0
+    aside, stopping = np.moveaxis(np.linalg.solve(yields, changes), -1, 0)
     rates = 1.0 / np.where(parted, after.climb, np.nan) - 1.0 / before.climb
     gap = -(frame - falling + rising) / rates
     # A near miss may come almost as near as a touch.
     exact = np.abs(before.gap) <= _EXACT * frame * -before.climb
-    hits = Hits(row, step, -before.climb, parting, before.slip, slip_after, gap)
+    hits = Hits(row, step, -before.climb, parting, before.slip, aside, stopping, straight, gap)
     return hits[exact & (falling >= 0.0)]
+
+
+def _is_even(mechanism: Mechanism, pair: int) -> bool:
+    """Return whether both balls of a pair have equal moments about all axes."""
+    bodies = mechanism.sphere_body[mechanism.sphere_pairs[pair]]
+    moments = np.linalg.eigvalsh(mechanism.inertia[bodies])
+    return bool((np.ptp(moments, axis=1) <= _CENTRED * moments.max(axis=1)).all())
+
+
+def _yields(mechanism: Mechanism, pair: int, bodies: BodyStates, normal: Array) -> Array:
+    """Return the change of a pair's slip by a tangential impulse [1/kg], (collision, 3, 3)."""
+    spheres = mechanism.sphere_pairs[pair]
+    own, radius = mechanism.sphere_body[spheres], mechanism.sphere_radius[spheres]
+    native = bodies.native[:, own]  # after steps of an integrator
+    turn = rotation.matrix(native / np.linalg.norm(native, axis=-1, keepdims=True))
+    # Rows turn a ball by unit impulses on its contact point, in the ball's frame.
+    lever = np.cross(normal[:, None], np.eye(3))[:, None] @ turn * radius[:, None, None]
+    turned = lever @ np.linalg.inv(mechanism.inertia[own]) @ np.swapaxes(lever, -1, -2)
+    aside = turned.sum(axis=1)
+    # The slip may have a part along the normal, which turns while a soft contact lasts.
+    along = normal[:, :, None] * normal[:, None] * np.trace(aside, axis1=1, axis2=2)[:, None, None]
+    return np.asarray(aside + along / 2.0 + np.eye(3) * np.sum(1.0 / mechanism.mass[own]))
 
 
 def _pull(record: Record, pair: int) -> Array:
@@ -176,18 +210,17 @@ def _aside(record: Record, pair: int, hits: Hits) -> Array:
     """Compute deviations of tangential impulses from Coulomb's, over μ · normal, (collision,)."""
     mechanism, collisions = record.mechanism, record.scene.collisions
     assert collisions is not None
-    spheres = mechanism.sphere_pairs[pair]
-    bodies, radius = mechanism.sphere_body[spheres], mechanism.sphere_radius[spheres]
-    moments = np.linalg.eigvalsh(mechanism.inertia[bodies])
+    bodies = mechanism.sphere_body[mechanism.sphere_pairs[pair]]
     yields = float(np.sum(1.0 / mechanism.mass[bodies]))
-    across = yields + float(np.sum(radius**2 / moments.mean(axis=1)))
     push = (hits.approach + hits.parting) / yields
     most = collisions.friction * push
-    even = bool((np.ptp(moments, axis=1) <= _CENTRED * moments.max(axis=1)).all())
-    actual, size = (hits.final_slip - hits.slip) / across, rotation.norm(hits.slip)
-    needed = np.minimum(most, size / across)
-    wanted = -hits.slip * (needed / np.maximum(size, np.finfo(float).tiny))[:, None]
-    off = rotation.norm(actual - wanted) if even else np.maximum(rotation.norm(actual) - most, 0.0)
+    stopping, actual = rotation.norm(hits.stopping), rotation.norm(hits.aside)
+    wanted = hits.stopping * np.minimum(1.0, most / np.maximum(stopping, _TINY))[:, None]
+    off = rotation.norm(hits.aside - wanted)
+    if not _is_even(mechanism, pair):  # the slip may turn, and friction with it
+        least = most * hits.straight - actual
+        left = rotation.norm(hits.stopping - hits.aside)
+        off = np.maximum(actual - most, np.minimum(least, left).clip(0.0))
     scale = np.maximum(push, hits.least / yields)
     return np.asarray(off / (scale * (collisions.friction or 1.0)))
 

@@ -16,7 +16,7 @@ from mbds_xsim.checks.audit import audit
 from mbds_xsim.checks.finding import Finding
 from mbds_xsim.reference import solve
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Clock, Scene
+from mbds_xsim.scene.scene import Body, Clock, Inertia, Scene
 from mbds_xsim.scene.state import Trajectory
 from mbds_xsim.simulate.registry import load_adapter
 from mbds_xsim.testing.collision_cases import RADIUS, TWO, Flying, balls, collided, cradle
@@ -109,6 +109,31 @@ def test_another_friction_shows_where_balls_slide(friction: float) -> None:
     judged = _findings(balls(TWO["slides"]), _exact("slides", friction=friction))
     assert _over(judged) == {"collision friction"}
     assert judged["collision friction"].figure == pytest.approx(abs(friction / 0.3 - 1.0), abs=1e-6)
+
+
+@pytest.mark.parametrize(("friction", "off"), [(0.3, 0.0), (0.27, 0.1), (0.33, 0.1)])
+def test_balls_of_uneven_inertia_are_judged_by_the_moments_that_turn_them(
+    friction: float, off: float
+) -> None:
+    """Both turn about z alone, about which their moments are those of the other tests."""
+    starts = (
+        Flying((0.0, 0.0, 1.0), (2.0, 0.3, 0.0), (0.0, 0.0, 150.0)),
+        Flying((0.4, 0.07, 1.0), mass=2.0),
+    )
+    bodies = tuple(
+        Body(
+            f"ball {k}",
+            inertia=Inertia(ball.mass, (1.8 * ball.moment, 0.9 * ball.moment, ball.moment)),
+            position=ball.place, velocity=ball.velocity, angular_velocity=ball.spin,
+        )
+        for k, ball in enumerate(starts)
+    )  # fmt: skip
+    law: Any = SimpleNamespace(
+        collisions=SimpleNamespace(friction=friction, restitution=0.8), clock=Clock(steps=25)
+    )
+    scene = msgspec.structs.replace(balls(starts), bodies=bodies)
+    findings = _findings(scene, _turned(collided(law, starts)[0]))
+    assert findings["collision friction"].figure == pytest.approx(off, abs=1e-6)
 
 
 def test_energy_out_of_nothing_shows() -> None:
