@@ -44,6 +44,9 @@ def test_every_schema_is_tried() -> None:
     assert {make()["schema"] for make in _RESULTS.values()} == set(READERS)
 
 
+_FAILS = ("pass → fail", "gap no longer keeps its budget")
+
+
 def _failed(result: Json) -> None:
     _engine(result, "mujoco")["verdict"] = "fail"
     _engine(result, "mujoco")["reasons"] = ["gap: 0.2 mm, allowed 0.1 mm (rung)"]
@@ -65,18 +68,19 @@ def test_a_pass_that_fails_is_worse(compare: Compare) -> None:
 
 
 @pytest.mark.parametrize(
-    ("gap", "end", "worse"),
+    ("gap", "end", "more", "worse"),
     [
-        (None, "crash: no answer within 9 s", ()),
-        (1.0, "crash: no answer within 9 s", ("pass → fail", "gap no longer keeps its budget")),
-        (None, "crash: killed", ("pass → fail", "gap no longer keeps its budget")),
+        (None, "crash: no answer within 9 s", (), ()),
+        (None, "crash: no answer within 9 s", ("read-back: step: got 1, want 2",), _FAILS[:1]),
+        (1.0, "crash: no answer within 9 s", (), _FAILS),
+        (None, "crash: killed", (), _FAILS),
     ],
 )
 def test_an_engine_that_is_late_is_worse_only_by_what_it_answered(
-    compare: Compare, gap: float | None, end: str, worse: tuple[str, ...]
+    compare: Compare, gap: float | None, end: str, more: tuple[str, ...], worse: tuple[str, ...]
 ) -> None:
     def late(result: Json) -> None:
-        _engine(result, "mujoco").update(verdict="fail", failures=[end], reasons=[end])
+        _engine(result, "mujoco").update(verdict="fail", failures=[end], reasons=[end, *more])
         finding = _finding(result, "mujoco", "gap")
         finding.update(passed=False, figures=[None, gap, *finding["figures"][2:]])
 

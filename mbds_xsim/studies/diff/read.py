@@ -96,9 +96,10 @@ def _engine_entry(engine: result.EngineResult, stored: result.Validation) -> Ent
     findings = engine.findings
     late = bool(engine.failures) and all(map(records.is_late, engine.failures))
     broken = [f for f in findings if not f.passed and not (late and _keeps_where_known(f))]
+    sound = not broken and not any(each.startswith("read-back: ") for each in engine.reasons)
     return Entry(
         verdict=engine.verdict,
-        rank=None if late and not broken else _VERDICTS.get(engine.verdict),
+        rank=None if late and sound else _VERDICTS.get(engine.verdict),
         settings={**settings, **engine.options},
         reasons=tuple(dict.fromkeys((*engine.reasons, *engine.failures))),
         broken=frozenset(finding.check for finding in broken),
