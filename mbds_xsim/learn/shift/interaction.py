@@ -108,9 +108,10 @@ def chance_beyond(size: Array, share: Array, seeds: int, trajectories: int) -> A
     """Return the chance that a mean is off by more than `size` of its standard deviations.
 
     Seeds bring a `share` of its variance, trajectories the rest. The spread of three seeds is known
-    roughly only, for which Student's t allows. The weights of both t are those of their tails in
-    the distribution of Behrens and Fisher (1935, Ann. Eugenics 6, 391). Satterthwaite's degrees of
-    freedom would be too many where few seeds show less spread by chance than they have.
+    roughly only, for which Student's t allows. Its t has the weight of its tail in the distribution
+    of Behrens and Fisher (1935, Ann. Eugenics 6, 391), that of the trajectories the rest.
+    Satterthwaite's degrees of freedom would be too many where few seeds show less spread by chance
+    than they have.
     """
     few, many = max(seeds - 1, 1), max(trajectories - 1, 1)
     weight = share ** (0.5 * few)
