@@ -114,7 +114,8 @@ def _swaying(record: Record, push: Push, toward: Array) -> Array:
     """Bound how far the slip sways in a step as unequal moments turn under friction [m/s].
 
     What friction changes it by follows the inverse inertia, which changes at most by its range.
-    In mid-step the slip is off the course between the ends by a quarter of what that adds.
+    Whenever in the step that happens, it moves the slip off the straight course between the ends by
+    at most a quarter of what the whole change would add in a step.
     """
     mechanism, body = record.mechanism, push.bodies[0]
     inverse, rates = np.linalg.inv(mechanism.inertia[body]), []
