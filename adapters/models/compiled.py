@@ -168,7 +168,7 @@ def _check_axis(joint: Element) -> None:
     is_direction = 0.0 < sum(value * value for value in values) < math.inf
     if len(values) != 3 or (kind in _WITH_AXIS and not is_direction):
         msg = f"joint {joint.get('name')!r} has the axis {text!r}, "
-        raise InputError(f"{msg}allowed are three numbers with a finite sum of squares above 0")
+        raise InputError(f"{msg}allowed are three numbers, not all 0, with a finite sum of squares")
     if kind == "planar" and values != [0, 0, 1]:
         raise InputError(
             f"joint {joint.get('name')!r} is planar with the normal {text}, but MuJoCo "
