@@ -25,8 +25,8 @@ def is_late(reason: str) -> bool:
     return reason.removeprefix("crash: ").startswith("no answer within")
 
 
-def _named(reason: str, good: str, bad: str) -> Entry:
-    """Return an entry that is good without a reason."""
+def _by_reason(reason: str, good: str, bad: str) -> Entry:
+    """Return an entry that is good unless a reason says why not."""
     if not reason:
         return Entry(verdict=good, rank=0)
     return Entry(verdict=bad, rank=None if is_late(reason) else FAILING, reasons=(reason,))
@@ -49,7 +49,7 @@ def ablation_view(part: object) -> View:
 def _ablation_entries(stored: Ablation) -> Iterator[tuple[str, Entry]]:
     for engine in dict.fromkeys((*stored.floor_engines, *stored.failed)):
         reason = stored.failed.get(engine, "")
-        yield engine, _named(reason, "pass", "fail")
+        yield engine, _by_reason(reason, "pass", "fail")
     for size in stored.sizes:
         counts: dict[str, Any] = msgspec.structs.asdict(size)
         yield f"model of {counts.pop('engine')}", Entry(verdict="", rank=None, settings=counts)
@@ -138,7 +138,7 @@ def _history_entries(history: History) -> Iterator[tuple[str, Entry]]:
     rank = None if late else FAILING if history.verdict == "fail" else 0
     yield "newest release", Entry(verdict=history.verdict, rank=rank, reasons=worse)
     for release in history.releases:
-        yield f"release {release.version}", _named(release.reason, "driven", "not driven")
+        yield f"release {release.version}", _by_reason(release.reason, "driven", "not driven")
     for row in history.rows:
         parent, figures = f"release {row.release}", dict(row.figures)
         timings = {"processor time per simulated second": figures.pop("time")}
