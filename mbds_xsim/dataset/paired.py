@@ -141,11 +141,14 @@ def check_alike(files: Sequence[Dataset]) -> None:
     first = files[0]
     for file in files[1:]:
         for key in _SAME:
-            if file.attributes[key] != first.attributes[key]:
-                mismatch = "another scene" if key == "scene" else f"{key} {file.attributes[key]}"
+            own, other = file.attributes[key], first.attributes[key]
+            if own != other:
+                mismatch = f"{key} {own}, unlike {first.path.name} ({other})"
+                if key == "scene":
+                    mismatch = f"another scene, unlike {first.path.name}"
                 raise InputError(
-                    f"{file.path}: {mismatch}, unlike {first.path.name}; domains must be the same "
-                    "motions, generate them in one run"
+                    f"{file.path}: {mismatch}; domains must be the same motions, generate them "
+                    "in one run"
                 )
 
 

@@ -212,10 +212,7 @@ class Adapter(ABC):
     @final
     def check(self, scene: Scene, settings: Settings) -> None:
         """Raise as `open` would, without loading anything."""
-        check_name(f"method of {self.name}", settings.method, sorted(self.methods))
-        for key, value in settings.options.items():
-            check_name(f"option of {self.name}", key, sorted(self.options))
-            self.options[key].check(f"option {key} of {self.name}", value)
+        self.check_options(settings.method, settings.options)
         settings.substeps(scene.clock.frame)
         refusals = self.refusals(scene, settings.method)
         if refusals:
@@ -224,6 +221,14 @@ class Adapter(ABC):
         value = self.cannot_hold(scene)
         if value:
             raise Unsupported(f"{self.name} cannot represent a value of the scene: {value}")
+
+    @final
+    def check_options(self, method: str, options: Mapping[str, object]) -> None:
+        """Raise InputError for a method, an option or a value that the adapter does not have."""
+        check_name(f"method of {self.name}", method, sorted(self.methods))
+        for key, value in options.items():
+            check_name(f"option of {self.name}", key, sorted(self.options))
+            self.options[key].check(f"option {key} of {self.name}", value)
 
     @final
     def refusals(self, scene: Scene, method: str) -> dict[Feature, str]:

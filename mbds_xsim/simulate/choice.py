@@ -268,42 +268,48 @@ def read_settings(path: Path) -> tuple[str, dict[str, Matched]]:
     """
     try:
         name, settings = _read(path)
+        for engine, entry in settings.items():
+            adapter = registry.load_adapter(engine)
+            adapter.check_options(entry.method, entry.options)
+            if adapter.methods[entry.method].adaptive and entry.steps_per_frame != 1:
+                raise InputError(
+                    f"{engine}.steps_per_frame: got {entry.steps_per_frame}, "
+                    f"allowed is 1, since {entry.method} chooses its steps"
+                )
     except InputError as error:
-        raise InputError(f"--settings {error}") from error
-    for engine, entry in settings.items():
-        method = registry.load_adapter(engine).methods.get(entry.method)
-        if method is not None and method.adaptive and entry.steps_per_frame != 1:
-            raise InputError(
-                f"--settings {path}: {engine}.steps_per_frame: got {entry.steps_per_frame}, "
-                f"allowed is 1, since {entry.method} chooses its steps"
-            )
+        raise InputError(f"--settings {path}: {error}") from error
     return name, settings
 
 
 def _read(path: Path) -> tuple[str, dict[str, Matched]]:
-    """Read a settings file, whose engines need not be installed."""
+    """Read a settings file, whose engines need not be installed; messages do not name it."""
     try:
         name, settings = _tables(read_file(path).decode("utf-8-sig"))
     except msgspec.ValidationError as error:
         raise InputError(
-            f"{path}: {error}; each engine needs a table with `method`, "
+            f"{error}; each engine needs a table with `method`, "
             "`steps_per_frame` and, if any, `options`, as written by `mbds-xsim match --out`"
         ) from error
-    except (OSError, ValueError) as error:  # no file, no UTF-8, no TOML or an endless number
-        raise InputError(f"{path}: cannot be read: {error}") from error
+    except FileNotFoundError as error:
+        raise InputError(
+            f"there is no such file; allowed are {MATCHED}, {_NATIVE} and files as "
+            "`mbds-xsim match --out` writes them"
+        ) from error
+    except (OSError, ValueError) as error:  # no UTF-8, no TOML or an endless number
+        raise InputError(f"cannot be read: {error}") from error
     if not isinstance(name, str) or not _NAME.fullmatch(name) or name == _NATIVE:
         raise InputError(
-            f"{path}: name: got {name!r}, allowed are up to 40 small letters, digits "
+            f"name: got {name!r}, allowed are up to 40 small letters, digits "
             f"and _, a letter first, and not {_NATIVE}"
         )
     for engine, entry in settings.items():
         if not 1 <= entry.steps_per_frame < MOST_STEPS:
             raise InputError(
-                f"{path}: {engine}.steps_per_frame: got {entry.steps_per_frame!r:.60}, allowed is "
+                f"{engine}.steps_per_frame: got {entry.steps_per_frame!r:.60}, allowed is "
                 f"1 or more, below {MOST_STEPS:.0e}"
             )
     if not settings:
-        raise InputError(f"{path}: got no settings for any engine")
+        raise InputError("got no settings for any engine")
     return name, settings
 
 
@@ -329,7 +335,9 @@ def _shipped(scene_name: str, engine: str) -> Matched | str | None:
             path = Path(folder, *below, f"{scene_name}.toml")
             if path.is_file():
                 return _read(path)[1].get(engine)
-    except (InputError, OSError, ValueError) as error:
+    except InputError as error:
+        return f"{path}: {error}"
+    except (OSError, ValueError) as error:
         return str(error)
     return None
 
@@ -352,10 +360,15 @@ def _shipped_settings(scene: Scene, adapter: Adapter) -> Settings:
 def _tables(text: str) -> tuple[Any, dict[str, Matched]]:
     tables: Any = tomllib.loads(text)
     name = tables.pop("name", MATCHED)
-    for table in tables.values():
+    settings = {}
+    for engine, table in tables.items():
         if isinstance(table, dict):
             table.pop("found", None)
-    return name, msgspec.convert(tables, dict[str, Matched])
+        try:
+            settings[engine] = msgspec.convert(table, Matched)
+        except msgspec.ValidationError as error:
+            raise msgspec.ValidationError(f"{engine}: {error}") from error
+    return name, settings
 
 
 @functools.cache

@@ -139,3 +139,21 @@ def test_a_variant_has_a_name_that_files_can_have(name: str, here: Path) -> None
     line = rf"^--settings own.toml: name: got '{name}', allowed are up to 40 small letters"
     with pytest.raises(InputError, match=line):
         Choice.parse(profiles="own.toml")
+
+
+@pytest.mark.parametrize(
+    ("changed", "line"),
+    [
+        (("semi-implicit-euler", "RK5"), "no method of pybullet is called 'RK5'"),
+        (("= 20", "= 20\n[pybullet.options]\ndampin = 0"), "no option of pybullet is called"),
+        (("= 20", "= 20\nstep = 0.005"), "pybullet: Object contains unknown field `step`"),
+        (("= 20", "= 2.5"), r"pybullet: Expected `int`, got `float` - at `\$.steps_per_frame`"),
+        (("[pybullet]", "[bullet]"), "no engine is called 'bullet'"),
+    ],
+)
+def test_wrong_settings_are_refused_with_file_and_engine(
+    changed: tuple[str, str], line: str, here: Path
+) -> None:
+    (here / "own.toml").write_text(_UNDAMPED.replace(*changed))
+    with pytest.raises(InputError, match=f"^--settings own.toml: {line}"):
+        Choice.parse(profiles="own.toml")

@@ -81,7 +81,10 @@ def test_parts_that_differ_between_files_are_told(make: Make, tmp_path: Path) ->
     card = tmp_path / "1pendulum" / CARD
     assert "the same in every file: the first 80 %" in card.read_text("utf-8")
 
-    make(tmp_path, settings="native", trajectories=FEW + 4)
+    progress = Silence()
+    make(tmp_path, settings="native", trajectories=FEW + 4, progress=progress)
+    (line,) = progress.notices
+    assert "mujoco-matched.h5: 6 trajectories, now asked for are 10; load_pairs, train" in line
     matched, native = (
         load_dataset(tmp_path / "1pendulum" / f"mujoco-{one}.h5") for one in ("matched", "native")
     )

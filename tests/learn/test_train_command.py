@@ -192,7 +192,7 @@ def test_a_plan_divides_no_run(ask: Ask, profile: Profile, words: str) -> None:
         (["ONE", "COPY"], "are both 2pendulum of mujoco native; give one of them"),
         (
             ["ONE", "OTHER"],
-            "pybullet-native.h5: seed 1, unlike mujoco-native.h5; domains must",
+            "pybullet-native.h5: seed 1, unlike mujoco-native.h5 (0); domains must",
         ),
         (
             ["DATA", "--profile", "light"],
