@@ -67,6 +67,7 @@ def searched(scene: Scene, choice: Choice, conduct: Conduct) -> Choice:
     if missing:
         batch = Starts().draw(scene)
         conduct.meter.begin(len(missing))
+        conduct.meter.doing(f"settings of {', '.join(missing)}")
         reference = run_references(scene, batch, conduct)
         unkept: list[InputError] = []
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import re
 import threading
 import time
 from collections.abc import Callable, Sequence
+from datetime import timedelta
 from typing import Any, Self
 
 from rich import progress
@@ -18,11 +20,21 @@ _EVERY = 60.0  # between lines of a log [s]
 _SPEED_OVER = 600.0  # work comes in bursts; rate and time left are averages over this time [s]
 
 
+class _Remaining(progress.ProgressColumn):
+    """Time left by the last news, counted down; unknown once it has passed."""
+
+    def render(self, task: progress.Task) -> Words:
+        """Return hours, minutes and seconds."""
+        left = 0.0 if task.finished else task.fields["end"] - time.monotonic()
+        known = 0.0 <= left < math.inf
+        return Words(str(timedelta(seconds=math.ceil(left))) if known else "-:--:--")
+
+
 _PARTS: dict[str, Callable[[], progress.ProgressColumn]] = {
     "bar": lambda: progress.BarColumn(bar_width=32),
     "count": progress.MofNCompleteColumn,
     "elapsed": progress.TimeElapsedColumn,
-    "remaining": progress.TimeRemainingColumn,
+    "remaining": _Remaining,
 }
 
 
@@ -47,7 +59,7 @@ class Bar:
             disable=not console.is_terminal,
             speed_estimate_period=_SPEED_OVER,
         )
-        self._task = self._progress.add_task(what, total=None, **fields)
+        self._task = self._progress.add_task(what, total=None, end=math.inf, **fields)
 
     def __enter__(self) -> Self:
         self._progress.start()
@@ -89,6 +101,13 @@ class Bar:
 
     def _show(self, **fields: Any) -> None:
         self._progress.update(self._task, **fields)
+        if not {"advance", "completed"}.isdisjoint(fields):
+            left = self._progress.tasks[0].time_remaining
+            self._end_in(math.inf if left is None else left)
+
+    def _end_in(self, left_s: float) -> None:
+        """Set the time left [s], infinite if unknown."""
+        self._progress.update(self._task, end=time.monotonic() + left_s)
 
 
 class ProgressBar(Bar):
@@ -113,9 +132,8 @@ class StudyBar(Bar):
 
     def __init__(self, console: Console, workers: int, subject: str) -> None:
         self._workers, self._points = workers, 0
-        parts = ("{what:<44}", "bar", "{points} points", "elapsed", "{time_left}")
-        first = f"{subject}: reference"
-        super().__init__(console, *parts, what=first, points=0, time_left="")
+        parts = ("{what:<44}", "bar", "{points} points", "elapsed", "left", "remaining")
+        super().__init__(console, *parts, what=f"{subject}: reference", points=0)
 
     def begin(self, total: int) -> None:
         """Ignore the number of tasks: points are counted."""
@@ -123,13 +141,13 @@ class StudyBar(Bar):
     def forecast(self, left_s: float) -> None:
         """Set the work left [s of one worker]."""
         spent, remaining = self._spent(), left_s / self._workers
-        words = f"{remaining:.0f} s left" if remaining < 90 else f"{remaining / 60:.0f} min left"
-        self._show(completed=spent, total=spent + remaining, time_left=words)
+        self._show(completed=spent, total=spent + remaining)
+        self._end_in(remaining)
 
     def advance(self, work: str) -> None:
         """Count one point as measured."""
         self._points += 1
-        self._show(description=work, points=self._points, completed=self._spent())
+        self._show(description=work, points=self._points)
 
 
 class GeneratingBar(Bar):
@@ -137,17 +155,16 @@ class GeneratingBar(Bar):
 
     def __init__(self, console: Console) -> None:
         self._made, self._rejected = 0, 0
-        parts = ("bar", "count", "{rate}", "left", "remaining", "{rejected} rejected")
-        super().__init__(console, *parts, rate="", rejected=0)
+        parts = ("{what}", "bar", "count", "{rate}", "left", "remaining", "{rejected} rejected")
+        super().__init__(console, *parts, what="starting", rate="", rejected=0)
 
     def begin(self, total: int, done: int = 0) -> None:
         """Set the number of trajectories, and how many of them an earlier run has made."""
-        self._show(total=total, completed=done)
+        self._show(total=total, completed=done, description="trajectories")
 
     def advance(self, work: str) -> None:
         """Count a task that precedes the trajectories, such as a search for settings."""
-        del work
-        self._show(advance=1)
+        self._show(advance=1, description=work)
 
     def made(self, done: int, rejected: int) -> None:
         """Count newly made trajectories, and how many of them were rejected."""

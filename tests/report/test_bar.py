@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from mbds_xsim.report import progress as progress_module
-from mbds_xsim.report.progress import GeneratingBar, ProgressBar
+from mbds_xsim.report.progress import GeneratingBar, ProgressBar, StudyBar
 
 
 def test_a_log_gets_a_line_now_and_then(
@@ -54,7 +54,22 @@ def test_the_rate_of_a_data_set_counts_trajectories_alone(
         progress.made(50, 3)
         time.sleep(0.1)
 
-    assert " 61/100 5/s " in capsys.readouterr().err.splitlines()[-1]
+    assert " a search for settings 61/100 5/s " in capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.parametrize(("forecast_s", "left"), [(7200.0, "1:00:00"), (0.1, "-:--:--")])
+def test_time_left_is_unknown_once_it_has_passed(
+    forecast_s: float,
+    left: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(progress_module, "_EVERY", 0.01)
+    with StudyBar(Console(file=io.StringIO()), 2, "3ladder") as progress:
+        progress.forecast(forecast_s)
+        time.sleep(0.2)
+
+    assert f" left {left}" in capsys.readouterr().err.splitlines()[-1]
 
 
 @pytest.mark.parametrize("terminal", [True, False])
