@@ -80,10 +80,13 @@ def _interrupt_again(lost: sys.UnraisableHookArgs) -> None:
 
 def _usage(error: Exception) -> str:
     """Describe an error in the words of a command line, and name the help to read."""
-    text = getattr(error, "format_message", error.__str__)()
+    text = str(getattr(error, "format_message", error.__str__)()).rstrip(".")
     context = getattr(error, "ctx", None)
     command = context.command_path if context else "mbds-xsim"
-    return f"{text.rstrip('.')}; see {command} --help"
+    cause = error.__cause__
+    if cause and hasattr(cause, "errors"):  # pydantic's, whose words do not have the value
+        text += f"; got {cause.errors()[0]['input']!r:.60}"
+    return f"{text}; see {command} --help"
 
 
 def _complain(text: str, code: int) -> int:

@@ -43,7 +43,7 @@ _WORDS: dict[str, tuple[str, list[str]]] = {
     "stability without an end": ("stability spin --limit inf", ["--limit", "to 10000000"]),
     "match without an end": ("match 2pendulum --limit inf", ["--limit", "to 10000000"]),
     "validate without an end": ("validate 2pendulum --limit inf", ["--limit", "to 10000000"]),
-    "negative seed": ("validate 2pendulum --seed -1", ["--seed", "to 0"]),
+    "negative seed": ("validate 2pendulum --seed -1", ["--seed", "to 0; got '-1'"]),
     "unknown scene": ("validate teapot", ["'teapot'", "3ladder", "Npendulum", ".toml"]),
     "scene of size 0": ("show 0ladder", ["'0ladder'", "Nladder"]),
     "scene of no size that ends": ("show " + "9" * 5000 + "ladder", ["no scene", "Nladder"]),
