@@ -12,9 +12,15 @@ import pytest
 
 from mbds_xsim.learn.curves import LearningCurve, to_png
 from mbds_xsim.learn.train import CurvePoint
+from mbds_xsim.report.themed import svg
 from mbds_xsim.studies.tradeoff import Point
 from mbds_xsim.studies.tradeoff.figures import charts_of
-from mbds_xsim.studies.validate.figures import consistency, plotted_checks, restitution
+from mbds_xsim.studies.validate.figures import (
+    check_series,
+    consistency,
+    plotted_checks,
+    restitution,
+)
 from tests.results import curve, tradeoff
 
 from .conftest import Case
@@ -46,6 +52,17 @@ def test_a_page_plots_no_check_that_is_zero_or_known_at_one_frame_alone(case: Ca
     evidence = dataclasses.replace(case.evidence, series=(series,))
 
     assert plotted_checks(evidence) == ["momentum"]
+
+
+def test_a_check_that_is_infinite_but_for_a_few_frames_is_plotted(case: Case) -> None:
+    lost = np.full(case.evidence.series[0]["momentum"].shape, 1e-9)
+    lost[:, 2:] = math.inf
+    count = len(case.evidence.series)
+    evidence = dataclasses.replace(case.evidence, series=({"momentum": lost},) * count)
+
+    figure = check_series(case.validation, evidence, "momentum")
+
+    assert svg("", figure.draw, figure.size, figure.tips).startswith("<svg")
 
 
 def test_a_page_has_no_figures_of_checks_that_nothing_was_held_to(case: Case) -> None:

@@ -264,7 +264,7 @@ def _log_axis(axes: Any, ylabel: str) -> None:
     # It starts where most of the curves lie, not at their first frames close to zero.
     curves = [line.get_ydata() for line in axes.lines if line.get_gid()]
     values = np.concatenate([*curves, np.empty(0)])
-    visible = values[values > _FLOOR]
+    visible = values[np.isfinite(values) & (values > _FLOOR)]
     if len(visible):
         axes.set_ylim(bottom=10.0 ** np.floor(np.log10(np.quantile(visible, 0.02))))
 
