@@ -10,10 +10,9 @@ from tests.tutorial import walk
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("in_process")
+@pytest.mark.usefixtures("in_process", "search")
 @pytest.mark.parametrize("page", ["validate.md", "data.md", "robot.md"])
 def test_a_tutorial_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path / "cache"))
     monkeypatch.chdir(tmp_path)
 
     walk(page)
