@@ -130,13 +130,14 @@ def test_relative_folders_of_the_environment_are_the_same_for_a_task(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "modules").mkdir()
     (tmp_path / "modules" / "found_by_a_relative_path.py").touch()
+    (tmp_path / "found_where_the_caller_is.py").touch()
     monkeypatch.setenv("PYTHONPATH", "modules", prepend=os.pathsep)
+    monkeypatch.syspath_prepend("")
     monkeypatch.setenv("XDG_CACHE_HOME", "elsewhere")
     monkeypatch.setenv("MBDS_XSIM_CACHE", "kept")
 
-    imported, chosen = run_tasks(
-        [Task(exec, ("import found_by_a_relative_path",)), Task(cache.directory, ())]
-    )
+    modules = "found_by_a_relative_path, found_where_the_caller_is"
+    imported, chosen = run_tasks([Task(exec, (f"import {modules}",)), Task(cache.directory, ())])
     own = cache.directory()
     monkeypatch.delenv("MBDS_XSIM_CACHE")
     usual = run_tasks([Task(cache.directory, ())])

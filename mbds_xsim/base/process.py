@@ -13,6 +13,9 @@ from pathlib import Path
 from types import FrameType
 from typing import IO, Self
 
+SEARCHED = "MBDS_XSIM_SEARCHED"
+"""Variable with the folders of a process's modules, for those that carry out its tasks."""
+
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _EVERY = 0.05  # shortest time between two looks [s]
 _GAP = 1.0  # most time that one look adds, as this process may have been suspended [s]
@@ -87,6 +90,7 @@ def absolute_folders(packages: Path | None = None) -> dict[str, str]:
     search += [Path(each) for each in text.split(os.pathsep)] if text else []
     if search:
         folders["PYTHONPATH"] = os.pathsep.join(str(each.absolute()) for each in search)
+    folders[SEARCHED] = os.pathsep.join(map(os.path.abspath, sys.path))
     return folders
 
 

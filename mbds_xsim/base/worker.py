@@ -27,6 +27,7 @@ from pathlib import Path
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import begin
+from mbds_xsim.base.process import SEARCHED
 
 
 class _ForkServer:
@@ -171,6 +172,8 @@ def _end_with_starter() -> None:
 
 
 def _main(words: list[str]) -> None:
+    # Behind its own folders, so that no module of this process is another than without them.
+    sys.path += [each for each in os.environ[SEARCHED].split(os.pathsep) if each not in sys.path]
     if words[:1] == ["--task"]:
         _carry_out(Path(words[1]).absolute())
     starter = _ForkServer()

@@ -68,8 +68,9 @@ class Outlet(Console):
             self.on_broken_pipe()
 
 
-def print_report(report: Report, console: Console) -> None:
-    """Print a report, with its conclusion last, where it is read."""
+def print_report(report: Report, console: Console | None = None) -> None:
+    """Print a report, on standard output by default, with its conclusion last, where it is read."""
+    console = console or Outlet(stderr=False)
     console.print()
     subtitle = "" if report.verdict else f": {report.what}"
     title = Words(f"{report.title}{subtitle}", style="bold")
