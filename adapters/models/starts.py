@@ -12,10 +12,11 @@ import numpy as np
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.scene.assembly import assemble
+from mbds_xsim.scene.coupling import PlacedCoupling, trains
 from mbds_xsim.scene.draft import UPRIGHT, outboard
 from mbds_xsim.scene.imported import Fate
 from mbds_xsim.scene.joint_space import BodyStates, joint_coordinate
-from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import Draw, HingeRate, Levels, Lift, Pose, Throw
 from mbds_xsim.scene.scene import Scene
@@ -33,7 +34,7 @@ _STARTS = 30
 
 
 def starts(scene: Scene, limits: Mapping[str, tuple[float, float]]) -> tuple[Draw, ...]:
-    """Return the draws: poses of joints outside loops and couplings, then rates and heights.
+    """Return the draws: poses of joints outside loops that follow none, then rates and heights.
 
     Without limits, the range of a hinge is half a turn either way, and that of a slider a tenth of
     the scene's length. Limits are cut to half a turn or the whole length, if anything is left.
@@ -45,13 +46,17 @@ def starts(scene: Scene, limits: Mapping[str, tuple[float, float]]) -> tuple[Dra
     mechanism, length = Mechanism.of(scene), scene.length
     looped = _loop_bodies(mechanism)
     outside = [j for link in mechanism.links if (j := link.joint) and j.child not in looped]
-    independent = [j for j in outside if j.kind in ("hinge", "slider") and not j.coupled]
+    led, outer = trains(mechanism.couplings), {joint.name for joint in outside}
+    held = {each.follower.name for train in led.values() for each in train}
+    held |= {k for k, train in led.items() if not outer.issuperset(c.follower.name for c in train)}
+    independent = [j for j in outside if j.kind in ("hinge", "slider") and j.name not in held]
     ranges = defaultdict(list)
     for joint in independent:
-        default, largest = (math.pi, math.pi) if joint.kind == "hinge" else (0.1 * length, length)
-        low, high = limits.get(joint.name, (-default, default))
-        clipped = max(low, -largest), min(high, largest)
-        ranges[clipped if clipped[0] < clipped[1] else (low, high)].append(joint.name)
+        span = _span(joint, limits, length)
+        if joint.name in led:
+            span = _common_span(span, mechanism, led[joint.name], limits)
+        if span[0] < span[1] or joint.name not in led:
+            ranges[span].append(joint.name)
     poses = [Pose(tuple(names), _levels(*span)) for span, names in ranges.items()]
     hinges = tuple(joint.name for joint in independent if joint.kind == "hinge")
     spin = _levels(-1.0, 1.0, _RATES)
@@ -61,6 +66,34 @@ def starts(scene: Scene, limits: Mapping[str, tuple[float, float]]) -> tuple[Dra
     liftable = _liftable_bodies(mechanism, looped) if scene.contacts else ()
     lifts = [Lift(body, heights) for body in liftable]
     return (*poses, *rates, *throws, *lifts)
+
+
+def _span(
+    joint: PlacedJoint, limits: Mapping[str, tuple[float, float]], length: float
+) -> tuple[float, float]:
+    default, largest = (math.pi, math.pi) if joint.kind == "hinge" else (0.1 * length, length)
+    low, high = limits.get(joint.name, (-default, default))
+    clipped = max(low, -largest), min(high, largest)
+    return clipped if clipped[0] < clipped[1] else (low, high)
+
+
+def _common_span(
+    span: tuple[float, float],
+    mechanism: Mechanism,
+    train: list[PlacedCoupling],
+    limits: Mapping[str, tuple[float, float]],
+) -> tuple[float, float]:
+    """Return what a joint may be moved by from its start, with all that follow it in their range.
+
+    The ranges count from the reference pose, where offsets of couplings may not let it start.
+    """
+    start = assemble(mechanism)
+    at = float(joint_coordinate(train[0].leader, start.position, start.native))
+    for each in train:
+        own = _span(each.follower, limits, mechanism.scene.length)
+        ends = sorted((end - each.offset) / each.ratio for end in own)
+        span = max(span[0], ends[0]), min(span[1], ends[1])
+    return span[0] - at, span[1] - at
 
 
 def _levels(low: float, high: float, shares: Sequence[float] = _SHARES) -> Levels:
@@ -99,7 +132,8 @@ def _liftable_bodies(mechanism: Mechanism, looped: set[int]) -> Iterator[str]:
     translating = {WORLD_INDEX}
     for link in mechanism.links:
         joint, carried = link.joint, outboard(mechanism, link.body)
-        if joint is not None and (joint.kind != "slider" or link.parent not in translating):
+        carries = joint is None or (joint.kind == "slider" and not joint.coupled)
+        if not carries or (joint is not None and link.parent not in translating):
             continue
         translating |= {link.body} if joint is not None else set()
         upright = joint is None or abs(joint.axis[2]) > UPRIGHT
@@ -145,6 +179,8 @@ def drop_limits(scene: Scene, label: tuple[str, str]) -> tuple[Scene, list[Fate]
 def _violated_limits(scene: Scene) -> Iterator[str]:
     drawn = {name for draw in scene.sampling if isinstance(draw, Pose) for name in draw.joints}
     mechanism = Mechanism.of(scene)
+    for lead, train in trains(mechanism.couplings).items():
+        drawn |= {each.follower.name for each in train if lead in drawn}
     undrawn = [joint for joint in mechanism.limited if joint.name not in drawn]
     if undrawn:
         start = assemble(mechanism)

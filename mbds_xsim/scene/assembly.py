@@ -124,9 +124,12 @@ def check_joints(mechanism: Mechanism, starts: BodyStates) -> None:
             worst = int(np.argmax(per_row))
             name = _owner_name(mechanism, int(owners[worst]))
             fault = template.format(name, per_row[worst])
+            way = "draw the others that this joint holds along with it"
+            if name.startswith("couplings"):
+                way = "draw what is followed, by so little that no hinge passes half a turn"
             raise SceneError(
-                f"sampling: the drawn {fault}, allowed is {allowed:.0e}; draw the others that this "
-                "joint holds along with it, or leave the draw out"
+                f"sampling: the drawn {fault}, allowed is {allowed:.0e}; {way}, "
+                "or leave the draw out"
             )
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated
 
 from mbds_xsim.base import bounds
@@ -48,6 +50,19 @@ class PlacedCoupling:
     leader: PlacedJoint
     ratio: float
     offset: float
+
+
+def trains(couplings: Iterable[PlacedCoupling]) -> dict[str, list[PlacedCoupling]]:
+    """Return all couplings by the joint that leads them, those of a chain as from its first."""
+    above, led = {each.follower.name: each for each in couplings}, defaultdict(list)
+    for name, whole in above.items():
+        while lead := above.get(whole.leader.name):
+            offset = whole.offset + whole.ratio * lead.offset
+            ratio = whole.ratio * lead.ratio
+            whole = replace(whole, leader=lead.leader, ratio=ratio, offset=offset)
+        above[name] = whole  # which later ones need not go down
+        led[whole.leader.name].append(whole)
+    return dict(led)
 
 
 def check_couplings(couplings: tuple[Coupling, ...]) -> None:

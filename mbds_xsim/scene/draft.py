@@ -12,6 +12,7 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import SceneError
 from mbds_xsim.scene import sampling_terms as terms
+from mbds_xsim.scene.coupling import PlacedCoupling, trains
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 from mbds_xsim.scene.spanning import connected
@@ -78,39 +79,51 @@ class Draft:
 
 
 def pose(term: terms.Pose, drawing: Draft) -> None:
-    """Add a drawn amount to hinge and slider coordinates, which moves all bodies outboard."""
-    for name in term.joints:
-        joint, point, axis = _placed(drawing, name)
-        bodies = outboard(drawing.mechanism, joint.child)
+    """Add a drawn amount to coordinates and to those that follow; all bodies outboard move."""
+    for lead in term.joints:
+        followers = _followers(drawing, lead)
         amount = drawing.uniform(term.coordinate)
-        spin, drift = np.zeros(3), np.zeros(3)
-        if joint.parent != WORLD_INDEX:
-            spin = drawing.angular_velocity[joint.parent].copy()
-            arm = point - drawing.position[joint.parent]
-            drift = drawing.velocity[joint.parent] + np.cross(spin, arm)
-        # Relative to the parent, velocities turn along with the bodies.
-        drawing.add_twist(bodies, point, -spin)
-        drawing.velocity[bodies] -= drift
-        if joint.kind == "hinge":
-            drawing.move_rigidly(bodies, point, rotation.from_vector(amount * axis))
-        else:
-            drawing.position[bodies] += amount * axis
-        drawing.velocity[bodies] += drift
-        drawing.add_twist(bodies, point, spin)
+        for name, ratio in [(lead, 1.0), *followers]:
+            _move(drawing, name, ratio * amount)
+
+
+def _move(drawing: Draft, name: str, amount: float) -> None:
+    joint, point, axis = _placed(drawing, name)
+    bodies = outboard(drawing.mechanism, joint.child)
+    spin, drift = np.zeros(3), np.zeros(3)
+    if joint.parent != WORLD_INDEX:
+        spin = drawing.angular_velocity[joint.parent].copy()
+        arm = point - drawing.position[joint.parent]
+        drift = drawing.velocity[joint.parent] + np.cross(spin, arm)
+    # Relative to the parent, velocities turn along with the bodies.
+    drawing.add_twist(bodies, point, -spin)
+    drawing.velocity[bodies] -= drift
+    if joint.kind == "hinge":
+        drawing.move_rigidly(bodies, point, rotation.from_vector(amount * axis))
+    else:
+        drawing.position[bodies] += amount * axis
+    drawing.velocity[bodies] += drift
+    drawing.add_twist(bodies, point, spin)
 
 
 def hinge_rate(term: terms.HingeRate, drawing: Draft) -> None:
-    """Add a drawn rate to hinges."""
+    """Add a drawn rate to hinges, and to what follows them."""
     mechanism = drawing.mechanism
     rates, children = [], set()
-    for name in term.joints:
-        joint, point, axis = _placed(drawing, name)
+    for lead in term.joints:
+        followers = _followers(drawing, lead)
         rates.append(drawing.uniform(term.rate))
-        drawing.add_twist(outboard(mechanism, joint.child), point, rates[-1] * axis)
-        children.add(joint.child)
+        for name, ratio in [(lead, 1.0), *followers]:
+            joint, point, axis = _placed(drawing, name)
+            bodies = outboard(mechanism, joint.child)
+            if joint.kind == "hinge":
+                drawing.add_twist(bodies, point, ratio * rates[-1] * axis)
+            else:
+                drawing.velocity[bodies] += ratio * rates[-1] * axis
+            children.add(joint.child)
     if rates and any(term.travel):
-        bodies = {other for body in children for other in carried_by(mechanism, body)}
-        drawing.velocity[sorted(bodies)] += np.mean(rates) * np.array(term.travel)
+        bodies = sorted({other for body in children for other in carried_by(mechanism, body)})
+        drawing.velocity[bodies] += np.mean(rates) * np.array(term.travel)
 
 
 def lift(term: terms.Lift, drawing: Draft) -> None:
@@ -148,6 +161,20 @@ def carried_by(mechanism: Mechanism, body: int) -> list[int]:
 @functools.lru_cache(maxsize=16)
 def _tree_joints(mechanism: Mechanism) -> dict[str, PlacedJoint]:
     return {link.joint.name: link.joint for link in mechanism.links if link.joint is not None}
+
+
+def _followers(drawing: Draft, name: str) -> list[tuple[str, float]]:
+    """Return the joints that follow one that is drawn, with their ratios to it."""
+    led = _trains(drawing.mechanism)
+    for lead, train in led.items():
+        if any(each.follower.name == name for each in train):
+            raise SceneError(f"sampling: the joint {name!r} follows {lead!r}; draw that one alone")
+    return [(each.follower.name, each.ratio) for each in led.get(name, ())]
+
+
+@functools.lru_cache(maxsize=16)
+def _trains(mechanism: Mechanism) -> dict[str, list[PlacedCoupling]]:
+    return trains(mechanism.couplings)
 
 
 def _placed(drawing: Draft, name: str) -> tuple[PlacedJoint, Array, Array]:

@@ -120,7 +120,10 @@ class Lift(Neutral, tag_field="kind", tag="lift"):
 
 
 class Pose(Neutral, tag_field="kind", tag="pose"):
-    """Add a coordinate, drawn for each joint separately, to the one that the file gives."""
+    """Add a coordinate, drawn for each joint separately, to the one that the file gives.
+
+    Joints that follow it by couplings move along.
+    """
 
     joints: Names
     coordinate: Span
@@ -128,7 +131,10 @@ class Pose(Neutral, tag_field="kind", tag="pose"):
 
 
 class HingeRate(Neutral, tag_field="kind", tag="hinge_rate"):
-    """Add a rate, drawn for each hinge separately, relative to the body that carries it."""
+    """Add a rate, drawn for each hinge separately, relative to the body that carries it.
+
+    Joints that follow it by couplings move along.
+    """
 
     joints: Names
     rate: Span

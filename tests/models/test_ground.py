@@ -209,12 +209,12 @@ def test_an_upright_slider_lifts_a_model_that_the_world_holds(here: Path) -> Non
     assert (_heights(scene) > 0.009 * scene.length).all()
 
 
-def test_what_a_loop_holds_is_not_lifted(here: Path) -> None:
+@pytest.mark.parametrize("tie", ['connect body1="c" anchor="0 0 0"', 'joint joint1="s" joint2="h"'])
+def test_what_a_loop_or_coupling_holds_is_not_lifted(tie: str, here: Path) -> None:
     one, other = _geom("sphere", (0.1,)), _geom("capsule", (0.1, 0.2))
-    carried = f'<body name="c" pos=".5 0 0"><joint axis="0 1 0"/>{other}</body>'
-    body = f'<body name="b" pos="0 0 1"><joint type="slide"/>{one}{carried}</body>'
-    loop = '<equality><connect body1="c" anchor="0 0 0"/></equality>'
-    scene = _read(here, body, loop).scene
+    carried = f'<body name="c" pos=".5 0 0"><joint name="h" axis="0 1 0"/>{other}</body>'
+    body = f'<body name="b" pos="0 0 5"><joint name="s" type="slide"/>{one}{carried}</body>'
+    scene = _read(here, body, f"<equality><{tie}/></equality>").scene
 
     assert not any(isinstance(draw, Lift) for draw in scene.sampling)
 

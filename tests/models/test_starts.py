@@ -36,3 +36,28 @@ def test_starts_are_inside_the_limits_and_differ(here: Path) -> None:
     assert min(np.ptp(hip), np.ptp(rail) * 5) > 0.5
     rates = np.abs(batch.angular_velocity[:, [body.name for body in scene.bodies].index("puck")])
     assert (rates[0::3].max() < 0.1) & (0.4 < rates.max() <= 1.0)
+
+
+@pytest.mark.parametrize("offset", [0.0, 1.0])
+def test_a_joint_that_others_follow_is_drawn_so_that_all_are_inside_their_limits(
+    offset: float, here: Path
+) -> None:
+    body = '<body pos="0 0 -2"><joint name="{}" axis="0 1 0" {}/><geom size=".1" pos="0 0 -1"/>'
+    names, limits = ("hip", "knee", "toe"), ("", 'range="-0.1 2"', "")
+    bodies = "".join(body.format(*joint) for joint in zip(names, limits, strict=True))
+    path = here / "model.xml"
+    path.write_text(
+        f'<mujoco><compiler angle="radian"/><worldbody>{bodies}</body></body></body></worldbody>'
+        f'<equality><joint joint1="toe" joint2="knee" polycoef="0 3 0 0 0"/>'
+        f'<joint joint1="knee" joint2="hip" polycoef="{offset} -2 0 0 0"/></equality></mujoco>'
+    )
+    scene = read_model(path).scene
+
+    batch, mechanism = draw_batch(scene, range(60)), Mechanism.of(scene)
+    hip, knee, toe = to_links(mechanism, BodyStates.of(mechanism, batch)).coordinate.T
+    np.testing.assert_allclose(knee, offset - 2 * hip, atol=1e-11)
+    np.testing.assert_allclose(toe, 3 * knee, atol=1e-11)
+    assert scene.joints[1].limits == (-0.1, 2.0)
+    assert ((knee > -0.1) & (knee < np.pi / 3)).all()
+    assert np.ptp(knee) > 0.7 * (np.pi / 3 + 0.1)
+    assert np.ptp(batch.angular_velocity[:, 0, 1]) > 1.0

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mbds_xsim.base.errors import SceneError
+from mbds_xsim.scene.coupling import Coupling
 from mbds_xsim.scene.joint_space import BodyStates, to_links
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
@@ -42,6 +43,33 @@ def test_a_pose_adds_to_coordinates_and_leaves_rates(kinds: list[Kind], seed: in
     order = [link.joint.index for link in mechanism.links if link.joint is not None]
     np.testing.assert_allclose(links.coordinate[0], (start + more)[order], atol=1e-11)
     np.testing.assert_allclose(links.rate[0], rate[order], atol=1e-11)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.permutations(range(4)), st.integers(0, 2**32 - 1))
+def test_what_follows_a_joint_is_drawn_along_by_its_ratio(order: list[int], seed: int) -> None:
+    """Also through a chain, and in whatever order the couplings are listed."""
+    kinds: list[Kind] = ["hinge", "hinge", "hinge", "slider", "slider"]
+    tree = random_tree(np.random.default_rng(seed), kinds)
+    names = [joint.name for joint in sorted(tree.joints, key=lambda joint: joint.kind)]
+    pairs = [(3, 0, 0.3, 0.05), (2, 3, -2.0, 0.1), (1, 0, -1.5, 0.0), (4, 1, 0.2, -0.3)]
+    ties = [Coupling(names[a], names[b], *law) for a, b, *law in pairs]
+    scene = msgspec.structs.replace(tree, couplings=tuple(ties[k] for k in order))
+    draws = (Pose((names[0],), (0.4, 0.4)), HingeRate((names[0],), (0.7, 0.7)))
+    drawn = msgspec.structs.replace(scene, sampling=draws)
+
+    mechanism = Mechanism.of(scene)
+    still, moved = (
+        to_links(mechanism, BodyStates.of(mechanism, draw_batch(each, [0])))
+        for each in (scene, drawn)
+    )
+    share = dict(zip(names, [1.0, -1.5, -0.6, 0.3, -0.3], strict=True))
+    ratio = np.array([share[link.joint.name] for link in mechanism.links if link.joint])
+    np.testing.assert_allclose((moved.coordinate - still.coordinate)[0], 0.4 * ratio, atol=1e-11)
+    np.testing.assert_allclose(moved.rate[0], 0.7 * ratio, atol=1e-11)
+    alone = msgspec.structs.replace(scene, sampling=(Pose((names[4],), (0.1, 0.1)),))
+    with pytest.raises(SceneError, match=f"{names[4]!r} follows {names[0]!r}; draw that one alone"):
+        draw_batch(alone, [0])
 
 
 def test_poses_of_a_range_are_drawn_anew_for_each_joint_and_trajectory() -> None:
