@@ -156,8 +156,9 @@ class _Builder:
         carried = self._carried[k]
         above = self.body_of(part.parent)
         if not (carried.mass > 0 or np.trace(carried.inertia) > 0) or above is None:
-            reason = "it has no mass and carries none: nothing determines its motion"
-            self._report("dropped", "body", reason, part.name, moves=False)
+            joints = " and ".join(repr(freedom.name) for freedom in part.freedoms)
+            reason = "it has no mass (in URDF: no <inertial>) and carries none: left out"
+            self._report("dropped", "body", reason, f"{part.name}, with its joint {joints}")
             return
         mass = self._sound(part, self._own[k], carried)
         *between, last = self._merge_joints(part)

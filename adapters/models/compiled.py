@@ -24,7 +24,7 @@ from mbds_xsim.scene.imported import Fate, Imported, ModelFacts
 
 from .assembling import assemble
 from .contacts import NO_SPHERES
-from .fates import LABELS, NO_FOLLOWER, PAIRING, fates_of, labelled
+from .fates import LABELS, PAIRING, fates_of, labelled, lost_mimic
 from .mending import mend_mjcf, mend_urdf, remove_unknown
 from .parts import Parts
 from .source import read_source
@@ -190,9 +190,11 @@ def _stated_limits(root: Element) -> dict[str, tuple[float, float]]:
 def _lost_mimics(root: Element, parts: Parts) -> Iterator[Fate]:
     """Report joints of a URDF that the compiler does not let follow another."""
     followers = {coupling.joint for coupling in parts.couplings}
+    known = {joint.get("name", "") for joint in root.findall("joint")}
     for joint in root.findall("joint[mimic]"):
         if (name := joint.get("name", "")) not in followers:
-            yield Fate("mimic", (), "dropped", NO_FOLLOWER, True, (name,))
+            follows = next(joint.iter("mimic")).get("joint", "")
+            yield lost_mimic(name, follows, known)
 
 
 def _replace_masses(spec: Any, floating: bool) -> dict[str, Any]:

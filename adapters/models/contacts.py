@@ -136,7 +136,9 @@ def _outer(spheres: list[ContactSphere]) -> Iterator[ContactSphere]:
 
 
 def _drop_reason(shape: Solid, body: str | None, pair: Pair) -> str:
-    if body in (None, WORLD):
+    if body is None:
+        return "its body has no mass and is left out"
+    if body == WORLD:
         return "it is fixed in the world, and bodies touch only the ground"
     if shape.kind not in BALLS:
         return f"{NO_SPHERES} {shape.kind}"

@@ -218,6 +218,12 @@ _DRIVE_JOINTS = ("PhysicsRevoluteJoint", "PhysicsPrismaticJoint", "PhysicsJoint"
 _SIMULATORS = ("physx", "mjc", "newton", "isaac")
 
 
+def lost_mimic(joint: str, follows: str, known: Container[str], reason: str = NO_FOLLOWER) -> Fate:
+    """Return the fate of a mimic that is no coupling; `known` are the names of all joints."""
+    reason = reason if follows in known else f"no joint is called {follows!r}"
+    return Fate("mimic", (), "dropped", reason, True, (joint,))
+
+
 def labelled(kind: str, stated: Container[str]) -> dict[tuple[str, str], bool]:
     """Return whether a model has what an element or attribute of a format states for joints."""
     labels = {label: key for key, label in LABELS[kind].items()} | _ALIASES

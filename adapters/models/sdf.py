@@ -21,7 +21,7 @@ from mbds_xsim.scene.imported import Fate, Imported
 from mbds_xsim.simulate.adapter import version_of
 
 from .assembling import assemble
-from .fates import LABELS, NO_FOLLOWER, fates_of, labelled
+from .fates import LABELS, NO_FOLLOWER, fates_of, labelled, lost_mimic
 from .parts import Freedom, Mass, ModelCoupling, Part, Parts, Property, Solid, Solids, bounded
 from .sdf_bodies import REPORTED, masses_of, number, numbers, pair, shapes_of
 from .source import read_source
@@ -89,8 +89,8 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     solids = Solids("collision", tuple(shapes), pair) if ground else None
     axes = _unique_axes(parts)
     couplings = tuple(mimic for mimic in mimics if axes >= {mimic.joint, mimic.follows})
-    lost = [mimic.joint for mimic in mimics if mimic not in couplings]
-    fates += [Fate("mimic", (), "dropped", _NO_FOLLOWER, True, (name,)) for name in lost]
+    lost = [mimic for mimic in mimics if mimic not in couplings]
+    fates += [lost_mimic(m.joint, m.follows, _joint_names(models), _NO_FOLLOWER) for m in lost]
     model = Parts(
         name,
         tuple(parts),
@@ -111,6 +111,12 @@ def _unique_axes(parts: list[Part]) -> set[str]:
     freedoms = [each for part in parts for each in part.freedoms]
     counts = Counter(each.name for each in freedoms)
     return {each.name for each in freedoms if each.axis.any() and counts[each.name] == 1}
+
+
+def _joint_names(models: list[Element]) -> set[str]:
+    """Return the names of all joints, and of their axes as `_take_mimics` calls them."""
+    joints = [joint.get("name", "") for model in models for joint in model.findall("joint")]
+    return {joint + axis for joint in joints for axis in ("", " 1", " 2")}
 
 
 def _take_mimics(model: Element) -> Iterator[ModelCoupling]:
