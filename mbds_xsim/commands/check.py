@@ -348,6 +348,7 @@ def _about_scene(scene: Scene, row: SceneRow) -> Iterator[Block]:
     """Describe a scene: its parts, its needs, and how its starts are drawn."""
     from mbds_xsim.report.catalogue import told_budgets, told_term
     from mbds_xsim.scene.mechanism import Mechanism
+    from mbds_xsim.scene.reach import doubted_length
 
     mechanism, clock = Mechanism.of(scene), scene.clock
     loops = ", ".join(joint.name for joint in mechanism.loops) or "none"
@@ -364,6 +365,8 @@ def _about_scene(scene: Scene, row: SceneRow) -> Iterator[Block]:
         f"{counted(clock.steps, 'step')} of {clock.frame:g} s ({clock.duration:g} s); length "
         f"{scene.length:g} m; noise {scene.noise:g} N"
     )
+    if doubt := doubted_length(scene):
+        yield Text(doubt, "warn")
     yield Text(f"budgets: {told_budgets(scene)}")
     yield Text(f"needs: {', '.join(row.needs) or 'nothing'}")
     yield from (Text(f"draws {told_term(term)}") for term in scene.sampling)

@@ -38,6 +38,7 @@ from mbds_xsim.dataset.shard import (
 from mbds_xsim.dataset.variant import Item, Variant, check_same_draws, folder_name, pending
 from mbds_xsim.measure.quick import searched
 from mbds_xsim.reference.kernels import REFERENCE, compile_once
+from mbds_xsim.scene.reach import doubted_length
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import Scene
@@ -196,8 +197,11 @@ def _forewarnings(items: list[Item], workers: int | None) -> list[str]:
 def _check_drawn(scene: Scene, request: Request, progress: ShardProgress) -> None:
     """Refuse a scene whose trajectories are copies: no part of such a set could test another.
 
-    Warn of one so far from the origin that float32 cannot hold the positions of its particles.
+    Warn of one so far from the origin that float32 cannot hold the positions of its particles,
+    and of a length in what seems another unit.
     """
+    if doubt := doubted_length(scene):
+        progress.notice(doubt)
     count = min(request.trajectories, len(INTERVALS) + 1)  # the last shares the first's interval
     drawn = draw_batch(scene, range(count), seed=request.seed, noise=request.noise)
     first: dict[bytes, int] = {}

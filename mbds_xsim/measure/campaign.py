@@ -22,6 +22,7 @@ from mbds_xsim.measure.refinement import may_end, other_steps, pieces_of, step_n
 from mbds_xsim.measure.runner import Account, Piece, carry_out
 from mbds_xsim.reference.cache import key_of, load
 from mbds_xsim.reference.kernels import compilation, compile_once
+from mbds_xsim.scene.reach import doubted_length
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.choice import Contender
@@ -63,6 +64,8 @@ def run_campaign(
     for outcome in outcomes:
         work += _engine_work(outcome, after=compiled if outcome.method.is_truth else None)
     meter.begin(len(work))
+    if doubt := doubted_length(scene):
+        meter.notice(doubt)
     meter.doing("costs of the runs")
     costs = [_work_of(outcome) for outcome in outcomes]
     for line in forewarnings(scene, batch[[0]], costs, workers=conduct.workers):

@@ -41,6 +41,7 @@ def present(imported: Imported, command: str) -> blocks.Report:
     row = import_row(imported)
     size = (
         f"{counted(row['bodies'], 'body')}, {row['mass_kg']:g} kg, "
+        f"reach {imported.scene.length:.3g} m, "
         f"{counted(row['degrees_of_freedom'], 'degree of freedom', 'degrees of freedom')}"
     )
     return blocks.Report(

@@ -41,6 +41,20 @@ def test_a_scene_says_which_budgets_are_its_own(run: CommandLine) -> None:
     assert "budgets: error at 1 s 20 mm; error_1s 0.02" in run("show", "balldrop").out
 
 
+@pytest.mark.parametrize(
+    ("factor", "told"), [(1.0, ""), (1e3, "1000 times"), (1e-3, "0.001 times")]
+)
+def test_a_length_in_another_unit_is_told(
+    factor: float, told: str, run: CommandLine, here: Path
+) -> None:
+    scene = registry.load_scene("3pendulum")
+    save_scene(msgspec.structs.replace(scene, length=1.5 * factor), here / "p.toml")
+    shown = run("show", "./p.toml").out
+
+    assert ("mechanism's reach (1.5 m); errors are judged by it" in shown) == bool(told)
+    assert told in shown
+
+
 def test_mujocos_file_gives_the_same_motion_in_mujoco_alone(run: CommandLine, here: Path) -> None:
     mujoco = pytest.importorskip("mujoco")
     sideways = msgspec.structs.replace(

@@ -93,12 +93,17 @@ def test_parts_that_differ_between_files_are_told(make: Make, tmp_path: Path) ->
     assert "what one tests with, another may train on" in card.read_text("utf-8")
 
 
-def test_particles_too_far_for_float32_are_told(make: Make, rod: Scene, tmp_path: Path) -> None:
+def test_particles_too_far_for_float32_and_a_length_of_other_units_are_told(
+    make: Make, rod: Scene, tmp_path: Path
+) -> None:
     far = Throw(rod.bodies[0].name, displacement=((5e5, 5e5), (0.0, 1.0), (0.0, 0.0)))
-    scene = msgspec.structs.replace(rod, joints=(), anchors=(), edges=(), sampling=(far,))
+    scene = msgspec.structs.replace(
+        rod, joints=(), anchors=(), edges=(), sampling=(far,), length=1e3
+    )
     progress = Silence()
     make(tmp_path, scene=scene, trajectories=3, progress=progress)
-    (line,) = progress.notices
+    doubt, line = progress.notices
+    assert "its length of 1000 m is" in doubt
     assert "5e+05 m from the origin float32 rounds positions of particles by 0.02 m" in line
     assert "float32 rounds by up to 0.0" in (tmp_path / "1pendulum" / CARD).read_text("utf-8")
 

@@ -151,6 +151,7 @@ def test_an_import_is_a_scene_file_and_a_report(run: CommandLine, here: Path) ->
     (limits,) = (fate for fate in report["fates"] if "range" in fate["properties"])
     assert limits["outcome"] == "dropped"
     assert "as the compiler resolves it" in (here / "leg.md").read_text()
+    assert f"reach {read_scene(here / 'leg.toml').length:.3g} m, " in (here / "leg.md").read_text()
     assert "reference pose" not in (here / "leg.md").read_text()
     page = (here / "leg.html").read_text()
     assert all(word in page for word in ("at its reference pose", PARTS["ball"], "1 body", "hip:"))
