@@ -80,7 +80,12 @@ def conclusion(study: Tradeoff) -> str:
         return "no point keeps the budgets of all checks"
     text = f"cheapest within all budgets: {_describe_place(study, *best)}"
     engine = None if best[0].own else cheapest_within(study, own=True)
-    return text if engine is None else f"{text}; of the engines {_describe_place(study, *engine)}"
+    if engine is not None:
+        text = f"{text}; of the engines {_describe_place(study, *engine)}"
+    early = study.cut_short and study.own_limit is None
+    return (
+        f"{text}; the budget at 1 s judges no error that an impact ends sooner" if early else text
+    )
 
 
 def _describe_place(study: Tradeoff, curve: CurveResult, point: Point) -> str:
@@ -176,7 +181,7 @@ def _ratio_columns(ratio: Ratio) -> Iterator[Column]:
     accuracy = quantity.length(ratio.error_m)
     if ratio.budget:
         yield Column(
-            f"≤ {accuracy}",
+            f"cost ≤ {accuracy}",
             "Wall time per simulated second at the budget of the error, "
             f"{accuracy}, by interpolation",
         )
