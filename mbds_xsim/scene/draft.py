@@ -165,16 +165,19 @@ def _tree_joints(mechanism: Mechanism) -> dict[str, PlacedJoint]:
 
 def _followers(drawing: Draft, name: str) -> list[tuple[str, float]]:
     """Return the joints that follow one that is drawn, with their ratios to it."""
-    led = _trains(drawing.mechanism)
-    for lead, train in led.items():
-        if any(each.follower.name == name for each in train):
-            raise SceneError(f"sampling: the joint {name!r} follows {lead!r}; draw that one alone")
+    led, leads = _trains(drawing.mechanism)
+    if name in leads:
+        raise SceneError(
+            f"sampling: the joint {name!r} follows {leads[name]!r}; draw that one alone"
+        )
     return [(each.follower.name, each.ratio) for each in led.get(name, ())]
 
 
 @functools.lru_cache(maxsize=16)
-def _trains(mechanism: Mechanism) -> dict[str, list[PlacedCoupling]]:
-    return trains(mechanism.couplings)
+def _trains(mechanism: Mechanism) -> tuple[dict[str, list[PlacedCoupling]], dict[str, str]]:
+    """Return what each joint leads, and what each follower follows in the end."""
+    led = trains(mechanism.couplings)
+    return led, {each.follower.name: lead for lead, train in led.items() for each in train}
 
 
 def _placed(drawing: Draft, name: str) -> tuple[PlacedJoint, Array, Array]:
