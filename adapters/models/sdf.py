@@ -90,7 +90,8 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     axes = _unique_axes(parts)
     couplings = tuple(mimic for mimic in mimics if axes >= {mimic.joint, mimic.follows})
     lost = [mimic for mimic in mimics if mimic not in couplings]
-    fates += [lost_mimic(m.joint, m.follows, _joint_names(models), _NO_FOLLOWER) for m in lost]
+    known = _joint_names(models)
+    fates += [lost_mimic(m.joint, m.follows, known, _NO_FOLLOWER) for m in lost]
     model = Parts(
         name,
         tuple(parts),

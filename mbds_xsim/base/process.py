@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 from typing import IO, Self
@@ -90,7 +90,10 @@ def absolute_folders(packages: Path | None = None) -> dict[str, str]:
     search += [Path(each) for each in text.split(os.pathsep)] if text else []
     if search:
         folders["PYTHONPATH"] = os.pathsep.join(str(each.absolute()) for each in search)
-    folders[SEARCHED] = os.pathsep.join(map(os.path.abspath, sys.path))
+    places = [Path(each) for each in sys.path]
+    with suppress(FileNotFoundError):  # a current folder that is gone has no modules
+        places = [place.absolute() for place in places]
+    folders[SEARCHED] = os.pathsep.join(str(place) for place in places if place.is_absolute())
     return folders
 
 

@@ -176,7 +176,11 @@ def _uneven(variants: Sequence[Variant], request: Request) -> Iterator[str]:
     for folder in dict.fromkeys(path.parent for path in asked):
         for file in variant_files(folder):
             if file.with_suffix("") not in asked:
-                count = attributes_of(file).get("count")
+                try:
+                    count = attributes_of(file).get("count")
+                except InputError as error:
+                    yield str(error)
+                    continue
                 if count != request.trajectories:
                     yield (
                         f"{file}: {count} trajectories, now asked for are {request.trajectories}; "

@@ -54,14 +54,19 @@ class PlacedCoupling:
 
 def trains(couplings: Iterable[PlacedCoupling]) -> dict[str, list[PlacedCoupling]]:
     """Return all couplings by the joint that leads them, those of a chain as from its first."""
-    above, led = {each.follower.name: each for each in couplings}, defaultdict(list)
-    for name, whole in above.items():
-        while lead := above.get(whole.leader.name):
-            offset = whole.offset + whole.ratio * lead.offset
-            ratio = whole.ratio * lead.ratio
-            whole = replace(whole, leader=lead.leader, ratio=ratio, offset=offset)
-        above[name] = whole  # which later ones need not go down
-        led[whole.leader.name].append(whole)
+    above, whole = {each.follower.name: each for each in couplings}, dict[str, PlacedCoupling]()
+    led = defaultdict(list)
+    for name in above:
+        chain = [name]
+        while (up := above[chain[-1]].leader.name) in above and chain[-1] not in whole:
+            chain.append(up)
+        for each in reversed(chain):
+            own = above[each]
+            if lead := whole.get(own.leader.name):
+                offset, ratio = own.offset + own.ratio * lead.offset, own.ratio * lead.ratio
+                own = replace(own, leader=lead.leader, ratio=ratio, offset=offset)
+            whole[each] = own
+        led[whole[name].leader.name].append(whole[name])
     return dict(led)
 
 
