@@ -44,7 +44,7 @@ def test_no_help_speaks_of_types_of_python(run: CommandLine, name: str) -> None:
             "did you mean 'RK4'?",
         ),
         (["validate", "2pendulum", "--engines", "MuJoCo"], "did you mean 'mujoco'?"),
-        (["validate", "2pendulum", "--settings", "my.json"], "--settings my.json: cannot be read"),
+        (["validate", "2pendulum", "--settings", "my.json"], "my.json: there is no such file"),
         (["stability", "mass-rato"], "did you mean 'mass-ratio'?"),
     ],
 )

@@ -311,7 +311,7 @@ MISTAKES: dict[str, tuple[Edit, str]] = {
     ),
     "gear that a draw breaks": (
         _set("couplings", to=[{"joint": "spindle", "follows": "frame"}]),
-        "sampling: the drawn velocities break couplings['spindle follows frame'] at ",
+        "sampling: the joint 'spindle' follows 'frame'; draw that one alone",
     ),
     "collisions without spheres": (
         _set("collisions", to=_collisions(["leaf", "knob"])),

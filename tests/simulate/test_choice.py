@@ -70,7 +70,7 @@ def test_settings_of_an_engine_that_is_not_installed_keep_no_other_from_running(
 @pytest.mark.parametrize(
     ("text", "place", "reason"),
     [
-        ("steps = 2", "shipped", "6pendulum.toml: Object contains unknown field `steps`"),
+        ("steps = 2", "shipped", "6pendulum.toml: outside: Object contains unknown field `steps`"),
         ("steps_per_frame = 2", "shipped", "no method of outside is called 'RK9'"),
         ("", "missing.settings", "there is no package missing, which its entry point names"),
     ],

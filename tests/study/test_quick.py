@@ -231,7 +231,7 @@ def test_a_file_of_settings_is_used_and_names_its_engines(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        (None, "cannot be read"),
+        (None, "there is no such file"),
         ("mujoco = 3", "Expected `object`"),
         ('[mujoco]\nmethod = "RK4"', "missing required field `steps_per_frame`"),
         ('[mujoco]\nmethod = "RK4"\nsteps_per_frame = 0', "got 0, allowed is 1 or more, below 1e"),
