@@ -156,9 +156,10 @@ class _Builder:
         carried = self._carried[k]
         above = self.body_of(part.parent)
         if not (carried.mass > 0 or np.trace(carried.inertia) > 0) or above is None:
-            joints = " and ".join(repr(freedom.name) for freedom in part.freedoms)
+            joints = [f"joint {freedom.name!r}" for freedom in part.freedoms]
             reason = "it has no mass (in URDF: no <inertial>) and carries none: left out"
-            self._report("dropped", "body", reason, f"{part.name}, with its joint {joints}")
+            place = part.name + (f", with its {' and '.join(joints)}" if joints else "")
+            self._report("dropped", "body", reason, place)
             return
         mass = self._sound(part, self._own[k], carried)
         *between, last = self._merge_joints(part)

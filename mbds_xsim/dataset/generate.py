@@ -23,7 +23,6 @@ from mbds_xsim.base.frame import frame_of
 from mbds_xsim.base.isolate import Carrier, Conduct, Crash, Meter, Silent, Task, run_tasks
 from mbds_xsim.checks.kernels import CHECKS
 from mbds_xsim.dataset.card import write_card
-from mbds_xsim.dataset.hdf5 import attributes_of, variant_files
 from mbds_xsim.dataset.layout import rejected_folder
 from mbds_xsim.dataset.shard import (
     LOG,
@@ -35,7 +34,14 @@ from mbds_xsim.dataset.shard import (
     read_log,
     try_out,
 )
-from mbds_xsim.dataset.variant import Item, Variant, check_same_draws, folder_name, pending
+from mbds_xsim.dataset.variant import (
+    Item,
+    Variant,
+    check_same_draws,
+    folder_name,
+    pending,
+    unpaired,
+)
 from mbds_xsim.measure.quick import searched
 from mbds_xsim.reference.kernels import REFERENCE, compile_once
 from mbds_xsim.scene.reach import doubted_length
@@ -124,7 +130,7 @@ def generate(
         todo = {
             variant: pending(variant, request.trajectories, request.out) for variant in variants
         }
-        for line in _uneven(variants, request):
+        for line in unpaired(variants, request.trajectories, request.out):
             progress.notice(line)
         missing = sum(item.count for items in todo.values() for item in items)
         total = request.trajectories * len(variants)
@@ -168,24 +174,6 @@ def _variants(
         variants += [Variant(scene, one, request.seed, request.noise) for one in contenders]
         left_out |= {f"{scene.name} {engine}": reason for engine, reason in reasons.items()}
     return variants, left_out
-
-
-def _uneven(variants: Sequence[Variant], request: Request) -> Iterator[str]:
-    """Yield warnings of sets beside those asked for that will not pair with them."""
-    asked = {variant.folder(request.out) for variant in variants}
-    for folder in dict.fromkeys(path.parent for path in asked):
-        for file in variant_files(folder):
-            if file.with_suffix("") not in asked:
-                try:
-                    count = attributes_of(file).get("count")
-                except InputError as error:
-                    yield str(error)
-                    continue
-                if count != request.trajectories:
-                    yield (
-                        f"{file}: {count} trajectories, now asked for are {request.trajectories}; "
-                        "load_pairs, train and shift take sets of one size only"
-                    )
 
 
 def _forewarnings(items: list[Item], workers: int | None) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,7 +13,7 @@ from typing import Any
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.versions import CHECKS
-from mbds_xsim.dataset.hdf5 import attributes_of
+from mbds_xsim.dataset.hdf5 import attributes_of, variant_files
 from mbds_xsim.dataset.layout import AUDIT_SAMPLE, FORMAT, SHARED, SUFFIX, VERSION
 from mbds_xsim.scene.file import write_scene
 from mbds_xsim.scene.scene import Scene
@@ -177,6 +177,23 @@ def check_same_draws(variant: Variant, out: Path) -> None:
     fault = f"{folder} holds trajectories that cannot be paired with those asked for"
     for path in others.values():
         _check_same(_attributes(path), {key: variant.recipe[key] for key in SHARED}, fault)
+
+
+def unpaired(variants: Iterable[Variant], trajectories: int, out: Path) -> Iterator[str]:
+    """Yield warnings of sets beside the variants whose number of trajectories is another.
+
+    Raises:
+        InputError: A set is damaged: it would end the run once all is made.
+    """
+    asked = {variant.folder(out) for variant in variants}
+    beside = (file for scene in {path.parent for path in asked} for file in variant_files(scene))
+    for file in sorted(file for file in beside if file.with_suffix("") not in asked):
+        count = _attributes(file).get("count")
+        if count != trajectories:
+            yield (
+                f"{file}: {count} trajectories, now asked for are {trajectories}; load_pairs, "
+                "train and shift take sets of one size only"
+            )
 
 
 def _is_complete(item: Item, path: Path) -> bool:

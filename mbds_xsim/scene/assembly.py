@@ -126,7 +126,7 @@ def check_joints(mechanism: Mechanism, starts: BodyStates) -> None:
             fault = template.format(name, per_row[worst])
             way = "draw the others that this joint holds along with it"
             if name.startswith("couplings"):
-                way = "draw what is followed, by so little that no hinge passes half a turn"
+                way = "draw the joint that is followed, and no hinge past half a turn"
             raise SceneError(
                 f"sampling: the drawn {fault}, allowed is {allowed:.0e}; {way}, "
                 "or leave the draw out"

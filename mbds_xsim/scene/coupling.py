@@ -53,7 +53,11 @@ class PlacedCoupling:
 
 
 def trains(couplings: Iterable[PlacedCoupling]) -> dict[str, list[PlacedCoupling]]:
-    """Return all couplings by the joint that leads them, those of a chain as from its first."""
+    """Return what each joint leads: a coupling of every joint that follows it, also by a chain.
+
+    Couplings of a chain are replaced by those of each of its joints with the first, which follows
+    none: b = r a + o and c = s b + p make c = r s a + (p + s o).
+    """
     above, whole = {each.follower.name: each for each in couplings}, dict[str, PlacedCoupling]()
     led = defaultdict(list)
     for name in above:

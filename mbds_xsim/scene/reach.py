@@ -10,12 +10,14 @@ from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 
 _DOUBTFUL = 30.0
-"""Least factor between length and reach that is doubted; in good scenes there are up to 8."""
+"""Least factor between length and reach that is doubted; the built-in scenes have at most 8."""
 
 
 def _reach(mechanism: Mechanism) -> float:
-    """Return the extent of centres of mass, joints, links, springs and spheres at the reference
-    pose, or the size of the largest body if larger [m]."""
+    """Return the extent of all points of the mechanism, or the size of its largest body [m].
+
+    Points are centres of mass, joints, ends of links and springs, and spheres, at the reference.
+    """
     scene = mechanism.scene
     pairs = (*scene.distance_links, *scene.springs)
     points = [*mechanism.com, *(joint.anchor for joint in mechanism.joints)]

@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.card import CARD, CROISSANT
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.scene.sampling_terms import Throw
@@ -91,6 +92,17 @@ def test_parts_that_differ_between_files_are_told(make: Make, tmp_path: Path) ->
     tested = matched.index[matched.rows_of("test")]
     assert np.isin(tested, native.index[native.rows_of("train")]).all()
     assert "what one tests with, another may train on" in card.read_text("utf-8")
+
+
+def test_a_damaged_set_beside_is_refused_before_anything_is_made(
+    make: Make, tmp_path: Path
+) -> None:
+    make(tmp_path, trajectories=FEW)
+    (tmp_path / "1pendulum" / "mujoco-matched.h5").write_bytes(b"lost")
+
+    with pytest.raises(InputError, match=r"mujoco-matched\.h5 cannot be read as HDF5.*delete it"):
+        make(tmp_path, settings="native", trajectories=FEW)
+    assert not (tmp_path / "1pendulum" / "mujoco-native").exists()
 
 
 def test_particles_too_far_for_float32_and_a_length_of_other_units_are_told(

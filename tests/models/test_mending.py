@@ -100,6 +100,33 @@ def test_places_in_w_are_those_in_the_bodies_frames(here: Path) -> None:
     )
 
 
+_TIP = """<link name="tip"/><joint name="knee" type="continuous">
+<parent link="rod"/><child link="tip"/></joint></robot>"""
+_FOOT = '><collision><geometry><sphere radius="0.1"/></geometry></collision></link>'
+
+
+@pytest.mark.parametrize(
+    ("plain", "more", "place", "reason"),
+    [
+        ("</robot>", _TIP, "tip, with its joint 'knee'", "it has no mass (in URDF: no <inertial>)"),
+        ("</joint>", '<mimic joint="clop"/></joint>', "pivot", "no joint is called 'clop'"),
+    ],
+)
+def test_what_is_left_out_is_told_with_its_cause(
+    plain: str, more: str, place: str, reason: str, here: Path
+) -> None:
+    fate = _mend(here, "arm.urdf", _URDF, _URDF.replace(plain, more))
+
+    assert (fate.outcome, fate.moves, fate.places) == ("dropped", True, (place,))
+    assert fate.reason.startswith(reason)
+
+
+def test_shapes_of_what_has_no_mass_touch_no_ground(here: Path) -> None:
+    (here / "arm.urdf").write_text(_URDF.replace("</robot>", _TIP.replace("/>", _FOOT, 1)))
+    with pytest.raises(InputError, match=r"touch the ground \(its body has no mass"):
+        read_model(here / "arm.urdf", ground=True)
+
+
 def test_what_floats_on_the_root_floats_in_the_world(here: Path) -> None:
     free = _URDF.replace("revolute", "floating")
     plain, root = (_read(here, "arm.urdf", text) for text in (free, free.replace("world", "base")))

@@ -97,18 +97,6 @@ def test_links_without_inertial_have_no_mass(here: Path, floating: bool) -> None
         _read(here, text, "arm.urdf", floating=floating)
 
 
-def test_a_link_with_a_joint_but_without_inertial_is_told_as_lost(here: Path) -> None:
-    foot = '<collision><geometry><sphere radius="0.1"/></geometry></collision>'
-    tip = f'<link name="tip">{foot}</link><joint name="knee" type="continuous">'
-    tip += '<parent link="rod"/><child link="tip"/></joint>'
-    text = _urdf('<mass value="1"/>' + _INERTIA.format(1, 1, 1, 0, 0, 0), tip)
-
-    dropped = _fates(_read(here, text, "arm.urdf"), "dropped")["body"]
-    assert dropped.places == ("tip, with its joint 'knee'",)
-    with pytest.raises(InputError, match=r"touch the ground \(its body has no mass"):
-        _read(here, text, "arm.urdf", ground=True)
-
-
 @pytest.mark.parametrize(
     ("stated", "limits", "place"),
     [
@@ -161,21 +149,13 @@ def test_a_point_mass_on_several_joints_gets_an_inertia(here: Path) -> None:
     assert "mass without inertia" in " ".join(f.reason for f in imported.fates)
 
 
-@pytest.mark.parametrize(
-    ("followed", "reason"),
-    [("clip", "it, or what it follows, is no hinge or"), ("clop", "no joint is called 'clop'")],
-)
-def test_a_mimic_of_what_does_not_move_is_dropped_by_name(
-    followed: str, reason: str, here: Path
-) -> None:
+def test_a_mimic_of_what_does_not_move_is_dropped_by_name(here: Path) -> None:
     text = _urdf('<mass value="1"/>' + _INERTIA.format(1, 1, 1, 0, 0, 0))
     clip = '<link name="b"/><joint name="clip" type="fixed">'
     clip += '<parent link="base"/><child link="b"/></joint>'
-    text = text.replace("</joint>", f'<mimic joint="{followed}"/></joint>' + clip)
+    text = text.replace("</joint>", '<mimic joint="clip"/></joint>' + clip)
 
-    dropped = _fates(_read(here, text, "arm.urdf"), "dropped")["mimic"]
-    assert dropped.places == ("pivot",)
-    assert dropped.reason.startswith(reason)
+    assert _fates(_read(here, text, "arm.urdf"), "dropped")["mimic"].places == ("pivot",)
 
 
 def test_what_a_urdf_cannot_mean_is_refused(here: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import time
 
 import pytest
@@ -57,7 +58,7 @@ def test_the_rate_of_a_data_set_counts_trajectories_alone(
     assert " a search for settings 61/100 5/s " in capsys.readouterr().err.splitlines()[-1]
 
 
-@pytest.mark.parametrize(("forecast_s", "left"), [(7200.0, "1:00:00"), (0.1, "-:--:--")])
+@pytest.mark.parametrize(("forecast_s", "left"), [(7200.0, "(1:00:00|0:59:)"), (0.1, "-:--:--")])
 def test_time_left_is_unknown_once_it_has_passed(
     forecast_s: float,
     left: str,
@@ -69,7 +70,7 @@ def test_time_left_is_unknown_once_it_has_passed(
         progress.forecast(forecast_s)
         time.sleep(0.2)
 
-    assert f" left {left}" in capsys.readouterr().err.splitlines()[-1]
+    assert re.search(f" left {left}", capsys.readouterr().err.splitlines()[-1])
 
 
 @pytest.mark.parametrize("terminal", [True, False])

@@ -111,7 +111,9 @@ def test_words_say_how_far_the_error_goes(study: Tradeoff) -> None:
 
     assert "at 1 s, the worst of 3 medium starts" in summary.describe_error(study)
     assert "before the first impact (0.38 s" in summary.describe_error(impact)
-    assert "the budget at 1 s judges no error that an impact ends" in summary.conclusion(impact)
+    assert "where an impact comes before 1 s, the budget at 1 s is not" in summary.conclusion(
+        impact
+    )
     assert "impact" not in summary.conclusion(study)
     assert "the method's own run at 200 steps a frame, at 1 s" in summary.describe_error(at_once)
     assert "from its own limit" in summary.conclusion(at_once)

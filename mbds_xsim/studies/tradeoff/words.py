@@ -82,10 +82,9 @@ def conclusion(study: Tradeoff) -> str:
     engine = None if best[0].own else cheapest_within(study, own=True)
     if engine is not None:
         text = f"{text}; of the engines {_describe_place(study, *engine)}"
-    early = study.cut_short and study.own_limit is None
-    return (
-        f"{text}; the budget at 1 s judges no error that an impact ends sooner" if early else text
-    )
+    if study.cut_short and study.own_limit is None:
+        text = f"{text}; where an impact comes before 1 s, the budget at 1 s is not checked"
+    return text
 
 
 def _describe_place(study: Tradeoff, curve: CurveResult, point: Point) -> str:
