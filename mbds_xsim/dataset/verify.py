@@ -107,6 +107,7 @@ def verify(
     for report in reports:
         if report.file in loose:
             report.notes.append("not joined yet: run mbds-xsim generate again to finish the set")
+        report.notes += _unequal(Path(report.file), facts)
     variants = tuple(
         {"file": str(file), **{key: facts[file].get(key) for key in _ABOUT}}
         for file in joined or shards[:1]
@@ -161,6 +162,21 @@ def _loose(shards: list[Path], joined: list[Path]) -> set[str]:
             parts = [*load_dataset(file).files]
         named |= {part.resolve() for part in parts}
     return {str(shard.resolve()) for shard in shards if shard.resolve() not in named}
+
+
+def _unequal(file: Path, facts: dict[Path, dict[str, Any]]) -> Iterator[str]:
+    """Yield a note if another set in the folder has more trajectories than this one."""
+    sizes = {
+        other: int(attrs.get("count", 0))
+        for other, attrs in facts.items()
+        if attrs["kind"] == "joined" and other.parent == file.parent
+    }
+    largest = max(sizes, key=sizes.__getitem__, default=file)
+    if file in sizes and sizes[file] < sizes[largest]:
+        yield (
+            f"{sizes[file]} trajectories, but {largest.name} has {sizes[largest]}: load_pairs, "
+            "train and shift take sets of one size only"
+        )
 
 
 def recheck(path: Path, kind: str, resimulated: int = 0, seed: int = 0) -> FileReport:

@@ -14,8 +14,10 @@ import numpy as np
 import pytest
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import HERE
 from mbds_xsim.dataset.card import CARD, CROISSANT
 from mbds_xsim.dataset.read import load_dataset
+from mbds_xsim.dataset.verify import verify
 from mbds_xsim.scene.sampling_terms import Throw
 from mbds_xsim.scene.scene import Scene
 from tests.dataset.conftest import Make, Silence
@@ -92,6 +94,13 @@ def test_parts_that_differ_between_files_are_told(make: Make, tmp_path: Path) ->
     tested = matched.index[matched.rows_of("test")]
     assert np.isin(tested, native.index[native.rows_of("train")]).all()
     assert "what one tests with, another may train on" in card.read_text("utf-8")
+    (note,) = [
+        note
+        for file in verify(tmp_path, conduct=HERE).files
+        for note in file.notes
+        if "load_pairs" in note
+    ]
+    assert note.startswith("6 trajectories, but mujoco-native.h5 has 10: load_pairs, train")
 
 
 def test_a_damaged_set_beside_is_refused_before_anything_is_made(
