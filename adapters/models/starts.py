@@ -24,7 +24,7 @@ from mbds_xsim.scene.scene import Scene
 _SHARES = (0.25, 0.5, 0.9)
 """Share of a joint's range, about its middle, that the intervals low, medium and high cover."""
 _RATES = (0.1, 0.5, 1.0)
-"""Largest rates of hinges and free bodies in these intervals [rad/s]."""
+"""Largest rates of hinges, with all hinges that follow them, and of free bodies [rad/s]."""
 _HEIGHTS = (0.01, 0.05, 0.1, 0.2)
 """Heights above the ground that bound these intervals, over the scene's length."""
 _ROUNDED = 1e-9
@@ -58,9 +58,16 @@ def starts(scene: Scene, limits: Mapping[str, tuple[float, float]]) -> tuple[Dra
         if span[0] < span[1] or joint.name not in led:
             ranges[span].append(joint.name)
     poses = [Pose(tuple(names), _levels(*span)) for span, names in ranges.items()]
-    hinges = tuple(joint.name for joint in independent if joint.kind == "hinge")
+    geared = defaultdict(list)
+    for joint in independent:
+        if joint.kind == "hinge":
+            turned = [each for each in led.get(joint.name, ()) if each.follower.kind == "hinge"]
+            geared[max([1.0, *(abs(each.ratio) for each in turned)])].append(joint.name)
     spin = _levels(-1.0, 1.0, _RATES)
-    rates = [HingeRate(hinges, spin)] if hinges else []
+    rates = [
+        HingeRate(tuple(names), _levels(-1.0 / fastest, 1.0 / fastest, _RATES))
+        for fastest, names in geared.items()
+    ]
     throws = [Throw(body, angular_velocity=(spin, spin, spin)) for body in _free(mechanism)]
     heights = Levels(*((low * length, high * length) for low, high in pairwise(_HEIGHTS)))
     liftable = _liftable_bodies(mechanism, looped) if scene.contacts else ()

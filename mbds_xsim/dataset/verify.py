@@ -107,7 +107,7 @@ def verify(
     for report in reports:
         if report.file in loose:
             report.notes.append("not joined yet: run mbds-xsim generate again to finish the set")
-        report.notes += _unequal(Path(report.file), facts)
+        report.notes.extend(_unequal(Path(report.file), facts))
     variants = tuple(
         {"file": str(file), **{key: facts[file].get(key) for key in _ABOUT}}
         for file in joined or shards[:1]
