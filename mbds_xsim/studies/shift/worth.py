@@ -8,6 +8,8 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from mbds_xsim.learn.shift.domains import REFERENCE
 from mbds_xsim.learn.shift.interaction import BEARABLE
 from mbds_xsim.learn.shift.result import Harm, Shift
@@ -22,6 +24,8 @@ SIZE = (10.4, 4.6)
 _SINGLE = 2.0**-24
 """Rounding of positions over the scene's length: no data are drawn nearer to the truth."""
 
+_BESIDE = 0.01
+"""Distance of two models' marks for the same data, over what all data span."""
 _NAME = 0.045
 """Least distance between the names above a chart, over the chart's width."""
 
@@ -114,12 +118,15 @@ def draw_worth(figure: Any, shift: Shift) -> None:
     place, (dear, far) = shift.frames.index(shift.at), figure.subplots(1, 2, sharey=True)
     nearest = (_SINGLE * shift.length_m) ** 2
     apart = {name: max(x, nearest) for name, x in distances(shift, place).items()}
-    for model in trained_models(shift):
+    models = trained_models(shift)
+    for k, model in enumerate(models):
         points, look = costs_of(shift, model), {"color": themed.model_colour(model)}
+        share = _BESIDE * (k - (len(models) - 1) / 2)
         least = list(itertools.accumulate((error for _, _, error in points), min))
         dear.step([cost for _, cost, _ in points], least, where="post", lw=1, **look)
-        _draw_points(dear, shift, model, points)
-        _draw_points(far, shift, model, _points(shift, model, {**apart}), label=model)
+        _draw_points(dear, shift, model, _beside(points, share))
+        distant = _points(shift, model, {**apart})
+        _draw_points(far, shift, model, _beside(distant, share), label=model)
     noise = noise_of(shift, place)
     for axes in (dear, far):
         axes.set(xscale="log", yscale="log")
@@ -127,13 +134,20 @@ def draw_worth(figure: Any, shift: Shift) -> None:
             axes.axhline(noise, label="noise floor" if axes is far else None, **themed.DOTTED)
     ends = [noise or nearest, max(apart.values(), default=nearest)]
     far.plot(ends, ends, color=themed.INK, lw=0.9, ls="--", label="error of the data")
-    named = {name: x for model in trained_models(shift) for name, x, _ in costs_of(shift, model)}
+    named = {name: x for model in models for name, x, _ in costs_of(shift, model)}
     _name_lines(dear, named)
     _name_lines(far, {name: apart[name] for name in named if name in apart})
     dear.set_xlabel("processor time of the engine for a trajectory of training data [s]")
     dear.set_ylabel(f"squared error at t = {shift.at} [m²]")
     far.set_xlabel("squared distance of the training data from the truth [m²]")
     figure.legend(loc="outside right upper", fontsize=8, frameon=False)
+
+
+def _beside(points: Sequence[Point], share: float) -> list[Point]:
+    """Move points on a logarithmic axis by a share of what they span, for all models to be seen."""
+    places = [x for _, x, _ in points]
+    factor = (max(places, default=1.0) / min(places, default=1.0)) ** share
+    return [(name, x * factor, error) for name, x, error in points]
 
 
 def _draw_points(
@@ -159,15 +173,18 @@ def _ends(harm: Harm, place: int, error: float) -> list[float]:
 
 
 def _name_lines(axes: Any, named: dict[str, float]) -> None:
-    """Name the data above the chart at their places, with a least distance between names."""
-    (low, high), last = map(math.log10, axes.get_xlim()), -1.0
-    line = {"color": themed.GREY, "lw": 0.4}
-    for name, x in sorted(named.items(), key=lambda each: each[1]):
-        axes.axvline(x, zorder=0, **line)
-        place = (math.log10(x) - low) / (high - low)
-        last = max(place, last + _NAME)
+    """Name the data above the chart, near their places but with a least distance between names."""
+    from scipy.optimize import isotonic_regression
+
+    low, high = map(math.log10, axes.get_xlim())
+    line, order = {"color": themed.GREY, "lw": 0.4}, sorted(named, key=named.__getitem__)
+    places = (np.log10([named[name] for name in order]) - low) / (high - low)
+    least = _NAME * np.arange(len(order))
+    spread = isotonic_regression(places - least).x + least
+    for name, place, shown in zip(order, places, spread, strict=True):
+        axes.axvline(named[name], zorder=0, **line)
         axes.annotate(
-            name, (place, 1.0), (last, 1.05), "axes fraction", "axes fraction",
-            {"arrowstyle": "-", "shrinkA": 0, "shrinkB": 0, **line},
+            name, (place, 1.0), (shown, 1.05), "axes fraction", "axes fraction",
+            {"arrowstyle": "-", "shrinkA": 0, "shrinkB": 0, "relpos": (0, 0), **line},
             rotation=60, ha="left", va="bottom", fontsize=6.5, color=themed.GREY,
         )  # fmt: skip
