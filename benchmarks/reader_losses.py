@@ -41,15 +41,24 @@ SHOWN: dict[str, dict[str, str]] = {
     "site.xml": {"dart": ""},
 }
 
+_FORMATS = {"urdf": "URDF", "sdf": "SDF", "xml": "MJCF"}
+
 _HEAD = """# What engines' own readers lose
 
-MuJoCo, PyBullet and DART read models themselves, and each reads other things of them.
-`mbds-xsim readers MODEL` lets each engine load a file with its default options, compares what it
-has read with what the file says, field by field, and reports how far the bodies are after one
-second from where the file's own values put them. It exits with 1 if any engine differs.
+MuJoCo, PyBullet and DART read models themselves, each with losses of its own and mostly without a
+message. Of the {count} minimal files below {losing} are misread or refused.
+[`import`](import.md) reads a file itself and gives each engine the same scene. To see what your own
+file loses, run
 
-Each of these losses has a minimal file in `tests/models/losses`. This page is generated from them
-by `python -m benchmarks.reader_losses > docs/reader-losses.md`; a test compares the two.
+```sh
+mbds-xsim readers my-robot.urdf      # exits with 1 if any engine differs
+```
+
+It loads the file in each engine with default options, compares every field with the file, and
+reports how far the bodies are after one second from where the file's own values put them.
+
+The examples are in `tests/models/losses`. This page is generated from them by
+`python -m benchmarks.reader_losses > docs/reader-losses.md`; a test compares the two.
 """
 
 
@@ -64,27 +73,34 @@ def shown(name: str, readings: Readings) -> Iterator[tuple[str, Difference | str
                 yield reading.engine, difference
 
 
-def _chapter(name: str) -> Iterator[str]:
-    text = (FOLDER / name).read_text("utf-8")
-    comment, _, model = text.partition("-->\n")
+def _rows(name: str) -> Iterator[str]:
+    comment = (FOLDER / name).read_text("utf-8").partition("-->\n")[0]
     sentence, *links = comment.removeprefix("<!-- ").strip().split("\n")
-    yield f"\n## {sentence.rstrip('.')}\n"
-    yield f"`mbds-xsim readers tests/models/losses/{name}`" + "".join(
-        f", reported at <{link.strip()}>" for link in links
-    )
-    yield f"\n```xml\n{model}```\n"
-    yield "| engine | field | for | it has | file says |\n| :-- | :-- | :-- | :-- | :-- |"
+    told = sentence.rstrip(". ") + "".join(f" ([report]({link.strip()}))" for link in links)
+    engines: dict[tuple[str, ...], list[str]] = {}
     for engine, loss in shown(name, compare(FOLDER / name, ENGINES)):
-        if isinstance(loss, str):
-            yield f"| {engine} | – | – | refuses: {in_markdown(loss)} | – |"
-        else:
-            cells = (f"{loss.field} of {loss.of}", loss.first or "–", loss.read, loss.stated)
-            yield f"| {engine} | {' | '.join(map(in_markdown, cells))} |"
+        engines.setdefault(_cells(loss), []).append(engine)
+    for number, (cells, those) in enumerate(engines.items()):
+        first = (told, f"`{name}`") if number == 0 else ("", "")
+        yield f"| {' | '.join((*first, ', '.join(those), *map(in_markdown, cells)))} |"
+
+
+def _cells(loss: Difference | str) -> tuple[str, str, str]:
+    if isinstance(loss, str):
+        return "the file", f"refuses: {loss}", "–"
+    return f"{loss.field} of {loss.first or loss.of}", loss.read, loss.stated
 
 
 def page() -> str:
     """Return the whole page."""
-    return "\n".join([_HEAD.rstrip(), *(line for name in SHOWN for line in _chapter(name))]) + "\n"
+    counts = (sum(engine in lost for lost in SHOWN.values()) for engine in ENGINES)
+    losing = "{} (MuJoCo), {} (PyBullet) and {} (DART)".format(*counts)
+    lines = [_HEAD.rstrip().format(count=len(SHOWN), losing=losing)]
+    for ending, format_ in _FORMATS.items():
+        lines += [f"\n## {format_}\n", "| loss | example | engine | of | it has | file says |"]
+        lines += ["| :-- | :-- | :-- | :-- | :-- | :-- |"]
+        lines += [row for name in SHOWN if name.endswith(ending) for row in _rows(name)]
+    return "\n".join(lines) + "\n"
 
 
 if __name__ == "__main__":
