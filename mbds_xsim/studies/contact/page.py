@@ -17,6 +17,7 @@ from mbds_xsim.studies.contact.friction import PUSHES
 from mbds_xsim.studies.contact.impacts import DEPTH_SPEEDS, SPEEDS
 from mbds_xsim.studies.contact.present import (
     JUDGED,
+    LINES,
     ContactLine,
     ContactStudy,
     heading,
@@ -28,27 +29,20 @@ from mbds_xsim.testing.contact_cases import FRICTION, RADIUS, RESTITUTION, RESTI
 _PAGE = """\
 # What contact means in each engine
 
-Engines differ in what they do where bodies touch. This page measures the results from trajectories
-alone. It was written, with its figures, by
-
-```sh
-{command}
-```
-
-{made}
+{off}
 
 {summary}
+
+{made}
 
 ## In words
 
 {words}
 ## Rebound
 
-A ball of radius {radius:.0f} mm falls onto the ground at a known speed; eight starts spread the
-moment of touch over a step. Both flights are parabolas, so the speeds before and after are known
-without looking into the impact. “Takes” is the time from touch to take-off, negative if an engine
-acts before the touch; “depth” is the deepest overlap of all starts. Figures are medians over the
-starts; bands in the picture reach from the lowest to the highest.
+A ball of radius {radius:.0f} mm falls onto the ground; eight starts spread the moment of touch over
+a step. “Takes” is the time from touch to take-off; “depth” is the deepest overlap of all starts.
+Figures are medians over the starts; bands in the picture reach from the lowest to the highest.
 {rebound_picture}
 Speed after the impact over the speed before; {restitution} was asked for:
 
@@ -74,8 +68,7 @@ friction here.
 1.2 m/s. The other columns are for thrown cubes that land on corners (`simplecubli`, restitution
 {restitution}): the rise of energy that the law of impact does not explain and the whole rise, both
 over the energy scale, and the restitution of single corners. Newton's law of impact together with
-Coulomb's can itself raise the energy there ([passivity](checks.md#passivity)); it is one law among
-several.
+Coulomb's can itself raise the energy there ([passivity](checks.md#passivity)).
 
 {energies}
 
@@ -88,17 +81,16 @@ far it moves up and down, and the speed of the centre of mass.
 
 ## How fast
 
-The table shows the fastest of several speeds at which an engine is still within 1 % of the exact
-motion, and what happens at the next: *told* means that the trajectory fails with a reason, *silent*
-that the motion is wrong without a warning, even if only because of a drag that is on by default. An
-impact counts as held if the ball does not fall through the ground.
+The fastest of several speeds at which an engine is still within 1 % of the exact motion, and what
+happens at the next: *told* means that the trajectory fails with a reason, *silent* that the motion
+is wrong without a warning. An impact is held if the ball does not fall through the ground.
 
 {limits}{missing}"""
 _ORIGIN = """
-on {machine}, with {versions}. `native` settings are those that an ordinary user of the engine
-gets, `matched` ones those with which data are published; both run through the same adapter.
-{judged} How `validate` checks contact is described in [checks.md](checks.md), what an engine can
-represent at all in [engines.md](engines.md).
+`native` settings are those that an ordinary user of the engine gets, `matched` ones those with
+which data are published; both run through the same adapter. {judged} A dash stands for what an
+engine cannot do or did not reach; reasons are at the end. Measured on {machine}, with
+{versions}. [Checks](checks.md#contact) describes how `validate` checks contact.
 """
 
 # Notes that the tables already show.
@@ -195,16 +187,34 @@ def contact_page(study: ContactStudy, figures: dict[str, Path], folder: Path) ->
     return _PAGE.format(
         command=study.command,
         made=textwrap.fill(made.strip(), 100),
-        summary="\n".join(_summary(study)),
-        words="".join(f"{words_of(engine, law)}\n" for engine, law in study.laws.items()),
+        off=_off(study),
+        summary="\n".join(_summary(study)).rstrip(),
+        words="\n".join(words_of(engine, law) for engine, law in study.laws.items()),
         radius=1e3 * RADIUS,
         restitution=RESTITUTION,
         friction=FRICTION,
         pushes=", ".join(f"{push:g}" for push in PUSHES),
         rebound_picture=_picture("restitution", figures, folder),
         friction_picture=_picture("friction", figures, folder),
-        **{name: _table(study, columns) for name, columns in _TABLES.items()},
+        **{name: _table(study, columns).rstrip() for name, columns in _TABLES.items()},
         missing=_missing(study),
+    )
+
+
+def _off(study: ContactStudy) -> str:
+    """Count each engine's figures of the summary that are far from what was asked for."""
+    counts = []
+    for profile in study.profiles:
+        rows = [row.cells[2:] for row in rows_of(study, profile)]
+        off = (sum(bool(cell.mark) for cell in cells) for cells in zip(*rows, strict=True))
+        each = ", ".join(f"{engine} {n}" for engine, n in zip(study.versions, off, strict=True))
+        counts.append(f"{each} at `{profile}` settings")
+    return textwrap.fill(
+        f"Does an engine do what a scene asks for where bodies touch? Of the {len(LINES)} lines "
+        f"below, these are off (bold): {'; '.join(counts)}. Measured from trajectories alone, by "
+        f"`{study.command}`.",
+        100,
+        break_on_hyphens=False,
     )
 
 
@@ -237,22 +247,46 @@ def words_of(engine: str, law: ContactLaw) -> str:
 def _missing(study: ContactStudy) -> str:
     """List the reasons for empty cells and for trajectories that ended early."""
     study = in_markdown(study)
-    lines = [f"- {m.engine} `{m.profile}`, all of {m.part}: {m.reason}" for m in study.missing]
-    early: dict[str, list[str]] = {}
-    for m in study.figures:
-        if m.note and not m.note.startswith(_NO_FAILURE):
-            early.setdefault(f"{m.engine} `{m.profile}`: {m.note}", []).append(m.quantity)
-    lines += [f"- {note} ({'; '.join(dict.fromkeys(names))})" for note, names in early.items()]
+    parts: dict[tuple[str, str], list[str]] = {}
+    for m in study.missing:
+        parts.setdefault((m.engine, f", all of {m.part}: {m.reason}"), []).append(m.profile)
+    early: dict[tuple[str, str], list[ContactFigure]] = {}
+    for figure in study.figures:
+        if figure.note and not figure.note.startswith(_NO_FAILURE):
+            early.setdefault((figure.engine, figure.note), []).append(figure)
+    lines = [f"- {engine} {_profiles(names)}{words}" for (engine, words), names in parts.items()]
+    for (engine, note), figures in early.items():
+        profiles = _profiles([m.profile for m in figures])
+        lines.append(f"- {engine} {profiles}: {note} ({_quantities(figures)})")
     return "\n".join(["\n\n## Cells with a reason\n", *lines, ""]) if lines else ""
 
 
-def _table(study: ContactStudy, columns: Sequence[ContactLine | _Furthest]) -> str:
-    """Lay out a table with one row per engine and profile."""
-    rows = (
-        [profile, engine, *(_mark(column.cell(study, engine, profile)) for column in columns)]
-        for profile in study.profiles
-        for engine in study.versions
+def _profiles(names: Sequence[str]) -> str:
+    return " and ".join(f"`{name}`" for name in dict.fromkeys(names))
+
+
+def _quantities(figures: Sequence[ContactFigure]) -> str:
+    """List quantities once each, after the body or bodies that they share."""
+    by_body: dict[str, dict[str, None]] = {}
+    for m in figures:
+        body, colon, name = m.quantity.rpartition(": ")
+        by_body.setdefault(body + colon, {})[name] = None
+    bodies: dict[str, list[str]] = {}
+    for body, names in by_body.items():
+        bodies.setdefault(", ".join(names), []).append(body.removesuffix(": "))
+    return "; ".join(
+        f"{' and '.join(those)}: {names}".removeprefix(": ") for names, those in bodies.items()
     )
+
+
+def _table(study: ContactStudy, columns: Sequence[ContactLine | _Furthest]) -> str:
+    """Lay out a table with one row per engine and profile that has a figure."""
+    rows = []
+    for profile in study.profiles:
+        for engine in study.versions:
+            cells = [column.cell(study, engine, profile) for column in columns]
+            if any(cell.text != quantity.NONE for cell in cells):
+                rows.append([profile, engine, *map(_mark, cells)])
     return table_text(["", ">", *(f">{column.label}" for column in columns)], rows)
 
 
