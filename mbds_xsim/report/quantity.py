@@ -33,11 +33,17 @@ def pace(step: float, rtol: float | None) -> str:
     return span(step) if rtol is None else f"rtol {rtol:.0e}"
 
 
-def beside(figure: float | None, budget: float | None, unit: str) -> tuple[str, str]:
-    """Write a figure and its budget, with more digits if a broken budget would read as kept."""
+def beside(
+    figure: float | None, budget: float | None, unit: str, *, passed: bool = False
+) -> tuple[str, str]:
+    """Write a figure and its budget, with more digits if a broken budget would read as kept.
+
+    A figure over its budget that has `passed` is within the uncertainty of its check.
+    """
     if figure is None or budget is None:
         return with_unit(figure, unit), with_unit(budget, unit)
-    return apart(figure, budget, lambda value, digits: with_unit(value, unit, digits), 2)
+    texts = apart(figure, budget, lambda value, digits: with_unit(value, unit, digits), 2)
+    return (texts[0], f"{texts[1]} + uncertainty") if passed and figure > budget else texts
 
 
 def number(value: float | None, digits: int = 2) -> str:

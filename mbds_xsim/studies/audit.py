@@ -62,7 +62,9 @@ def _skipped_checks(audited: Audited) -> Iterator[tuple[str, str]]:
 
 def _row(finding: FindingResult) -> tuple[blocks.Cell | str, ...]:
     judged = finding.budget is not None
-    figure, budget = quantity.beside(finding.figure, finding.budget, finding.unit)
+    figure, budget = quantity.beside(
+        finding.figure, finding.budget, finding.unit, passed=finding.passed
+    )
     mark = blocks.Cell("", "pass" if finding.passed else "fail") if judged else blocks.Cell("")
     return (
         finding.check,
@@ -81,14 +83,14 @@ def _shares(judged: list[FindingResult]) -> blocks.Figure:
 
     def draw(axes: Any) -> None:
         places = range(len(judged))
-        for place, share in zip(places, shares, strict=True):
+        for place, share, one in zip(places, shares, judged, strict=True):
             axes.plot([_LEAST, share], [place, place], color=GREY, lw=3, solid_capstyle="butt")
-            axes.plot(share, place, "x" if share > 1.0 else "|", color=INK, ms=9, mew=2)
+            axes.plot(share, place, "|" if one.passed else "x", color=INK, ms=9, mew=2)
         axes.axvline(1.0, color=INK, lw=1.0)
         axes.set_xscale("log")
         axes.set_yticks(places, [finding.check for finding in judged])
         axes.invert_yaxis()
-        axes.set_xlabel("worst over budget; right of the line is broken (×)")
+        axes.set_xlabel("worst over budget; × is broken")
 
     summary = ", ".join(
         f"{f.check} {quantity.number(share)}" for f, share in zip(judged, shares, strict=True)

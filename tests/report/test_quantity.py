@@ -68,6 +68,11 @@ def test_a_figure_over_its_budget_never_reads_as_kept(
     assert quantity.beside(figure, budget, unit) == texts
 
 
+def test_a_figure_that_passed_over_its_budget_says_why() -> None:
+    assert quantity.beside(22e-3, 4e-3, "s", passed=True) == ("22 ms", "4.0 ms + uncertainty")
+    assert quantity.beside(3e-3, 4e-3, "s", passed=True) == ("3.0 ms", "4.0 ms")
+
+
 @example(0.013, 0.0, "m")
 @given(st.floats(1e-15, 1e5), st.floats(0.0, 1e-2), st.sampled_from(["m", "s", "1", "rad"]))
 def test_texts_of_a_figure_and_its_budget_differ(budget: float, excess: float, unit: str) -> None:

@@ -152,7 +152,9 @@ def _findings(result: EngineResult, style: Style, *, first: bool) -> Section:
 
 
 def _finding_row(finding: FindingResult) -> blocks.Row:
-    figure, budget = quantity.beside(finding.figure, finding.budget, finding.unit)
+    figure, budget = quantity.beside(
+        finding.figure, finding.budget, finding.unit, passed=finding.passed
+    )
     note = f" ({finding.note})" if finding.note else ""
     each = " ".join(quantity.with_unit(value, finding.unit) for value in finding.figures)
     worst = f"trajectory {finding.trajectory}, frame {finding.frame}"
