@@ -210,7 +210,8 @@ def _replace_masses(spec: Any, floating: bool) -> dict[str, Any]:
         if body.explicitinertial:
             xx, yy, zz, xy, xz, yz = body.fullinertia
             full = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-            tensor = np.diag(body.inertia) if np.isnan(xx) else full
+            unset = np.isnan(xx) and not full.any(where=~np.isnan(full))
+            tensor = np.diag(body.inertia) if unset else full
             masses[body.name] = (body.mass, np.array(body.ipos), np.array(body.iquat), tensor)
         body.mass, body.inertia, body.ipos, body.iquat = 1.0, np.ones(3), np.zeros(3), [1, 0, 0, 0]
         body.fullinertia = [math.nan] + 5 * [0.0]

@@ -72,6 +72,7 @@ _BAD = {
     ),
     "macro": ('<robot name="r"><xacro:include filename="a.xacro"/></robot>', "expand it first"),
     "expression": ('<robot name="r"><link name="${a}"/></robot>', "expand it first"),
+    "inertia of a link": (_SLIDES.format("0 1 0").replace('ixx="1', 'ixx="nan'), "inertia of 'b'"),
     "rigid": (f'<robot name="r">{_LINKS.format("fixed", "")}</robot>', "nothing in it moves"),
     "planar": (f'<robot name="r">{_LINKS.format("planar", "")}</robot>', "the normal 1 0 0"),
     "zero axis": (_SLIDES.format("0 0 0"), "joint 'j' has the axis '0 0 0'"),
