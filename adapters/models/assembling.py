@@ -15,7 +15,7 @@ import numpy as np
 from mbds_xsim.base import bounds, rotation
 from mbds_xsim.base.errors import InputError, SceneError, located
 from mbds_xsim.scene.coupling import Coupling, check_couplings
-from mbds_xsim.scene.imported import Fate, Imported, Outcome, gathered
+from mbds_xsim.scene.imported import FIXED, Fate, Imported, Outcome, gathered
 from mbds_xsim.scene.scene import WORLD, Body, DistanceLink, Inertia, Joint, Scene, SpringDamper
 from mbds_xsim.scene.servo import Servo
 
@@ -137,7 +137,7 @@ class _Builder:
                 place = f"{part.name} in {self._parts[owner].name}"
                 self._report("kept", "body", reason, place)
             else:
-                reason = "fixed in the world, where its mass moves nothing"
+                reason = FIXED if part.mass.mass else "fixed in the world"
                 self._report("kept", "body", reason, part.name, moves=False)
 
     def _report(

@@ -10,7 +10,7 @@ from mbds_xsim.report import blocks
 from mbds_xsim.report.blocks import WRITTEN, Cell, Section, Table, Text, table_of
 from mbds_xsim.report.catalogue import scene_row
 from mbds_xsim.report.draw import scene_figure
-from mbds_xsim.scene.imported import Fate, Imported, Outcome, Written
+from mbds_xsim.scene.imported import FIXED, Fate, Imported, Outcome, Written
 from mbds_xsim.scene.mechanism import Mechanism
 
 _MARKS: dict[Outcome, blocks.Mark] = {"kept": "pass", "approximated": "warn", "dropped": "fail"}
@@ -44,10 +44,12 @@ def present(imported: Imported, command: str) -> blocks.Report:
         f"reach {imported.scene.length:.3g} m, "
         f"{counted(row['degrees_of_freedom'], 'degree of freedom', 'degrees of freedom')}"
     )
+    fixed = [_places(fate) for fate in imported.fates if fate.reason == FIXED]
     return blocks.Report(
         title=imported.file,
         what="imported",
-        description=f"{imported.format}, read by {imported.reader}: {size}",
+        description=f"{imported.format}, read by {imported.reader}: {size}"
+        + "".join(f"; fixed in the world: {places}" for places in fixed),
         conclusion=conclusion(imported),
         blocks=(*loss_blocks(imported), *blocks.plots(_POSE, [scene_figure(imported.scene)])),
         command=command,

@@ -13,6 +13,8 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.scene import Scene, Vector
 
 Outcome = Literal["kept", "approximated", "dropped"]
+FIXED = "fixed in the world, where its mass moves nothing"
+"""Reason of what is kept of a part with mass that no joint moves."""
 
 
 class Fate(msgspec.Struct, frozen=True):

@@ -163,6 +163,18 @@ def test_an_import_is_a_scene_file_and_a_report(run: CommandLine, here: Path) ->
     assert (f"{lost} of what bears" if lost else kept) in shown.err
 
 
+def test_what_is_fixed_in_the_world_with_its_mass_is_named(run: CommandLine, here: Path) -> None:
+    """A URDF does not say whether its root floats: a cart without --floating hangs in the air."""
+    body = _SLIDES.partition('<link name="b">')[2].partition("</inertial>")[0] + "</inertial>"
+    heavy = _SLIDES.format("0 1 0").replace('<link name="a"/>', f'<link name="a">{body}</link>')
+    for name, text in (("light", _SLIDES.format("0 1 0")), ("heavy", heavy)):
+        (here / f"{name}.urdf").write_text(text)
+
+    assert "fixed in the world" not in run("import", "light.urdf").out
+    assert "1 degree of freedom; fixed in the world: a" in run("import", "heavy.urdf").out
+    assert "fixed" not in run("import", "heavy.urdf", "--floating").out
+
+
 @pytest.mark.parametrize("ending", ["xml", "urdf", "sdf", "usda"])
 def test_a_name_that_is_not_utf8_is_refused(ending: str, run: CommandLine, here: Path) -> None:
     """Readers accept no such name, and a scene file could not contain it."""
