@@ -373,7 +373,10 @@ def _draw_starts(foreign: Foreign, origin: Provenance) -> Batch:
 
 def _unnamed(foreign: Foreign, assumptions: list[str]) -> Batch:
     """Return a batch with the inputs in the file, or with only those that the scene lists."""
-    scene, count = foreign.scene, foreign.count
+    scene, count, frame = foreign.scene, foreign.count, foreign.original.clock.frame
+    if scene.clock.frame != frame:
+        own = f"{scene.clock.frame:.6g} s, as its times are in seconds"
+        assumptions.append(f"frames: every {own}; the scene's are every {frame:g} s")
     batch = draw_batch(scene, [0], noise=False, inputs=False)[np.zeros(count, dtype=np.int64)]
     inputs = {}
     for key in ("force", "torque"):

@@ -125,7 +125,11 @@ def completed(origin: Provenance, foreign: Foreign) -> Provenance:
         msg = f"{foreign.source}: index: got {len(index)} numbers, allowed is one a trajectory"
         raise InputError(msg)
     default = {} if origin.index is None else {"seed": 0}
-    return Provenance(**(default | foreign.facts | facts))
+    known, frame = Provenance(**(default | foreign.facts | facts)), foreign.scene.clock.frame
+    if (known.step_s or 0.0) > frame * (1.0 + _SAME_FRAME):
+        msg = f"{foreign.source}: step_s: got {known.step_s:g} s, allowed is up to {frame:g} s,"
+        raise InputError(f"{msg} the time between frames; leave it out if steps are longer")
+    return known
 
 
 @dataclass(frozen=True)

@@ -53,6 +53,15 @@ def test_times_may_be_rounded(rod: Scene, swing: Arrays, tmp_path: Path, audited
     assert (result.verdict, result.frame_s) == ("pass", 1 / 60)
 
 
+def test_frames_that_are_not_the_scenes_are_told(rod: Scene, swing: Arrays, audited: Audit) -> None:
+    """Times in milliseconds would otherwise be very slow motion."""
+    slow = audited(rod, swing | {"time": 1000.0 * swing["time"]}, Provenance())
+    assert "frames: every 20 s, as its times are in seconds; the scene's are every 0.02 s" in (
+        slow.taken
+    )
+    assert not any("frames" in line for line in audited(rod, swing, Provenance()).taken)
+
+
 @pytest.mark.parametrize("shown", [str, "{:.6e}".format, "{:.7f}".format])
 def test_digits_of_a_constant_column_excuse_nothing(
     shown: Callable[[float], str], drop: tuple[Scene, Arrays], tmp_path: Path

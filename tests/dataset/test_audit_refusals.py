@@ -91,6 +91,7 @@ def test_wrong_arrays_are_refused(
         ("method_order", 1.5),
         ("step_s", np.nan),
         ("step_s", 0.0),
+        ("step_s", 5.0),  # of milliseconds
         ("contact_time_s", -1.0),
         ("noise", "perhaps"),
     ],
