@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.files import check_writable, path_of
+from mbds_xsim.base.files import check_ending, check_writable, path_of
 from mbds_xsim.base.isolate import LIMIT, Conduct
 from mbds_xsim.scene.sampling import Starts
 from mbds_xsim.scene.scene import Scene
@@ -90,6 +90,7 @@ def validate(
     target = None if page is None else path_of("page", page)
     if target is not None:
         check_writable(target, "page")
+        check_ending(target, "page")
     word = None if method is None else str(method)
     choice = Choice.parse(engines=engines, profiles=settings, method=word, step=step, limit=limit)
     validation, evidence = validate_with_evidence(

@@ -97,6 +97,7 @@ def test_a_validation_takes_method_step_noise_and_page(tmp_path: Path) -> None:
         ({"page": "/dev/null/page.html"}, "page: cannot write"),
         ({"page": ""}, "page: got '', allowed is the path of a file or folder"),
         ({"page": 4}, "page: got 4, allowed is the path"),
+        ({"page": "arm.toml"}, "page: got arm.toml, but it writes no .toml; name it arm.html"),
     ],
 )
 def test_what_cannot_be_used_is_told_in_one_line(arguments: dict[str, Any], line: str) -> None:
@@ -134,6 +135,7 @@ def test_what_cannot_be_used_is_told_in_one_line(arguments: dict[str, Any], line
         ("load_pairs", [], {}, "paths: got none, pairing takes two or more"),
         ("load_pairs", [["a.h5", "b.h5"]], {}, "paths: got ['a.h5', 'b.h5'], allowed is the path"),
         ("save_scene", [load_scene("2pendulum"), None], {}, "path: got None"),
+        ("save_scene", [load_scene("2pendulum"), "arm.usdc"], {}, "path: got arm.usdc, but"),
         ("save_scene", ["2pendulum", "it.toml"], {}, "scene: got '2pendulum', allowed is a Scene"),
     ],
 )

@@ -25,9 +25,11 @@ from mbds_xsim.base.errors import InputError
 
 _ENDINGS = {
     "--json": ".json", "--csv": ".csv", "--markdown": ".md", "--html": ".html", "--png": ".png",
-    "--rollouts": ".png",
+    "--rollouts": ".png", "page": ".html", "path": ".toml",
 }  # fmt: skip
-_DATA = (".h5", ".npz", ".pt", ".toml", ".xml", ".urdf", ".sdf", ".usd", ".usda")
+_DATA = (
+    ".h5", ".hdf5", ".npz", ".pt", ".toml", ".xml", ".urdf", ".sdf", ".usd", ".usda", ".usdc",
+)  # fmt: skip
 
 
 def path_of(name: str, value: object) -> Path:
@@ -119,7 +121,8 @@ def check_ending(path: Path, option: str) -> None:
     """Raise InputError if an output is named like another kind of file, which it might replace."""
     ending, due = path.suffix.lower(), _ENDINGS.get(option)
     picture = due == ".png"
-    if due and (ending not in ("", due, ".gz") if picture else ending in _DATA):
+    other = ending not in ("", due, ".gz") if picture else ending in _DATA and ending != due
+    if due and other:
         cause = "pictures are PNG" if picture else f"it writes no {ending}"
         raise InputError(f"{option}: got {path}, but {cause}; name it {path.with_suffix(due).name}")
 

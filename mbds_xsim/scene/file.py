@@ -22,7 +22,7 @@ from msgspec import inspect
 from mbds_xsim.base import bounds
 from mbds_xsim.base.bounds import Neutral
 from mbds_xsim.base.errors import InputError, SceneError
-from mbds_xsim.base.files import path_of, read_bounded, write_whole
+from mbds_xsim.base.files import check_ending, path_of, read_bounded, write_whole
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import MOST_PARTS, Scene
@@ -79,7 +79,8 @@ def save_scene(scene: Scene, path: str | Path) -> None:
     """
     if not isinstance(scene, Scene):
         raise InputError(f"scene: got {scene!r:.60}, allowed is a Scene, as load_scene returns it")
-    write_whole(path_of("path", path), write_scene(scene).encode())
+    check_ending(path := path_of("path", path), "path")
+    write_whole(path, write_scene(scene).encode())
 
 
 def check_starts(scene: Scene) -> None:
