@@ -206,6 +206,8 @@ _USD_TOUCHING = _by_key((
     ("dropped", True, "the ground has the dynamic one alone", "physics:staticFriction"),
 ))  # fmt: skip
 """Rows that replace those above if shapes touch the ground."""
+_COLLIDES = "physics:collisionEnabled"
+"""Attribute that is true of a collision shape without being authored."""
 _SIZES = "radius height size axis"
 _USD_SHAPE = {
     True: _by_key([("kept", True, _CONTACT, f"material {_SIZES}")]),
@@ -301,7 +303,7 @@ def _look_up(kind: str, element: Element, attribute: str) -> Entry:
 
 
 def fates_of_stage(stage: Any, *, limited: bool, touching: bool) -> Iterator[Fate]:
-    """Walk a stage and return the fates of all authored properties.
+    """Walk a stage and return the fates of all authored properties, and of shapes that collide.
 
     Args:
         stage: The stage.
@@ -315,8 +317,8 @@ def fates_of_stage(stage: Any, *, limited: bool, touching: bool) -> Iterator[Fat
     for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
         kind, place = str(prim.GetTypeName()) or "Prim", prim.GetName()
         solid = "PhysicsCollisionAPI" in prim.GetAppliedSchemas()
-        for attribute in prim.GetAuthoredProperties():
-            name = attribute.GetName()
+        names = dict.fromkeys(attribute.GetName() for attribute in prim.GetAuthoredProperties())
+        for name in names | ({_COLLIDES: None} if solid else {}):
             if not ((name in _USD_LIMITS and limited) or _is_of_drive(prim, name)):
                 entry = _usd_entry(table | _USD_SHAPE[touching] if solid else table, name)
                 found.append((kind, entry, name, prim.GetPath(), place))

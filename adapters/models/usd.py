@@ -49,6 +49,11 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     except tf.ErrorException as error:
         raise InputError(f"OpenUSD does not read it: {_reason(str(error))}") from error
     fates = [*fates_of_stage(stage, limited=reading.limited, touching=ground), *reading.fates]
+    fates += [
+        Fate("stage", (key,), "approximated", f"it states none: {meaning}, the default", True)
+        for key, meaning in (("metersPerUnit", "a unit is 1 cm"), ("upAxis", "y is up"))
+        if not stage.HasAuthoredMetadata(key)
+    ]
     version = ".".join(map(str, usd.GetVersion()))
     return assemble(parts, file=path.name, kind="USD", reader=f"OpenUSD {version}", fates=fates)
 

@@ -14,7 +14,7 @@ from mbds_xsim.scene.constraints import degrees_of_freedom
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.simulate.registry import read_model
 from tests.command_line import CommandLine
-from tests.models.usd_files import ARM, HEAD, PLACE, general, joined, read, rigid
+from tests.models.usd_files import ARM, HEAD, PLACE, SCENE, general, joined, read, rigid
 
 pytest.importorskip("pxr")
 
@@ -135,6 +135,18 @@ def test_what_instances_hold_is_told(here: Path) -> None:
     fates = {f.properties: f for f in imported.fates if f.element == "Cube"}
     assert fates["size",].count == fates["physxCollision:offset",].count == 2
     assert (fates["size",].outcome, fates["physxCollision:offset",].outcome) == ("kept", "dropped")
+    contact = fates["physics:collisionEnabled",]  # which no one writes, as it is the default
+    assert (contact.outcome, contact.moves, contact.count) == ("dropped", True, 2)
+
+
+def test_units_and_axis_that_a_stage_does_not_state_are_told(here: Path) -> None:
+    (here / "model.usda").write_text("#usda 1.0\n" + SCENE + "".join(ARM))
+    bare, stated = read_model(here / "model.usda"), read(here, *ARM, units=(0.01, 1, "Y"))
+
+    assert bare.scene == stated.scene
+    told = {fate.properties for fate in bare.fates if fate.outcome == "approximated" and fate.moves}
+    assert {("metersPerUnit",), ("upAxis",)} <= told
+    assert not any(fate.element == "stage" for fate in stated.fates)
 
 
 _STATED = "float physics:mass = 2\nfloat3 physics:diagonalInertia = (1, 1, 1.5)\n"
