@@ -364,8 +364,8 @@ def _shaped(
             row, frame = bad[0][:2]
             raise InputError(
                 f"{source}: {group.name}: got {values[tuple(bad[0])]} in trajectory "
-                f"{first + row}, frame {frame}; allowed are finite numbers: cut the "
-                "trajectory off before"
+                f"{first + row}, frame {frame}; allowed are finite numbers: leave the "
+                "trajectory out, or cut all off before"
             )
         shaped[group.name] = values
     _same_count({name: len(values) for name, values in shaped.items()}, source)
