@@ -46,7 +46,7 @@ _FORMATS = {"urdf": "URDF", "sdf": "SDF", "xml": "MJCF"}
 _HEAD = """# What engines' own readers lose
 
 MuJoCo, PyBullet and DART read models themselves, each with losses of its own and mostly without a
-message. Of the {count} minimal files below {losing} are misread or refused.
+message. Of the {count} minimal files below, {losing}.
 [`import`](import.md) reads a file itself and gives each engine the same scene. To see what your own
 file loses, run
 
@@ -94,7 +94,7 @@ def _cells(loss: Difference | str) -> tuple[str, str, str]:
 def page() -> str:
     """Return the whole page."""
     counts = (sum(engine in lost for lost in SHOWN.values()) for engine in ENGINES)
-    losing = "{} (MuJoCo), {} (PyBullet) and {} (DART)".format(*counts)
+    losing = "MuJoCo misreads or refuses {}, PyBullet {} and DART {}".format(*counts)
     lines = [_HEAD.rstrip().format(count=len(SHOWN), losing=losing)]
     for ending, format_ in _FORMATS.items():
         lines += [f"\n## {format_}\n", "| loss | example | engine | of | it has | file says |"]
