@@ -271,6 +271,8 @@ def _numbers(index: str | int | Iterable[int]) -> tuple[int, ...]:
 
     if isinstance(index, str):
         return tuple(parse_numbers(index, "--index"))
+    if isinstance(index, np.ndarray):
+        index = index.ravel().tolist()
     indices = index if isinstance(index, Iterable) else (index,)
     return tuple(_whole("index", number, 0, _LARGEST_INDEX) for number in indices)
 
@@ -302,7 +304,7 @@ def _check(
     """Refuse bad arguments; a flag may not be another value that Python takes for true."""
     if workers is not None:
         _whole("workers", workers, 0)
-    if not isinstance(limit, int | float) or not least <= limit <= most:
+    if not isinstance(limit, int | float | np.integer) or not least <= limit <= most:
         allowed = f"{least:g} or more" if most == math.inf else f"{least:g} to {most:g}"
         raise InputError(f"--limit: got {limit!r}, allowed is {allowed} [s]")
     for name, value in flags.items():

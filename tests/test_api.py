@@ -117,6 +117,7 @@ def test_what_cannot_be_used_is_told_in_one_line(arguments: dict[str, Any], line
         ("generate", [5, "data"], {}, "scene: got 5, allowed is a Scene"),
         ("audit", [""], {}, "file: got ''"),
         ("audit", ["x.npz"], {"index": 1.5}, "--index: got 1.5, allowed is a whole"),
+        ("audit", ["x.npz"], {"index": np.array(0)}, "x.npz: "),
         ("audit", ["x.npz"], {"index": ["a"]}, "--index: got 'a'"),
         ("audit", ["x.npz"], {"seed": "a"}, "--seed: got 'a'"),
         ("audit", ["x.npz"], {"order": 0}, "--order: got 0"),

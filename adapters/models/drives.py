@@ -87,8 +87,10 @@ class Actuators:
             return "the scene description has servos of hinges and sliders alone"
         if not constant:
             return "its activation changes by itself"
-        if stiffness < 0 or damping < 0 or not (stiffness or damping):
-            return "it has a negative gain, or none"
+        if stiffness < 0 or damping < 0:
+            return "it has a negative gain"
+        if not (stiffness or damping):
+            return "its command nearest to 0 is a push, which no servo of a scene has"
         start = float(model.qpos0[model.jnt_qposadr[joint]])
         return Drive(
             name=self._name("ACTUATOR", k),

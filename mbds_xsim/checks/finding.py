@@ -41,6 +41,7 @@ class Check:
     name: str
     budget: str | float | Callable[[Record], float] | None
     unit: str
+    of_positions: bool
 
     def __call__(self, record: Record) -> Finding | None:
         """Return the finding on a record; None if there is nothing to check."""
@@ -62,7 +63,11 @@ class Check:
 
 
 def check(
-    name: str, budget: str | float | Callable[[Record], float] | None, unit: str = "1"
+    name: str,
+    budget: str | float | Callable[[Record], float] | None,
+    unit: str = "1",
+    *,
+    of_positions: bool = False,
 ) -> Callable[[Callable[[Record], Figures | None]], Check]:
     """Turn a function that computes figures into a check, as a decorator.
 
@@ -71,8 +76,10 @@ def check(
         budget: Largest allowed figure: a field of the scene's budget, a number, or a function of
             the record; None: shown, not judged.
         unit: Unit of the figure.
+        of_positions: Whether positions and orientations suffice; `mbds-xsim audit` runs only such
+            checks on files without velocities.
     """
-    return lambda calculate: Check(calculate, name, budget, unit)
+    return lambda calculate: Check(calculate, name, budget, unit, of_positions)
 
 
 @dataclass(frozen=True, eq=False)

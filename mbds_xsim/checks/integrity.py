@@ -32,7 +32,7 @@ _RESIDUE = 1e-6
 _MOST_SINGLE = 0.5
 
 
-@check("finite", _UNIT)
+@check("finite", _UNIT, of_positions=True)
 def finite(record: Record) -> Figures:
     """Find numbers that are not finite (figure ∞) and quaternions of other than unit length."""
     length = rotation.norm(record.bodies.native)
@@ -41,7 +41,7 @@ def finite(record: Record) -> Figures:
     return Figures(off, _body_names(record), "; ".join(reasons[:3]))
 
 
-@check("precision", _MOST_SINGLE)
+@check("precision", _MOST_SINGLE, of_positions=True)
 def precision(record: Record) -> Figures | None:
     """Find states that were rounded to single precision: 24 significant bits instead of 53.
 
@@ -81,7 +81,9 @@ def precision(record: Record) -> Figures | None:
 
 
 @check(
-    "start", lambda record: max(_SAME_START, rounding.state_error(record.mechanism, record.method))
+    "start",
+    lambda record: max(_SAME_START, rounding.state_error(record.mechanism, record.method)),
+    of_positions=True,
 )
 def start(record: Record) -> Figures:
     """Compare frame 0 with the drawn start, relative to the largest value of each kind.
@@ -106,7 +108,7 @@ def start(record: Record) -> Figures:
     return Figures(parts, _body_names(record))
 
 
-@check("planarity", "planarity")
+@check("planarity", "planarity", of_positions=True)
 def planarity(record: Record) -> Figures | None:
     """Measure how far bodies leave the scene's dimensions, over its length; None in 3D.
 
@@ -142,7 +144,7 @@ def _body_names(record: Record) -> tuple[str, ...]:
     return tuple(body.name for body in record.scene.bodies)
 
 
-@check("gap", "gap", "m")
+@check("gap", "gap", "m", of_positions=True)
 def gap(record: Record) -> Figures:
     """Measure the distance between the anchor points of each joint [m]; None without joints.
 
@@ -197,7 +199,7 @@ def angle_gap_rate(record: Record) -> Figures:
     return Figures(rate, _angle_names(record))
 
 
-@check("angle gap", "angle_gap", "rad")
+@check("angle gap", "angle_gap", "rad", of_positions=True)
 def angle_gap(record: Record) -> Figures:
     """Measure tilts of hinges, and turns of sliders and fixed joints [rad]; None without these."""
     (parent, child), free = _facing(record)

@@ -313,7 +313,7 @@ def _places(record: Record, push: Push) -> Array:
     return record.bodies.points(mechanism.sphere_body[own], mechanism.sphere_offset[own])
 
 
-@check("penetration", "penetration")
+@check("penetration", "penetration", of_positions=True)
 def penetration(record: Record) -> Figures:
     """Measure the deepest overlap of a contact sphere with what it may touch, over the length.
 

@@ -17,7 +17,7 @@ from mbds_xsim.scene.joint_space import joint_rate
 from mbds_xsim.scene.mechanism import PlacedJoint
 
 
-@check("past limits", "penetration")
+@check("past limits", "penetration", of_positions=True)
 def past_limits(record: Record) -> Figures | None:
     """Measure how far joints are past their limits: hinges [rad], sliders over the scene's length.
 

@@ -14,11 +14,9 @@ import numpy as np
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.frame import frame_of
-from mbds_xsim.checks import Finding, Record, audited
-from mbds_xsim.checks.integrity import angle_gap, finite, gap, planarity, start
-from mbds_xsim.checks.passivity import penetration
+from mbds_xsim.checks import CHECKS, Finding, Record, audited
+from mbds_xsim.checks.finding import Check
 from mbds_xsim.dataset.foreign import Foreign, Provenance, completed, read_foreign
-from mbds_xsim.dataset.gate import COLUMNS
 from mbds_xsim.dataset.points import Points, recover
 from mbds_xsim.measure.campaign import reference_of
 from mbds_xsim.measure.judge import error_findings, failed_lines, finding_result, turn_finding
@@ -28,14 +26,9 @@ from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import STATES, Batch, Trajectory
 from mbds_xsim.simulate.claims import Method
 
-_OF_BODIES = (gap, angle_gap, planarity, penetration)
-_OF_POSITIONS = (finite, start, *_OF_BODIES)
-_OF_VELOCITIES = (
-    "gap rate", "angle gap rate", "displacement", "kinematics", "velocity lag", "energy",
-    "momentum", "coefficients",
-)  # fmt: skip
+_OF_POSITIONS = tuple(check for check in CHECKS if check.of_positions)
+_OF_VELOCITIES = tuple(check for check in CHECKS if not check.of_positions)
 _OF_REFERENCE = ("error at 1 s", "error growth-weighted", "error of turns")
-_OF_CONTACT = tuple(COLUMNS)[list(COLUMNS).index("penetration") + 1 : -len(_OF_REFERENCE)]
 _MOST_COMPARED = 3
 _COARSE = 0.25  # share of the budget of gaps; rounding of places that is larger is told
 _SAME_INPUT = 1e-9
@@ -199,9 +192,8 @@ class _Case:
         if states["velocity"] is not None:
             findings = audited(record)
         else:
-            results = [check(record) for check in _OF_POSITIONS]
-            findings = [finding for finding in results if finding is not None]
-            self._leave_out("no velocities")
+            findings = audited(record, _OF_POSITIONS)
+            self._leave_out("no velocities", _OF_VELOCITIES)
         if blur is None:
             self.not_checked["precision"] = "bodies are fitted to the particles"
         rounding = {"start": blur or 0.0, "finite": 2.0 * turned}  # of a norm of four components
@@ -235,9 +227,8 @@ class _Case:
         if fit.undetermined:
             few = ", ".join(fit.undetermined[:3]) + (" …" if len(fit.undetermined) > 3 else "")
             reason = f"the particles do not show how {few} turned; give body states"
-            still = Record(scene, self.batch, self._trajectory({}))  # shows which checks apply
-            positional = (check.name for check in _OF_BODIES if check(still) is not None)
-            self._leave_out(reason, "error of turns", *positional)
+            self.not_checked["error of turns"] = reason
+            self._leave_out(reason, CHECKS)
             return [rigid, *self._start_of(position, velocity)]
         self.assumptions.append("bodies: fitted to the particles as rigid, by least squares")
         states = {key: getattr(fit, key) for key in STATES}
@@ -287,9 +278,10 @@ class _Case:
         position = self.rounding("position") + size * place + swing
         return position, self.rounding("velocity") + size * (drift + rate * reach) + spin * swing
 
-    def _leave_out(self, reason: str, *more: str) -> None:
-        touching = _OF_CONTACT if self.foreign.scene.contacts else ()
-        self.not_checked |= dict.fromkeys((*more, *_OF_VELOCITIES, *touching), reason)
+    def _leave_out(self, reason: str, checks: tuple[Check, ...]) -> None:
+        """Note that those of the checks that apply to the scene could not run."""
+        still = Record(self.foreign.scene, self.batch, self._trajectory({}))
+        self.not_checked |= {finding.check: reason for finding in audited(still, checks)}
 
     def _method(self) -> tuple[Method | None, float | None]:
         """Return the method and the step of the trajectories, as far as they are known."""

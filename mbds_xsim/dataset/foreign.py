@@ -49,6 +49,8 @@ _RANKS = {name: len(FIELDS[name].axes) for name in (*MOTION, "index")}
 
 SHORTEST_STEP = 1e-12
 """Shortest integration step that a file or a user may state [s]."""
+_LONGEST_CONTACT = 1.0
+"""Longest time of an impact that they may state [s]: a longer one is likely in milliseconds."""
 
 
 @dataclass(frozen=True)
@@ -69,10 +71,12 @@ class Provenance:
         for key in ("step_s", "velocity_lag_s", "contact_time_s"):
             if (value := getattr(self, key)) is not None:
                 bounds.finite(key, value)
-        for key, least in (("step_s", SHORTEST_STEP), ("contact_time_s", 0.0)):
-            value = getattr(self, key)
-            if value is not None and value < least:
-                raise InputError(f"{key}: got {value}, allowed is {least:g} or more [s]")
+        if self.step_s is not None and self.step_s < SHORTEST_STEP:
+            msg = f"step_s: got {self.step_s}, allowed is {SHORTEST_STEP:g} or more [s]"
+            raise InputError(msg)
+        if not 0.0 <= (self.contact_time_s or 0.0) <= _LONGEST_CONTACT:
+            msg = f"contact_time_s: got {self.contact_time_s}, allowed is 0 to {_LONGEST_CONTACT:g}"
+            raise InputError(f"{msg} [s]")
 
 
 FACTS = tuple(each.name for each in fields(Provenance) if each.name != "index")

@@ -193,6 +193,8 @@ def attribute(
 SHARED = ("format", "layout_version", "scene_name", "scene", "seed", "noise")
 """Attributes that are the same in all variants of a scene in one folder."""
 
+ONE_SIZE = "load_pairs, train and shift take sets of one size only"
+"""Why a set is told whose number of trajectories is not that of the others in its folder."""
 INTEGRITY = ("finite", "start")
 """Checks that even an uncertified trajectory must pass."""
 

@@ -14,7 +14,7 @@ from typing import Any
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.versions import CHECKS
 from mbds_xsim.dataset.hdf5 import attributes_of, variant_files
-from mbds_xsim.dataset.layout import AUDIT_SAMPLE, FORMAT, SHARED, SUFFIX, VERSION
+from mbds_xsim.dataset.layout import AUDIT_SAMPLE, FORMAT, ONE_SIZE, SHARED, SUFFIX, VERSION
 from mbds_xsim.scene.file import write_scene
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.choice import Contender
@@ -190,10 +190,7 @@ def unpaired(variants: Iterable[Variant], trajectories: int, out: Path) -> Itera
     for file in sorted(file for file in beside if file.with_suffix("") not in asked):
         count = _attributes(file).get("count")
         if count != trajectories:
-            yield (
-                f"{file}: {count} trajectories, now asked for are {trajectories}; load_pairs, "
-                "train and shift take sets of one size only"
-            )
+            yield (f"{file}: {count} trajectories, now asked for are {trajectories}; {ONE_SIZE}")
 
 
 def _is_complete(item: Item, path: Path) -> bool:

@@ -28,7 +28,7 @@ from mbds_xsim.dataset.hdf5 import (
     refuse_other,
     values_of,
 )
-from mbds_xsim.dataset.layout import SPLITS, SUFFIX, rejected_folder
+from mbds_xsim.dataset.layout import ONE_SIZE, SPLITS, SUFFIX, rejected_folder
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.dataset.reaudit import FileReport, reaudit
 from mbds_xsim.dataset.shard import Shard, joined, joint_datasets
@@ -173,10 +173,7 @@ def _unequal(file: Path, facts: dict[Path, dict[str, Any]]) -> Iterator[str]:
     }
     largest = max(sizes, key=sizes.__getitem__, default=file)
     if file in sizes and sizes[file] < sizes[largest]:
-        yield (
-            f"{sizes[file]} trajectories, but {largest.name} has {sizes[largest]}: load_pairs, "
-            "train and shift take sets of one size only"
-        )
+        yield (f"{sizes[file]} trajectories, but {largest.name} has {sizes[largest]}: {ONE_SIZE}")
 
 
 def recheck(path: Path, kind: str, resimulated: int = 0, seed: int = 0) -> FileReport:

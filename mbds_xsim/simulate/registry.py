@@ -140,7 +140,7 @@ def load_scene(name: str) -> Scene:
 
     if is_model(name):
         return read_model(Path(name)).scene
-    if name.endswith(".toml") or "/" in name:
+    if name.lower().endswith(".toml") or "/" in name:
         return read_scene(Path(name))
     singles = registered("mbds_xsim.single_scenes")
     if name in singles:

@@ -137,6 +137,23 @@ def test_positions_alone_leave_velocities_unchecked(
     assert not {"energy", "kinematics", "momentum"} & checks_of(result)
 
 
+@pytest.mark.parametrize(("limits", "verdict"), [((-4.0, 4.0), "pass"), ((-1e-3, 1e-3), "fail")])
+def test_positions_alone_show_whether_joints_keep_their_limits(
+    limits: tuple[float, float], verdict: str, audited: Audit
+) -> None:
+    (brake,) = (case.scene for case in JOINT_CASES if case.name == "brake")
+    free = msgspec.structs.replace(brake, clock=Clock(steps=5))
+    arrays = only(simulated(free), "body/position", "body/orientation")
+    joints = tuple(
+        msgspec.structs.replace(joint, limits=limits) if joint.kind == "hinge" else joint
+        for joint in free.joints
+    )
+    result = audited(msgspec.structs.replace(free, joints=joints), arrays, Provenance())
+    assert result.verdict == verdict
+    assert failed_in(result) == ({"past limits"} if verdict == "fail" else set())
+    assert result.not_checked["stop passivity"] == "no velocities"
+
+
 def test_particles_of_a_rod_tell_its_length(rod: Scene, swing: Arrays, audited: Audit) -> None:
     result = audited(rod, only(swing, "position"))
     assert result.verdict == "pass"

@@ -34,7 +34,10 @@ def _changed(rows: list[list[str]], line: int, column: int, text: str) -> list[l
         (lambda rows: [row[1:] for row in rows], "got no column 'time'"),
         (lambda rows: [row[:1] + row[2:] for row in rows], "p0_x is missing"),
         (lambda rows: [row[:1] for row in rows], "got no positions"),
-        (lambda rows: _changed(rows, 3, 1, "nan"), "nan in trajectory 0, frame 2; .* leave the"),
+        (
+            lambda rows: _changed(rows, 3, 1, "nan"),
+            "position: got nan in .*, frame 2; .* leave the",
+        ),
         (lambda rows: _changed(rows, 3, 1, "x"), "frame 2, column p0_x: got 'x'"),
         (lambda rows: _changed(rows, 3, 1, "snan"), "frame 2, column p0_x: got 'snan'"),
         (lambda rows: _changed(rows, 3, 0, "0.045"), "time is not uniform: frame"),
@@ -93,6 +96,7 @@ def test_wrong_arrays_are_refused(
         ("step_s", 0.0),
         ("step_s", 5.0),  # of milliseconds
         ("contact_time_s", -1.0),
+        ("contact_time_s", 5.0),  # of milliseconds
         ("noise", "perhaps"),
     ],
 )

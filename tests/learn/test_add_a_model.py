@@ -20,13 +20,14 @@ from tests.learn.conftest import Ask
 from tests.plugins import installed
 
 _PAGE = Path(__file__).parents[2] / "docs" / "add-a-model.md"
+_CODE = re.findall(r"^```python\n(.*?)^```$", _PAGE.read_text("utf-8"), re.M | re.S)
 _NAME = "recurrence"
 
 
 @pytest.fixture(scope="module", autouse=True)
 def package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Install the page's first example, as a package of its own."""
-    model, _ = re.findall(r"^```python\n(.*?)^```$", _PAGE.read_text("utf-8"), re.M | re.S)
+    model, _, _ = _CODE
     place = {_NAME: f"{_NAME}:Recurrence"}
     with installed(tmp_path_factory.mktemp(_NAME) / _NAME, {_NAME: model}, models=place):
         yield
@@ -39,6 +40,14 @@ class TestExample(ModelContract):
         return _NAME
 
 
+def _check_charted(run: CommandLine, file: str) -> None:
+    """Chart a trained model beside an engine."""
+    chart = ("--engines", "pybullet", "--limit", "0.1", "--starts", "1", "--json", "-")
+    charted = run("tradeoff", "2pendulum", "--models", file, *chart)
+    assert charted.code == 0, charted.err
+    assert f'"{_NAME}' in charted.out
+
+
 @pytest.mark.usefixtures("apart")
 def test_it_is_trained_and_charted_like_the_others(
     made: Path, run: CommandLine, tmp_path: Path
@@ -47,10 +56,13 @@ def test_it_is_trained_and_charted_like_the_others(
     trained = run("train", str(made / "2pendulum"), *words)
     assert trained.code == 0, trained.err
     (file,) = tmp_path.rglob(f"models/2pendulum/native/{_NAME}/mujoco-s0.pt")
-    chart = ("--engines", "pybullet", "--limit", "0.1", "--starts", "1", "--json", "-")
-    charted = run("tradeoff", "2pendulum", "--models", str(file), *chart)
-    assert charted.code == 0, charted.err
-    assert f'"{_NAME}' in charted.out
+    _check_charted(run, str(file))
+
+
+@pytest.mark.usefixtures("here")
+def test_one_that_was_trained_elsewhere_is_charted(run: CommandLine) -> None:
+    exec(_CODE[1], {})
+    _check_charted(run, f"models/2pendulum/matched/{_NAME}/mujoco-s0.pt")
 
 
 _MODEL = "from mbds_xsim.learn.model import Hold\nclass Mine(Hold):\n"

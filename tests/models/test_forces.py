@@ -210,6 +210,20 @@ def test_an_actuator_is_a_servo_whatever_stands_beside_it(
 
 
 @pytest.mark.parametrize(
+    ("actuator", "reason"),
+    [
+        ('<motor joint="k" ctrlrange="1 2"/>', "its command nearest to 0 is a push"),
+        ('<position joint="k" kp="-3"/>', "it has a negative gain"),
+    ],
+)
+def test_what_is_no_servo_is_dropped_with_its_reason(
+    actuator: str, reason: str, here: Path
+) -> None:
+    imported = _read(here, _model(rest=f"<actuator>{actuator}</actuator>"))
+    assert _fates(imported, "actuator")[()].reason.startswith(reason)
+
+
+@pytest.mark.parametrize(
     ("equality", "site", "kinds"),
     [
         ('<weld site1="p" site2="q"/>', "", ["fixed"]),
