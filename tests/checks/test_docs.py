@@ -44,6 +44,13 @@ def test_every_budget_is_named_with_its_default() -> None:
         assert getattr(Budget(), key) in powers, key
 
 
+def test_checks_of_positions_are_listed_for_files_without_velocities() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "data-commands.md").read_text("utf-8")
+    (listed,) = re.findall(r"^\| states of bodies without velocities \| (.*) \|$", page, re.M)
+    names = [check.name for check in CHECKS if check.of_positions]
+    assert listed.split(", ") == [*names, "errors against the reference"]
+
+
 def test_links_within_the_page_lead_somewhere() -> None:
     links = set(re.findall(r"\]\(#([^)]*)\)", PAGE))
     assert links <= set(_anchors(PAGE))
