@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
+from typing import Any
 
 import h5py
+import pytest
 
+from mbds_xsim import reference
 from mbds_xsim.dataset.foreign import FACTS
 from mbds_xsim.dataset.gate import COLUMNS
 from mbds_xsim.dataset.layout import FIELDS, VERSION
 from mbds_xsim.dataset.table import groups
 from mbds_xsim.simulate.registry import load_scene
+
+from .conftest import Make
 
 PAGE = Path(__file__).parents[2] / "docs" / "dataset-layout.md"
 BEGIN, END = "<!-- fields -->\n", "<!-- end of fields -->"
@@ -62,6 +68,33 @@ def test_columns_of_an_audit_are_explained() -> None:
         assert f"`{group.columns.flat[0]}`" in row
     facts = page[page.index("| fact |") : page.index("**Inputs.**")]
     assert [fact for fact in FACTS if f"`{fact}`" not in facts] == []
+
+
+def _code(page: str) -> str:
+    text = (PAGE.parent / page).read_text("utf-8")
+    return "\n".join(re.findall(r"^```python\n(.*?)^```$", text, re.M | re.S))
+
+
+def test_own_motions_are_audited_as_the_page_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def simulated(*about: Any) -> tuple[Any, Any]:
+        motion = reference.solve(*about)
+        return motion.position, motion.orientation
+
+    monkeypatch.chdir(tmp_path)
+    exec(_code("data-commands.md"), {"my_simulator": simulated})
+    assert capsys.readouterr().out.split() == ["pass"]
+
+
+def test_data_are_loaded_as_the_page_says(
+    make: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make(tmp_path / "data", settings="matched,native")
+    monkeypatch.chdir(tmp_path)
+    code = _code("load-data.md").replace("6pendulum", "1pendulum").replace("512", "32")
+    exec(code.replace(', split="test"', ""), {})
+    assert (tmp_path / "apart.png").is_file()
 
 
 if __name__ == "__main__":
