@@ -23,7 +23,7 @@ class Figures(NamedTuple):
     names: Iterable[str] = ()
     note: str = ""
     uncertainty: Array | float = 0.0
-    """Resolution of the check, as in `Finding`."""
+    """Uncertainty of the check, as in `Finding`."""
 
 
 def side_by_side(parts: Sequence[Array]) -> Array:
@@ -93,7 +93,7 @@ class Finding:
     budget: float | None
     """Largest allowed figure; None: shown, not judged."""
     uncertainty: Array
-    """Resolution of the check itself, added to the budget; shape (trajectory,)."""
+    """Uncertainty of the check itself, added to the budget; shape (trajectory,)."""
     where: tuple[str, ...]
     """Joint, body or component with the worst value, one per trajectory."""
     applies: Mask

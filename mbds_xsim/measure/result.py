@@ -41,7 +41,7 @@ class FindingResult(msgspec.Struct, frozen=True):
     figures: tuple[float | None, ...]
     """One figure per trajectory; None if missing or not finite."""
     note: str
-    """Further observations, such as the resolution or the value delivered; empty if none."""
+    """Further observations, such as the uncertainty or the value delivered; empty if none."""
 
 
 FIGURES = ("error_1s_m", "error_weighted_m", "constraint_gap_m", "energy_balance")
