@@ -44,6 +44,7 @@ def starts(scene: Scene, limits: Mapping[str, tuple[float, float]]) -> tuple[Dra
         limits: Limits of joints, keyed by name and counted from the reference pose.
     """
     mechanism, length = Mechanism.of(scene), scene.length
+    start = assemble(mechanism)
     looped = _loop_bodies(mechanism)
     outside = [j for link in mechanism.links if (j := link.joint) and j.child not in looped]
     led, outer = trains(mechanism.couplings), {joint.name for joint in outside}
@@ -54,9 +55,11 @@ def starts(scene: Scene, limits: Mapping[str, tuple[float, float]]) -> tuple[Dra
     for joint in independent:
         span = _span(joint, limits, length)
         if joint.name in led:
-            span = _common_span(span, mechanism, led[joint.name], limits)
+            span = _common_span(span, led[joint.name], limits, length)
         if span[0] < span[1] or joint.name not in led:
-            ranges[span].append(joint.name)
+            # Draws add to the start, which offsets of couplings may move off the reference pose.
+            at = float(joint_coordinate(joint, start.position, start.native))
+            ranges[span[0] - at, span[1] - at].append(joint.name)
     poses = [Pose(tuple(names), _levels(*span)) for span, names in ranges.items()]
     geared = defaultdict(list)
     for joint in independent:
@@ -86,21 +89,16 @@ def _span(
 
 def _common_span(
     span: tuple[float, float],
-    mechanism: Mechanism,
     train: list[PlacedCoupling],
     limits: Mapping[str, tuple[float, float]],
+    length: float,
 ) -> tuple[float, float]:
-    """Return what a joint may be moved by from its start, with all that follow it in their range.
-
-    The ranges count from the reference pose, where offsets of couplings may not let it start.
-    """
-    start = assemble(mechanism)
-    at = float(joint_coordinate(train[0].leader, start.position, start.native))
+    """Return the part of a joint's range in which all that follow it are in theirs."""
     for each in train:
-        own = _span(each.follower, limits, mechanism.scene.length)
+        own = _span(each.follower, limits, length)
         ends = sorted((end - each.offset) / each.ratio for end in own)
         span = max(span[0], ends[0]), min(span[1], ends[1])
-    return span[0] - at, span[1] - at
+    return span
 
 
 def _levels(low: float, high: float, shares: Sequence[float] = _SHARES) -> Levels:

@@ -62,3 +62,21 @@ def test_a_joint_that_others_follow_is_drawn_so_that_all_are_inside_their_limits
     assert scene.joints[1].limits == (-0.1, 2.0)
     assert ((knee > -0.1) & (knee < np.pi / 3)).all()
     assert np.ptp(knee) > 0.7 * (np.pi / 3 + 0.1)
+
+
+def test_a_joint_that_an_offset_moves_is_drawn_inside_its_limits(here: Path) -> None:
+    """The hip recoils when the coupling turns the toe to its offset."""
+    body = '<body><joint name="{}" axis="0 1 0" {}/><geom size=".1" pos="0 0 -1"/>'
+    path = here / "model.xml"
+    path.write_text(
+        '<mujoco><compiler angle="radian"/><worldbody>'
+        f'{body.format("hip", """range="-0.05 0.05" """)}{body.format("knee", "")}</body>'
+        f"{body.format('toe', '')}</body></body></worldbody><equality>"
+        '<joint joint1="toe" joint2="knee" polycoef="0.5 2 0 0 0"/></equality></mujoco>'
+    )
+    scene = read_model(path).scene
+
+    batch, mechanism = draw_batch(scene, range(30)), Mechanism.of(scene)
+    hip, _, _ = to_links(mechanism, BodyStates.of(mechanism, batch)).coordinate.T
+    assert np.ptp(hip) > 0.07
+    assert np.abs(hip).max() < 0.9 * 0.05 + 1e-12
