@@ -11,6 +11,7 @@ import contextlib
 import copy
 import math
 import warnings
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from mbds_xsim.scene.imported import Fate, Imported, ModelFacts
 from .assembling import assemble
 from .contacts import NO_SPHERES
 from .fates import LABELS, PAIRING, fates_of, labelled, lost_mimic
+from .graph import check_circles, check_unique
 from .mending import mend_mjcf, mend_urdf, remove_unknown
 from .parts import Parts
 from .source import read_source
@@ -144,8 +146,13 @@ def _without_meshes(root: Element) -> Iterator[Fate]:
 
 def _mechanics(mujoco: Any, root: Element, path: Path, tags: set[str]) -> Any:
     """Return the spec of a URDF reduced to elements with the given tags."""
+    check_unique(root, "link")
+    above = defaultdict[str, list[str]](list)
     for joint in root.findall("joint"):
         _check_axis(joint)
+        for child in joint.findall("child"):
+            above[child.get("link", "")] += (p.get("link", "") for p in joint.findall("parent"))
+    check_circles(root, above)
     reduced = copy.deepcopy(root)
     for parent in list(reduced.iter()):
         for child in [child for child in parent if child.tag not in tags]:

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from graphlib import CycleError, TopologicalSorter
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
@@ -69,3 +73,22 @@ def _closing(tie: Tie, reached: dict[int, int]) -> Closing:
     (freedom,) = tie.freedoms
     axis = freedom.axis if freedom.axis.any() else None
     return Closing(tie.name, freedom.kind, ends, tie.anchor, axis)  # type: ignore[arg-type]
+
+
+def check_unique(model: Element, tag: str) -> None:
+    """Raise InputError if two elements of a kind in a model have the same name."""
+    names = Counter(each.get("name", "") for each in model.findall(tag))
+    for repeated in (name for name, count in names.items() if count > 1):
+        where = f"<{model.tag}> {model.get('name', '')!r}"
+        raise InputError(f"{where} has two {tag}s called {repeated!r}, allowed is one")
+
+
+def check_circles(model: Element, above: Mapping[str, Collection[str]]) -> None:
+    """Raise InputError if joints hold links in a circle; `above` has the parents of each link."""
+    try:
+        TopologicalSorter(above).prepare()
+    except CycleError as error:
+        circle = ", ".join(map(repr, error.args[1]))
+        where = f"joints of <{model.tag}> {model.get('name', '')!r}"
+        msg = f"{where} hold links in a circle: {circle}; let one of them have another child"
+        raise InputError(msg) from error

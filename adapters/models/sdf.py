@@ -22,6 +22,7 @@ from mbds_xsim.simulate.adapter import version_of
 
 from .assembling import assemble
 from .fates import LABELS, NO_FOLLOWER, fates_of, labelled, lost_mimic
+from .graph import check_circles, check_unique
 from .parts import Freedom, Mass, ModelCoupling, Part, Parts, Property, Solid, Solids, bounded
 from .sdf_bodies import REPORTED, masses_of, number, numbers, pair, shapes_of
 from .source import read_source
@@ -68,6 +69,7 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     models = list(root.iter("model"))
     for each in models:
         _check_numbers(each)
+        _check_tree(each)
     masses = [masses_of(each) for each in models]
     mimics = [mimic for each in models for mimic in _take_mimics(each)]
     try:
@@ -245,6 +247,25 @@ def _check_numbers(model: Element) -> None:
             if value < 0.0 and key != "spring_reference":
                 msg = f"<{key}> of <joint> {name!r} is {value:g}, allowed is 0 or more"
                 raise InputError(msg)
+
+
+def _check_tree(model: Element) -> None:
+    """Raise InputError if joints leave open what holds a link; trim the names of what they join.
+
+    DART's parser takes the world for a parent that it does not find, and stalls in a circle.
+    """
+    check_unique(model, "link")
+    check_unique(model, "joint")
+    ends = {link.get("name", "") for link in model.findall("link")} | {"world"}
+    above: dict[str, tuple[str, ...]] = {}
+    for joint in model.findall("joint"):
+        for end in (*joint.findall("parent"), *joint.findall("child")):
+            end.text = (end.text or "").strip()
+        if (parent := joint.findtext("parent", "")) not in ends:
+            msg = f"<parent> of <joint> {joint.get('name', '')!r} is {parent!r}, allowed is a link "
+            raise InputError(f"{msg}of its model or 'world'")
+        above.setdefault(joint.findtext("child", ""), (parent,))
+    check_circles(model, above)
 
 
 def _skipped_joints(skeleton: Any, model: Element) -> Iterator[Fate]:

@@ -84,14 +84,14 @@ def pose(element: Element, path: str = "pose") -> tuple[Array, Array]:
 
 
 def masses_of(model: Element) -> dict[str, Mass]:
-    """Read the masses of a model's links, in the links' frames, and refuse duplicate names.
+    """Read the masses of a model's links, in the links' frames.
 
     Returns:
         Masses keyed by link. Defaults are the specification's: 1 kg, and moments of 1 kg·m².
 
     Raises:
-        InputError: A number is malformed, a moving mass is not above 0, two links share a name, or
-            a mass would follow from shapes.
+        InputError: A number is malformed, a moving mass is not above 0, or a mass would follow from
+            shapes.
     """
     links, static = model.findall("link"), model.findtext("static") in ("1", "true")
     for link in links if not static else ():
@@ -107,10 +107,6 @@ def masses_of(model: Element) -> dict[str, Mass]:
         if each.mass <= 0 and not static:
             msg = f"<mass> of <link> {name!r} is {each.mass:g}, allowed is above 0; a link that "
             raise InputError(f"{msg}does not move needs one, too, and a fixed joint to the world")
-    if len(masses) < len(links):
-        repeated = next(name for name in names if names.count(name) > 1)
-        msg = f"<model> {model.get('name', '')!r} has two links called {repeated!r}, allowed is one"
-        raise InputError(msg)
     return masses
 
 

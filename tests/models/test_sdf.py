@@ -284,6 +284,14 @@ def test_a_joint_between_models_is_refused(run: CommandLine, here: Path) -> None
     assert "<world> has a <joint> 'weld'" in run("import", "model.sdf").refusal
 
 
+def test_names_of_links_may_stand_between_spaces(here: Path) -> None:
+    hand = _ARM.replace("arm", "hand").replace("pivot", "wrist").replace("world", "arm")
+    both = (_ARM + hand).replace("arm</", "\n arm </")
+    joints = _read(here, both.format(*2 * ("", "revolute", ""))).scene.joints
+
+    assert [(joint.parent, joint.child) for joint in joints] == [("world", "arm"), ("arm", "hand")]
+
+
 _SOUND = _ARM.format("", "revolute", "")
 _BAD = {
     "mass": (_SOUND.replace("<mass>2", "<mass>-1"), "<mass> of <link> 'arm' is -1, allowed is ab"),
@@ -313,6 +321,10 @@ _BAD = {
     "gears": (_ARM.format("", "gearbox", ""), "leaves out the link 'arm'"),
     "screw": (_ARM.format("", "screw", ""), "ScrewJoint"),
     "nothing": (_ARM.format("", "fixed", ""), "nothing in it moves"),
+    "parent": (_SOUND.replace(">world<", ">base<"), "of <joint> 'pivot' is 'base', allowed is a l"),
+    "no parent": (_SOUND.replace("parent>", "gone>"), "<parent> of <joint> 'pivot' is '', allowed"),
+    "itself": (_SOUND.replace(">world<", ">arm<"), "hold links in a circle: 'arm', 'arm'; let one"),
+    "joint twice": (f'{_SOUND}<joint name="pivot"/>', "two joints called 'pivot', allowed is one"),
     "old": (None, "version 1.4"),
 }  # fmt: skip
 
