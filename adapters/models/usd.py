@@ -154,6 +154,10 @@ class _Reading(Stage):
         return origin + axes @ np.array(place, dtype=float) * self.metre, axes @ matrix_of(turn)
 
     def _sides(self, desc: Any) -> _Sides:
+        for target in (desc.rel0, desc.rel1):
+            prim = self.stage.GetPrimAtPath(target) if not target.isEmpty else None
+            if prim is not None and not (prim and prim.IsActive()):
+                raise InputError(f"the joint {desc.primPath} holds {target}, which is not there")
         first = self._side(desc.body0, desc.localPose0Position, desc.localPose0Orientation)
         second = self._side(desc.body1, desc.localPose1Position, desc.localPose1Orientation)
         return first, second
@@ -225,13 +229,15 @@ class _Reading(Stage):
         """
         if not drive.enabled:
             return
-        reason = ""
-        if drive.acceleration:
+        reason, moves = "", bool(drive.stiffness or drive.damping)
+        if not moves:
+            reason = "it has no gain, and so exerts nothing"
+        elif drive.acceleration:
             reason = "its gains are of accelerations, and those of servos are of torques and forces"
-        elif drive.stiffness < 0 or drive.damping < 0 or not (drive.stiffness or drive.damping):
-            reason = "it has a negative gain, or none"
+        elif drive.stiffness < 0 or drive.damping < 0:
+            reason = "it has a negative gain"
         if reason:
-            self.fates.append(Fate("drive", (), "dropped", reason, True, (joint,)))
+            self.fates.append(Fate("drive", (), "dropped", reason, moves, (joint,)))
             return
         unit = math.pi / 180 if kind == "hinge" else self.metre
         force = self.kilogram * self.metre * (self.metre if kind == "hinge" else 1.0)

@@ -244,6 +244,16 @@ _BAD = {
         + general(("rotX", -90, 90), ("rotY", -90, 90)),
         "got 0 m between origins and 1.",
     ),
+    "no body": (
+        rigid("rod", "(1, 2, 3)") + joined("Revolute", "hip", ("gone", "rod"), PLACE),
+        "the joint /hip holds /gone, which is not there",
+    ),
+    "inactive": (
+        'def "off" (active = false)\n{\n}\n'
+        + rigid("rod", "(1, 2, 3)")
+        + joined("Distance", "rope", ("off", "rod")),
+        "the joint /rope holds /off, which is not there",
+    ),
     "unknown centre": (
         rigid("rod", "(0, 0, 0)", inside=_STATED + _MESH),
         "depends on the mesh /rod/shell; state its mass",
