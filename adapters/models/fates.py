@@ -59,6 +59,7 @@ _SOLVER = "a setting of an engine, not of the mechanism"
 _VISUAL = "drawn only"
 _UNKNOWN: Entry = ("dropped", True, "unknown to this reader")
 _NONE: Entry = ("kept", True, "none, or zero")
+_NAMESPACE: Entry = ("dropped", False, "names of other formats")
 
 _MJCF: tuple[Row, ...] = (
     ("kept", True, "as the compiler resolves it",
@@ -121,7 +122,8 @@ _URDF: tuple[Row, ...] = (
      "robot@name link@name link inertial mass@value origin@xyz origin@rpy inertia@ixx inertia@ixy "
      "inertia@ixz inertia@iyy inertia@iyz inertia@izz joint@name joint@type parent@link "
      "child@link axis@xyz"),
-    ("dropped", False, "names of other formats", "robot@xmlns:xacro robot@version"),
+    (*_NONE, "origin axis limit dynamics"),
+    (*_NAMESPACE, "robot@version"),
     ("dropped", False, _VISUAL, "visual material"),
     ("dropped", True, COLLISION, "collision"),
     ("dropped", False, "a limit of the drive", "limit@effort limit@velocity"),
@@ -135,6 +137,7 @@ _SDF: tuple[Row, ...] = (
      "sdf@version world@name model@name link@name link pose joint@name joint@type parent child "
      "axis axis2 xyz use_parent_model_frame static gravity"),
     ("kept", True, "as the format says", "inertial mass inertia ixx ixy ixz iyy iyz izz"),
+    (*_NONE, "limit dynamics"),
     ("kept", True, "it says what holds without it", "pose@frame pose@degrees pose@rotation_format"),
     ("dropped", False, _VISUAL, "visual light scene gui material"),
     ("dropped", True, COLLISION, "collision"),
@@ -144,11 +147,15 @@ _SDF: tuple[Row, ...] = (
     ("dropped", True, "the ground has the same friction along all directions",
      "mu2 fdir1 slip1 slip2"),
     ("dropped", False, _SOLVER,
-     "max_contacts kp kd max_vel min_depth soft_cfm soft_erp physics"),
+     "max_contacts kp kd max_vel min_depth soft_cfm soft_erp physics allow_auto_disable "
+     "must_be_base_link"),
     ("dropped", False, _APART, "self_collide"),
     ("dropped", False, "a limit of the drive", "effort velocity"),
     ("dropped", True, "an extension of one simulator", "plugin"),
-    ("dropped", False, "data for other programs", "sensor audio laser_retro"),
+    ("dropped", False, "data for other programs",
+     "sensor audio laser_retro magnetic_field spherical_coordinates atmosphere"),
+    ("dropped", True, "there is no wind", "wind"),
+    ("dropped", False, "there is no wind", "enable_wind"),
     ("dropped", True, "there is no such damping of bodies", "velocity_decay"),
     ("dropped", True, "gravity acts on all bodies alike", "link/gravity"),
     ("dropped", True, "DART's parser passes it over", "gearbox_ratio gearbox_reference_body"),
@@ -165,9 +172,10 @@ _REPORTED = {"mujoco": {"equality", "tendon", "actuator"}, "robot": {"mimic"}, "
 """Elements that the readers report instead."""
 _WHOLE = {"visual", "custom", "sensor", "keyframe", "collision", "gazebo", "transmission",
           "material", "extension", "plugin", "skin", "ros2_control", "contact", "physics",
-          "velocity_decay", "light", "gui", "scene", "geometry", "torsional"}  # fmt: skip
+          "velocity_decay", "light", "gui", "scene", "geometry", "torsional", "mujoco", "wind",
+          "spherical_coordinates", "atmosphere"}  # fmt: skip
 """Elements whose children share their fate."""
-_OPEN = {"mujoco": {"contact"}, "robot": set(), "sdf": {"contact"}}
+_OPEN = {"mujoco": {"contact", "mujoco"}, "robot": set(), "sdf": {"contact"}}
 """Exceptions in each format: their children have fates of their own."""
 PAIRING = {
     "geom": ("contype", "conaffinity", "condim", "priority", "friction"),
@@ -181,8 +189,7 @@ _USD = _by_key((
      "physics:principalAxes physics:gravityDirection physics:gravityMagnitude physics:axis "
      "physics:localPos0 physics:localRot0 physics:localPos1 physics:localRot1 physics:body0 "
      "physics:body1 physics:rigidBodyEnabled physics:jointEnabled physics:kinematicEnabled "
-     "physics:excludeFromArticulation physics:minDistance physics:maxDistance "
-     "limit:physics:low limit:physics:high"),
+     "physics:excludeFromArticulation physics:minDistance physics:maxDistance"),
     ("dropped", True, COLLISION,
      "physics:collisionEnabled physics:staticFriction physics:dynamicFriction "
      "physics:restitution"),
@@ -190,8 +197,8 @@ _USD = _by_key((
      "physics:invertFilteredGroups physics:mergeGroup collection physics:approximation "
      "physics:simulationOwner"),
     ("dropped", True, "the model starts in the reference pose, at rest",
-     "physics:velocity physics:angularVelocity"),
-    ("dropped", True, "it is not of a hinge or slider, or PhysicsDriveAPI is not applied", "drive"),
+     "physics:velocity physics:angularVelocity state"),
+    ("dropped", True, "its joint has no such axis, or its API is not applied", "drive limit"),
     ("dropped", True, "joints do not break", "physics:breakForce physics:breakTorque"),
     ("dropped", False, _SOLVER, "physics:startsAsleep"),
     ("dropped", True, "not yet in the scene description",
@@ -215,8 +222,14 @@ _USD_SHAPE = {
 }
 """Attributes of collision shapes, by whether they touch the ground."""
 _USD_LIMITS = ("physics:lowerLimit", "physics:upperLimit")
-_DRIVE_JOINTS = ("PhysicsRevoluteJoint", "PhysicsPrismaticJoint", "PhysicsJoint")
-"""Types of joints whose drives are reported one by one."""
+_GENERAL = ("transX", "transY", "transZ", "rotX", "rotY", "rotZ")
+_PARSED_AXES: dict[tuple[str, str], tuple[str, ...]] = {
+    ("drive", "PhysicsRevoluteJoint"): ("angular",),
+    ("drive", "PhysicsPrismaticJoint"): ("linear",),
+    ("drive", "PhysicsJoint"): _GENERAL,
+    ("limit", "PhysicsJoint"): _GENERAL,
+}
+"""Axes whose drives or limits the reader takes, by type of joint."""
 _SIMULATORS = ("physx", "mjc", "newton", "isaac")
 
 
@@ -292,6 +305,8 @@ def _look_up(kind: str, element: Element, attribute: str) -> Entry:
     """
     table = _TABLES[kind]
     fate = table.get(f"{element.tag}@{attribute}")
+    if attribute.partition(":")[0] == "xmlns":
+        return _NAMESPACE
     if fate is None:
         fate = table.get(element.tag, _UNKNOWN)
         known = _KNOWN.get(element.tag, attribute).split() if kind == "mujoco" else ()
@@ -319,28 +334,30 @@ def fates_of_stage(stage: Any, *, limited: bool, touching: bool) -> Iterator[Fat
         solid = "PhysicsCollisionAPI" in prim.GetAppliedSchemas()
         names = dict.fromkeys(attribute.GetName() for attribute in prim.GetAuthoredProperties())
         for name in names | ({_COLLIDES: None} if solid else {}):
-            if not ((name in _USD_LIMITS and limited) or _is_of_drive(prim, name)):
+            parsed = _is_parsed(prim, name)
+            if not ((name in _USD_LIMITS and limited) or (parsed and name.startswith("drive"))):
                 entry = _usd_entry(table | _USD_SHAPE[touching] if solid else table, name)
+                entry = _USD["physics:axis"] if parsed else entry
                 found.append((kind, entry, name, prim.GetPath(), place))
     return grouped(found)
 
 
-def _is_of_drive(prim: Any, name: str) -> bool:
-    """Whether a property belongs to a drive that the library parses."""
+def _is_parsed(prim: Any, name: str) -> bool:
+    """Whether a property belongs to a drive or limit that the reader takes."""
     first, _, rest = name.partition(":")
-    applied = f"PhysicsDriveAPI:{rest.partition(':')[0]}" in prim.GetAppliedSchemas()
-    return first == "drive" and applied and prim.GetTypeName() in _DRIVE_JOINTS
+    axis = rest.partition(":")[0]
+    applied = f"Physics{first.title()}API:{axis}" in prim.GetAppliedSchemas()
+    return applied and axis in _PARSED_AXES.get((first, str(prim.GetTypeName())), ())
 
 
 def _usd_entry(table: Mapping[str, Entry], name: str) -> Entry:
-    first, _, rest = name.partition(":")
-    general = f"{first}:{rest.partition(':')[2]}"  # limit:rotX:physics:low
-    for key in (name, general, first):
+    first = name.partition(":")[0]
+    for key in (name, first):
         if key in table:
             return table[key]
     if name in _USD_LIMITS:
         return ("kept", True, "none, or without bounds")
-    if first in ("physics", "limit") or first.startswith(_SIMULATORS):
+    if first == "physics" or first.startswith(_SIMULATORS):
         return ("dropped", True, "unknown to this reader")
     if first == "xformOp" or name == "xformOpOrder":
         return ("kept", True, "as the library of OpenUSD composes it")

@@ -129,6 +129,45 @@ def test_a_drive_of_accelerations_is_told(here: Path) -> None:
     assert "gains are of accelerations" in fate.reason
 
 
+@pytest.mark.parametrize(
+    ("kind", "token", "inside", "reason", "moves"),
+    [
+        ("Prismatic", "angular", "stiffness = 3", "its joint has no such axis, or its API", True),
+        ("Revolute", "rotX", "stiffness = 3", "its joint has no such axis, or its API", True),
+        ("Revolute", "angular", "stiffness = -3", "it has a negative gain", True),
+        ("Revolute", "angular", "stiffness = 0", "it has no gain, and so exerts nothing", False),
+    ],
+)
+def test_a_drive_that_is_no_servo_is_told(
+    kind: str, token: str, inside: str, reason: str, moves: bool, here: Path
+) -> None:
+    drive = f"    float drive:{token}:physics:{inside}\n"
+    imported = read(here, rigid("rod", "(1, 2, 3)"), _driven(kind, token, drive))
+
+    assert not imported.scene.servos
+    (fate,) = (f for f in imported.fates if "drive" in f.element + "".join(f.properties))
+    assert (fate.outcome, fate.places, fate.moves) == ("dropped", ("hip",), moves)
+    assert fate.reason.startswith(reason)
+
+
+def test_a_limit_that_the_library_does_not_parse_is_told(here: Path) -> None:
+    text = general(("transX", 0, 2)).replace('"PhysicsLimitAPI:rotX", ', "")
+    imported = read(here, rigid("rod", "(1, 0, 0)"), text)
+
+    assert [joint.kind for joint in imported.scene.joints] == ["slider", "hinge"]
+    outcomes = {name: f.outcome for f in imported.fates for name in f.properties}
+    assert outcomes["limit:rotX:physics:low"] == "dropped"
+    assert outcomes["limit:rotY:physics:low"] == "kept"
+
+
+def test_a_state_of_a_joint_is_told(here: Path) -> None:
+    inside = "    float state:angular:physics:position = 30\n" + PLACE
+    imported = read(here, rigid("rod", "(1, 2, 3)"), joined("Revolute", "hip", ("", "rod"), inside))
+
+    (fate,) = (f for f in imported.fates if "state:angular:physics:position" in f.properties)
+    assert (fate.outcome, fate.moves) == ("dropped", True)
+
+
 def test_general_joints_count_from_where_the_bodies_stand(here: Path) -> None:
     drives = (
         "    float drive:transX:physics:stiffness = 10\n"
