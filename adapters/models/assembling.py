@@ -190,8 +190,10 @@ class _Builder:
             reason = f"inertia without mass: it gets {SHARE:g} of the mass that it carries"
             self._report("approximated", "inertial", reason, part.name)
             own = dataclasses.replace(own, mass=SHARE * (carried.mass or 1.0))
-        if np.trace(own.inertia) <= _ROUNDING * own.mass * self.length**2:
-            reason = f"mass without inertia: it gets {SHARE:g} of its mass times the model's reach²"
+        rounding = _ROUNDING * own.mass * self.length**2
+        if np.trace(own.inertia) <= rounding:
+            lack = "without" if np.trace(own.inertia) >= -rounding else "with negative"
+            reason = f"mass {lack} inertia: it gets {SHARE:g} of its mass times the model's reach²"
             self._report("approximated", "inertial", reason, part.name)
             moment = SHARE * own.mass * self.length**2
             own = dataclasses.replace(own, inertia=moment * np.eye(3))
@@ -316,14 +318,12 @@ def _body(name: str, part: Part, mass: Mass) -> Body:
     turn = part.orientation / np.linalg.norm(part.orientation)
     to_body = rotation.matrix(turn).T
     tensor = to_body @ mass.inertia @ to_body.T
-    inertia = Inertia(
-        mass=mass.mass,
-        moments=np.diag(tensor).tolist(),
-        products=(tensor[0, 1], tensor[0, 2], tensor[1, 2]),
-        com=(to_body @ (mass.com - part.position)).tolist(),
-    )
-    place = part.position.tolist()
-    return Body(name, inertia=inertia, position=place, orientation=turn.tolist())
+    products = (tensor[0, 1], tensor[0, 2], tensor[1, 2])
+    com = (to_body @ (mass.com - part.position)).tolist()
+    with located(f"body {name!r}"):
+        inertia = Inertia(mass.mass, np.diag(tensor).tolist(), products, com)
+        place = part.position.tolist()
+        return Body(name, inertia=inertia, position=place, orientation=turn.tolist())
 
 
 def _reach(parts: tuple[Part, ...], masses: list[Mass]) -> float:

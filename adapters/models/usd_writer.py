@@ -20,7 +20,7 @@ from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, Point
 from mbds_xsim.scene.scene import Joint, Scene
 from mbds_xsim.scene.servo import Servo, by_joint
 
-from .writing import dropped_fate, first_targets, unlike, without_servos, written
+from .writing import dropped_fate, first_targets, unique, unlike, without_servos, written
 
 _KINDS = {"hinge": "RevoluteJoint", "slider": "PrismaticJoint", "ball": "SphericalJoint",
           "fixed": "FixedJoint"}  # fmt: skip
@@ -63,9 +63,10 @@ class _Stage:
         UsdGeom.SetStageUpAxis(self._stage, UsdGeom.Tokens.z)
         UsdGeom.SetStageMetersPerUnit(self._stage, 1.0)
         UsdPhysics.SetStageKilogramsPerUnit(self._stage, 1.0)
-        self._root = f"/{Tf.MakeValidIdentifier(scene.name)}"
-        self._stage.SetDefaultPrim(UsdGeom.Xform.Define(self._stage, self._root).GetPrim())
         names, self.fates = unlike(scene, _TABLES, Tf.MakeValidIdentifier, _NAMING)
+        # Readers call a body by its name alone if no other prim has it.
+        self._root = f"/{unique(Tf.MakeValidIdentifier(scene.name), names.values())}"
+        self._stage.SetDefaultPrim(UsdGeom.Xform.Define(self._stage, self._root).GetPrim())
         self.fates.append(Fate("numbers", (), "approximated", _SINGLE, True))
         self._paths = {key: f"{self._root}/{name}" for key, name in names.items()}
         self._gravity(np.array(scene.gravity))

@@ -81,6 +81,15 @@ _BAD = {
     "short axis": (_SLIDES.format("0 1"), "joint 'j' has the axis '0 1'"),
     "text": (f'<robot name="r">\n{_LINKS.format("fixed", _WORDS)}</robot>', "line 2"),
     "joint": (f'<robot name="r">{_LINKS.format("screw", "")}</robot>', "invalid joint type"),
+    "links": (_SLIDES.format("0 1 0").replace('"b"', '"a"'), "'r' has two links called 'a', allow"),
+    "circle": (
+        _SLIDES.format("0 1 0").replace('parent link="a"', 'parent link="b"'),
+        "joints of <robot> 'r' hold links in a circle: 'b', 'b'; let one of them have another chi",
+    ),
+    "far": (
+        _SLIDES.format("0 1 0").replace("<parent", '<origin xyz="0 0 1e9"/><parent'),
+        "body 'b': position: got 1000000000.0, allowed is 1e+07 at most",
+    ),
 }  # fmt: skip
 
 

@@ -121,6 +121,14 @@ def test_what_is_left_out_is_told_with_its_cause(
     assert fate.reason.startswith(reason)
 
 
+def test_a_negative_inertia_is_not_called_none(here: Path) -> None:
+    negative = _URDF.replace('ixx="1" iyy="1" izz="1"', 'ixx="-1" iyy="-1" izz="-1"')
+    fates = _read(here, "arm.urdf", negative).fates
+    (fate,) = (fate for fate in fates if fate.outcome == "approximated")
+
+    assert fate.reason.startswith("mass with negative inertia: it gets 1e-06 of its mass times")
+
+
 def test_shapes_of_what_has_no_mass_touch_no_ground(here: Path) -> None:
     (here / "arm.urdf").write_text(_URDF.replace("</robot>", _TIP.replace("/>", _FOOT, 1)))
     with pytest.raises(InputError, match=r"touch the ground \(its body has no mass"):

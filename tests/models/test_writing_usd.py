@@ -121,3 +121,10 @@ def test_the_schema_has_nothing_against_the_stage(here: Path) -> None:
         path.write_text(write_model(load_scene(name), "usda").text)
         assert not context.Validate(Usd.Stage.Open(str(path)))
     assert {"usdPhysicsValidators:PhysicsJointChecker"} <= set(names)
+
+
+def test_a_body_with_the_name_of_its_scene_keeps_it(here: Path) -> None:
+    arm = sprung_arm(0.0)
+    scene = msgspec.structs.replace(arm, name=arm.bodies[0].name)
+
+    assert [body.name for body in again(scene, "usda", here).bodies] == ["rod"]
