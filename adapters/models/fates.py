@@ -204,6 +204,7 @@ _USD = _by_key((
     ("dropped", True, "not yet in the scene description",
      "physics:coneAngle0Limit physics:coneAngle1Limit"),
 ))  # fmt: skip
+_AT_TIMES: Entry = ("dropped", True, "its values at times: only the one without a time counts")
 _CONTACT = "decides how shapes meet the ground"
 _USD_TOUCHING = _by_key((
     ("kept", True, _CONTACT,
@@ -338,6 +339,8 @@ def fates_of_stage(stage: Any, *, limited: bool, touching: bool) -> Iterator[Fat
             if not ((name in _USD_LIMITS and limited) or (parsed and name.startswith("drive"))):
                 entry = _usd_entry(table | _USD_SHAPE[touching] if solid else table, name)
                 entry = _USD["physics:axis"] if parsed else entry
+                samples = prim.GetAttribute(name)
+                entry = _AT_TIMES if entry[1] and samples and samples.GetNumTimeSamples() else entry
                 found.append((kind, entry, name, prim.GetPath(), place))
     return grouped(found)
 

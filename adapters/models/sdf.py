@@ -260,7 +260,7 @@ def _check_tree(model: Element) -> None:
     above: dict[str, tuple[str, ...]] = {}
     for joint in model.findall("joint"):
         for end in (*joint.findall("parent"), *joint.findall("child")):
-            end.text = (end.text or "").strip()
+            end.text = end.text if end.text in ends else (end.text or "").strip()
         if (parent := joint.findtext("parent", "")) not in ends:
             msg = f"<parent> of <joint> {joint.get('name', '')!r} is {parent!r}, allowed is a link "
             raise InputError(f"{msg}of its model or 'world'")

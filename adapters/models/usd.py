@@ -33,6 +33,7 @@ _GRAVITY = 9.81  # [m/s²]
 _NO_SCENE = (
     f"there is none: gravity is the schema's default, {_GRAVITY} m/s² down the axis of the stage"
 )
+_SCENES_DIFFER = "several state gravity, each another: that of the first counts"
 _Sides = tuple[tuple[Array, Array], tuple[Array, Array]]
 
 
@@ -130,12 +131,16 @@ class _Reading(Stage):
             self.fates.append(Fate("drive", (), "dropped", _CLOSES, True, (name,)))
 
     def _gravity(self) -> Array:
-        for scene in self.all("Scene"):
-            return np.asarray(
-                self.up @ np.array(scene.gravityDirection) * scene.gravityMagnitude * self.metre
-            )
-        self.fates.append(Fate("PhysicsScene", (), "approximated", _NO_SCENE, True))
-        return np.array([0.0, 0.0, -_GRAVITY])
+        pulls = [
+            self.up @ np.array(scene.gravityDirection) * scene.gravityMagnitude * self.metre
+            for scene in self.all("Scene")
+        ]
+        if not pulls:
+            self.fates.append(Fate("PhysicsScene", (), "approximated", _NO_SCENE, True))
+            return np.array([0.0, 0.0, -_GRAVITY])
+        if any((pull != pulls[0]).any() for pull in pulls):
+            self.fates.append(Fate("PhysicsScene", (), "approximated", _SCENES_DIFFER, True))
+        return np.asarray(pulls[0])
 
     def _part(self, desc: Any) -> Part:
         place, turn = self.frame(desc.primPath)

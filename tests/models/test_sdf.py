@@ -290,6 +290,8 @@ def test_names_of_links_may_stand_between_spaces(here: Path) -> None:
     joints = _read(here, both.format(*2 * ("", "revolute", ""))).scene.joints
 
     assert [(joint.parent, joint.child) for joint in joints] == [("world", "arm"), ("arm", "hand")]
+    (joint,) = _read(here, _ARM.replace("arm", " arm").format("", "revolute", "")).scene.joints
+    assert joint.child == " arm"
 
 
 _SOUND = _ARM.format("", "revolute", "")

@@ -139,6 +139,14 @@ def test_what_instances_hold_is_told(here: Path) -> None:
     assert (contact.outcome, contact.moves, contact.count) == ("dropped", True, 2)
 
 
+def test_a_place_that_changes_in_time_is_told(here: Path) -> None:
+    rod = rigid("rod", "(1, 2, 3)").replace("translate =", "translate.timeSamples =")
+    imported = read(here, rod.replace("(1, 2, 3)", "{ 0: (1, 2, 3) }"))
+
+    (fate,) = (f for f in imported.fates if f.outcome == "dropped")
+    assert (fate.properties, fate.moves, fate.places) == (("xformOp:translate",), True, ("rod",))
+
+
 def test_units_and_axis_that_a_stage_does_not_state_are_told(here: Path) -> None:
     (here / "model.usda").write_text("#usda 1.0\n" + SCENE + "".join(ARM))
     bare, stated = read_model(here / "model.usda"), read(here, *ARM, units=(0.01, 1, "Y"))
@@ -204,6 +212,15 @@ def test_without_a_scene_gravity_is_its_default(here: Path) -> None:
     assert imported.scene.gravity == pytest.approx((0, 0, -9.81))
     (fate,) = (fate for fate in imported.fates if fate.element == "PhysicsScene")
     assert fate.outcome == "approximated"
+
+
+def test_gravity_of_several_scenes_is_that_of_the_first(here: Path) -> None:
+    other = 'def PhysicsScene "other"\n{\nfloat physics:gravityMagnitude = 3\n}\n'
+    imported = read(here, other, rigid("rod", "(0, 0, 0)"))
+
+    assert imported.scene.gravity == pytest.approx((0, 0, -9.81), abs=1e-6)
+    (fate,) = (fate for fate in imported.fates if fate.outcome == "approximated")
+    assert (fate.element, fate.moves) == ("PhysicsScene", True)
 
 
 _MESH = 'def Mesh "shell" (prepend apiSchemas = ["PhysicsCollisionAPI"])\n{\n}\n'
