@@ -231,6 +231,7 @@ _PARSED_AXES: dict[tuple[str, str], tuple[str, ...]] = {
     ("limit", "PhysicsJoint"): _GENERAL,
 }
 """Axes whose drives or limits the reader takes, by type of joint."""
+_NEVER = 3e38  # [N or N·m]: no force is larger in single precision
 _SIMULATORS = ("physx", "mjc", "newton", "isaac")
 
 
@@ -333,14 +334,17 @@ def fates_of_stage(stage: Any, *, limited: bool, touching: bool) -> Iterator[Fat
     for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
         kind, place = str(prim.GetTypeName()) or "Prim", prim.GetName()
         solid = "PhysicsCollisionAPI" in prim.GetAppliedSchemas()
-        names = dict.fromkeys(attribute.GetName() for attribute in prim.GetAuthoredProperties())
+        names = dict.fromkeys(each.GetName() for each in prim.GetAuthoredProperties())
         for name in names | ({_COLLIDES: None} if solid else {}):
             parsed = _is_parsed(prim, name)
             if not ((name in _USD_LIMITS and limited) or (parsed and name.startswith("drive"))):
                 entry = _usd_entry(table | _USD_SHAPE[touching] if solid else table, name)
                 entry = _USD["physics:axis"] if parsed else entry
-                samples = prim.GetAttribute(name)
-                entry = _AT_TIMES if entry[1] and samples and samples.GetNumTimeSamples() else entry
+                attribute = prim.GetAttribute(name)
+                if attribute and attribute.GetNumTimeSamples() and entry[1]:
+                    entry = _AT_TIMES
+                elif attribute and _is_neutral(name, attribute.Get()):
+                    entry = _NONE
                 found.append((kind, entry, name, prim.GetPath(), place))
     return grouped(found)
 
@@ -351,6 +355,16 @@ def _is_parsed(prim: Any, name: str) -> bool:
     axis = rest.partition(":")[0]
     applied = f"Physics{first.title()}API:{axis}" in prim.GetAppliedSchemas()
     return applied and axis in _PARSED_AXES.get((first, str(prim.GetTypeName())), ())
+
+
+def _is_neutral(name: str, value: Any) -> bool:
+    """Whether a value of a property that is dropped has no effect: at rest, unbounded."""
+    if name.startswith("physics:break"):
+        return value is not None and bool(value >= _NEVER)
+    if name.startswith("physics:coneAngle"):
+        return value is not None and bool(value < 0)
+    speed = name in ("physics:velocity", "physics:angularVelocity") or name.startswith("state:")
+    return speed and not any(value if hasattr(value, "__len__") else [value])
 
 
 def _usd_entry(table: Mapping[str, Entry], name: str) -> Entry:

@@ -147,6 +147,15 @@ def test_a_place_that_changes_in_time_is_told(here: Path) -> None:
     assert (fate.properties, fate.moves, fate.places) == (("xformOp:translate",), True, ("rod",))
 
 
+@pytest.mark.parametrize(("speed", "outcome"), [("(0, 1, 0)", "dropped"), ("(0, 0, 0)", "kept")])
+def test_a_speed_is_told_unless_it_is_none(speed: str, outcome: str, here: Path) -> None:
+    inside = _STATED + f"vector3f physics:velocity = {speed}\n"
+    imported = read(here, rigid("rod", "(1, 2, 3)", inside=inside))
+
+    (fate,) = (fate for fate in imported.fates if "physics:velocity" in fate.properties)
+    assert fate.outcome == outcome
+
+
 def test_units_and_axis_that_a_stage_does_not_state_are_told(here: Path) -> None:
     (here / "model.usda").write_text("#usda 1.0\n" + SCENE + "".join(ARM))
     bare, stated = read_model(here / "model.usda"), read(here, *ARM, units=(0.01, 1, "Y"))

@@ -160,12 +160,23 @@ def test_a_limit_that_the_library_does_not_parse_is_told(here: Path) -> None:
     assert outcomes["limit:rotY:physics:low"] == "kept"
 
 
-def test_a_state_of_a_joint_is_told(here: Path) -> None:
-    inside = "    float state:angular:physics:position = 30\n" + PLACE
-    imported = read(here, rigid("rod", "(1, 2, 3)"), joined("Revolute", "hip", ("", "rod"), inside))
+_WRITTEN = [
+    ("state:angular:physics:position", "30", "0"),
+    ("physics:breakForce", "9", "inf"),
+    ("physics:coneAngle0Limit", "30", "-1"),
+]
 
-    (fate,) = (f for f in imported.fates if "state:angular:physics:position" in f.properties)
-    assert (fate.outcome, fate.moves) == ("dropped", True)
+
+@pytest.mark.parametrize(("name", "value", "none"), _WRITTEN)
+def test_what_no_scene_has_is_told_unless_it_is_none(
+    name: str, value: str, none: str, here: Path
+) -> None:
+    for stated, outcome in ((value, "dropped"), (none, "kept")):
+        joint = joined("Spherical", "hip", ("", "rod"), f"    float {name} = {stated}\n" + PLACE)
+        imported = read(here, rigid("rod", "(1, 2, 3)"), joint)
+
+        (fate,) = (fate for fate in imported.fates if name in fate.properties)
+        assert (fate.outcome, fate.moves) == (outcome, True)
 
 
 def test_general_joints_count_from_where_the_bodies_stand(here: Path) -> None:
