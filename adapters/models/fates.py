@@ -157,6 +157,7 @@ _SDF: tuple[Row, ...] = (
     ("dropped", True, "there is no wind", "wind"),
     ("dropped", False, "there is no wind", "enable_wind"),
     ("dropped", True, "there is no such damping of bodies", "velocity_decay"),
+    ("dropped", True, "nothing moves but by forces", "kinematic"),
     ("dropped", True, "gravity acts on all bodies alike", "link/gravity"),
     ("dropped", True, "DART's parser passes it over", "gearbox_ratio gearbox_reference_body"),
 )  # fmt: skip

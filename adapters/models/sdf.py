@@ -160,6 +160,10 @@ def _mark(root: Element) -> None:
     for link in root.iter("link"):
         if (gravity := link.find("gravity")) is not None and (gravity.text or "").strip() in _OFF:
             gravity.tag = "link/gravity"
+        for tag in ("kinematic", "velocity_decay"):
+            for element in link.findall(tag):
+                if all(text.strip(" \t\r\n0.") in ("", "false") for text in element.itertext()):
+                    link.remove(element)
     for ode in root.iter("ode"):
         if (across := ode.find("mu2")) is not None and across.text == ode.findtext("mu"):
             ode.remove(across)  # the same as mu: nothing is lost
