@@ -361,9 +361,9 @@ def _is_parsed(prim: Any, name: str) -> bool:
 def _is_neutral(name: str, value: Any) -> bool:
     """Whether a value of a property that is dropped has no effect: at rest, unbounded."""
     if name.startswith("physics:break"):
-        return value is not None and bool(value >= _NEVER)
+        return isinstance(value, float) and value >= _NEVER
     if name.startswith("physics:coneAngle"):
-        return value is not None and bool(value < 0)
+        return isinstance(value, float) and value < 0
     speed = name in ("physics:velocity", "physics:angularVelocity") or name.startswith("state:")
     return speed and not any(value if hasattr(value, "__len__") else [value])
 
