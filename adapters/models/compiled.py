@@ -27,7 +27,7 @@ from .assembling import assemble
 from .contacts import NO_SPHERES
 from .fates import LABELS, PAIRING, fates_of, labelled, lost_mimic
 from .graph import check_circles, check_unique
-from .mending import mend_mjcf, mend_urdf, remove_unknown
+from .mending import in_lines, mend_mjcf, mend_urdf, remove_unknown
 from .parts import Parts
 from .source import read_source
 
@@ -120,17 +120,17 @@ def _compile(mujoco: Any, root: Element, path: Path) -> tuple[Any, list[Fate]]:
         spec.compiler.fusestatic = False  # keeps the links' names; the motion stays the same
         return spec.compile(), []
     except ValueError as error:
-        mends: list[Fate] = []
-        latest = [*mend_mjcf(root), *remove_unknown(root, str(error))]
+        mends = [*mend_mjcf(root)]
+        latest: object = mends or "unrecognized attribute" in str(error)
         while latest:
-            mends += latest
             try:
-                spec = mujoco.MjSpec.from_string(tostring(root, encoding="unicode"))
+                spec = mujoco.MjSpec.from_string(in_lines(root))
                 spec.modelfiledir = str(path.parent)
                 spec.compiler.fusestatic = False
                 return spec.compile(), mends
             except ValueError as again:
                 latest = [*remove_unknown(root, str(again))]
+                mends += latest
         raise error
 
 

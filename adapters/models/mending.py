@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from xml.etree.ElementTree import Element, SubElement
+from xml.etree.ElementTree import Element, SubElement, tostring
 
 from mbds_xsim.scene.imported import Fate, Outcome
 
@@ -22,7 +22,7 @@ _NUMBERS = {"xyz": 3, "rpy": 3} | dict.fromkeys(_SINGLE_NUMBERS, 1)
 """URDF attributes, with the number of values that each has."""
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 _SINGLE = {"inertial", "mass", "inertia", "origin", "axis", "limit", "dynamics", "mimic"}
-_UNRECOGNIZED = re.compile(r"unrecognized attribute: '([^']+)'\s+Element '([^']+)'")
+_UNRECOGNIZED = re.compile(r"unrecognized attribute: '([^']+)'\s+Element '([^']+)', line (\d+)")
 _ORIENTATIONS = {"quat", "axisangle", "xyaxes", "zaxis", "euler"}
 _TWICE = "drawn only; defined twice"
 _LOCAL = "frames of bodies are W at the reference pose"
@@ -96,11 +96,30 @@ def mend_mjcf(root: Element) -> Iterator[Fate]:
                 yield _remove(parent, child, "dropped", reason)
 
 
+def in_lines(root: Element) -> str:
+    """Write a document with one element in each line, so that a line tells which one it is."""
+    for parent in root.iter():
+        parent.text = "\n" if len(parent) else None
+        for child in parent:
+            child.tail = "\n" if child is not parent[-1] else None
+    return tostring(root, encoding="unicode")
+
+
 def remove_unknown(root: Element, complaint: str) -> Iterator[Fate]:
-    """Remove the attributes from an MJCF document that a compiler message calls unrecognized."""
-    for attribute, tag in _UNRECOGNIZED.findall(complaint):
+    """Remove the attribute that a compiler calls unrecognized, and from all elements of this kind.
+
+    Elements of one tag, such as joints of bodies and of equalities, differ by their parents.
+
+    Args:
+        root: The document.
+        complaint: The compiler's message about `in_lines(root)`.
+    """
+    holders = {child: parent.tag for parent in root.iter() for child in parent}
+    for attribute, tag, line in _UNRECOGNIZED.findall(complaint):
+        named = [*root.iter()][int(line) - 1 : int(line)]
+        places = {holders.get(each) for each in named if each.tag == tag}
         for element in root.iter(tag):
-            if attribute in element.attrib:
+            if attribute in element.attrib and holders.get(element) in places:
                 yield _strip(element, attribute, "unknown to MuJoCo's compiler")
 
 

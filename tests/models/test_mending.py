@@ -88,6 +88,15 @@ def test_an_old_mjcf_is_the_plain_one(name: str, here: Path) -> None:
     assert fate.count == _MJCF.count(plain)
 
 
+def test_what_is_unknown_in_one_place_is_kept_where_it_is_known(here: Path) -> None:
+    hand = _MJCF.replace('name="hand">', 'name="hand"><joint name="wrist" axis="0 1 0"/>')
+    tie = '<equality><joint joint1="wrist" joint2="pivot" damping="5"/></equality></mujoco>'
+    scene = _read(here, "arm.xml", hand.replace("</mujoco>", tie)).scene
+
+    assert [joint.damping for joint in scene.joints] == [3, 0]
+    assert [each.name for each in scene.couplings] == ["wrist follows pivot"]
+
+
 def test_places_in_w_are_those_in_the_bodies_frames(here: Path) -> None:
     old, local = (_read(here, "leg.xml", text).scene for text in (_GLOBAL, _LOCAL))
 
