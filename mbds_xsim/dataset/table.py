@@ -138,39 +138,46 @@ class _Column:
     numbers: Array
     rounding: float
     """Half a unit of the last digit in any of its cells."""
-    digits: int
-    """Largest number of significant digits in a cell."""
+    digits: NDArray[np.int64]
+    """Number of significant digits in each cell, without the 0 of a text such as 10.0."""
 
 
 def _rounding(values: Array, columns: list[_Column], finest: float) -> float:
     """Return the largest rounding error of a group of columns; `finest` if all are 0, 1 or −1.
 
-    A column such as 0.0 in every frame shows few digits without being rounded. So the error is not
-    larger than in the largest number of the group if that has as many significant digits as any.
+    The last digit of the largest numbers counts if they have as many digits as any: a smaller one,
+    as those of %.6e, may show more decimals. If they have fewer, as 0.5 or a column of 1.0, they
+    may be exact, and the decimals of other numbers count if these are finer.
     """
     largest = float(np.abs(values).max())
     plain = bool(np.isin(values, (-1.0, 0.0, 1.0)).all())  # as of bodies that do not turn
     if plain or not math.isfinite(largest):
         return finest
-    last = math.floor(math.log10(largest)) + 1 - max(column.digits for column in columns)
-    return max(min(max(column.rounding for column in columns), 0.5 * 10.0**last), _coarse(values))
+    order = math.floor(math.log10(largest))
+    digits = np.stack([column.digits for column in columns], axis=-1)
+    most, large = int(digits.max()), np.abs(values.reshape(digits.shape)) >= 10.0**order
+    decimals = max(column.rounding for column in columns)
+    if digits[large].max() == most:
+        decimals = math.inf
+    last = order + 1 - most
+    return max(min(decimals, 0.5 * 10.0**last), _coarse(values))
 
 
 def _column(rows: list[list[str]], place: int, name: str, path: Path) -> _Column:
     """Read the numbers of a column, and the digits that they have."""
     texts = [row[place].strip() if place < len(row) else "" for row in rows]
-    exponents, digits, values = [], [1], []
+    exponents, digits, values = [], [], []
     for frame, text in enumerate(texts):
         try:
             parts = Decimal(text).as_tuple()
             exponents.append(parts.exponent)
-            digits.append(len(parts.digits))
+            digits.append(len(parts.digits) - text.endswith(".0"))
             values.append(float(text))  # refuses a signalling NaN, unlike Decimal
         except (ArithmeticError, ValueError):
             msg = f"{path}: frame {frame}, column {name}: got {text!r}, allowed is a number"
             raise InputError(msg) from None
     last = min((exponent for exponent in exponents if isinstance(exponent, int)), default=0)
-    return _Column(np.array(values), 0.5 * 10.0 ** min(last, 300), max(digits))
+    return _Column(np.array(values), 0.5 * 10.0 ** min(last, 300), np.array(digits))
 
 
 def _coarse(numbers: Array) -> float:

@@ -56,7 +56,7 @@ def failed_in(result: Audited) -> set[str]:
 
 
 def write_csv(path: Path, scene: Scene, one: Arrays, shown: Callable[[float], str] = repr) -> None:
-    columns, names = [one["time"].tolist()], ["time"]
+    columns, names = [[*map(shown, one["time"].tolist())]], ["time"]
     for group in groups(scene):
         if group.name in one:
             values = one[group.name].reshape(len(one[group.name]), -1)

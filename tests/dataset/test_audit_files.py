@@ -83,6 +83,24 @@ def test_digits_of_a_constant_column_excuse_nothing(
     assert "finite" in failed[2]
 
 
+@pytest.mark.parametrize("shown", ["{:.4e}".format, "{:.5g}".format])
+def test_numbers_of_few_digits_are_rounded_by_their_size(
+    shown: Callable[[float], str], rod: Scene, swing: Arrays, tmp_path: Path
+) -> None:
+    """A number near 0 shows more decimals than the others have."""
+    one = first_of(swing)
+    found = []
+    for off in (1.0, 1.001):
+        case = one | {"input/force": off * one["input/force"]}
+        write_csv(tmp_path / "it.csv", rod, case, shown)
+        found.append(failed_in(audit_file(tmp_path / "it.csv", rod, FIRST)))
+    assert found == [set(), {"force"}]
+    times = {"time": np.arange(61) / 30.0, "position": np.ones((61, 1, 3))}
+    write_csv(tmp_path / "it.csv", rod, times, shown)
+    frame = audit_file(tmp_path / "it.csv", rod, Provenance()).frame_s
+    assert frame == pytest.approx(1 / 30, rel=1e-4)
+
+
 @pytest.mark.parametrize("decimals", [4, 3])
 def test_rounded_bodies_still_carry_their_particles(
     decimals: int, drop: tuple[Scene, Arrays], tmp_path: Path
