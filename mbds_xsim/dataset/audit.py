@@ -29,6 +29,7 @@ from mbds_xsim.simulate.claims import Method
 _OF_POSITIONS = tuple(check for check in CHECKS if check.of_positions)
 _OF_VELOCITIES = tuple(check for check in CHECKS if not check.of_positions)
 _OF_REFERENCE = ("error at 1 s", "error growth-weighted", "error of turns")
+_ALOFT = np.array([0.0, 0.0, 1e9])  # [m]: from there nothing falls to the ground within a frame
 _MOST_COMPARED = 3
 _COARSE = 0.25  # share of the budget of gaps; rounding of places that is larger is told
 _SAME_INPUT = 1e-9
@@ -186,14 +187,17 @@ class _Case:
         """
         self.orientation = states["orientation"]
         method, step = self._method()
-        spread = self.origin.contact_time_s
-        trajectory = self._trajectory(states)
-        record = Record(self.foreign.scene, self.batch, trajectory, method, step, spread)
-        if states["velocity"] is not None:
-            findings = audited(record)
-        else:
-            findings = audited(record, _OF_POSITIONS)
+        batch, checks = self.batch, CHECKS
+        if states["velocity"] is None:
+            # Hinges count full turns by their rates; those of the start need not last.
+            still = {key: np.zeros_like(getattr(batch, key)) for key in STATES[2:]}
+            batch, checks = dataclasses.replace(batch, **still), _OF_POSITIONS
+            states = states | {key: np.zeros_like(states["position"]) for key in still}
             self._leave_out("no velocities", _OF_VELOCITIES)
+        trajectory = self._trajectory(states)
+        spread = self.origin.contact_time_s
+        record = Record(self.foreign.scene, batch, trajectory, method, step, spread)
+        findings = audited(record, checks)
         if blur is None:
             self.not_checked["precision"] = "bodies are fitted to the particles"
         rounding = {"start": blur or 0.0, "finite": 2.0 * turned}  # of a norm of four components
@@ -280,13 +284,15 @@ class _Case:
 
     def _leave_out(self, reason: str, checks: tuple[Check, ...]) -> None:
         """Note that those of the checks that apply to the scene could not run."""
-        still = Record(self.foreign.scene, self.batch, self._trajectory({}))
-        self.not_checked |= {finding.check: reason for finding in audited(still, checks)}
+        still = self._trajectory({})
+        aloft = dataclasses.replace(still, position=still.position + _ALOFT)
+        record = Record(self.foreign.scene, self.batch, aloft)
+        self.not_checked |= {finding.check: reason for finding in audited(record, checks)}
 
     def _method(self) -> tuple[Method | None, float | None]:
         """Return the method and the step of the trajectories, as far as they are known."""
         origin = self.origin
-        if origin.method_order is None and origin.velocity_lag_s is None:
+        if (origin.method_order, origin.velocity_lag_s, origin.single_precision) == (None,) * 3:
             self.assumptions.append("method: unknown, so budgets are those of first order")
             return None, origin.step_s
         step = origin.step_s or self.foreign.scene.clock.frame

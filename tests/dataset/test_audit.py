@@ -14,9 +14,10 @@ from mbds_xsim.dataset.foreign import Provenance
 from mbds_xsim.dataset.points import recover
 from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.scene.state import STATES
+from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.testing.joint_cases import JOINT_CASES
 
-from .foreign_files import Arrays, Audit, checks_of, failed_in, only, simulated
+from .foreign_files import INDEX, Arrays, Audit, checks_of, failed_in, only, simulated
 
 
 def test_all_checks_run_on_states_of_bodies(rod: Scene, swing: Arrays, audited: Audit) -> None:
@@ -152,6 +153,42 @@ def test_positions_alone_show_whether_joints_keep_their_limits(
     assert result.verdict == verdict
     assert failed_in(result) == ({"past limits"} if verdict == "fail" else set())
     assert result.not_checked["stop passivity"] == "no velocities"
+
+
+def test_positions_alone_do_not_turn_hinges_at_the_rates_of_the_start(audited: Audit) -> None:
+    """A brake stops a wheel within half a turn; at the rate of its start it would go on."""
+    (brake,) = (case.scene for case in JOINT_CASES if case.name == "brake")
+    brake = msgspec.structs.replace(brake, clock=Clock(steps=100))
+    joints = tuple(
+        msgspec.structs.replace(joint, limits=(-4.0, 4.0)) if joint.name == "axle" else joint
+        for joint in brake.joints
+    )
+    arrays = only(simulated(brake), "body/position", "body/orientation")
+    seldom = {name: values[:, ::100] for name, values in arrays.items() if name != "time"}
+    scene = msgspec.structs.replace(brake, joints=joints)
+    result = audited(scene, seldom | {"time": arrays["time"][::100]}, Provenance())
+    assert "past limits" in checks_of(result)
+    assert result.reasons == ()
+
+
+@pytest.mark.parametrize("name", ["ballscroll", "balldrop"])
+def test_checks_of_flights_are_told_wherever_a_motion_starts(name: str, audited: Audit) -> None:
+    scene = msgspec.structs.replace(load_scene(name), clock=Clock(steps=2))
+    result = audited(scene, only(simulated(scene), "body/position", "body/orientation"))
+    flights = {"energy", "momentum", "kinematics", "velocity lag", "coefficients"}
+    assert flights <= set(result.not_checked)
+
+
+def test_single_precision_needs_no_order_beside_it(
+    rod: Scene, swing: Arrays, audited: Audit
+) -> None:
+    motion = {name: swing[name] for name in swing if name.startswith(("time", "body", "input"))}
+    for key in STATES:
+        motion[f"body/{key}"] = motion[f"body/{key}"].astype(np.float32).astype(np.float64)
+    turns = motion["body/orientation"]
+    motion["body/orientation"] = turns / np.linalg.norm(turns, axis=-1, keepdims=True)
+    assert {"precision", "start"} <= failed_in(audited(rod, motion))
+    assert audited(rod, motion, Provenance(INDEX, seed=7, single_precision=True)).reasons == ()
 
 
 def test_particles_of_a_rod_tell_its_length(rod: Scene, swing: Arrays, audited: Audit) -> None:
