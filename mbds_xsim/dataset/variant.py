@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,6 +15,7 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.versions import CHECKS
 from mbds_xsim.dataset.hdf5 import attributes_of, variant_files
 from mbds_xsim.dataset.layout import AUDIT_SAMPLE, FORMAT, ONE_SIZE, SHARED, SUFFIX, VERSION
+from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.scene.file import write_scene
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.choice import Contender
@@ -183,12 +184,12 @@ def unpaired(variants: Iterable[Variant], trajectories: int, out: Path) -> Itera
     """Yield warnings of sets beside the variants whose number of trajectories is another.
 
     Raises:
-        InputError: A set is damaged: it would end the run once all is made.
+        InputError: A set is damaged or lacks shards: it would end the run once all is made.
     """
     asked = {variant.folder(out) for variant in variants}
     beside = (file for scene in {path.parent for path in asked} for file in variant_files(scene))
     for file in sorted(file for file in beside if file.with_suffix("") not in asked):
-        count = _attributes(file).get("count")
+        count = _read(lambda path: load_dataset(path).attributes, file)["count"]
         if count != trajectories:
             yield (f"{file}: {count} trajectories, now asked for are {trajectories}; {ONE_SIZE}")
 
@@ -196,7 +197,8 @@ def unpaired(variants: Iterable[Variant], trajectories: int, out: Path) -> Itera
 def _is_complete(item: Item, path: Path) -> bool:
     """Return whether a file is this shard; a shorter one, of a smaller set, is made anew."""
     attrs = _attributes(path)
-    _check_same(attrs, item.variant.recipe, f"{path} was made differently")
+    recipe = {**item.variant.recipe, "first": item.first}
+    _check_same(attrs, recipe, f"{path} was made differently")
     if attrs.get("count", 0) > item.count:
         raise InputError(
             f"{path} holds {attrs['count']} trajectories, needed are {item.count}: it is from a "
@@ -206,8 +208,12 @@ def _is_complete(item: Item, path: Path) -> bool:
 
 
 def _attributes(path: Path) -> dict[str, Any]:
+    return _read(attributes_of, path)
+
+
+def _read(attributes: Callable[[Path], dict[str, Any]], path: Path) -> dict[str, Any]:
     try:
-        return attributes_of(path)
+        return attributes(path)
     except InputError as error:
         raise InputError(f"{error}; delete it to make it anew, or name another --out") from error
 

@@ -260,6 +260,8 @@ def _counts(path: Path, index: Any, attributes: dict[str, Any]) -> Iterator[str]
     drawn, published = attributes["count"], attributes["published"]
     if published != len(index) or published + attributes["rejected"] != drawn:
         yield "counts: published and rejected do not make up count"
+    if len(index) and (index[0] < 0 or index[-1] >= drawn or (np.diff(index) < 1).any()):
+        yield f"index: not ascending from 0 to {drawn - 1}"
     folder = rejected_folder(path.absolute().with_suffix(""))
     if not folder.is_dir():
         return

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -77,6 +78,18 @@ def test_data_that_no_engine_made_are_told_apart(make: Make, tmp_path: Path) -> 
         :3, list(data["check/name"]).index("error growth-weighted")
     ]
     assert np.all(own < 1e-9)
+
+
+def test_a_set_without_its_shards_ends_the_next_before_it_begins(
+    make: Make, tmp_path: Path
+) -> None:
+    make(tmp_path, trajectories=3, settings="native")
+    shutil.rmtree(tmp_path / "1pendulum" / "mujoco-native")
+    with pytest.raises(
+        InputError, match=r"mujoco-native\.h5: 1 of its 1 shards are missing.*delete"
+    ):
+        make(tmp_path, trajectories=3)
+    assert not (tmp_path / "1pendulum" / "mujoco-matched").exists()
 
 
 def test_parts_that_differ_between_files_are_told(make: Make, tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import pickle
 import re
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,15 +15,17 @@ import numpy as np
 import pytest
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.files import put
 from mbds_xsim.base.isolate import HERE, Task
 from mbds_xsim.checks import audit
 from mbds_xsim.dataset import gate, shard
 from mbds_xsim.dataset.gate import COLUMNS
 from mbds_xsim.dataset.generate import Request, generate
+from mbds_xsim.dataset.hdf5 import CONTENT
 from mbds_xsim.dataset.layout import rejected_folder, split_of
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.dataset.variant import Item, Variant
-from mbds_xsim.dataset.verify import verify
+from mbds_xsim.dataset.verify import recheck, verify
 from mbds_xsim.scene.file import write_scene
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import HingeRate, Levels, Turn
@@ -355,6 +358,22 @@ def test_a_set_grows(make: Make, whole: Path, tmp_path: Path) -> None:
     assert make(tmp_path, progress=progress).made == 24  # the shard that was short, and a new one
     assert (progress.total, progress.done) == (TRAJECTORIES, TRAJECTORIES)
     assert contents(tmp_path) == contents(whole)
+
+
+def test_a_shard_in_the_place_of_another_is_found(whole: Path, make: Make, tmp_path: Path) -> None:
+    """Joined, its trajectories would be there twice, and others not at all."""
+    out = Path(shutil.copytree(whole, tmp_path / "copy"))
+    folder = (out / FILE).with_suffix("")
+    shutil.copy(folder / "0000000016.h5", folder / "0000000000.h5")
+    with pytest.raises(
+        InputError, match=r"was made differently: its first is 16, now asked for is 0"
+    ):
+        make(out)
+    attributes = load_dataset(out / FILE).attributes
+    del attributes[CONTENT]
+    shards = [shard.Shard(path) for path in sorted(folder.glob("*.h5"))]
+    put(out / FILE, *shard.joined(shards, TRAJECTORIES, attributes))
+    assert "index: not ascending from 0 to 39" in recheck(out / FILE, "joined").problems
 
 
 def test_data_of_the_reference_are_sound_where_friction_stops_joints(
