@@ -383,4 +383,4 @@ def _unnamed(foreign: Foreign, assumptions: list[str]) -> Batch:
         if getattr(batch, key).size:
             source = "none but what the scene lists" if values is None else "those of the file"
             assumptions.append(f"{key}s: {source}")
-    return dataclasses.replace(batch, index=np.arange(count), **inputs)
+    return dataclasses.replace(batch, index=np.arange(count) + foreign.first, **inputs)

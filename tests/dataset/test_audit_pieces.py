@@ -61,11 +61,13 @@ def test_a_bad_trajectory_is_found_in_any_piece(
         arrays["time"] = file["time"][()]
     arrays["body/position"][5, 4] += 0.01
     np.savez(tmp_path / "it.npz", **arrays)
-    monkeypatch.setattr(foreign, "_AT_ONCE", 7 * 11)
+    monkeypatch.setattr(foreign, "_AT_ONCE", 4 * 11)
     provenance = Provenance(index=tuple(range(16, 32)), seed=0)
-    result = audit_file(tmp_path / "it.npz", rod, provenance)
-    assert result.verdict == "fail"
-    assert any(line.startswith("gap") and "trajectory 21" in line for line in result.reasons)
+    for origin, number in ((provenance, 21), (Provenance(), 5)):
+        result = audit_file(tmp_path / "it.npz", rod, origin)
+        assert result.verdict == "fail"
+        (line,) = [line for line in result.reasons if line.startswith("gap:")]
+        assert f"trajectory {number} " in line
     arrays["body/position"][6, 4] = np.nan
     np.savez(tmp_path / "it.npz", **arrays)
     with pytest.raises(InputError, match="in trajectory 6, frame 4"):
