@@ -22,6 +22,8 @@ from mbds_xsim.scene.scene import Scene
 
 TIME = "time"
 _COMMENT = "#"
+_MOST = 0.6  # share of numbers; others may lack digits that are 0
+_SEVERAL = 4  # digits; numbers of fewer may well be exact
 _FORMS = {
     "position": "p{}_{}",
     "velocity": "p{}_v{}",
@@ -139,26 +141,27 @@ class _Column:
     rounding: float
     """Half a unit of the last digit in any of its cells."""
     digits: NDArray[np.int64]
-    """Number of significant digits in each cell, without the 0 of a text such as 10.0."""
+    """Number of significant digits in each cell."""
 
 
 def _rounding(values: Array, columns: list[_Column], finest: float) -> float:
     """Return the largest rounding error of a group of columns; `finest` if all are 0, 1 or −1.
 
-    The last digit of the largest numbers counts if they have as many digits as any: a smaller one,
-    as those of %.6e, may show more decimals. If they have fewer, as 0.5 or a column of 1.0, they
-    may be exact, and the decimals of other numbers count if these are finer.
+    A column such as 0.0 in every frame shows few digits without being rounded. So the error is not
+    larger than in the largest number of the group if that has as many significant digits as any. It
+    is that one, whatever decimals smaller numbers have, if most numbers have as many digits, as
+    those of %.6e.
     """
     largest = float(np.abs(values).max())
     plain = bool(np.isin(values, (-1.0, 0.0, 1.0)).all())  # as of bodies that do not turn
     if plain or not math.isfinite(largest):
         return finest
-    order = math.floor(math.log10(largest))
     digits = np.stack([column.digits for column in columns], axis=-1)
-    most, large = int(digits.max()), np.abs(values.reshape(digits.shape)) >= 10.0**order
-    decimals = max(column.rounding for column in columns)
-    if digits[large].max() == most:
-        decimals = math.inf
+    sizes, most = np.abs(values.reshape(digits.shape)), int(digits.max())
+    order = math.floor(math.log10(largest))
+    full = digits == most
+    even = most >= _SEVERAL and full[sizes > 0].mean() > _MOST and full[sizes >= 10.0**order].any()
+    decimals = math.inf if even else max(column.rounding for column in columns)
     last = order + 1 - most
     return max(min(decimals, 0.5 * 10.0**last), _coarse(values))
 
@@ -171,7 +174,7 @@ def _column(rows: list[list[str]], place: int, name: str, path: Path) -> _Column
         try:
             parts = Decimal(text).as_tuple()
             exponents.append(parts.exponent)
-            digits.append(len(parts.digits) - text.endswith(".0"))
+            digits.append(len(parts.digits))
             values.append(float(text))  # refuses a signalling NaN, unlike Decimal
         except (ArithmeticError, ValueError):
             msg = f"{path}: frame {frame}, column {name}: got {text!r}, allowed is a number"
