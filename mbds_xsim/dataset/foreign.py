@@ -313,6 +313,9 @@ def _checked(
         if (f"body/{one}" in arrays) != (f"body/{other}" in arrays):
             msg = f"{source}: body/{one} and body/{other} belong together; one is missing"
             raise InputError(msg)
+    if "body/velocity" in arrays and "body/position" not in arrays:
+        msg = f"{source}: got body/velocity without body/position; give both, or leave it out"
+        raise InputError(msg)
     clock = _clock(np.asarray(arrays[TIME], dtype=np.float64), blur, scene, source)
     time = clock.frame * np.arange(clock.steps + 1, dtype=np.float64)
     shaped = _shaped(arrays, scene, clock, first, source)
@@ -350,6 +353,10 @@ def _shaped(
 ) -> dict[str, Array]:
     """Return arrays with a first axis of trajectories; check shapes, and that all is finite."""
     shaped: dict[str, Array] = {}
+    torque = arrays.get("input/torque", np.empty(0))
+    if torque.size and all(group.name != "input/torque" for group in groups(scene)):
+        msg = f"{source}: input/torque: got shape {torque.shape}, but {scene.name} has no hinges"
+        raise InputError(f"{msg}; leave it out")
     for group in groups(scene):
         if group.name not in arrays:
             continue

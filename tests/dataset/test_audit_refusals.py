@@ -74,6 +74,11 @@ def test_what_cannot_be_used_is_refused(
         ({"body/position": np.zeros((11, 1, 3))}, "belong together"),
         ({"velocity": np.zeros((1, 11, 1, 3))}, "different numbers of trajectories"),
         ({"position": np.array(["a"])}, "allowed are numbers"),
+        (
+            dict.fromkeys(("body/velocity", "body/angular_velocity"), np.zeros((2, 11, 1, 3))),
+            "got body/velocity without body/position; give both",
+        ),
+        ({"input/torque": np.zeros((2, 10, 1))}, "(2, 10, 1), but 1pendulum has no hinges"),
     ],
 )
 def test_wrong_arrays_are_refused(
