@@ -239,7 +239,7 @@ class Dataset:
             UnknownDataset: The file has no dataset of one of these names.
             InputError: xarray is not installed.
         """
-        arrays = {}
+        arrays, rows = {}, _several(rows)
         for name in [names] if isinstance(names, str) else names:
             values = self[name]  # refuses unknown names
             own = values[rows] if FIELDS[name].per_trajectory else values

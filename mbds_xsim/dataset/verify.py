@@ -223,11 +223,17 @@ def _shards(path: Path, file: Any, attributes: dict[str, Any]) -> Iterator[str]:
         other = attributes_of(part)
         if other.get(CONTENT) != content:
             yield f"shard {name} is not the one that was joined"
-        differing = [k for k in attributes if k not in _OWN and other.get(k) != attributes[k]]
-        if differing:
-            yield f"shard {name} was made differently: {', '.join(differing)}"
+        yield from _made_differently(f"shard {name}", other, attributes)
     if not len(names):
         yield "index: not that of the shards"
+
+
+def _made_differently(
+    name: str, attributes: dict[str, Any], wanted: dict[str, Any]
+) -> Iterator[str]:
+    differing = [k for k in wanted if k not in _OWN and attributes.get(k) != wanted[k]]
+    if differing:
+        yield f"{name} was made differently: {', '.join(differing)}"
 
 
 def _differences(file: Any, content: bytes) -> Iterator[str]:
@@ -267,6 +273,7 @@ def _counts(path: Path, index: Any, attributes: dict[str, Any]) -> Iterator[str]
         return
     parts = [index]
     for part in sorted(folder.glob(f"*{SUFFIX}")):
+        yield from _made_differently(f"rejected {part.name}", attributes_of(part), attributes)
         with open_hdf5(part) as file:
             parts.append(file["index"][()])
     if not np.array_equal(np.sort(np.concatenate(parts)), np.arange(drawn)):

@@ -128,6 +128,7 @@ def test_without_xarray_the_line_that_installs_it(
 def test_xarray_takes_names_of_any_datasets(folder: Path, files: list[Dataset]) -> None:
     """Rows are those of trajectories; what all share comes whole."""
     pytest.importorskip("xarray")
+    assert files[0].to_xarray("position", rows=1)["position"].shape[0] == 1
     one = files[0].to_xarray(["time", "position"], rows=slice(0, 2))
     assert (one["time"].shape, one["position"].shape[:2]) == ((11,), (2, 11))
     assert list(files[0].to_xarray("position")) == ["position"]

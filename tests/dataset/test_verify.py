@@ -78,8 +78,12 @@ def _with_one_rejected(make: Make, out: Path, which: int, trajectories: int) -> 
 def test_rejected_ones_are_checked_too(make: Make, tmp_path: Path) -> None:
     verified = _with_one_rejected(make, tmp_path, 3, trajectories=8)
     assert [r.trajectories for r in verified.files if r.kind == "rejected"] == [1]
-    shutil.rmtree(tmp_path / "rejected/1pendulum/mujoco-matched")
-    (tmp_path / "rejected/1pendulum/mujoco-matched").mkdir()
+    rejected = tmp_path / "rejected/1pendulum/mujoco-matched"
+    _rewrite(rejected / "0000000000.h5", _tell("engine_version", "0.1"))
+    (problem,) = recheck(tmp_path / FILE, "joined").problems
+    assert problem == "rejected 0000000000.h5 was made differently: engine_version"
+    shutil.rmtree(rejected)
+    rejected.mkdir()
     assert _problems(_verify(tmp_path)) == [
         "published and rejected trajectories do not make up 0 to 7"
     ]
