@@ -165,7 +165,8 @@ class _Case:
             )
         if "body/position" in arrays:
             states = {key: arrays.get(f"body/{key}") for key in STATES}
-            blur = self.rounding(*(f"body/{key}" for key in STATES))
+            place, *others = (self.rounding(f"body/{key}") for key in STATES)
+            blur = max(place / self.foreign.scene.length, *others)
             findings += self._of_bodies(states, blur, self.rounding("body/orientation"))
             findings += self._carried(states)
         else:
@@ -182,8 +183,9 @@ class _Case:
     ) -> list[Finding]:
         """Run the checks on body states; without velocities, only the checks of positions.
 
-        States may be rounded by `blur`, orientations by `turned`. `blur` is None for states fitted
-        to points: then the points, and not the bodies, are compared with the start.
+        States may be rounded by `blur`, places over the scene's length, orientations by `turned`.
+        `blur` is None for states fitted to points: then the points, and not the bodies, are
+        compared with the start.
         """
         self.orientation = states["orientation"]
         method, step = self._method()

@@ -101,6 +101,19 @@ def test_numbers_of_few_digits_are_rounded_by_their_size(
     assert frame == pytest.approx(1 / 30, rel=1e-4)
 
 
+@pytest.mark.parametrize("decimals", [5, 6, 8])
+def test_the_rounded_start_of_a_small_mechanism_is_no_fault(
+    decimals: int, rod: Scene, swing: Arrays, tmp_path: Path
+) -> None:
+    """The figure is over the scene's length of half a metre, by which rounding counts double."""
+    one = first_of({name: swing[name] for name in swing if name.startswith(("time", "body", "in"))})
+    for off, failed in ((0.0, set()), (10.0 * 10.0**-decimals, {"start"})):
+        moved = one | {"body/position": one["body/position"] + off}
+        write_csv(tmp_path / "it.csv", rod, moved, f"{{:.{decimals}f}}".format)
+        result = audit_file(tmp_path / "it.csv", rod, FIRST)
+        assert failed_in(result) & {"start", "finite"} == failed
+
+
 @pytest.mark.parametrize("decimals", [4, 3])
 def test_rounded_bodies_still_carry_their_particles(
     decimals: int, drop: tuple[Scene, Arrays], tmp_path: Path
