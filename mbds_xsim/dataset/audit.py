@@ -317,7 +317,7 @@ class _Case:
                 continue
             drawn = getattr(self.batch, key)
             deviation = np.abs(inputs - drawn).reshape(*inputs.shape[:2], -1).max(axis=2)
-            scale = max(1.0, float(np.abs(drawn).max()))
+            scale = float(np.abs(drawn).max()) or 1.0
             rounding = self.rounding(f"input/{key}") / scale
             parts = np.pad(deviation / scale, ((0, 0), (0, 1)))[:, :, None]
             findings.append(Finding.of(key, "1", parts, budget=_SAME_INPUT, uncertainty=rounding))

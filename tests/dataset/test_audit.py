@@ -86,6 +86,14 @@ def test_planted_faults_are_found(
     assert sees <= failed_in(result)
 
 
+def test_wrong_inputs_are_found_however_small_they_are(rod: Scene, audited: Audit) -> None:
+    gentle = msgspec.structs.replace(rod, noise=1e-10)
+    arrays = simulated(gentle)
+    assert audited(gentle, arrays).reasons == ()
+    wrong = arrays | {"input/force": 2.0 * arrays["input/force"]}
+    assert failed_in(audited(gentle, wrong)) == {"force"}
+
+
 def test_an_unnamed_start_is_the_files_own(rod: Scene, swing: Arrays, audited: Audit) -> None:
     result = audited(rod, swing, Provenance())
     assert result.verdict == "pass"
