@@ -286,9 +286,9 @@ class _Case:
 
     def _leave_out(self, reason: str, checks: tuple[Check, ...]) -> None:
         """Note that those of the checks that apply to the scene could not run."""
-        still = self._trajectory({})
+        still = self._trajectory({})[:1]
         aloft = dataclasses.replace(still, position=still.position + _ALOFT)
-        record = Record(self.foreign.scene, self.batch, aloft)
+        record = Record(self.foreign.scene, self.batch[:1], aloft)
         self.not_checked |= {finding.check: reason for finding in audited(record, checks)}
 
     def _method(self) -> tuple[Method | None, float | None]:
