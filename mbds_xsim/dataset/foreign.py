@@ -183,7 +183,10 @@ def _open_hdf5(path: Path, _: Scene | None) -> Iterator[_OpenFile]:
         arrays = datasets_in(file)
         for name in _RANKS.keys() & arrays.keys():
             check_sources(arrays[name])
-        yield _OpenFile(arrays, plain(file.attrs))
+        facts = plain(file.attrs)
+        if np.ndim(facts.get("index", 0)):
+            arrays["index"] = facts.pop("index")
+        yield _OpenFile(arrays, facts)
 
 
 @contextmanager

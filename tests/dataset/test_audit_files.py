@@ -149,6 +149,15 @@ def test_the_index_of_one_trajectory_may_be_a_scalar(
     assert "start" in failed_in(other)
 
 
+def test_indices_may_be_an_attribute(rod: Scene, swing: Arrays, tmp_path: Path) -> None:
+    for seed, failed in ((7, set()), (8, {"start"})):
+        with h5py.File(tmp_path / "it.h5", "w") as file:
+            file.attrs["index"], file.attrs["seed"] = INDEX, seed
+            file.update(swing)
+        result = audit_file(tmp_path / "it.h5", rod, Provenance())
+        assert failed_in(result) & {"start"} == failed
+
+
 def test_rounding_hides_no_missing_frame(rod: Scene, swing: Arrays, tmp_path: Path) -> None:
     one = first_of(swing)
     lost = {name: np.delete(values, 4, axis=0) for name, values in one.items()}
