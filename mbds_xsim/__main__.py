@@ -11,13 +11,16 @@ import os
 import signal
 import sys
 import threading
+import warnings
 from importlib import import_module
 from types import FrameType
+from typing import Any
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.process import discard, tell, unwritten
 
 _INTERRUPTED = 130
+_FORMAT = warnings.formatwarning
 
 
 def main() -> None:
@@ -33,6 +36,7 @@ def main() -> None:
     for number in ends:
         signal.signal(number, signal.default_int_handler)
     sys.unraisablehook = _interrupt_again
+    warnings.formatwarning = _format
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
@@ -68,6 +72,13 @@ def _end_at_once(_number: int, _frame: FrameType | None) -> None:
     """End at once: nothing has begun, and an exception during an import would leave a traceback."""
     os.write(sys.stderr.fileno(), b"mbds-xsim: interrupted\n")
     os._exit(_INTERRUPTED)
+
+
+def _format(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> str:
+    """Write a warning for users as one line, and others with their place in the program."""
+    if category is UserWarning:
+        return f"mbds-xsim: {message}\n"
+    return _FORMAT(message, category, *place, **more)
 
 
 def _interrupt_again(lost: sys.UnraisableHookArgs) -> None:

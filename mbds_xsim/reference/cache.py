@@ -218,7 +218,10 @@ def store(key: str, arrays: Arrays) -> None:
     try:
         write(key, arrays)
     except InputError as error:
-        warnings.warn(f"reference solutions are not kept: {error}", stacklevel=2)
+        # Without the entry's own path, so that it is shown once.
+        cause = getattr(error.__cause__, "strerror", error)
+        msg = f"reference solutions are not kept: cannot write to {directory()}: {cause}"
+        warnings.warn(msg, stacklevel=2)
 
 
 def _path(key: str) -> Path:

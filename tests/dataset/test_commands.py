@@ -98,6 +98,18 @@ def test_a_set_goes_out_and_is_audited(made: Ended, folder: Path) -> None:
     assert "out of budget on 1 trajectory of 1pendulum: gap, " in ended.stdout
 
 
+def test_reference_solutions_that_cannot_be_kept_are_one_line(
+    made: Ended, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert made.returncode == 0
+    monkeypatch.setenv("MBDS_XSIM_CACHE", "/proc/nowhere")
+    ended = _run(folder, "audit", "data/1pendulum/mujoco-matched.h5")
+    assert ended.returncode == 0
+    (line,) = ended.stderr.splitlines()
+    told = "mbds-xsim: reference solutions are not kept: cannot write to /proc/nowhere: No such"
+    assert line.startswith(told)
+
+
 def test_inspect_tells_and_draws(made: Ended, folder: Path) -> None:
     assert made.returncode == 0
     ended = _run(folder, "inspect", "data/1pendulum/mujoco-native.h5", "--png", "paths.png")
