@@ -337,14 +337,14 @@ def fates_of_stage(stage: Any, *, limited: bool, touching: bool) -> Iterator[Fat
         solid = "PhysicsCollisionAPI" in prim.GetAppliedSchemas()
         names = dict.fromkeys(each.GetName() for each in prim.GetAuthoredProperties())
         for name in names | ({_COLLIDES: None} if solid else {}):
-            parsed = _is_parsed(prim, name)
-            if not ((name in _USD_LIMITS and limited) or (parsed and name.startswith("drive"))):
+            parsed, timed = _is_parsed(prim, name), _is_timed(prim, name)
+            reported = (name in _USD_LIMITS and limited) or (parsed and name.startswith("drive"))
+            if timed or not reported:
                 entry = _usd_entry(table | _USD_SHAPE[touching] if solid else table, name)
                 entry = _USD["physics:axis"] if parsed else entry
-                attribute = prim.GetAttribute(name)
-                if attribute and attribute.GetNumTimeSamples() and entry[1]:
+                if timed and entry[1]:
                     entry = _AT_TIMES
-                elif attribute and _is_neutral(name, attribute.Get()):
+                elif _is_neutral(name, prim.GetAttribute(name)):
                     entry = _NONE
                 found.append((kind, entry, name, prim.GetPath(), place))
     return grouped(found)
@@ -358,8 +358,21 @@ def _is_parsed(prim: Any, name: str) -> bool:
     return applied and axis in _PARSED_AXES.get((first, str(prim.GetTypeName())), ())
 
 
-def _is_neutral(name: str, value: Any) -> bool:
-    """Whether a value of a property that is dropped has no effect: at rest, unbounded."""
+def _is_timed(prim: Any, name: str) -> bool:
+    """Whether an attribute has values at times; those of a transform must move a solid or body."""
+    from pxr import Usd
+
+    attribute = prim.GetAttribute(name)
+    if not attribute or not attribute.GetNumTimeSamples():
+        return False
+    below = Usd.PrimRange(prim, Usd.TraverseInstanceProxies())
+    schemas = (schema for each in below for schema in each.GetAppliedSchemas())
+    return not name.startswith("xformOp") or any(each.startswith("Physics") for each in schemas)
+
+
+def _is_neutral(name: str, attribute: Any) -> bool:
+    """Whether the value of a property that is dropped has no effect: at rest, unbounded."""
+    value: Any = attribute.Get() if attribute else None
     if name.startswith("physics:break"):
         return isinstance(value, float) and value >= _NEVER
     if name.startswith("physics:coneAngle"):

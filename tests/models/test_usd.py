@@ -147,6 +147,14 @@ def test_a_place_that_changes_in_time_is_told(here: Path) -> None:
     assert (fate.properties, fate.moves, fate.places) == (("xformOp:translate",), True, ("rod",))
 
 
+def test_a_camera_that_moves_is_no_loss(here: Path) -> None:
+    place = "double3 xformOp:translate.timeSamples = { 0: (1, 2, 3) }\n"
+    order = 'uniform token[] xformOpOrder = ["xformOp:translate"]\n'
+    imported = read(here, rigid("rod", "(1, 2, 3)"), f'def Camera "eye"\n{{\n{place}{order}}}\n')
+
+    assert {fate.outcome for fate in imported.fates} == {"kept"}
+
+
 @pytest.mark.parametrize(("speed", "outcome"), [("(0, 1, 0)", "dropped"), ("(0, 0, 0)", "kept")])
 def test_a_speed_is_told_unless_it_is_none(speed: str, outcome: str, here: Path) -> None:
     inside = _STATED + f"vector3f physics:velocity = {speed}\n"

@@ -150,6 +150,15 @@ def test_a_drive_that_is_no_servo_is_told(
     assert fate.reason.startswith(reason)
 
 
+def test_a_target_that_changes_in_time_is_told(here: Path) -> None:
+    drive = "float drive:angular:physics:stiffness = 3\n"
+    drive += "float drive:angular:physics:targetPosition.timeSamples = { 0: 10, 1: 20 }\n"
+    imported = read(here, rigid("rod", "(1, 2, 3)"), _driven("Revolute", "angular", drive))
+
+    (fate,) = (fate for fate in imported.fates if fate.outcome == "dropped")
+    assert (fate.properties, fate.moves) == (("drive:angular:physics:targetPosition",), True)
+
+
 def test_a_limit_that_the_library_does_not_parse_is_told(here: Path) -> None:
     text = general(("transX", 0, 2)).replace('"PhysicsLimitAPI:rotX", ', "")
     imported = read(here, rigid("rod", "(1, 0, 0)"), text)
