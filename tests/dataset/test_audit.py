@@ -187,6 +187,13 @@ def test_checks_of_flights_are_told_wherever_a_motion_starts(name: str, audited:
     assert flights <= set(result.not_checked)
 
 
+def test_checks_of_joints_are_told_where_friction_holds_them_at_the_start(audited: Audit) -> None:
+    (dragged,) = (case.scene for case in JOINT_CASES if case.name == "dragged block")
+    scene = msgspec.structs.replace(dragged, clock=Clock(frame=0.02, steps=5))
+    result = audited(scene, only(simulated(scene), "body/position", "body/orientation"))
+    assert {"kinematics", "velocity lag"} <= set(result.not_checked)
+
+
 def test_single_precision_needs_no_order_beside_it(
     rod: Scene, swing: Arrays, audited: Audit
 ) -> None:
