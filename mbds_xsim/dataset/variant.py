@@ -191,7 +191,7 @@ def unpaired(variants: Iterable[Variant], trajectories: int, out: Path) -> Itera
     for file in sorted(file for file in beside if file.with_suffix("") not in asked):
         count = _read(lambda path: load_dataset(path).attributes, file)["count"]
         if count != trajectories:
-            yield (f"{file}: {count} trajectories, now asked for are {trajectories}; {ONE_SIZE}")
+            yield f"{file}: {count} trajectories, now asked for are {trajectories}; {ONE_SIZE}"
 
 
 def _is_complete(item: Item, path: Path) -> bool:

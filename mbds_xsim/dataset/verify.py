@@ -173,7 +173,7 @@ def _unequal(file: Path, facts: dict[Path, dict[str, Any]]) -> Iterator[str]:
     }
     largest = max(sizes, key=sizes.__getitem__, default=file)
     if file in sizes and sizes[file] < sizes[largest]:
-        yield (f"{sizes[file]} trajectories, but {largest.name} has {sizes[largest]}: {ONE_SIZE}")
+        yield f"{sizes[file]} trajectories, but {largest.name} has {sizes[largest]}: {ONE_SIZE}"
 
 
 def recheck(path: Path, kind: str, resimulated: int = 0, seed: int = 0) -> FileReport:
