@@ -227,7 +227,7 @@ shift-balldrop-factors shift-balldrop-worth: STEPS = 500
 # hgnn+ and lgnn+ learn contact only once they know the energy, which 200 steps are too few for.
 shift-ballscroll-factors shift-ballscroll-worth: STEPS = 400
 # Where trainings of the same data end far apart, three seeds tell too little.
-shift-simplecubli-factors: SEEDED = --seeds 5
+shift-ballscroll-factors shift-simplecubli-factors: SEEDED = --seeds 5
 # The largest scene: tests of ten trajectories take 1.4 core-hours.
 shift-3ladder-factors shift-3ladder-matched shift-3ladder-worth: STEPS = 150
 shift-3ladder-factors shift-3ladder-matched shift-3ladder-worth: TESTED = --trajectories 10
