@@ -62,7 +62,7 @@ def save_model(
 def read_model(path: str | Path, scene: Scene | None = None) -> tuple[LearnedModel, dict[str, str]]:
     """Read a model, on the CPU, and the facts that were written with it.
 
-    It predicts the given scene, or by default the one that it was trained on.
+    It predicts the given scene, or by default the one that it was trained on; dropout is off.
 
     Raises:
         InputError: The file is not a model's, was made by other code, or does not fit the scene.
@@ -96,7 +96,7 @@ def read_model(path: str | Path, scene: Scene | None = None) -> tuple[LearnedMod
             raise _other_code(path, error) from error
         msg = f"{path}: trained on {own.name}, its parameters do not fit {scene.name}"
         raise InputError(msg) from error
-    return model, whole.facts
+    return model.eval(), whole.facts
 
 
 def _settings(kind: type[LearnedModel], whole: _Whole) -> Any:

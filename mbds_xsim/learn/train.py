@@ -133,12 +133,13 @@ def train(
     rows = torch.arange(min(profile.windows, len(validation)), device=validation.position.device)
     horizon = min(profile.horizon, validation.frame_count - HISTORY)
     sample = validation.sample(rows, HISTORY - 1, horizon)
-    while not loop.training.ended:
-        loop.judge(sample, loop.learn(training))
-        if checkpoint is not None:
-            loop.save(checkpoint)
-        if tell is not None:
-            tell(loop.training)
+    with torch.random.fork_rng():
+        while not loop.training.ended:
+            loop.judge(sample, loop.learn(training))
+            if checkpoint is not None:
+                loop.save(checkpoint)
+            if tell is not None:
+                tell(loop.training)
     model.load_state_dict(loop.best_state)
     return loop.training
 
@@ -154,6 +155,7 @@ def validation_error(model: LearnedModel, sample: Sample) -> float:
 
     It is infinite if a prediction failed.
     """
+    model.eval()  # dropout and batch normalisation behave as in a test
     try:
         with torch.no_grad():
             predicted = roll(model, sample.start, sample.inputs)
@@ -181,7 +183,7 @@ class _Loop:
         self.clock = time.monotonic(), time.process_time()
         if profile.compiled and next(model.parameters()).is_cuda:
             compile_networks(model)
-        self.step, self.rate = 0, recipe.rate
+        self.seed, self.step, self.rate = seed, 0, recipe.rate
         self.best_state = copy.deepcopy(model.state_dict())
         self.generator = torch.Generator().manual_seed(seed)
         self.adam = optimiser(model, recipe)
@@ -192,6 +194,8 @@ class _Loop:
         It is NaN if at least half of them were skipped.
         """
         total, taken, skipped = torch.zeros((), device=training.position.device), 0, 0
+        self.training.model.train()
+        torch.manual_seed(self.seed + self.step)  # for dropout, also after an interruption
         for _ in range(min(self.profile.every, self.profile.steps - self.step)):
             sample = training.draw(self.recipe.batch, self.generator, self.recipe.horizon)
             try:

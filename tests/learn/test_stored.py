@@ -213,3 +213,4 @@ def test_a_model_of_any_track_is_read_back(name: str, track: str, tmp_path: Path
     save_model(path, build(name, graph, statistics, track=track), name, settings, statistics)
     read, _ = read_model(path)
     assert isinstance(read, load_model(name))
+    assert not read.training, "dropout is on"

@@ -8,6 +8,7 @@ import msgspec
 import pytest
 import torch
 from torch import Tensor
+from torch.nn.functional import dropout
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.read import Dataset
@@ -16,7 +17,7 @@ from mbds_xsim.learn.gns import GNS, GNSSettings
 from mbds_xsim.learn.model import build, load_model
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.train import CurvePoint, Training, check_identity, train
-from mbds_xsim.learn.window import Motions, Sample
+from mbds_xsim.learn.window import KnownInputs, Motions, Sample
 from tests.learn.models import squared_error
 
 Data = Callable[..., Dataset]
@@ -30,11 +31,19 @@ def parts(data: Data) -> tuple[Motions, Motions]:
     return Motions.of(file, "train"), Motions.of(file, "validation")
 
 
-def _model(motions: Motions) -> GNS:
+class _Dropping(GNS):
+    """GNS whose dropout is on in training, and off in validation."""
+
+    def forward(self, history: Tensor, inputs: KnownInputs) -> Tensor:
+        assert self.training == torch.is_grad_enabled()
+        return dropout(super().forward(history, inputs), 0.3, self.training)
+
+
+def _model(motions: Motions, kind: type[GNS] = GNS) -> GNS:
     with torch.random.fork_rng():
         torch.manual_seed(0)
         settings = GNSSettings(width=24, steps=2, noise=1e-3, loss="l1")
-        return GNS(motions.graph, Statistics.of(motions), settings)
+        return kind(motions.graph, Statistics.of(motions), settings)
 
 
 def _same(first: dict[str, Tensor], second: dict[str, Tensor]) -> bool:
@@ -55,10 +64,11 @@ def test_it_beats_the_trivial_models(data: Data) -> None:
         assert learned < 0.5 * error
 
 
+@pytest.mark.parametrize("kind", [GNS, _Dropping])
 def test_an_interrupted_run_goes_on_to_the_same_bits(
-    parts: tuple[Motions, Motions], scratch: Path
+    kind: type[GNS], parts: tuple[Motions, Motions], scratch: Path
 ) -> None:
-    whole, halted = _model(parts[0]), _model(parts[0])
+    whole, halted = (_model(parts[0], kind) for _ in range(2))
     curve = train(whole, *parts, RECIPE, SHORT).curve
 
     def halt(training: Training) -> None:
@@ -68,7 +78,7 @@ def test_an_interrupted_run_goes_on_to_the_same_bits(
     path = scratch / "run.pt"
     with pytest.raises(KeyboardInterrupt):
         train(halted, *parts, RECIPE, SHORT, checkpoint=path, tell=halt)
-    fresh = _model(parts[0])
+    fresh = _model(parts[0], kind)
     steps: list[int] = []
     spent = torch.load(path, weights_only=True)["wall_s"]
 
