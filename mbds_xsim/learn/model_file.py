@@ -178,7 +178,8 @@ _PROTOCOL = 2
 _NAMED = {
     "torch._utils _rebuild_tensor_v2",
     "collections OrderedDict",
-    *(f"torch {kind}Storage" for kind in ("Float", "Double", "BFloat16", "Long", "Byte", "Bool")),
+    *(f"torch {kind}Storage" for kind in ("Float", "Double", "Half", "BFloat16")),
+    *(f"torch {kind}Storage" for kind in ("Long", "Int", "Short", "Char", "Byte", "Bool")),
 }
 """All names that a file of this project contains: functions, and the types of arrays."""
 

@@ -202,6 +202,16 @@ def test_what_a_sound_file_holds_does_not_hang_on_it(tmp_path: Path) -> None:
         assert torch.equal(value, whole["parameters"][name])
 
 
+@pytest.mark.parametrize("kind", ["float16", "int32", "int16", "int8"])
+def test_a_model_of_another_package_may_keep_any_type_of_array(kind: str, tmp_path: Path) -> None:
+    statistics = Statistics.of_nothing()
+    model = build("hold", Graph.of(load_scene("3pendulum")), statistics)
+    model.register_buffer("order", torch.arange(3, dtype=getattr(torch, kind)))
+    path = tmp_path / "model.pt"
+    save_model(path, model, "hold", None, statistics)
+    assert read_facts(path) == {}
+
+
 @pytest.mark.parametrize(
     ("name", "track"),
     [(name, track) for name in trainable() for track in load_model(name).tracks],
