@@ -14,6 +14,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from mbds_xsim.commands import app
+from mbds_xsim.learn.gns import GNS
 from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.studies.shift.figures import draw_curves
 from mbds_xsim.studies.shift.present import present, protocol
@@ -87,8 +88,13 @@ def test_answers_and_tables_are_given_at_the_frame_asked_for(studied: Path, shif
 
 
 def test_the_command_writes_all_files(
-    studied: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    studied: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    predict = GNS.predict
+    monkeypatch.setattr(GNS, "predict", lambda *given: print("hello") or predict(*given))
     names = {kind: str(tmp_path / f"out.{kind}") for kind in ("json", "csv", "html", "png", "md")}
     words = ["shift", str(studied / "models"), str(studied / "data"), "--workers", "2"]
     words += 2 * ["--scene", SCENE]  # named twice, it is studied once
@@ -96,8 +102,10 @@ def test_the_command_writes_all_files(
     words += ["--png", names["png"], "--markdown", names["md"]]
     words += ["--rollouts", str(tmp_path / "rollouts.png")]
     app(words, standalone_mode=False)
-    text = capsys.readouterr().out
+    text, apart = capsys.readouterr()
     assert "Is a shift resolvable?" in text
+    assert "hello" in apart, "what a model prints is not in the output, which may be JSON"
+    assert "hello" not in text
     result = msgspec.json.decode(Path(names["json"]).read_bytes(), type=Shift)
     assert result.schema == "mbds-xsim/shift/1"
     with Path(names["csv"]).open() as file:
