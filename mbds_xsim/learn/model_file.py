@@ -75,7 +75,7 @@ def read_model(path: str | Path, scene: Scene | None = None) -> tuple[LearnedMod
         kind = load_model(whole.name)
         if whole.revision != kind.revision:
             raise ValueError(f"revision {whole.revision} of {whole.name}, now {kind.revision}")
-        settings = _settings(kind, whole)
+        settings = _settings(kind, whole.settings)
         own = msgspec.toml.decode(whole.scene, type=Scene)
         statistics = Statistics.from_state(arrays(whole.statistics))
         parameters = arrays(whole.parameters)
@@ -99,11 +99,21 @@ def read_model(path: str | Path, scene: Scene | None = None) -> tuple[LearnedMod
     return model.eval(), whole.facts
 
 
-def _settings(kind: type[LearnedModel], whole: _Whole) -> Any:
+def check_settings(name: str, track: str) -> None:
+    """Raise InputError if a model's file could not be read with the hyper-parameters of a track."""
+    kind = load_model(name)
+    try:
+        _settings(kind, msgspec.json.encode(kind.tracks[track]))
+    except Exception as error:  # another package's settings may be anything
+        msg = f"the model {name} could not be read from its file: change its track {track}: {error}"
+        raise InputError(" ".join(msg.split())) from error
+
+
+def _settings(kind: type[LearnedModel], text: str | bytes) -> Any:
     """Read the hyper-parameters of a kind of model; None if nothing can be set."""
     if not kind.tracks:
         return None
-    settings = msgspec.json.decode(whole.settings, type=type(next(iter(kind.tracks.values()))))
+    settings = msgspec.json.decode(text, type=type(next(iter(kind.tracks.values()))))
     _check_sizes(msgspec.to_builtins(settings))
     return settings
 
@@ -113,7 +123,7 @@ def _check_sizes(settings: Any) -> None:
         if isinstance(value, dict) and key != "recipe":
             _check_sizes(value)
         elif isinstance(value, int) and not 0 <= value <= _LARGEST:
-            raise ValueError(f"{key}: got {value}, allowed is at most {_LARGEST}")
+            raise ValueError(f"{key}: got {value}, allowed is 0 to {_LARGEST}")
 
 
 @contextmanager

@@ -19,6 +19,7 @@ from mbds_xsim.learn.curves import read_curve
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.groups import TrainingGroup, shares_of
 from mbds_xsim.learn.model import load_model, model_names, refusal, track_of, trainable
+from mbds_xsim.learn.model_file import check_settings
 from mbds_xsim.learn.recipe import TRACKS
 from mbds_xsim.learn.runs import (
     Cost,
@@ -87,8 +88,8 @@ def planned(request: TrainingRequest, *, only: bool = False) -> TrainingPlan:
     """Plan the runs of a request; `only`, if nothing will be written and blocked runs are allowed.
 
     Raises:
-        InputError: A model, track or training does not exist, the data are too few, too short or
-            damaged, or the files of another run are in a run's place.
+        InputError: A model, track or training does not exist, its file could not be read, the data
+            are too few, too short or damaged, or another run's files are in a run's place.
     """
     events = request.events and request.events.absolute()
     request = replace(request, out=request.out.absolute(), events=events)
@@ -98,6 +99,7 @@ def planned(request: TrainingRequest, *, only: bool = False) -> TrainingPlan:
             load_model(model)  # raises the reason if it cannot be used
         check_name("model to train", model, trainable())
         tracks[model] = track_of(model, request.track, usual)
+        check_settings(model, tracks[model])
     reasons = {
         (group, model): _refusal(model, group, tracks[model])
         for group in request.groups

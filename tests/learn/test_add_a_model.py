@@ -127,3 +127,29 @@ def test_a_model_that_fails_on_a_scene_cannot_represent_it(
     assert Path.cwd() == here
     assert capsys.readouterr() == ("", "hello\n")
     sys.modules.pop("fails", None)
+
+
+_LONG = """
+import msgspec
+from mbds_xsim.learn.model import Hold
+from mbds_xsim.learn.recipe import Recipe
+
+class Settings(msgspec.Struct):
+    recipe: Recipe = Recipe()
+    warm: int = 20_000
+
+class Long(Hold):
+    tracks = {"lite": Settings()}
+"""
+
+
+def test_one_whose_file_could_not_be_read_is_refused_before_its_training(
+    ask: Ask, tmp_path: Path
+) -> None:
+    line = "^the model long could not be read from its file: .* warm: got 20000, allowed is 0 to"
+    with (
+        installed(tmp_path / "long", {"long_model": _LONG}, models={"long": "long_model:Long"}),
+        pytest.raises(InputError, match=line),
+    ):
+        planned(ask("long"))
+    sys.modules.pop("long_model", None)

@@ -37,7 +37,7 @@ def _width(whole: dict[str, Any], width: int) -> None:
     ("change", "told"),
     [
         (lambda whole: _width(whole, 9_000), "ask for more parameters than it has"),
-        (lambda whole: _width(whole, 150_000), "width: got 150000, allowed is at most 10000"),
+        (lambda whole: _width(whole, 150_000), "width: got 150000, allowed is 0 to 10000"),
         (lambda whole: _width(whole, -1), "width: got -1"),
         (lambda whole: whole.pop("parameters"), "missing required field `parameters`"),
         (lambda whole: whole.pop("scene"), "missing required field `scene`"),
