@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 
+from mbds_xsim.base.isolate import HERE
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.dataset.shard import LOG, stage_times
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import refusal, trainable
+from mbds_xsim.learn.shift import study
 from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.learn.trained import Selection, find_models
 from mbds_xsim.learn.window import HISTORY
@@ -111,6 +114,19 @@ def test_models_that_are_not_there_are_said_so(shift: Shift) -> None:
     plate = Scene("plate", (Body("plate", inertia=flat),), 1.0, joints=(hinge,))
     assert "got joined bodies and no edges" in refusal("gns", Graph.of(plate))
     assert "points, which have no mass matrix for a flat body" in refusal("lgnn", Graph.of(plate))
+
+
+def test_a_model_in_a_folder_of_its_own_name_was_tested(studied: Path, apart: None) -> None:
+    """Two trainings of one model are compared by folders of different names."""
+    del apart
+    part = Selection.parse("native", "each", 1)
+    places = studied / "models", studied / "data"
+    test, trained, frame = study.question_of(*places, SCENE, trajectories=2, part=part)
+    wide = [
+        replace(entry, model="wide", facts={**entry.facts, "model": "gns"}) for entry in trained
+    ]
+    shift = study.study((test, wide, frame), conduct=HERE).shift
+    assert {"gns", "sgnn"} & set(shift.left_out) == {"sgnn"}
 
 
 def test_a_model_is_held_against_the_nearest_other_engine(shift: Shift) -> None:

@@ -255,7 +255,7 @@ def _left_out(evaluation: Evaluation) -> dict[str, str]:
             f"lost in up to {rows.sum()} of {len(rows)} trajectories ({engine} on {test}); there "
             "the distance of the published motions stands in"
         )
-    for name in sorted(set(trainable()) - set(evaluation.models)):
+    for name in sorted(set(trainable()) - {entry.kind for entry in evaluation.entries}):
         why = refusal(name, evaluation.test.graph)
         reasons[name] = why or "no trained model of it was tested"
     return reasons
