@@ -135,8 +135,8 @@ def _series(fake: Fake, time: Array) -> dict[str, Array]:
     shape = np.abs(np.sin(3 * time)) + 0.1 * time
     each = np.outer(np.linspace(0.3, 1.0, TRAJECTORIES), shape)
     return {
-        "constraint gap": fake.gap * each,
-        "energy balance": 20 * fake.wrong * each,
+        "gap": fake.gap * each,
+        "energy": 20 * fake.wrong * each,
         "momentum": 1e-12 * each,
     }
 
@@ -161,8 +161,8 @@ def _finding(check: str, unit: str, values: Array, budget: float | None) -> Find
 def _findings(scene: Scene, fake: Fake, series: dict[str, Array]) -> tuple[FindingResult, ...]:
     ratio = np.linspace(0.2, 1.0, TRAJECTORIES)[:, None] * (1 + 1e3 * fake.gap)
     return (
-        _finding("constraint gap", "m", series["constraint gap"], scene.budget.gap),
-        _finding("energy balance", "", series["energy balance"], scene.budget.energy),
+        _finding("gap", "m", series["gap"], scene.budget.gap),
+        _finding("energy", "", series["energy"], scene.budget.energy),
         _finding("momentum", "kg·m/s", series["momentum"], None),
         _finding("consistency of positions", "", ratio, 3.0),
         _finding("consistency of energy", "", 2 * ratio, 3.0),

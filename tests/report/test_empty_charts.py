@@ -12,6 +12,7 @@ import pytest
 
 from mbds_xsim.learn.curves import LearningCurve, to_png
 from mbds_xsim.learn.train import CurvePoint
+from mbds_xsim.measure.result import Validation
 from mbds_xsim.report.themed import svg
 from mbds_xsim.studies.tradeoff import Point
 from mbds_xsim.studies.tradeoff.figures import charts_of
@@ -63,6 +64,38 @@ def test_a_check_that_is_infinite_but_for_a_few_frames_is_plotted(case: Case) ->
     figure = check_series(case.validation, evidence, "momentum")
 
     assert svg("", figure.draw, figure.size, figure.tips).startswith("<svg")
+
+
+@pytest.mark.parametrize("budget", [1e-2, 1e-12])
+def test_a_check_that_is_far_over_its_budget_is_plotted_with_it(case: Case, budget: float) -> None:
+    from matplotlib.figure import Figure
+
+    far, count = np.full_like(case.evidence.series[0]["gap"], 0.5), len(case.evidence.series)
+    evidence = dataclasses.replace(case.evidence, series=({"gap": far},) * count)
+    figure = check_series(_with_budget(case.validation, "gap", budget), evidence, "gap")
+    picture = Figure(figure.size, layout="constrained")
+
+    figure.draw(picture)
+    picture.draw_without_rendering()  # which warns if a label outside leaves no room for the axes
+
+    (axes,) = picture.axes
+    assert axes.get_ylim()[0] < budget < axes.get_ylim()[1]
+    assert axes.get_position().height > 0.5
+
+
+def _with_budget(validation: Validation, check: str, budget: float) -> Validation:
+    replace = msgspec.structs.replace
+    engines = (
+        replace(
+            engine,
+            findings=tuple(
+                replace(finding, budget=budget) if finding.check == check else finding
+                for finding in engine.findings
+            ),
+        )
+        for engine in validation.engines
+    )
+    return replace(validation, engines=tuple(engines))
 
 
 def test_a_page_has_no_figures_of_checks_that_nothing_was_held_to(case: Case) -> None:

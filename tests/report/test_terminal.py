@@ -154,8 +154,11 @@ def test_the_last_line_is_the_verdict(case: Case) -> None:
 
 def test_figures_over_their_budget_stand_out(one_engine: Case) -> None:
     (result,) = one_engine.validation.engines
-    far = msgspec.structs.replace(result, constraint_gap_m=0.5)
-    near = msgspec.structs.replace(result, constraint_gap_m=1e-6)
+    replace = msgspec.structs.replace
+    gap = next(finding for finding in result.findings if finding.check == "gap")
+    broken = replace(gap, figure=0.5, passed=False)
+    far = replace(result, constraint_gap_m=0.5, findings=(broken,))
+    near = replace(result, constraint_gap_m=1e-6)
 
     assert "\x1b[1;31m" in _cell_styles(one_engine.validation, far)
     assert "\x1b[1;31m" not in _cell_styles(one_engine.validation, near)
@@ -222,3 +225,11 @@ def test_what_is_over_its_budget_has_a_sign_without_colours_too(case: Case) -> N
     assert all(f"{cell}✗" in text for cell in over)
     failed = sum(result.verdict == "fail" for result in case.validation.engines)
     assert text.count("✗") == len(over) + 2 * failed
+
+
+def test_a_figure_that_its_check_lets_pass_as_uncertain_has_no_sign(one_engine: Case) -> None:
+    (result,) = one_engine.validation.engines
+    wide = msgspec.structs.replace(result, energy_balance=0.55)
+
+    assert all(finding.passed for finding in wide.findings)
+    assert [c.mark for c in cells_of(wide, one_engine.validation) if c.text == "0.55"] == [""]

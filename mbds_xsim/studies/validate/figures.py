@@ -71,9 +71,10 @@ def check_series(validation: Validation, evidence: Evidence, check: str) -> Figu
                 _curve(axes, evidence.reference.time, _worst(series[check]), style, place)
         for first in words.ends(validation)[:1]:
             axes.axvline(first, color=GREY, linewidth=0.9)
-        for budget in sorted({f.budget for f in findings if f.budget}):
+        budgets = sorted({f.budget for f in findings if f.budget})
+        for budget in budgets:
             level(axes, budget, f"budget {quantity.with_unit(budget, unit)}")
-        _log_axis(axes, "" if unit in ("", "1") else unit)
+        _log_axis(axes, "" if unit in ("", "1") else unit, *budgets)
 
     return chart(f"{check} over time", draw, _SIZE, caption=check)
 
@@ -193,7 +194,7 @@ def _error_figure(
         if judged_at_1s and time[-1] >= 1.0:
             axes.plot([1.0], [validation.budget["error_1s"] * length], "v", color=INK, ms=7)
         _no_solution(axes, time, evidence.reference.known[rows])
-        _log_axis(axes, "RMS particle error [m]")
+        _log_axis(axes, "RMS particle error [m]", _AGREEMENT * length)
 
     caption = f"Error, {interval} interval" if len(evidence.batch) > 1 else "Error"
     return chart("error growth", draw, _SIZE, caption=caption)
@@ -258,15 +259,17 @@ def _curve(axes: Any, time: Array, values: Array, style: Style, place: int) -> N
     line.set_gid(f"curve-{place}")
 
 
-def _log_axis(axes: Any, ylabel: str) -> None:
+def _log_axis(axes: Any, ylabel: str, *levels: float) -> None:
     axes.set(yscale="log", xlabel="time [s]", ylabel=ylabel)
     axes.margins(x=0.0)
-    # It starts where most of the curves lie, not at their first frames close to zero.
+    # It starts where most of the curves lie, not at their first frames close to zero, or just below
+    # the lowest level: far above it curves would show no limit.
     curves = [line.get_ydata() for line in axes.lines if line.get_gid()]
     values = np.concatenate([*curves, np.empty(0)])
     visible = values[np.isfinite(values) & (values > _FLOOR)]
     if len(visible):
-        axes.set_ylim(bottom=10.0 ** np.floor(np.log10(np.quantile(visible, 0.02))))
+        low = 10.0 ** np.floor(np.log10(np.quantile(visible, 0.02)))
+        axes.set_ylim(bottom=min((low, *(0.5 * each for each in levels))))
 
 
 def _heat(axes: Any, names: list[str], shown: Array, colours: list[str]) -> None:

@@ -174,26 +174,24 @@ COLUMNS = (
 
 
 def cells_of(result: EngineResult, validation: Validation) -> tuple[Cell, ...]:
-    """Fill the columns for an engine; figures over their budgets are marked."""
-    gap, balance = result.constraint_gap_m, result.energy_balance
-    energy = "energy_first_order" if result.order == 1 else "energy"
+    """Fill the columns for an engine; figures over their budgets are marked.
 
-    def judged(text: str, figure: float | None, key: str, scale: float = 1.0) -> Cell:
-        budget = validation.budget.get(key, math.inf) * scale
-        return Cell(text, "" if figure is None or figure <= budget else "over")
+    One that is over its budget by no more than its check is uncertain has passed.
+    """
+    over = {f.check for f in result.findings if not f.passed and math.isfinite(f.figure)}
 
-    def error(shown: float | None, figure: float | None, key: str) -> Cell:
-        return judged(quantity.length(shown), figure, key, validation.length_m)
+    def judged(text: str, check: str) -> Cell:
+        return Cell(text, "over" if check in over else "")
 
     # Error that chaos explains is no fault: the verdict uses the error over the growth.
-    error_max = error(result.error_max_m, result.error_weighted_m, "error")
+    error_max = judged(quantity.length(result.error_max_m), "error growth-weighted")
     return (
         *map(Cell, (result.engine, result.profile, result.method)),
         Cell(quantity.pace(result.step_s, result.rtol)),
         Cell(quantity.span(result.wall_per_simulated_s)),
-        judged(quantity.length(gap), gap, "gap"),
-        judged(quantity.number(balance), balance, energy),
-        error(result.error_1s_m, result.error_1s_m, "error_1s"),
+        judged(quantity.length(result.constraint_gap_m), "gap"),
+        judged(quantity.number(result.energy_balance), "energy"),
+        judged(quantity.length(result.error_1s_m), "error at 1 s"),
         Cell(quantity.NONE) if _is_unknown(validation) else error_max,
         Cell(_agreement(result, validation)),
     )
