@@ -53,6 +53,7 @@ _UNPRINTABLE = re.compile(
     r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb"
     r"\U000e0000-\U000e007f]"
 )
+_BEYOND_ASCII = re.compile(r"[^\n -~]")
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?|[-+](inf|nan)", re.IGNORECASE)
 _ENTITIES = {ord(c): f"&#{ord(c)};" for c in "\\`*$|"} | {ord("<"): "&lt;"}
 _LINK = re.compile(r"^\[|\](?= ?\[|[(:])")
@@ -108,8 +109,8 @@ def in_figure(text: str) -> str:
 
 
 def in_json(text: str) -> str:
-    """Escape characters of JSON that a terminal would obey; the meaning stays the same."""
-    return _UNPRINTABLE.sub(lambda match: json.dumps(match[0])[1:-1], text)
+    """Escape characters of JSON that a terminal would obey, or that it may encode otherwise."""
+    return _BEYOND_ASCII.sub(lambda match: json.dumps(match[0])[1:-1], text)
 
 
 def in_markdown(value: T) -> T:

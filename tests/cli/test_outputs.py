@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 from pathlib import Path
 
+import pytest
+
 from mbds_xsim.base.text import encoded
 from mbds_xsim.commands.shared import Outputs
+from mbds_xsim.scene.file import save_scene
+from mbds_xsim.scene.scene import Body, Particle, Scene
 from tests.cli.conftest import PROGRAM
 from tests.command_line import CommandLine
 
@@ -60,6 +65,16 @@ def test_json_of_a_tuple_of_odd_file_names_is_written() -> None:
     odd = os.fsdecode(b"d\xff")
 
     assert b"d\\\\udcff" in encoded({"files": (odd,)}, "verify")
+
+
+def test_json_on_a_stream_that_is_not_utf_8_can_be_read(
+    program: CommandLine, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ball = Body("ball", particles=(Particle((0.0, 0.0, 0.0)),))
+    save_scene(Scene("Büro 🎈", (ball,), length=1.0), here / "office.toml")
+    monkeypatch.setenv("PYTHONIOENCODING", "ascii")
+
+    assert json.loads(program("show", "office.toml", "--json", "-").out)["scene"] == "Büro 🎈"
 
 
 def test_two_names_may_lead_to_one_stream(here: Path) -> None:
