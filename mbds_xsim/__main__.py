@@ -25,9 +25,10 @@ _FORMAT = warnings.formatwarning
 
 def main() -> None:
     """Run the command line: 0 passed, 1 a check failed, 2 bad input, 130 interrupted."""
-    ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN  # started in the background
-    # A request to end is treated like Ctrl-C: no process and no partial file may be left.
-    ends = (signal.SIGTERM,) if ignored else (signal.SIGTERM, signal.SIGINT)
+    # A request to end is treated like Ctrl-C: no process and no partial file may be left. The shell
+    # has jobs in the background ignore Ctrl-C, and nohup the end of the terminal.
+    asked = (number for number in (signal.SIGINT, signal.SIGHUP) if not _is_ignored(number))
+    ends = (signal.SIGTERM, *asked)
     for number in ends:
         signal.signal(number, _end_at_once)
     os.environ.pop("MPLBACKEND", None)  # pictures go to files; an unknown backend breaks the import
@@ -41,6 +42,10 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     sys.exit(_run(sys.argv[1:] or ["--help"]))
+
+
+def _is_ignored(number: signal.Signals) -> bool:
+    return signal.getsignal(number) is signal.SIG_IGN
 
 
 def _run(words: list[str]) -> int:

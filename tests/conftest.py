@@ -116,13 +116,14 @@ def farm(tmp_path: Path) -> Iterator[Farm]:
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Change into an empty folder, with stored references in a cache of its own."""
-    kept = signal.getsignal(signal.SIGTERM)
+    kept = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
     folder = tmp_path / "here"
     folder.mkdir()
     monkeypatch.chdir(folder)
     monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path / "cache"))
     yield folder
-    signal.signal(signal.SIGTERM, kept)
+    for number, action in kept.items():
+        signal.signal(number, action)
 
 
 @pytest.fixture

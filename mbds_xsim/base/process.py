@@ -16,7 +16,7 @@ from typing import IO, Self
 SEARCHED = "MBDS_XSIM_SEARCHED"
 """Variable with the folders of a process's modules, for those that carry out its tasks."""
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _EVERY = 0.05  # shortest time between two looks [s]
 _GAP = 1.0  # most time that one look adds, as this process may have been suspended [s]
 

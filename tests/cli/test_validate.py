@@ -152,7 +152,9 @@ def test_an_engine_that_misses_a_budget_is_exit_code_1(
     assert any(reason.startswith("error at 1 s: ") for reason in validation.engines[0].reasons)
 
 
-@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM], ids=lambda by: by.name)
+@pytest.mark.parametrize(
+    "by", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda by: by.name
+)
 def test_an_interrupted_run_leaves_nothing_behind(
     by: signal.Signals, here: Path, tmp_path: Path
 ) -> None:
