@@ -7,7 +7,7 @@ from typing import Annotated
 
 from typer import Argument, Exit, Option
 
-from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.errors import InputError, check_name
 from mbds_xsim.base.isolate import LIMIT, Conduct, core_count
 from mbds_xsim.base.text import each_once
 from mbds_xsim.commands import shared
@@ -55,9 +55,11 @@ def match(
     for target in targets:
         to.check(out=target)
         settings_there(target)
+    loaded = [shared.scene_named(name) for name in scenes]
+    for scene in loaded:  # what the last lacks is told before the first has taken its time
+        study.searched_curves(scene, choice, options=options)
     results = []
-    for name, target in zip(scenes, targets, strict=True):
-        scene = shared.scene_named(name)
+    for scene, target in zip(loaded, targets, strict=True):
         with StudyBar(console, workers or core_count(), scene.name) as meter:
             result = study.match(
                 scene,
@@ -222,12 +224,16 @@ def releases(
     """
     from mbds_xsim.report.files import results_json, rows_csv, write_if
     from mbds_xsim.report.progress import StudyBar
+    from mbds_xsim.simulate.registry import engine_names, load_adapter
     from mbds_xsim.studies.releases import ReleaseStudy
     from mbds_xsim.studies.releases.present import present, to_png
     from mbds_xsim.studies.releases.steps import ReleaseRow
 
     if since and len(engines) > 1:
         raise InputError(f"--since: got {since} for {len(engines)} engines; name one ENGINE")
+    for engine in engines:
+        check_name("engine", engine, engine_names())
+        load_adapter(engine)
     histories = []
     for engine in engines:
         with StudyBar(to.console, workers or core_count(), engine) as meter:

@@ -65,6 +65,7 @@ def tradeoff(
     from mbds_xsim.simulate.registry import REFERENCE
     from mbds_xsim.studies.tradeoff import Measurement
     from mbds_xsim.studies.tradeoff.present import present, to_png
+    from mbds_xsim.studies.tradeoff.study import able_curves
 
     choice = Choice.parse(engines=engines, also=(REFERENCE,))
     loaded = [shared.scene_named(name) for name in scenes]
@@ -73,6 +74,8 @@ def tradeoff(
         msg = "--onto: the stored trade-off has engines, starts, seed and limit of its own"
         raise InputError(f"{msg}; leave --engines, --starts, --seed and --limit out")
     trained = _models(models, onto, loaded)
+    for scene in loaded if onto is None else []:  # before the first has taken its time
+        able_curves(scene, choice)
     studies, rows = [], []
     for scene in loaded:
         with StudyBar(to.console, workers or core_count(), scene.name) as meter:
@@ -211,7 +214,8 @@ def stability(
         )
         for study in map(study_named, studies or STUDIES)
     ]
-    _write([_mapped(plan, to, out, single=single) for plan in plans], to)
+    able = _able(plans, to, named=bool(studies))
+    _write([_mapped(plan, to, out, single=single) for plan in able], to)
 
 
 def _list_studies(to: shared.Outputs, out: Path | None) -> None:
@@ -223,6 +227,26 @@ def _list_studies(to: shared.Outputs, out: Path | None) -> None:
         option = "--" + given[0].replace("opened", "open")
         raise InputError(f"--list: got {option} too, but it only prints names; leave one out")
     to.print([listing(STUDIES.values())])
+
+
+def _able(plans: list[SurveyPlan], to: shared.Outputs, *, named: bool) -> list[SurveyPlan]:
+    """Return the plans that can run, and name the others before any runs.
+
+    A study that was asked for by name must be among them.
+    """
+    from mbds_xsim.studies.stability.survey import simulators_of
+
+    able: list[SurveyPlan] = []
+    for plan in plans:
+        try:
+            simulators_of(plan)
+        except InputError as error:
+            if named or (plan is plans[-1] and not able):
+                raise
+            to.console.print(f"left out: {error}", highlight=False, soft_wrap=True)
+        else:
+            able.append(plan)
+    return able
 
 
 def _mapped(plan: SurveyPlan, to: shared.Outputs, out: Path | None, *, single: bool) -> Survey:

@@ -338,12 +338,14 @@ def test_matched_settings_are_of_the_engines_own_stepping(name: str) -> None:
 
 
 def test_an_engine_that_the_toolkit_steps_is_left_out_by_name(scene: Scene) -> None:
-    curves, left_out = study._curves(scene, Choice.parse(engines="reference,mujoco"), options=False)
+    curves, left_out = study.searched_curves(
+        scene, Choice.parse(engines="reference,mujoco"), options=False
+    )
 
     assert {curve.engine for curve in curves} == {"mujoco"}
     assert "this toolkit steps it" in left_out["reference"]
     with pytest.raises(InputError, match="no engine can be matched on 2pendulum: reference does"):
-        study._curves(scene, Choice.parse(engines="reference"), options=False)
+        study.searched_curves(scene, Choice.parse(engines="reference"), options=False)
 
 
 def test_adaptive_methods_have_no_steps_to_search(
@@ -354,7 +356,7 @@ def test_adaptive_methods_have_no_steps_to_search(
     monkeypatch.setattr(type(adapter), "methods", own)
 
     choice = Choice.parse(engines="reference,mujoco")
-    curves, left_out = study._curves(scene, choice, options=True)
+    curves, left_out = study.searched_curves(scene, choice, options=True)
 
     assert {curve.engine for curve in curves} == {"mujoco"}
     assert {f"reference {name}" for name in own} <= set(left_out)

@@ -141,7 +141,7 @@ def match(
     Raises:
         InputError: An argument cannot be used.
     """
-    curves, left_out = _curves(scene, choice, options=options)
+    curves, left_out = searched_curves(scene, choice, options=options)
 
     def field_of(starts: Starts) -> _Field:
         batch = starts.draw(scene)
@@ -171,10 +171,14 @@ def match(
     )
 
 
-def _curves(
+def searched_curves(
     scene: Scene, choice: Choice, *, options: bool
 ) -> tuple[list[EngineMethod], dict[str, str]]:
-    """List the engines' own methods, with changed options if asked for, and those left out."""
+    """List the engines' own methods, with changed options if asked for, and those left out.
+
+    Raises:
+        InputError: No engine has a method of its own for the scene.
+    """
     able, left_out = curves_of(scene, choice.engines)
     left_out |= choice.faulty
     own = [c for c in able if registry.load_adapter(c.engine).methods[c.method].own]

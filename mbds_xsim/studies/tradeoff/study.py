@@ -51,11 +51,7 @@ def tradeoff_with_rows(
         The study, and the raw rows.
     """
     begin = time.perf_counter()
-    curves, left_out = curves_of(scene, choice.engines)
-    left_out |= choice.faulty
-    if not curves:
-        msg = f"no engine can do {scene.name}: {next(iter(left_out.values()), 'none is installed')}"
-        raise InputError(msg)
+    curves, left_out = able_curves(scene, choice)
     batch = _draw(scene, starts, seed)
     truths = references(scene, batch, conduct)
     usual = {(curve.engine, curve.method): curve for curve in curves if not curve.variation}
@@ -64,6 +60,16 @@ def tradeoff_with_rows(
     bench = StartBench(scene, batch, truths, seed, limit, conduct, usual, others)
     by_curve = explore(bench, curves)
     return _study(bench, curves, by_curve, left_out, command, time.perf_counter() - begin)
+
+
+def able_curves(scene: Scene, choice: Choice) -> tuple[list[EngineMethod], dict[str, str]]:
+    """List the curves of a scene's chart and what is left out; refuse a scene without any."""
+    curves, left_out = curves_of(scene, choice.engines)
+    left_out |= choice.faulty
+    if not curves:
+        msg = f"no engine can do {scene.name}: {next(iter(left_out.values()), 'none is installed')}"
+        raise InputError(msg)
+    return curves, left_out
 
 
 def _study(
