@@ -78,7 +78,7 @@ def loss_blocks(imported: Imported | Written) -> Iterator[blocks.Block]:
 
 def loss_section(imported: Imported) -> Section:
     """Return a section on the losses of import, for a page about the model's motion."""
-    summary = Text(f"{imported.file}, read by {imported.reader}: {conclusion(imported)}.")
+    summary = Text(f"In {imported.file}, read by {imported.reader}: {conclusion(imported)}.")
     title = "What of the model is simulated"
     return Section(title, (summary, *loss_blocks(imported)), on=WRITTEN)
 

@@ -227,4 +227,5 @@ def test_what_is_written_on_a_model_says_what_of_it_is_simulated(
 
     page = (here / "v.md").read_text()
     assert "What of the model is simulated" in page
+    assert "arm.xml, read by MuJoCo" in page
     assert "there is no fluid" in page
