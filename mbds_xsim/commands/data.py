@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -46,7 +45,7 @@ def inspect(
         draw_paths(load_dataset(sets[0].file), png)
     to.answer((b for summary in sets for b in summary_blocks(summary)), sets, "inspect")
     if png is not None:
-        to.console.print(f"written: {png}", highlight=False)
+        to.say(f"written: {png}")
 
 
 def summary_blocks(summary: Summary) -> Iterator[Block]:
@@ -130,12 +129,10 @@ def export(
     from mbds_xsim.dataset.export import export as run
     from mbds_xsim.dataset.read import parse_numbers
 
-    console = to.console
-    say = partial(console.print, highlight=False, soft_wrap=True)
     numbers = None if indices is None else sorted(set(parse_numbers(indices, "--indices")))
-    with shared.progress_on(console) as progress:
+    with shared.progress_on(to.console) as progress:
         exported = run(dataset, out, form, engines=engines, numbers=numbers, progress=progress)
-    say(
+    to.say(
         f"{counted(exported.trajectories, 'trajectory')} in "
         f"{counted(exported.files, 'file')}, {exported.bytes / 1e6:.4g} MB, "
         f"written to {exported.out}"
@@ -144,10 +141,10 @@ def export(
         if missing:
             some = ", ".join(map(str, missing[:10])) + (" …" if len(missing) > 10 else "")
             cause = "published, not rejected" if exported.rejected else "rejected"
-            say(f"{file} has not {some}: {cause}")
-    console.print("not carried over:")
+            to.say(f"{file} has not {some}: {cause}")
+    to.say("not carried over:")
     for line in exported.lost:
-        say(f"  {line}")
+        to.say(f"  {line}")
     to.write_json(encoded(exported, "export"))
 
 

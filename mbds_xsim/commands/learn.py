@@ -247,7 +247,7 @@ def _draw(curves: Sequence[Path], to: shared.Outputs) -> None:
         return
     existing = [path for path in curves if path.exists()]
     for path in sorted({*curves} - {*existing}):
-        to.console.print(f"{path}: not there, and not drawn", highlight=False)
+        to.say(f"{path}: not there, and not drawn")
     from mbds_xsim.base.files import write_whole
     from mbds_xsim.learn.curves import read_curve, to_png
 

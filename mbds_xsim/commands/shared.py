@@ -278,6 +278,10 @@ class Outputs:
             if (other := targets.setdefault(place, option)) != option:
                 raise InputError(f"--{other} and --{option} both name {path}; name two places")
 
+    def say(self, line: str) -> None:
+        """Print a line whole, however narrow the terminal, so that a path in it can be copied."""
+        self.console.print(line, highlight=False, soft_wrap=True)
+
     def print(self, blocks: Iterable[Block]) -> None:
         """Print what a terminal can show."""
         from mbds_xsim.report.terminal import print_blocks
@@ -315,7 +319,7 @@ class Outputs:
         """
         from mbds_xsim.report.files import write_reports
 
-        html, console = self.html, self.console
+        html = self.html
         if html is None and self.opened:
             import tempfile
 
@@ -325,12 +329,12 @@ class Outputs:
             title = one.title if one.verdict else f"{one.title}: {title[:1].lower()}{title[1:]}"
         write_reports(reports, title, html=html, markdown=self.markdown)
         if html is not None and not quiet:
-            console.print(f"page: {html}", highlight=False, soft_wrap=True)
+            self.say(f"page: {html}")
         if html is not None and self.opened:
             import webbrowser
 
             if not webbrowser.open(html.absolute().as_uri()):
-                console.print("there is no browser to open it in; set BROWSER, or open it by hand")
+                self.say("there is no browser to open it in; set BROWSER, or open it by hand")
         if result:
             self.write_json(result)
 

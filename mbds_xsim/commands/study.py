@@ -50,7 +50,7 @@ def match(
     from mbds_xsim.studies.match import matched_toml, present, settings_there
     from mbds_xsim.studies.match import search as study
 
-    choice, console = Choice.parse(engines=engines), to.console
+    choice = Choice.parse(engines=engines)
     targets = _targets(scenes, choice.engines, out)
     for target in targets:
         to.check(out=target)
@@ -60,7 +60,7 @@ def match(
         study.searched_curves(scene, choice, options=options)
     results = []
     for scene, target in zip(loaded, targets, strict=True):
-        with StudyBar(console, workers or core_count(), scene.name) as meter:
+        with StudyBar(to.console, workers or core_count(), scene.name) as meter:
             result = study.match(
                 scene,
                 choice=choice,
@@ -73,7 +73,7 @@ def match(
             )
         to.show(present(result))
         write_whole(target, matched_toml(result, settings_there(target)).encode())
-        console.print(f"written: {target}", highlight=False)
+        to.say(f"written: {target}")
         results.append(result)
     reports = [present(result) for result in results]
     to.give(reports, "Matched settings", results_json(results))

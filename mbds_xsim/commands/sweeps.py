@@ -243,7 +243,7 @@ def _able(plans: list[SurveyPlan], to: shared.Outputs, *, named: bool) -> list[S
         except InputError as error:
             if named or (plan is plans[-1] and not able):
                 raise
-            to.console.print(f"left out: {error}", highlight=False, soft_wrap=True)
+            to.say(f"left out: {error}")
         else:
             able.append(plan)
     return able

@@ -61,6 +61,13 @@ def test_a_full_stream_of_errors_leaves_the_exit_code() -> None:
         assert subprocess.run([PROGRAM, "nonsense"], stderr=full, timeout=600).returncode == 2
 
 
+def test_a_line_with_a_path_is_printed_whole(capsys: pytest.CaptureFixture[str]) -> None:
+    path = "a folder/" * 30
+    Outputs().say(f"written: {path}")
+
+    assert capsys.readouterr().out == f"written: {path}\n"
+
+
 def test_json_of_a_tuple_of_odd_file_names_is_written() -> None:
     odd = os.fsdecode(b"d\xff")
 
