@@ -15,7 +15,7 @@ from rich.table import Table as Grid
 from rich.text import Text as Words
 
 from mbds_xsim.base.process import discard, unwritten
-from mbds_xsim.base.text import printable
+from mbds_xsim.base.text import counted, printable
 from mbds_xsim.report import blocks
 from mbds_xsim.report.blocks import Cell, Column, Remark, Report, Row, Table
 
@@ -103,7 +103,7 @@ def print_blocks(shown: Iterable[blocks.Block], console: Console) -> None:
             case blocks.Remarks():
                 for remark in block.lines[: block.most]:
                     console.print(_remark(remark))
-                _left_out(len(block.lines), block.most, "lines", console)
+                _left_out(len(block.lines), block.most, "line", console)
             case blocks.Section() if "terminal" in block.on:
                 print_blocks(block.blocks, console)
 
@@ -133,7 +133,7 @@ def _print_table(table: Table, console: Console) -> None:
     console.width = max(console.width, 1 + sum(fitting) + gap * len(fitting))
     console.print(grid)
     console.width = width
-    _left_out(len(table.rows), table.most, "rows", console)
+    _left_out(len(table.rows), table.most, "row", console)
     for row in table.rows:
         if row.reasons:
             console.print(_reason(row))
@@ -197,5 +197,5 @@ def _hanging(sign: Words, text: Words) -> Grid:
 
 def _left_out(count: int, most: int | None, noun: str, console: Console) -> None:
     if most is not None and count > most:
-        text = f"{count - most} more {noun}, in the page, Markdown or JSON"
+        text = f"{counted(count - most, f'more {noun}')}, which --json lists"
         console.print(_remark(Remark("and", text)))

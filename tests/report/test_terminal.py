@@ -233,3 +233,14 @@ def test_a_figure_that_its_check_lets_pass_as_uncertain_has_no_sign(one_engine: 
 
     assert all(finding.passed for finding in wide.findings)
     assert [c.mark for c in cells_of(wide, one_engine.validation) if c.text == "0.55"] == [""]
+
+
+def test_lines_that_are_left_out_are_counted_and_stand_in_the_json() -> None:
+    """Every command that leaves lines out has `--json`, but `verify` no page."""
+    lines = blocks.Remarks.of((str(k), "wrong") for k in range(3)).lines
+    console = Console(width=120)
+    with console.capture() as capture:
+        print_blocks([blocks.Remarks(lines, most) for most in (2, 1)], console)
+
+    assert "and: 1 more line, which --json lists" in capture.get()
+    assert "and: 2 more lines, which --json lists" in capture.get()
