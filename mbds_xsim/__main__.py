@@ -16,7 +16,7 @@ from importlib import import_module
 from types import FrameType
 from typing import Any
 
-from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.errors import InputError, Notice
 from mbds_xsim.base.process import discard, tell, unwritten
 
 _INTERRUPTED = 130
@@ -80,8 +80,8 @@ def _end_at_once(_number: int, _frame: FrameType | None) -> None:
 
 
 def _format(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> str:
-    """Write a warning for users as one line, and others with their place in the program."""
-    if category is UserWarning:
+    """Write this toolkit's warnings as one line, and others with their place in the program."""
+    if category is Notice:
         return f"mbds-xsim: {message}\n"
     return _FORMAT(message, category, *place, **more)
 

@@ -52,3 +52,7 @@ class EngineFaulty(EngineMissing):
 
 class Unsupported(InputError):
     """An engine cannot represent what the scene or the settings ask for; the text says why."""
+
+
+class Notice(UserWarning):
+    """A warning of this toolkit for users, which the command line writes as one line of its own."""

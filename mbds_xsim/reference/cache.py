@@ -22,7 +22,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.errors import InputError, Notice
 from mbds_xsim.base.files import write_whole
 from mbds_xsim.base.versions import PHYSICS
 from mbds_xsim.reference.elimination import with_short_loops
@@ -221,7 +221,7 @@ def store(key: str, arrays: Arrays) -> None:
         # Without the entry's own path, so that it is shown once.
         cause = getattr(error.__cause__, "strerror", error)
         msg = f"reference solutions are not kept: cannot write to {directory()}: {cause}"
-        warnings.warn(msg, stacklevel=2)
+        warnings.warn(msg, Notice, stacklevel=2)
 
 
 def _path(key: str) -> Path:

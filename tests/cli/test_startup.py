@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from mbds_xsim import __main__ as cli
+from mbds_xsim.base.errors import Notice
 from mbds_xsim.simulate.adapter import Adapter
 from tests.command_line import CommandLine
 
@@ -81,6 +83,15 @@ def test_an_interruption_of_the_imports_is_told_in_a_line(
 
     outcome = (ended.returncode, ended.stdout, ended.stderr)
     assert outcome == (130, "", "mbds-xsim: interrupted\n")
+
+
+@pytest.mark.parametrize(
+    ("category", "written"), [(Notice, "mbds-xsim: it\n"), (UserWarning, "x.py:3: UserWarning: it")]
+)
+def test_only_warnings_of_this_program_bear_its_name(
+    category: type[UserWarning], written: str
+) -> None:
+    assert cli._format("it", category, "x.py", 3).startswith(written)
 
 
 def test_an_interruption_while_an_object_is_freed_is_not_lost() -> None:
