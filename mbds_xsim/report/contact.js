@@ -113,7 +113,9 @@ function drawTimes(plan) {
   const y = plan.height - 28;
   for (const time of ticks(0, plan.duration, plan.width < 640 ? 4 : 8)) {
     stroke([[plan.x(time), 4], [plan.x(time), y]], theme("--line"));
-    write(`${Number(time.toPrecision(3))} s`, plan.x(time), y + 17, theme("--muted"), "center");
+    const text = `${Number(time.toPrecision(3))} s`;
+    const last = plan.width - ink.measureText(text).width / 2; // whole at the right edge, too
+    write(text, Math.min(plan.x(time), last), y + 17, theme("--muted"), "center");
   }
 }
 

@@ -247,6 +247,23 @@ def test_strips_of_many_frames_have_ends() -> None:
         assert json.loads(told.stdout) == [-0.5, 2]
 
 
+@pytest.mark.skipif(shutil.which("node") is None, reason="needs node")
+def test_the_last_time_under_the_strips_is_whole() -> None:
+    script = resources.files("mbds_xsim.report").joinpath("contact.js").read_text("utf-8")
+    (function,) = re.findall(r"^function drawTimes\(.*?^}", script, re.DOTALL | re.MULTILINE)
+    program = f"""
+    const ink = {{ measureText: () => ({{ width: 28 }}) }}, ends = [];
+    const theme = () => "", stroke = () => null, ticks = () => [0, 0.6, 1.2];
+    const write = (text, x) => ends.push(x + 14);
+    {function}
+    drawTimes({{ width: 700, height: 300, duration: 1.2, x: (time) => 128 + time * 468.333 }});
+    console.log(Math.max(...ends) <= 700);"""
+    node = str(shutil.which("node"))
+    told = subprocess.run([node, "-e", program], check=True, capture_output=True, text=True)
+
+    assert told.stdout == "true\n"
+
+
 def test_a_page_of_contact_has_its_tables_and_its_words(bouncing: Case) -> None:
     page = written(bouncing)
     section = page.split('<section id="contact">')[1].split("</section>")[0]
