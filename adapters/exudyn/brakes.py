@@ -7,6 +7,9 @@ its limit meanwhile, however its rate changes sign. The stop is also a spring dÂ
 largest M, so it never overtakes the damper. As the damper also pulls, there is no rebound. Friction
 is proportional to the rate up to F h/m, with m at the scene's start; at that rate it would stop the
 joint in one step.
+
+Closed loops may hold a joint to bodies that neither inertia counts. Where there are any, the spring
+is weaker by what they may weigh.
 """
 
 from __future__ import annotations
@@ -47,6 +50,8 @@ _MEMORY = (
 )
 _LIMITS = ("limitStopsLower", "limitStopsUpper")
 _KINDS = {"hinge": "Rotation", "slider": "Translation"}
+# Inertia that closed loops may add at a joint, over that of the open tree.
+_LOOPED = 100.0
 
 
 def counters_listing(mechanism: Mechanism) -> Iterator[str]:
@@ -74,6 +79,8 @@ def brakes_listing(mechanism: Mechanism, step: float) -> Iterator[str]:
     least, most = moved_inertias(mechanism, joints, poses(mechanism))
     laws = [_friction(*pair, step) for pair in zip(frictional, least[0].tolist(), strict=False)]
     small, large = (values[:, len(frictional) :].max(axis=0).tolist() for values in (least, most))
+    if mechanism.loops or mechanism.distances:
+        large = [_LOOPED * inertia for inertia in large]
     laws += [_stops(*each, step) for each in zip(limited, small, large, strict=True)]
     for joint, law in zip(joints, laws, strict=True):
         parameters = ", ".join(f"{key}={value!r}" for key, value in law.items())

@@ -1,4 +1,7 @@
-"""Effective inertia of the spanning tree's joints at a pose, with loops open; vectorised."""
+"""Effective inertia of the spanning tree's joints at a pose, with loops open; vectorised.
+
+Joints that follow others do not count as free or held, except in `mass_matrix`.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.assembly import assemble
+from mbds_xsim.scene.coupling import trains
 from mbds_xsim.scene.joint_space import BodyStates, to_bodies, to_links
 from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint
 
@@ -25,9 +29,11 @@ def moved_inertias(
         with all others held, which is larger; shapes (…, joint).
     """
     mass, _ = mass_matrix(mechanism, bodies)
-    numbers = _numbers(mechanism, joints)
-    inverse = np.linalg.inv(mass)
-    return np.asarray(1.0 / inverse[..., numbers, numbers]), mass[..., numbers, numbers]
+    rates = _independent(mechanism)
+    mass, own = rates.T @ mass @ rates, rates[_numbers(mechanism, joints)]
+    alone = np.diagonal(mass, axis1=-2, axis2=-1)
+    yields = np.einsum("ji,...ik,jk->...j", own, np.linalg.inv(mass), own)
+    return 1.0 / yields, 1.0 / (1.0 / alone @ (own**2).T)
 
 
 def kicks(
@@ -40,8 +46,8 @@ def kicks(
         shapes (…, joint, body, 3).
     """
     mass, moving = mass_matrix(mechanism, bodies)
-    numbers = _numbers(mechanism, joints)
-    inverse = np.linalg.inv(mass)[..., numbers]
+    numbers, rates = _numbers(mechanism, joints), _independent(mechanism)
+    inverse = (rates @ np.linalg.inv(rates.T @ mass @ rates) @ rates.T)[..., numbers]
     share = inverse / np.diagonal(inverse[..., numbers, :], axis1=-2, axis2=-1)[..., None, :]
     linear, angular = (
         np.einsum("...dj,...dbi->...jbi", share, values)
@@ -113,6 +119,16 @@ def _freedoms(mechanism: Mechanism) -> list[tuple[str, tuple[int, ...]]]:
         if kind == "free":
             freedoms += [("velocity", (k, i)) for i in range(3)]
     return freedoms
+
+
+def _independent(mechanism: Mechanism) -> Array:
+    """Return the rates of all freedoms at unit rates of those that follow none, as columns."""
+    rates = np.eye(len(_freedoms(mechanism)))
+    gears = [each for led in trains(mechanism.couplings).values() for each in led]
+    followers = _numbers(mechanism, [each.follower for each in gears])
+    leaders = _numbers(mechanism, [each.leader for each in gears])
+    rates[followers, leaders] = [each.ratio for each in gears]
+    return np.delete(rates, followers, axis=1)
 
 
 def _numbers(mechanism: Mechanism, joints: Sequence[PlacedJoint]) -> list[int]:

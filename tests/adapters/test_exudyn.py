@@ -15,6 +15,7 @@ from mbds_xsim import reference
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError, UnknownName, Unsupported
+from mbds_xsim.scene.coupling import Coupling
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import (
@@ -271,6 +272,39 @@ def test_a_joint_leaves_its_stop_where_another_meets_one(method: str) -> None:
     exact = reference.solve(scene, draw_batch(scene, [0]))
     assert np.ptp(exact.position[0, :6, 0, 2]) > 5e-3  # it is thrown off
     np.testing.assert_allclose(motion.position, exact.position, atol=1e-4)
+
+
+@pytest.mark.parametrize("geared", [True, False])
+def test_a_stop_holds_all_that_gears_and_loops_move(geared: bool) -> None:
+    """A light wheel or crank stops, and with it a heavy slider or rocker that it moves."""
+    y, light = (0.0, 1.0, 0.0), Inertia(0.1, (0.002,) * 3)
+    joints = [
+        Joint("stop", "hinge", "world", "light", (0, 0, 0), y, rate=2.0, limits=(-2.0, 0.5)),
+        Joint("other", "slider" if geared else "hinge", "world", "heavy", (0.5, 0, 0), y),
+    ]
+    bodies = [
+        Body("light", inertia=light, position=(0, 0, 0.15)),
+        Body("heavy", inertia=Inertia(3.0, (0.05,) * 3), position=(0.5, 0, 0.15)),
+    ]
+    gears = (Coupling("other", "stop", 0.3),) if geared else ()
+    if not geared:
+        bodies.append(Body("rod", inertia=light, position=(0.25, 0, 0.3)))
+        joints.append(Joint("pin", "hinge", "light", "rod", (0, 0, 0.3), y))
+        joints.append(Joint("close", "hinge", "rod", "heavy", (0.5, 0, 0.3), y))
+    scene = Scene(
+        "stop",
+        tuple(bodies),
+        1.0,
+        gravity=(0, 0, 0),
+        joints=tuple(joints),
+        couplings=gears,
+        clock=Clock(0.02, 50),
+    )
+
+    motion = roll(scene, "generalised-alpha", 80)
+
+    exact = reference.solve(scene, draw_batch(scene, [0]))
+    np.testing.assert_allclose(motion.position, exact.position, atol=2e-3)
 
 
 def test_a_joint_at_a_centre_of_mass_is_that_of_any_point(monkeypatch: pytest.MonkeyPatch) -> None:

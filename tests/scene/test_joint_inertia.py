@@ -7,6 +7,7 @@ import numpy as np
 from mbds_xsim import reference
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.assembly import assemble
+from mbds_xsim.scene.coupling import Coupling
 from mbds_xsim.scene.joint_inertia import kicks, moved_inertias, poses
 from mbds_xsim.scene.joint_space import BodyStates, joint_coordinate, to_bodies, to_links
 from mbds_xsim.scene.mechanism import Mechanism
@@ -65,6 +66,28 @@ def test_a_kick_moves_bodies_as_a_torque_does() -> None:
     loose = reference.accelerations(mechanism, batch, still, 0.0 * loads)
     for kick, with_torque, without in zip(changes, pushed, loose, strict=True):
         np.testing.assert_allclose(kick, (with_torque - without) * least[:, None, None], atol=1e-10)
+
+
+def test_what_follows_a_joint_counts_at_both() -> None:
+    """A slider of 2 kg follows a wheel of 0.02 kg·m² by 0.3 m/rad, and another that by -2."""
+    ball = Inertia(2.0, (0.02,) * 3)
+    bodies = tuple(Body(name, inertia=ball) for name in ("wheel", "block", "end"))
+    joints = (
+        Joint("end", "slider", "world", "end", (0, 0, 0), (0, 1, 0)),
+        Joint("rail", "slider", "block", "world", (0, 0, 0), (1, 0, 0)),
+        Joint("axle", "hinge", "world", "wheel", (0, 0, 0), (0, 0, 1)),
+    )
+    gears = (Coupling("end", "rail", -2.0), Coupling("rail", "axle", 0.3))
+    mechanism = Mechanism.of(Scene("gears", bodies, 1.0, joints=joints, couplings=gears))
+    start = assemble(mechanism)
+
+    whole = 0.02 + 2.0 * 0.3**2 + 2.0 * 0.6**2
+    due = [whole / 0.6**2, whole / 0.3**2, whole]
+    for inertia in moved_inertias(mechanism, mechanism.joints, start):
+        np.testing.assert_allclose(inertia, due, rtol=1e-12)
+    moving, turning = kicks(mechanism, mechanism.joints, start)
+    np.testing.assert_allclose(moving[2], [(0, 0, 0), (-0.3, 0, 0), (0, -0.6, 0)], atol=1e-12)
+    np.testing.assert_allclose(turning[:, 0, 2], [-1 / 0.6, 1 / 0.3, 1.0], rtol=1e-12)
 
 
 def test_poses_are_the_start_and_others_within_limits() -> None:
