@@ -293,6 +293,7 @@ def steps_of(record: Record) -> Steps:
     """Combine the balances of energy and of the momenta that no support touches."""
     energy = _residual(record)[..., None], _work(record, 0)[..., None]
     squares = np.zeros((3, len(record.finite), record.steps))
+    vague = losses(record)[1]  # of the energy, which comes first
     for residual, inputs in (energy, *_momenta(record)):
         residual = np.where(np.isfinite(residual), residual, 0.0)
         inputs = np.where(np.isfinite(inputs), inputs, 0.0)
@@ -300,6 +301,7 @@ def steps_of(record: Record) -> Steps:
         sizes = np.sqrt([np.einsum("tsc,tsc->ts", each, each) for each in vectors])
         most = np.max(sizes[2], axis=1, keepdims=True, initial=0.0)
         scale = np.maximum(_besides(sizes[0], _CLOSE), _FAINT * most + np.finfo(float).tiny)
+        scale, vague = np.maximum(scale, vague), np.zeros_like(vague)
         squares += np.where(most > 0.0, sizes / scale, 0.0) ** 2
     return Steps(*np.sqrt(squares))
 

@@ -12,7 +12,7 @@ from mbds_xsim import reference
 from mbds_xsim.checks import Finding, Record
 from mbds_xsim.checks.coefficients import coefficients
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene
+from mbds_xsim.scene.scene import Body, Clock, Force, Inertia, Joint, Scene, SpringDamper
 from mbds_xsim.scene.state import Batch
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.claims import Method
@@ -200,3 +200,25 @@ def test_a_gap_at_a_balanced_rotor_is_no_error_of_gravity() -> None:
     motion = reference.solve(scene, batch, cache=False)
     motion.position[0, :, 0, 2] += 1e-7 * np.sin(np.arange(31.0))
     assert coefficients.finding(Record(scene, batch, motion, RK4, 2e-3)).passed.all()
+
+
+def test_damping_within_a_frame_is_no_missing_input() -> None:
+    """A block passes the end of a damper, whose work in that frame is not resolved."""
+    block = Body("block", inertia=Inertia(1.0, (0.02,) * 3))
+    rail = Joint("rail", "slider", "world", "block", (0, 0, 0), (1, 0, 0), -0.52, 3.0)
+    ends = ((0.0, 0.0, 0.03), (0.0, 0.0, 0.0))
+    scene = Scene(
+        "passing",
+        (block,),
+        1.0,
+        gravity=(0, 0, 0),
+        joints=(rail,),
+        forces=(Force("block", ((0.642, 0.0, 0.0),)),),
+        springs=(SpringDamper("damper", ("world", "block"), ends, damping=1.0),),
+        clock=Clock(0.08, 12),
+    )
+    batch = draw_batch(scene, [0])
+
+    motion = reference.solve(scene, batch, cache=False)
+
+    assert coefficients.finding(Record(scene, batch, motion, RK4, 0.08)).passed.all()
