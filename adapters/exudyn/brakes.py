@@ -8,8 +8,8 @@ largest M, so it never overtakes the damper. As the damper also pulls, there is 
 is proportional to the rate up to F h/m, with m at the scene's start; at that rate it would stop the
 joint in one step.
 
-Closed loops may hold a joint to bodies that neither inertia counts. Where there are any, the spring
-is weaker by what they may weigh.
+Closed loops may hold a joint to bodies that neither inertia counts, so m and M of a stop are at
+least the inertia with loops closed, at the start.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.scene.joint_inertia import moved_inertias, poses
+from mbds_xsim.scene.joint_inertia import closed_inertias, moved_inertias, poses
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 
 _FIXED = (
@@ -50,8 +50,8 @@ _MEMORY = (
 )
 _LIMITS = ("limitStopsLower", "limitStopsUpper")
 _KINDS = {"hinge": "Rotation", "slider": "Translation"}
-# Inertia that closed loops may add at a joint, over that of the open tree.
-_LOOPED = 100.0
+# Times M: a joint that moves more is at a dead centre, and elsewhere moves less.
+_SINGULAR = 1e3
 
 
 def counters_listing(mechanism: Mechanism) -> Iterator[str]:
@@ -78,9 +78,12 @@ def brakes_listing(mechanism: Mechanism, step: float) -> Iterator[str]:
         return
     least, most = moved_inertias(mechanism, joints, poses(mechanism))
     laws = [_friction(*pair, step) for pair in zip(frictional, least[0].tolist(), strict=False)]
-    small, large = (values[:, len(frictional) :].max(axis=0).tolist() for values in (least, most))
-    if mechanism.loops or mechanism.distances:
-        large = [_LOOPED * inertia for inertia in large]
+    inertias = least[:, len(frictional) :].max(axis=0), most[:, len(frictional) :].max(axis=0)
+    if limited and (mechanism.loops or mechanism.distances):
+        whole = closed_inertias(mechanism, limited)
+        whole[whole > _SINGULAR * inertias[1]] = 0.0
+        inertias = np.maximum(inertias[0], whole), np.maximum(inertias[1], whole)
+    small, large = (values.tolist() for values in inertias)
     laws += [_stops(*each, step) for each in zip(limited, small, large, strict=True)]
     for joint, law in zip(joints, laws, strict=True):
         parameters = ", ".join(f"{key}={value!r}" for key, value in law.items())

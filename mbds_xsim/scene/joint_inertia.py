@@ -12,11 +12,13 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.assembly import assemble
+from mbds_xsim.scene.constraints import constraint_rows, dense_jacobian
 from mbds_xsim.scene.coupling import trains
 from mbds_xsim.scene.joint_space import BodyStates, to_bodies, to_links
 from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint
 
 _POSES = 32
+_INDEPENDENT = 1e-9
 
 
 def moved_inertias(
@@ -34,6 +36,19 @@ def moved_inertias(
     alone = np.diagonal(mass, axis1=-2, axis2=-1)
     yields = np.einsum("ji,...ik,jk->...j", own, np.linalg.inv(mass), own)
     return 1.0 / yields, 1.0 / (1.0 / alone @ (own**2).T)
+
+
+def closed_inertias(mechanism: Mechanism, joints: Sequence[PlacedJoint]) -> Array:
+    """Return the effective inertia at the scene's start, with loops closed, shape (joint,)."""
+    start, rates = assemble(mechanism), _independent(mechanism)
+    mass, moving = mass_matrix(mechanism, start)
+    twists = np.concatenate([moving.velocity, moving.angular_velocity], axis=-1)
+    jacobian = dense_jacobian(constraint_rows(mechanism, start), mechanism.body_count)
+    _, size, ways = np.linalg.svd(jacobian @ twists.reshape(len(twists), -1).T @ rates)
+    rates = rates @ ways[int((size > _INDEPENDENT * size.max(initial=0.0)).sum()) :].T
+    own = rates[_numbers(mechanism, joints)]
+    yields = np.einsum("ji,ik,jk->j", own, np.linalg.inv(rates.T @ mass @ rates), own)
+    return np.asarray(1.0 / np.maximum(yields, np.finfo(float).tiny))
 
 
 def kicks(

@@ -8,7 +8,7 @@ from mbds_xsim import reference
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.assembly import assemble
 from mbds_xsim.scene.coupling import Coupling
-from mbds_xsim.scene.joint_inertia import kicks, moved_inertias, poses
+from mbds_xsim.scene.joint_inertia import closed_inertias, kicks, moved_inertias, poses
 from mbds_xsim.scene.joint_space import BodyStates, joint_coordinate, to_bodies, to_links
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene
@@ -88,6 +88,24 @@ def test_what_follows_a_joint_counts_at_both() -> None:
     moving, turning = kicks(mechanism, mechanism.joints, start)
     np.testing.assert_allclose(moving[2], [(0, 0, 0), (-0.3, 0, 0), (0, -0.6, 0)], atol=1e-12)
     np.testing.assert_allclose(turning[:, 0, 2], [-1 / 0.6, 1 / 0.3, 1.0], rtol=1e-12)
+
+
+def test_closed_loops_add_what_they_move() -> None:
+    """The crank of a parallelogram moves the coupler along, and turns the rocker."""
+    rod, axis = Inertia(MASS, (MOMENT,) * 3), (0, 1, 0)
+    places = {"crank": (0, 0, 0.15), "coupler": (0.2, 0, 0.3), "rocker": (0.4, 0, 0.15)}
+    bodies = tuple(Body(name, inertia=rod, position=at) for name, at in places.items())
+    pins: tuple[tuple[str, str, tuple[float, float, float]], ...] = (
+        ("world", "crank", (0, 0, 0)),
+        ("crank", "coupler", (0, 0, 0.3)),
+        ("world", "rocker", (0.4, 0, 0)),
+        ("coupler", "rocker", (0.4, 0, 0.3)),
+    )
+    joints = tuple(Joint(f"{a} {b}", "hinge", a, b, at, axis) for a, b, at in pins)
+    mechanism = Mechanism.of(Scene("four-bar", bodies, 1.0, joints=joints))
+
+    inertia = closed_inertias(mechanism, mechanism.joints[:1])
+    np.testing.assert_allclose(inertia, 2 * (MOMENT + MASS * 0.15**2) + MASS * 0.3**2, rtol=1e-9)
 
 
 def test_poses_are_the_start_and_others_within_limits() -> None:
