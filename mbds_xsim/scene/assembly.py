@@ -177,10 +177,12 @@ def _close(mechanism: Mechanism, start: BodyStates, goal: _Goal, *, again: bool)
     tree = [link.joint.index for link in mechanism.links if link.joint is not None]
     blamed = np.where(np.isin(owner, tree) & (np.arange(len(owner)) < len(owner) - len(goal)), 0, 1)
     worst = int(np.argmax(np.abs(residual) * blamed))
+    name, way = _owner_name(mechanism, int(owner[worst])), "a length, an anchor or a joint's start"
+    if name.startswith("couplings"):
+        way = "the offset or a joint's start, so that no coupled hinge starts past half a turn"
     raise SceneError(
-        f"{_owner_name(mechanism, int(owner[worst]))} cannot be closed: the start leaves it off by "
-        f"{abs(residual[worst]):.3g} m or rad, allowed is {tolerance:.0e}; change a length, an "
-        "anchor or a joint's start"
+        f"{name} cannot be closed: the start leaves it off by {abs(residual[worst]):.3g} m or rad, "
+        f"allowed is {tolerance:.0e}; change {way}"
     )
 
 

@@ -11,6 +11,7 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.errors import SceneError
 from mbds_xsim.scene.assembly import assemble, check_joints
 from mbds_xsim.scene.constraints import degrees_of_freedom
+from mbds_xsim.scene.coupling import Coupling
 from mbds_xsim.scene.joint_space import BodyStates, joint_coordinate
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Body, DistanceLink, Inertia, Joint, Scene
@@ -206,6 +207,21 @@ def test_a_start_that_a_loop_forbids_is_refused_by_name() -> None:
     locked = Scene("locked", scene.bodies, 4.0, joints=(*_four_bar(0.5, None).joints[:3], rocker))
     with pytest.raises(SceneError, match=r"joints\['(drive|swing)'\] cannot be closed"):
         assemble(Mechanism.of(locked))
+
+
+def test_a_gear_that_starts_past_half_a_turn_is_told_so() -> None:
+    """Three times 1 rad is less than half a turn, three times 1.5 rad is more."""
+    wheel = Inertia(1.0, (0.1,) * 3)
+    bodies = tuple(Body(name, inertia=wheel) for name in ("large", "small"))
+    for angle in (1.0, 1.5):
+        large = Joint("large", "hinge", "world", "large", (0.0, 0.0, 0.0), Y, start=angle)
+        small = Joint("small", "hinge", "world", "small", (1.0, 0.0, 0.0), Y)
+        gear = (Coupling("small", "large", 3.0),)
+        scene = Scene("gear", bodies, 1.0, joints=(large, small), couplings=gear)
+        if angle < math.pi / 3:
+            assemble(Mechanism.of(scene))
+    with pytest.raises(SceneError, match="so that no coupled hinge starts past half a turn"):
+        assemble(Mechanism.of(scene))
 
 
 def test_check_joints_names_the_joint_of_any_trajectory() -> None:
