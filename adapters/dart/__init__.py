@@ -35,7 +35,7 @@ class Dart(Adapter):
     """DART through dartpy."""
 
     name = "dart"
-    revision = 4
+    revision = 5
     package = "dartpy"
     coordinates = "reduced"
     contact_law = CONTACT_LAW

@@ -45,7 +45,7 @@ class Drake(Adapter):
 
     name = "drake"
     package = "drake"
-    revision = 2
+    revision = 3
     methods: ClassVar = named(
         Method("runge_kutta5", "Runge-Kutta 5", 5, refuses=_TREES),
         Method(_OWN, "semi-implicit Euler", 1, velocity_lag=-0.5),

@@ -74,7 +74,7 @@ class Exudyn(Adapter):
     """Exudyn: rigid bodies with six coordinates each; joints are constraints with multipliers."""
 
     name = "exudyn"
-    revision = 6
+    revision = 7
     package = "exudyn"
     methods: ClassVar = named(
         Method(
