@@ -310,7 +310,7 @@ def _name(k: int) -> str:
 def stop_law(restitution: float, step: float) -> dict[str, str]:
     """Return attributes for a joint's stop with a rebound in one step of semi-implicit Euler.
 
-    Without restitution, RK4 takes the velocity within some steps. Nothing interacts with a
+    Without restitution, RK4 takes the velocity within some steps. Only gears interact with a
     coordinate's stop, so a single step is right.
     """
     return {
