@@ -240,8 +240,8 @@ def build(
     kind, track = load_model(name), track_of(name, track, "native")
     if kind.needs_edges:
         check_edges(graph.scene)
-    with torch.random.fork_rng():
-        torch.manual_seed(seed)
+    with torch.random.fork_rng([]):
+        torch.default_generator.manual_seed(seed)
         try:
             with of_another_package():
                 return kind(graph, statistics, kind.tracks.get(track)).in_precision()

@@ -133,7 +133,8 @@ def train(
     rows = torch.arange(min(profile.windows, len(validation)), device=validation.position.device)
     horizon = min(profile.horizon, validation.frame_count - HISTORY)
     sample = validation.sample(rows, HISTORY - 1, horizon)
-    with torch.random.fork_rng():
+    device = sample.position.device
+    with torch.random.fork_rng([device] if device.type == "cuda" else []):
         while not loop.training.ended:
             loop.judge(sample, loop.learn(training))
             if checkpoint is not None:

@@ -92,6 +92,18 @@ def test_an_interrupted_run_goes_on_to_the_same_bits(
     assert _same(whole.state_dict(), fresh.state_dict())
 
 
+def test_on_a_cpu_no_gpu_is_started(
+    parts: tuple[Motions, Motions], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Keeping the state of their random numbers starts all GPUs, and several with a warning."""
+    once, model = recipe.Profile(1, every=1, windows=1, horizon=1), _model(parts[0])
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    monkeypatch.setattr(torch.cuda, "get_rng_state", lambda *_: pytest.fail("a GPU is started"))
+
+    train(model, *parts, RECIPE, once)
+    build("gns", parts[0].graph, Statistics.of(parts[0]))
+
+
 def test_a_finished_run_is_not_run_again(parts: tuple[Motions, Motions], scratch: Path) -> None:
     path = scratch / "run.pt"
     first, again = _model(parts[0]), _model(parts[0])
