@@ -168,8 +168,8 @@ def test_an_interrupted_run_leaves_nothing_behind(
         text=True,
         env=os.environ | {"TMPDIR": str(scratch)},
         start_new_session=True,
-        # A shell's background jobs ignore Ctrl-C, and so would what they start.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        # Background jobs ignore Ctrl-C and those of nohup SIGHUP, and so would what they start.
+        preexec_fn=lambda: signal.signal(by, signal.SIG_DFL),
     )
     wait(lambda: any(scratch.glob("mbds-xsim-*/*.log")))
 
