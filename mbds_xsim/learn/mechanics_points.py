@@ -113,6 +113,17 @@ class _Frame:
         return np.concatenate([np.zeros((1, 3)), self.directions * self.distances[:, None]])
 
 
+def models_of_points(mechanism: Mechanism) -> tuple[str, ...]:
+    """Name the models that replace bodies by points, if these can represent a mechanism."""
+    if mechanism.scene.contacts or any(joint.is_loaded for joint in mechanism.joints):
+        return ()
+    try:
+        points_of(mechanism)
+    except Unsupported:
+        return ()
+    return "hgnn", "lgnn"
+
+
 def points_of(mechanism: Mechanism) -> NodePoints:
     """Choose the points of a mechanism; raise Unsupported for a body without thickness."""
     axes = _rods(mechanism)

@@ -20,6 +20,7 @@ from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.learn import turning
 from mbds_xsim.learn.graph import Graph, instead
 from mbds_xsim.learn.layers import TensorModule, factorised, keep, summed
+from mbds_xsim.learn.mechanics_points import models_of_points
 from mbds_xsim.learn.window import KnownInputs
 from mbds_xsim.scene.constraints import layout_of
 from mbds_xsim.scene.mechanism import Link, Mechanism
@@ -186,7 +187,8 @@ class BodyMechanics(TensorModule):
         if loaded:
             raise Unsupported(
                 f"{loaded[0]}: got a spring, damper, rotor, friction, limits, coupling or servo, "
-                "allowed is none: models of bodies know rigid joints alone; " + instead(graph.scene)
+                "allowed is none: models of bodies know rigid joints alone; "
+                + instead(graph.scene, *models_of_points(mechanism))
             )
         self.rows = JointRows(mechanism)
         spatial = graph.scene.dimension == 3
