@@ -121,6 +121,7 @@ def ablate(
         mbds-xsim ablate 3ladder
         mbds-xsim ablate 5pendulum balldrop --trajectories 4 --markdown ablation.md
     """
+    from mbds_xsim.measure.quick import check_able
     from mbds_xsim.report.files import results_json
     from mbds_xsim.scene.sampling import Starts
     from mbds_xsim.simulate.choice import Choice
@@ -131,8 +132,11 @@ def ablate(
     if len(choice.profiles) > 1:
         msg = f"--settings: got {settings}, allowed is one of matched, native and a file"
         raise InputError(msg)
+    loaded = [shared.scene_named(name) for name in scenes]
+    for scene in loaded:  # before the first has taken its time
+        check_able(scene, choice)
     results = []
-    for scene in [shared.scene_named(name) for name in scenes]:
+    for scene in loaded:
         with shared.progress_on(to.console) as progress:
             result = study(
                 scene,

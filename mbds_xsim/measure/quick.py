@@ -93,6 +93,14 @@ def searched(scene: Scene, choice: Choice, conduct: Conduct) -> Choice:
     return dataclasses.replace(choice, settings={**choice.settings, MATCHED: matched})
 
 
+def check_able(scene: Scene, choice: Choice) -> None:
+    """Raise Unsupported if engines cannot simulate a scene, whatever settings a search finds."""
+    free = _without(scene, choice) if MATCHED in choice.profiles else []
+    others = [name for name in choice.engines if name not in free]
+    if (choice.named or not free) and _refuses(scene, choice, others):
+        choice.contenders(scene)  # raises
+
+
 def _without(scene: Scene, choice: Choice) -> list[str]:
     """List the engines that lack settings for the scene but have a method for it."""
     matched = choice.settings.get(MATCHED, {})

@@ -6,6 +6,7 @@ import pytest
 
 from mbds_xsim.commands import sweeps
 from mbds_xsim.report.progress import StudyBar
+from mbds_xsim.studies import ablate
 from mbds_xsim.studies.stability.survey import SurveyPlan
 from tests.command_line import CommandLine
 
@@ -15,6 +16,7 @@ from tests.command_line import CommandLine
     [
         ("tradeoff 2pendulum balldrop --engines pinocchio", "no engine can do balldrop"),
         ("match 5pendulum balldrop --engines mujoco-warp", "can be matched on balldrop"),
+        ("ablate 2pendulum balldrop --engines pinocchio", "cannot do sphere on the ground"),
         ("stability spin friction --engines pinocchio", "nothing to run in friction"),
         ("stability --engines reference", "chooses its steps"),
         ("releases mujoco typo", "no engine is called 'typo'"),
@@ -24,6 +26,7 @@ def test_what_the_last_lacks_is_told_before_the_first_is_measured(
     line: str, told: str, run: CommandLine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(StudyBar, "__enter__", _begun)
+    monkeypatch.setattr(ablate, "validate_with_evidence", _begun)
 
     ended = run(*line.split())
 
@@ -31,7 +34,7 @@ def test_what_the_last_lacks_is_told_before_the_first_is_measured(
     assert told in ended.err
 
 
-def _begun(_: StudyBar) -> None:
+def _begun(*_: object, **__: object) -> None:
     raise AssertionError("the first is being measured")
 
 
