@@ -192,11 +192,17 @@ def stability(
     from mbds_xsim.studies.stability.survey import SurveyPlan
 
     if listed:
-        _list_studies(to, out)
+        _list_studies(
+            to,
+            {"STUDY": studies, "--engines": engines, "--models": models, "--methods": methods}
+            | {"--value": value, "--step": step, "--quick": quick, "--out": out},
+        )
         return
     to.check(out=out and out / "map.json")
     others = _outsiders(models)
     choice = Choice(()) if others and engines == "none" else Choice.parse(engines=engines)
+    if step is not None and not choice.engines:
+        raise InputError(f"--step: got {step:g}, but models step by frames; leave it out")
     single = value is not None and step is not None
     plans = [
         SurveyPlan(
@@ -218,14 +224,14 @@ def stability(
     _write([_mapped(plan, to, out, single=single) for plan in able], to)
 
 
-def _list_studies(to: shared.Outputs, out: Path | None) -> None:
+def _list_studies(to: shared.Outputs, others: Mapping[str, object]) -> None:
     from mbds_xsim.studies.stability.present import listing
     from mbds_xsim.studies.stability.studies import STUDIES
 
-    given = [name for name, value in {**vars(to), "out": out}.items() if value]
-    if given:
-        option = "--" + given[0].replace("opened", "open")
-        raise InputError(f"--list: got {option} too, but it only prints names; leave one out")
+    outputs = {"--" + name.replace("opened", "open"): value for name, value in vars(to).items()}
+    for name, value in {**outputs, **others}.items():
+        if value is not None and value is not False:
+            raise InputError(f"--list: got {name} too, but it only prints names; leave one out")
     to.print([listing(STUDIES.values())])
 
 

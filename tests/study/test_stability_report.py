@@ -155,9 +155,17 @@ def test_the_studies_are_listed(run: CommandLine) -> None:
 
 
 @pytest.mark.parametrize(
-    "words", [("--json", "s.json"), ("--json", "-"), ("--open",), ("--out", "maps")]
+    "words",
+    [
+        ("--json", "s.json"),
+        ("--json", "-"),
+        ("--open",),
+        ("--out", "maps"),
+        ("--engines", "mujoco"),
+        ("--step", "0"),
+    ],
 )
-def test_the_list_of_studies_is_not_written_to_files(
+def test_the_list_of_studies_takes_no_other_options(
     run: CommandLine, here: Path, words: tuple[str, ...]
 ) -> None:
     ended = run("stability", "--list", *words)
