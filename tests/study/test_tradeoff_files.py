@@ -114,7 +114,10 @@ def test_words_say_how_far_the_error_goes(study: Tradeoff) -> None:
     assert "where an impact comes before 1 s, the budget at 1 s is not" in summary.conclusion(
         impact
     )
-    assert "impact" not in summary.conclusion(study)
+    assert "not checked" not in summary.conclusion(study)
+    short = msgspec.structs.replace(study, duration_s=0.5, horizon_s=0.5)
+    assert "as the scene ends before 1 s, the budget at 1 s is not" in summary.conclusion(short)
+    assert [charts_of(each)[0].budget is None for each in (study, short)] == [False, True]
     assert "the method's own run at 200 steps a frame, at 1 s" in summary.describe_error(at_once)
     assert "from its own limit" in summary.conclusion(at_once)
 

@@ -248,6 +248,12 @@ class Tradeoff(msgspec.Struct, frozen=True, kw_only=True):
         return self.budget["error_1s"] * self.length_m
 
     @property
+    def ends_early(self) -> bool:
+        """Whether no frame is so near to `INSTANT` that `validate` would judge the error there."""
+        frames = (p.steps_per_frame * p.step_s for c in self.curves for p in c.points if not p.rtol)
+        return self.duration_s <= INSTANT - 0.5 * next(frames, 0.0)
+
+    @property
     def cut_short(self) -> bool:
         """Whether an impact ends the reference of a start before `INSTANT`."""
         return self.reference_ends_s is not None and self.reference_ends_s < INSTANT

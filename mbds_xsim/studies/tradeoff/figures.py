@@ -55,10 +55,9 @@ def charts_of(study: Tradeoff) -> list[Chart]:
     """Return the charts that have anything to show."""
     length, budget = study.length_m, study.budget
     # Methods that only have their own limit are not held to the budgets of the error.
-    at_once, at_any = (
-        None if study.own_limit is not None else budget[name] * length
-        for name in ("error_1s", "error")
-    )
+    judged = study.own_limit is None
+    at_once = budget["error_1s"] * length if judged and not study.ends_early else None
+    at_any = budget["error"] * length if judged else None
     name = _error_name(study)
     over_cost = Chart(
         study, f"{name}, over cost", "error_m", "RMS particle error [m]", at_once,

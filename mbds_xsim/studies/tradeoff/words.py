@@ -82,8 +82,9 @@ def conclusion(study: Tradeoff) -> str:
     engine = None if best[0].own else cheapest_within(study, own=True)
     if engine is not None:
         text = f"{text}; of the engines {_describe_place(study, *engine)}"
-    if study.cut_short and study.own_limit is None:
-        text = f"{text}; where an impact comes before 1 s, the budget at 1 s is not checked"
+    if study.own_limit is None and (study.ends_early or study.cut_short):
+        end = "as the scene ends" if study.ends_early else "where an impact comes"
+        text = f"{text}; {end} before 1 s, the budget at 1 s is not checked"
     return text
 
 
