@@ -272,3 +272,9 @@ def test_the_command_runs_models_alone(folder: Path, tmp_path: Path) -> None:
     header, row = out.read_text().splitlines()
     cells = dict(zip(header.split(","), row.split(","), strict=False))
     assert (cells["engine"], cells["family"], cells["value"]) == ("gns", "learned", "3.0")
+
+
+def test_a_step_is_refused_where_models_are_alone(folder: Path, run: CommandLine) -> None:
+    words = ["stability", "links", "--models", str(folder), "--engines", "none", "--step", "0.01"]
+
+    assert "--step: got 0.01, but models step by frames" in run(*words).refusal
