@@ -56,7 +56,7 @@ def match(
         to.check(out=target)
         settings_there(target)
     loaded = [shared.scene_named(name) for name in scenes]
-    for scene in loaded:  # what the last lacks is told before the first has taken its time
+    for scene in loaded:  # check all before starting long work
         study.searched_curves(scene, choice, options=options)
     results = []
     for scene, target in zip(loaded, targets, strict=True):
@@ -133,7 +133,7 @@ def ablate(
         msg = f"--settings: got {settings}, allowed is one of matched, native and a file"
         raise InputError(msg)
     loaded = [shared.scene_named(name) for name in scenes]
-    for scene in loaded:  # before the first has taken its time
+    for scene in loaded:  # check all before starting long work
         check_able(scene, choice)
     results = []
     for scene in loaded:

@@ -74,7 +74,7 @@ def tradeoff(
         msg = "--onto: the stored trade-off has engines, starts, seed and limit of its own"
         raise InputError(f"{msg}; leave --engines, --starts, --seed and --limit out")
     trained = _models(models, onto, loaded)
-    for scene in loaded if onto is None else []:  # before the first has taken its time
+    for scene in loaded if onto is None else []:  # check all before starting long work
         able_curves(scene, choice)
     studies, rows = [], []
     for scene in loaded:

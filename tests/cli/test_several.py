@@ -1,4 +1,4 @@
-"""Commands on several scenes, studies or engines: what one lacks is told before any is measured."""
+"""Commands on several scenes, studies or engines check all of them before they measure any."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.command_line import CommandLine
         ("releases mujoco typo", "no engine is called 'typo'"),
     ],
 )
-def test_what_the_last_lacks_is_told_before_the_first_is_measured(
+def test_all_are_checked_before_any_is_measured(
     line: str, told: str, run: CommandLine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(StudyBar, "__enter__", _begun)
