@@ -45,13 +45,12 @@ def particle_error(mechanism: Mechanism, trajectory: Trajectory, reference: Traj
     return np.sqrt(np.mean(np.sum(offset**2, axis=-1), axis=-1))
 
 
-def error_at(error: Array, time: Array, instant: float) -> Array:
-    """Return the error at the last frame not after an instant [m], shape (trajectory,).
+def second(frame: float) -> int:
+    """Return the number of the frame that stands for 1 s: the nearest, but never the start.
 
-    It is the first frame after the start if that is later than the instant.
+    A scene may end before it. `frame` is the interval between frames [s].
     """
-    frame = int(np.searchsorted(time, instant * (1 + 1e-9), side="right")) - 1
-    return error[:, min(max(frame, 1), error.shape[1] - 1)]
+    return max(1, round(1.0 / frame))
 
 
 def agreement_time(error: Array, time: Array, length: float) -> Array:
@@ -78,16 +77,16 @@ def growth_weighted(error: Array, growth: Array) -> Array:
     return np.asarray(np.where(predictable, weighted, 0.0).max(axis=1))
 
 
-def pairwise(mechanism: Mechanism, runs: Sequence[Trajectory], instant: float = 1.0) -> Array:
-    """Compute the RMS particle distance at an instant, worst over the trajectories [m].
+def pairwise(mechanism: Mechanism, runs: Sequence[Trajectory], frame: int) -> Array:
+    """Compute the RMS particle distance at a frame, worst over the trajectories [m].
 
     Shape (run, run), symmetric with zeros on the diagonal; NaN where either run was lost.
     """
     matrix = np.zeros((len(runs), len(runs)))
     for i, one in enumerate(runs):
         for j, other in enumerate(runs[:i]):
-            error = error_at(particle_error(mechanism, one, other), one.time, instant)
-            matrix[i, j] = matrix[j, i] = error.max()
+            error = particle_error(mechanism, one, other)
+            matrix[i, j] = matrix[j, i] = error[:, frame].max()
     return matrix
 
 

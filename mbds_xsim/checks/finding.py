@@ -161,9 +161,20 @@ class Finding:
         where = f" ({self.where[row]})" if self.where[row] else ""
         return f"{self.check}: {figure}{unit}, allowed {budget}{where}"
 
+    @functools.cached_property
+    def excess(self) -> Array:
+        """Figure less the check's uncertainty, infinite if it is NaN; shape (trajectory,)."""
+        excess: NDArray[Any] = self.figure - self.uncertainty
+        excess = np.where(np.isnan(excess), np.inf, excess)
+        return np.where(self.applies, excess, -np.inf)
+
     @property
     def worst(self) -> int:
         """Row of the worst trajectory: one without a figure, else that with the largest excess."""
-        excess: NDArray[Any] = self.figure - self.uncertainty
-        excess = np.where(np.isnan(excess), np.inf, excess)
-        return int(np.where(self.applies, excess, -np.inf).argmax())
+        return int(self.excess.argmax())
+
+    @property
+    def share(self) -> float:
+        """Largest excess as a share of the budget, which must not be 0; at most 1 if all pass."""
+        assert self.budget
+        return float(self.excess.max()) / self.budget

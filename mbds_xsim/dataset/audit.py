@@ -105,8 +105,7 @@ class _Part:
     """Finding of one check about some of the trajectories."""
 
     def __init__(self, batch: Batch, finding: Finding) -> None:
-        over = finding.figure[finding.worst] - finding.uncertainty[finding.worst]
-        self.excess = float(np.nan_to_num(over, nan=np.inf))
+        self.excess = float(finding.excess.max())
         """Worst figure less its uncertainty; infinite if it is NaN."""
         self.result = finding_result(batch, finding)
         self.lines = failed_lines(batch, [finding])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,8 +24,6 @@ from mbds_xsim.simulate import readback
 from mbds_xsim.simulate.claims import RTOL
 from mbds_xsim.simulate.registry import load_adapter
 
-_ONE_SECOND = 1.0
-
 
 @dataclass(frozen=True, eq=False)
 class Judged:
@@ -34,7 +33,12 @@ class Judged:
     trajectory: Trajectory | None
     error: Array | None
     """RMS particle error [m], shape (trajectory, frame); None for the reference itself."""
-    series: dict[str, Array]
+    findings: Sequence[Finding] = ()
+
+    @property
+    def series(self) -> dict[str, Array]:
+        """Series of the findings, by check."""
+        return {finding.check: finding.series for finding in self.findings}
 
 
 def judge(outcome: Outcome, reference: ReferenceOutcome, *, native: bool = True) -> Judged:
@@ -45,7 +49,7 @@ def judge(outcome: Outcome, reference: ReferenceOutcome, *, native: bool = True)
     scene, batch, truth = outcome.scene, outcome.batch, reference.trajectory
     trajectory = outcome.trajectory(truth.time)
     if trajectory is None:
-        return Judged(_result(outcome, [], None, reference, native), None, None, {})
+        return Judged(_result(outcome, [], None, reference, native), None, None)
     step, method = outcome.contender.settings.step, outcome.method
     spread = outcome.simulations[0].contact_time
     record = Record(scene, batch, trajectory, method, step, spread)
@@ -57,9 +61,7 @@ def judge(outcome: Outcome, reference: ReferenceOutcome, *, native: bool = True)
             *convergence(outcome, reference),
         ]
     result = _result(outcome, findings, error, reference, native)
-    return Judged(
-        result, trajectory, error, {finding.check: finding.series for finding in findings}
-    )
+    return Judged(result, trajectory, error, findings)
 
 
 def reference_result(scene: Scene, batch: Batch, reference: ReferenceOutcome) -> ReferenceResult:
@@ -95,11 +97,8 @@ def reference_findings(
 def error_findings(
     scene: Scene, batch: Batch, error: Array, truth: Trajectory, growth: Array
 ) -> list[Finding]:
-    """Compare the error with its budgets: unweighted at 1 s, and growth-weighted at all times.
-
-    If a frame is longer than 1 s, the first one stands for 1 s.
-    """
-    time, known = truth.time, truth.known
+    """Compare the error with its budgets: unweighted at 1 s, and growth-weighted at all times."""
+    known = truth.known
     figure = np.where(np.isfinite(error), error, np.inf)
     judged = known & (growth < agreement.CHAOS)
     findings = [
@@ -110,8 +109,7 @@ def error_findings(
             budget=scene.budget.error * scene.length,
         )
     ]
-    frame = scene.clock.frame
-    at_one = known & (np.abs(time - max(_ONE_SECOND, frame)) < 0.5 * frame)
+    at_one = known & (np.arange(len(truth.time)) == agreement.second(scene.clock.frame))
     calm = batch.regular & at_one.any(axis=1)
     if calm.any():
         finding = Finding.of(

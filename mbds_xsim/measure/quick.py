@@ -31,7 +31,7 @@ from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Adapter, Settings
 from mbds_xsim.simulate.choice import MATCHED, Choice, Matched, is_stored
 
-_VERSION = 2
+_VERSION = 3
 """Version of the search, to be raised when it finds different settings."""
 _LIMIT = 60.0
 """Time limit of an engine's search [s]."""

@@ -16,10 +16,10 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.base.isolate import Crash
 from mbds_xsim.checks import Finding, agreement
-from mbds_xsim.measure.judge import Judged, failed_lines, finding_result, judge
+from mbds_xsim.measure.judge import Judged, failed_lines, judge
 from mbds_xsim.measure.outcome import Outcome, ReferenceOutcome
 from mbds_xsim.measure.refinement import further_step, other_steps
-from mbds_xsim.measure.result import FIGURES, EngineResult
+from mbds_xsim.measure.result import FIGURES
 from mbds_xsim.scene.collisions import has_known_impacts
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
@@ -37,7 +37,7 @@ class Trial:
     reasons: tuple[str, ...]
     """One line for each failure; empty if it passed."""
     excess: float
-    """Largest ratio of figure to budget; infinite if a trajectory or the process was lost."""
+    """Largest `share` of a budget; infinite if a trajectory or the process was lost."""
     cpu_s: float
     """Processor time per simulated second."""
     wall_s: float
@@ -93,7 +93,7 @@ def run_trial(
     result, simulated = row.result, len(batch) * scene.clock.duration
     return Trial(
         reasons=(*result.reasons, *failed_lines(batch, limits)),
-        excess=math.inf if result.failures else _excess(batch, result, limits),
+        excess=math.inf if result.failures else _excess([*row.findings, *limits]),
         cpu_s=simulation.cpu_s / simulated,
         wall_s=simulation.rollout_s / simulated,
         figures={name: getattr(result, name) for name in FIGURES},
@@ -137,18 +137,14 @@ def _judge_all(outcome: Outcome, reference: ReferenceOutcome) -> tuple[Judged, l
     return row, contact_findings(scene, row.trajectory, reference, method, momentum)
 
 
-def _excess(batch: Batch, result: EngineResult, limits: Sequence[Finding]) -> float:
-    findings = [*result.findings, *(finding_result(batch, limit) for limit in limits)]
-    ratios = [f.figure / f.budget for f in findings if f.budget]
-    return max((r if math.isfinite(r) else math.inf for r in ratios), default=0.0)
+def _excess(findings: Sequence[Finding]) -> float:
+    return max((finding.share for finding in findings if finding.budget), default=0.0)
 
 
 # Distance of a motion from its method's own limit, if there is no true motion to compare it with.
 #
 # A small distance says nothing about the truth: engines converge to different motions if contact
 # has no unique solution. A large distance is an error whatever the truth.
-
-_INSTANT = 1.0  # time at which the budget applies [s]
 
 
 def is_unknown(reference: ReferenceOutcome) -> bool:
@@ -174,7 +170,7 @@ def own_limit(outcome: Outcome, motion: Trajectory) -> Finding:
     ratio = max(step, other) / min(step, other)
     distance = agreement.particle_error(Mechanism.of(scene), motion[sample], others[other])
     share = distance * (1.0 if shorter is None else ratio) / (ratio - 1.0)
-    frame = min(max(1, round(_INSTANT / scene.clock.frame)), share.shape[1] - 1)
+    frame = min(agreement.second(scene.clock.frame), share.shape[1] - 1)
     series = np.full((*motion.position.shape[:2], 1), np.nan)
     series[:, frame] = 0.0
     series[sample, frame, 0] = np.where(np.isfinite(share), share, np.inf)[:, frame]

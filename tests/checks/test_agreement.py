@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
@@ -57,11 +59,12 @@ def test_a_turned_body_shows_in_its_particles() -> None:
     assert error[0, 0] == pytest.approx(1e-3 * np.sqrt(2 * (0.2**2 + 0.1**2) / 17), rel=1e-6)
 
 
-def test_errors_are_read_at_instants() -> None:
-    error = np.arange(60.0)[None] * np.ones((2, 1))
-    time = np.linspace(0.0, 1.18, 60)
-    assert agreement.error_at(error, time, 1.0).tolist() == [50.0, 50.0]
-    assert agreement.error_at(error, 2.0 * np.arange(60.0), 1.0).tolist() == [1.0, 1.0]
+@given(st.floats(1e-4, 10.0))
+def test_the_frame_that_stands_for_1_s_is_the_nearest_but_not_the_start(frame: float) -> None:
+    place = agreement.second(frame)
+    times = frame * np.array([max(place - 1, 1), place, place + 1])
+    assert place >= 1
+    assert abs(times[1] - 1.0) <= np.abs(times - 1.0).min() + 1e-9
 
 
 def test_the_agreement_time_is_the_first_crossing_of_one_per_cent() -> None:
@@ -127,7 +130,7 @@ def test_a_lost_run_is_no_vote(pendulum: Any) -> None:
     lost = dataclasses.replace(pendulum.exact, position=np.full_like(pendulum.exact.position, NAN))
     near = dataclasses.replace(pendulum.exact, position=pendulum.exact.position + 1e-6)
     runs = [pendulum.exact, lost, near]
-    matrix = agreement.pairwise(Mechanism.of(pendulum.scene), runs, 0.5)
+    matrix = agreement.pairwise(Mechanism.of(pendulum.scene), runs, 25)
     assert np.isnan(matrix[0, 1])
     assert matrix[0, 2] == pytest.approx(1e-6 * np.sqrt(3), rel=1e-3)
     assert agreement.odd_one_out(matrix, ["RK4", "trapezoidal", "reference"]) == ()

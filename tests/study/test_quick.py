@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import time
 import warnings
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.base.isolate import HERE, Conduct, Silent
+from mbds_xsim.checks.finding import Finding
 from mbds_xsim.measure import quick
 from mbds_xsim.measure.campaign import run_references
 from mbds_xsim.measure.quick import COUNTS, fewest, searched
@@ -207,6 +210,18 @@ def test_few_trials_find_about_the_fewest_steps(magnitude: float, order: int, st
     if good:
         assert steps in good
         assert steps <= 2.6 * good[0]
+
+
+def test_what_a_check_does_not_know_uses_no_share_of_its_budget() -> None:
+    """Otherwise a search took finer steps than the budgets ask for."""
+    figures = np.array([[[0.0], [3.0]], [[0.0], [9.0]]])
+    finding = Finding.of("energy", "1", figures, budget=2.0, uncertainty=np.array([2.0, 8.5]))
+    assert finding.passed.all()
+    assert finding.share == 0.5
+    assert dataclasses.replace(finding, uncertainty=np.zeros(2)).share == 4.5
+    lost = Finding.of("energy", "1", figures * np.nan, budget=2.0)
+    assert not lost.passed.any()
+    assert math.isinf(lost.share)
 
 
 def test_a_file_of_settings_is_used_and_names_its_engines(tmp_path: Path) -> None:

@@ -132,7 +132,6 @@ class Ablation(msgspec.Struct, frozen=True, kw_only=True):
     wall_s: float
 
 
-_INSTANT = 1.0
 _APART = 0.01  # part of the scene's length, as for the agreement time
 
 
@@ -158,32 +157,36 @@ class Window:
         return np.asarray(self.time[self.judged.sum(axis=1) - 1])
 
     @property
+    def second(self) -> int:
+        """Frame that stands for 1 s; a shorter scene does not have it."""
+        return agreement.second(self.time[1])
+
+    @property
+    def instant(self) -> int:
+        """Frame that stands for 1 s, or the last."""
+        return min(self.second, len(self.time) - 1)
+
+    @property
     def reaches(self) -> bool:
         """Whether any start is compared for 1 s, or for all of a shorter scene."""
-        return bool(self.spans.max() >= min(_INSTANT, self.time[-1]) * (1 - 1e-9))
+        return bool(self.judged.sum(axis=1).max() > self.instant)
 
     def at_instant(self, error: Array) -> Array:
-        """Return errors at 1 s [m] of the regular starts that are judged there, shape (count,).
-
-        As in `validate`, the frame nearest to 1 s counts, or the first if it is later.
-        """
-        instant = max(_INSTANT, self.time[1])
-        frame = int(np.argmin(np.abs(self.time - instant)))
-        if abs(self.time[frame] - instant) >= 0.5 * self.time[1]:
+        """Return errors at 1 s [m] of the regular starts that are judged there, shape (count,)."""
+        if self.second >= len(self.time):
             return np.zeros(0)
-        return np.asarray(error[self.regular & self.judged[:, frame], frame])
+        return np.asarray(error[self.regular & self.judged[:, self.second], self.second])
 
     @property
     def frames(self) -> int:
         """Number of frames needed: all that are judged, and the first second."""
-        second = int(np.searchsorted(self.time, _INSTANT * (1 - 1e-9)))
-        return min(max(int(self.judged.sum(axis=1).max()), second + 1), len(self.time))
+        return max(int(self.judged.sum(axis=1).max()), self.instant + 1)
 
     def beyond(self, error: Array) -> float:
         """Return the median ratio of error to engines' distance at 1 s, whether judged or not."""
-        frame = min(int(np.searchsorted(self.time, _INSTANT * (1 - 1e-9))), len(self.time) - 1)
-        known = np.isfinite(error[:, frame]) & (self.apart[:, frame] > 0)
-        ratio = error[known, frame] / self.apart[known, frame]
+        error, apart = error[:, self.instant], self.apart[:, self.instant]
+        known = np.isfinite(error) & (apart > 0)
+        ratio = error[known] / apart[known]
         return float(np.median(ratio)) if ratio.size else 0.0
 
     def weighted(self, error: Array) -> Array:
@@ -301,7 +304,7 @@ def _sentence(verdict: Need, excess: float, apart: float, beyond: float, window:
         return f"motion changes by {_digits(excess)} × the floor"
     share = _share(excess)
     if not window.reaches:
-        instant = min(_INSTANT, float(window.time[-1]))
+        instant = float(window.time[window.instant])
         text = f"{share} until {window.ends}; {_digits(beyond)} × their distance at {instant:g} s"
         return text if verdict == "needed" else f"{text}, clear is {_CLEARLY:g} ×"
     return f"{share}, though {_digits(apart)} × what engines differ by" if apart > 1.0 else share

@@ -12,6 +12,7 @@ import msgspec
 
 from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.base.files import read_file
+from mbds_xsim.checks import agreement
 from mbds_xsim.measure.runner import Keyed
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate import registry
@@ -22,8 +23,6 @@ from mbds_xsim.simulate.simulator import NATIVE, EngineMethod, Options
 
 SCHEMA = "mbds-xsim/tradeoff/1"
 
-INSTANT = 1.0
-"""Time of the charted error [s], unless the reference ends earlier."""
 AT_ONCE = 64
 """Batch size of methods and models that simulate several trajectories at once."""
 BATCH = f"{AT_ONCE} at a time"
@@ -248,15 +247,21 @@ class Tradeoff(msgspec.Struct, frozen=True, kw_only=True):
         return self.budget["error_1s"] * self.length_m
 
     @property
-    def ends_early(self) -> bool:
-        """Whether no frame is so near to `INSTANT` that `validate` would judge the error there."""
+    def second_s(self) -> float:
+        """Time of the frame that stands for 1 s [s]; a shorter scene does not have it."""
         frames = (p.steps_per_frame * p.step_s for c in self.curves for p in c.points if not p.rtol)
-        return self.duration_s <= INSTANT - 0.5 * next(frames, 0.0)
+        frame = next(frames, 1.0)
+        return agreement.second(frame) * frame * (1 - 1e-9)
+
+    @property
+    def ends_early(self) -> bool:
+        """Whether the scene ends before 1 s."""
+        return self.duration_s < self.second_s
 
     @property
     def cut_short(self) -> bool:
-        """Whether an impact ends the reference of a start before `INSTANT`."""
-        return self.reference_ends_s is not None and self.reference_ends_s < INSTANT
+        """Whether an impact ends the reference of a start before 1 s."""
+        return self.reference_ends_s is not None and self.reference_ends_s < self.second_s
 
 
 def read_tradeoff(path: Path) -> Tradeoff:

@@ -27,7 +27,7 @@ from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.simulator import Signs, Simulated, Simulator
-from mbds_xsim.studies.tradeoff import INSTANT, SPAN, Measurement
+from mbds_xsim.studies.tradeoff import SPAN, Measurement
 
 LIMIT_COUNT = 2 * SPAN
 """Steps per frame of the run that stands for the limit of a vanishing step."""
@@ -61,15 +61,14 @@ class Truth:
 
     @property
     def horizon(self) -> float:
-        """Time of the charted error [s]: 1 s, or the last known frame before that.
-
-        If a frame is longer than 1 s, it is the first; 0 if only the start is known.
-        """
+        """Time of the charted error [s]: that of the frame that stands for 1 s, or of the last
+        known frame before that; 0 if only the start is known."""
         return _horizon(self.trajectory.time, self.known)
 
 
 def _horizon(time: Array, known: Mask) -> float:
-    before = time[known & (time <= max(INSTANT, time[:2].max()) * (1 + 1e-9))]
+    second = agreement.second(time[1])
+    before = time[: second + 1][known[: second + 1]]
     return float(before[-1]) if len(before) else 0.0
 
 

@@ -75,7 +75,7 @@ def validate_with_evidence(
         reference=checked,
         names=tuple(runs),
         matrix_m=matrix,
-        matrix_s=float(agreement.error_at(times[None], times, _ONE_SECOND)[0]),
+        matrix_s=float(times[_instant(scene)]),
         odd_one_out=odd,
         versions=versions_of({result.engine: result.version for result in results}),
         machine=machine(),
@@ -150,15 +150,19 @@ def _vote(
 ) -> tuple[tuple[tuple[float, ...], ...], str | None]:
     """Compare all pairs of runs, the reference last, at 1 s on low and medium starts."""
     names, mechanism = tuple(runs), Mechanism.of(scene)
-    instant = min(_ONE_SECOND, scene.clock.duration)
     regular = [run[batch.regular] for run in runs.values()]
-    matrix = agreement.pairwise(mechanism, regular, instant)
+    matrix = agreement.pairwise(mechanism, regular, _instant(scene))
     allowed = scene.budget.error_1s * scene.length
     # Past a first impact no solution is unique, and sound engines may stand apart.
     unique = np.isfinite(matrix[-1, :-1]).any()
     odd = agreement.odd_one_out(matrix, families, tolerance=allowed) if unique else ()
     odd_names = ", ".join(names[k] for k in odd) or None
     return tuple(tuple(float(x) for x in line) for line in matrix), odd_names
+
+
+def _instant(scene: Scene) -> int:
+    """Return the frame at which runs are compared: the one that stands for 1 s, or the last."""
+    return min(agreement.second(scene.clock.frame), scene.clock.steps)
 
 
 def _ensembles(
