@@ -153,7 +153,9 @@ _Engines = Annotated[
 _Methods = Annotated[
     str | None, Option("--methods", "--method", help="Comma-separated; all by default.")
 ]
-_Settings = Annotated[str, Option(help="matched (all methods), native, or both: matched,native.")]
+_Settings = Annotated[
+    str | None, Option(help="matched (all methods) or native; both when left out.")
+]
 _Value = Annotated[str | None, Option(help="Only this value; any number, or a name of the study.")]
 _Step = Annotated[float | None, Option(help="Only this step [s]; divides a frame of 0.1 s.")]
 _Quick = Annotated[bool, Option("--quick", help="Three values and three steps.")]
@@ -169,7 +171,7 @@ def stability(
     engines: _Engines = None,
     models: shared.ModelPlaces = None,
     methods: _Methods = None,
-    settings: _Settings = "matched,native",
+    settings: _Settings = None,
     value: _Value = None,
     step: _Step = None,
     quick: _Quick = False,
@@ -195,14 +197,15 @@ def stability(
         _list_studies(
             to,
             {"STUDY": studies, "--engines": engines, "--models": models, "--methods": methods}
-            | {"--value": value, "--step": step, "--quick": quick, "--out": out},
+            | {"--settings": settings, "--value": value, "--step": step, "--quick": quick}
+            | {"--fresh": fresh, "--workers": workers, "--out": out},
         )
         return
     to.check(out=out and out / "map.json")
     others = _outsiders(models)
     choice = Choice(()) if others and engines == "none" else Choice.parse(engines=engines)
-    if step is not None and not choice.engines:
-        raise InputError(f"--step: got {step:g}, but models step by frames; leave it out")
+    if not choice.engines:
+        _refuse({"--step": step, "--settings": settings}, "models step by frames, with no settings")
     single = value is not None and step is not None
     plans = [
         SurveyPlan(
@@ -211,7 +214,7 @@ def stability(
             faulty=choice.faulty,
             others=others,
             methods=words_of(methods or (), "--methods"),
-            profiles=_profiles(settings),
+            profiles=_profiles(settings or "matched,native"),
             values=_values(study, value, quick=quick),
             counts=_counts(step, quick=quick),
             limit=limit,
@@ -229,10 +232,15 @@ def _list_studies(to: shared.Outputs, others: Mapping[str, object]) -> None:
     from mbds_xsim.studies.stability.studies import STUDIES
 
     outputs = {"--" + name.replace("opened", "open"): value for name, value in vars(to).items()}
-    for name, value in {**outputs, **others}.items():
-        if value is not None and value is not False:
-            raise InputError(f"--list: got {name} too, but it only prints names; leave one out")
+    _refuse({**outputs, **others}, "--list only prints names")
     to.print([listing(STUDIES.values())])
+
+
+def _refuse(options: Mapping[str, object], why: str) -> None:
+    """Raise InputError for the first option that was given, though it has no effect."""
+    for name, value in options.items():
+        if value is not None and value is not False:
+            raise InputError(f"{name}: got it, but {why}; leave it out")
 
 
 def _able(plans: list[SurveyPlan], to: shared.Outputs, *, named: bool) -> list[SurveyPlan]:

@@ -274,7 +274,10 @@ def test_the_command_runs_models_alone(folder: Path, tmp_path: Path) -> None:
     assert (cells["engine"], cells["family"], cells["value"]) == ("gns", "learned", "3.0")
 
 
-def test_a_step_is_refused_where_models_are_alone(folder: Path, run: CommandLine) -> None:
-    words = ["stability", "links", "--models", str(folder), "--engines", "none", "--step", "0.01"]
+@pytest.mark.parametrize("option", [("--step", "0.01"), ("--settings", "native")])
+def test_steps_and_settings_are_refused_where_models_are_alone(
+    folder: Path, run: CommandLine, option: tuple[str, str]
+) -> None:
+    words = ["stability", "links", "--models", str(folder), "--engines", "none", *option]
 
-    assert "--step: got 0.01, but models step by frames" in run(*words).refusal
+    assert f"{option[0]}: got it, but models step by frames" in run(*words).refusal

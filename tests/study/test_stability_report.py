@@ -163,6 +163,9 @@ def test_the_studies_are_listed(run: CommandLine) -> None:
         ("--out", "maps"),
         ("--engines", "mujoco"),
         ("--step", "0"),
+        ("--settings", "native"),
+        ("--fresh",),
+        ("--workers", "1"),
     ],
 )
 def test_the_list_of_studies_takes_no_other_options(
@@ -172,7 +175,7 @@ def test_the_list_of_studies_takes_no_other_options(
 
     assert (ended.code, ended.out) == (2, "")
     assert ended.err == (
-        f"mbds-xsim: --list: got {words[0]} too, but it only prints names; leave one out\n"
+        f"mbds-xsim: {words[0]}: got it, but --list only prints names; leave it out\n"
     )
     assert list(here.iterdir()) == []
 
