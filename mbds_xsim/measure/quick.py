@@ -52,7 +52,9 @@ _LEAP = 6.0
 def searched(scene: Scene, choice: Choice, conduct: Conduct) -> Choice:
     """Return a choice with matched settings for every engine without stored ones for the scene.
 
-    Engines for which none are found in time, or that cannot simulate the scene, keep their presets.
+    Stored ones do not count if the scene has a smaller budget than the built-in one of its name.
+    Engines for which none are found in time, or that cannot simulate the scene, keep their presets,
+    or what is stored.
     Settings found earlier are taken from the cache, if `conduct` allows it.
     """
     if MATCHED not in choice.profiles or choice.step is not None or choice.method is not None:
@@ -108,9 +110,17 @@ def _without(scene: Scene, choice: Choice) -> list[str]:
         name
         for name in choice.engines
         if name not in matched
-        and not is_stored(scene, name)
+        and not _serves(scene, name)
         and _methods(scene, registry.load_adapter(name))
     ]
+
+
+def _serves(scene: Scene, engine: str) -> bool:
+    """Return whether settings are stored for an engine and the scene, at budgets no larger."""
+    if not is_stored(scene, engine):
+        return False
+    stored, own = registry.load_scene(scene.name).budget, scene.budget
+    return all(getattr(stored, key) <= getattr(own, key) for key in own.__struct_fields__)
 
 
 def _refuses(scene: Scene, choice: Choice, engines: Sequence[str]) -> bool:

@@ -101,6 +101,21 @@ def test_no_scene_gets_the_settings_of_another_by_its_name() -> None:
     assert _searched(ladder, "mujoco") == {}
 
 
+def test_a_smaller_budget_than_the_built_in_scene_has_is_searched_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(quick, "_search", lambda *_: Matched("RK4", 7))
+    monkeypatch.setattr(quick, "run_references", lambda *_: None)
+    ladder = registry.load_scene("3ladder")
+
+    def found(energy: float) -> dict[str, Matched]:
+        budget = msgspec.structs.replace(ladder.budget, energy=energy)
+        return _searched(msgspec.structs.replace(ladder, budget=budget), "mujoco")
+
+    assert found(10.0 * ladder.budget.energy) == {}
+    assert found(0.1 * ladder.budget.energy) == {"mujoco": Matched("RK4", 7)}
+
+
 def test_where_nothing_is_found_in_time_the_presets_stay(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(quick, "_LIMIT", -1.0)
     scene = cart_pole()
