@@ -1,4 +1,4 @@
-"""Trained models as simulators, next to engines.
+"""Trained models as simulators, next to engines in `tradeoff` and `stability`.
 
 A model has no step size to choose: its step is its frame. It sees the first frames of the reference
 and, as in training, no random forces, and predicts the rest. It returns only positions of particles

@@ -1,1 +1,1 @@
-"""Learned models under a change of engine."""
+"""Presentation of the study `mbds_xsim.learn.shift`: learned models under a change of engine."""
