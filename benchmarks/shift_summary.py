@@ -104,7 +104,7 @@ def main() -> None:
     several = {
         name: _with_matched(shift, studies.get(name.replace("-factors", "-matched")))
         for name, shift in studies.items()
-        if _factor_count(shift) > 1
+        if _pairs(shift, "equal")  # else it has no factor alone
     }
     page = "".join(f"{line}\n" for line in _page(folder, studies, several))
     print(page, end="")
@@ -134,10 +134,6 @@ def _costs(name: str, shift: Shift) -> Iterator[tuple[str, ...]]:
     for model in trained_models(shift):
         costs = [_cost(_dearest(shift, model, ends), place) for _, ends in _FACTORS.values()]
         yield f"[{shift.scene}]({name}.md)", model, *costs
-
-
-def _factor_count(shift: Shift) -> int:
-    return sum(bool(_pairs(shift, ends)) for _, ends in _FACTORS.values())
 
 
 def _pairs(shift: Shift, ends: Ends) -> list[Interaction]:
