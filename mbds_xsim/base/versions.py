@@ -11,7 +11,7 @@ from __future__ import annotations
 PHYSICS = 4
 """Version of the starts, inputs and reference solutions of a scene."""
 
-CHECKS = 26
+CHECKS = 27
 """Version of the checks' figures and verdicts, and of the studies' results from them."""
 
 MODELS = 6

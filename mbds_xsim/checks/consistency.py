@@ -115,8 +115,9 @@ class Consistency:
                 for scale, values in ((scene.length, places[-1]), (1.0, lifted))
             ]
             positions = "consistency of positions", places, floors[0], predictable, near
-            allowed = scene.budget.energy
-            energies = "consistency of energy", levels, floors[1], predictable, allowed
+            allowed, beside = scene.budget.energy, self._bumps
+            beside = np.pad(beside, ((0, 0), (1, 0))) | np.pad(beside, ((0, 0), (0, 1)))
+            energies = "consistency of energy", levels, floors[1], predictable, allowed, beside
             compare = functools.partial(_compare, mechanism.braked or mechanism.saturates)
             both = [compare(each, *energies) for each in (order, lower)]
             return [compare(order, *positions), _either(*both) if lower < order else both[0]]
@@ -224,7 +225,9 @@ def _compare(
     floor: Array,
     predictable: Mask,
     budget: float,
+    beside: Mask | None = None,
 ) -> _Comparison:
+    """Compare runs with the reference; the quantity jumps next to frames in `beside`, if any."""
     frames = min(value.shape[1] for value in values)
     floor, predictable = floor[:, :frames], predictable[:, :frames]
     *runs, truth = (value[:, :frames] for value in values)
@@ -236,9 +239,11 @@ def _compare(
         judged = _longest(each.asymptotic & predictable)
         deviation = np.sqrt(np.sum((each.limit - truth) ** 2, axis=-1))
         uncertainty = each.uncertainty if before is None else _unsteady(before, each, finest, floor)
-        series, before = np.where(judged, deviation / uncertainty, series), each
+        figure = _off_peaks(deviation / uncertainty, beside)
+        series, before = np.where(judged, figure, series), each
     moves = running(runs[-1] - runs[-2])
     ratio = np.sqrt(np.sum((runs[-1] - truth) ** 2, axis=-1)) / (_UNEXPLAINED * moves + floor)
+    ratio = _off_peaks(ratio, beside)
     known = predictable & np.isfinite(ratio)
     there = np.isfinite(truth).all(axis=-1)
     ended = predictable & there & ~np.isfinite(limits[-1].uncertainty)
@@ -254,6 +259,18 @@ def _compare(
         stopped=np.asarray(ended.any(axis=1)),
         brief=2 * np.isfinite(series).sum(axis=1) < (predictable & there).sum(axis=1),
     )
+
+
+def _off_peaks(figure: Array, beside: Mask | None) -> Array:
+    """Lower peaks of one frame next to a bump: a jump just before it may be after it in all runs.
+
+    Runs tell an instant to a step, and a frame within this step has the energy of before or after.
+    """
+    if beside is None:
+        return figure
+    around = np.pad(figure, ((0, 0), (1, 1)), constant_values=np.nan)
+    lowered = np.fmin(figure, np.fmax(around[:, :-2], around[:, 2:]))
+    return np.where(beside[:, : figure.shape[1]], lowered, figure)
 
 
 def _unsteady(before: Extrapolation, after: Extrapolation, finest: Array, floor: Array) -> Array:

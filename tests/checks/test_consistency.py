@@ -18,7 +18,7 @@ from mbds_xsim.checks.consistency import Consistency
 from mbds_xsim.checks.extrapolation import extrapolate
 from mbds_xsim.reference.solution import solve
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene
+from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene
 from mbds_xsim.scene.state import Failure, Trajectory
 from mbds_xsim.simulate.claims import Method
 
@@ -327,29 +327,6 @@ def test_an_impact_just_before_a_frame_shows_in_what_runs_differ_by_at_the_next(
 
     assert (np.abs(estimate.limit[..., 0]) <= 3.0 * estimate.uncertainty)[0, :13].all()
     assert (estimate.uncertainty[0, :12] <= 1e-8).all()
-
-
-def test_runs_that_agree_on_a_wrong_instant_of_an_impact_are_known_to_a_step() -> None:
-    """A wheel turns freely until its stop, which all runs pass by the same part of a step."""
-    origin, axis = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
-    pin = Joint("pin", "hinge", "world", "wheel", origin, axis, rate=1.0, limits=(-1.0, 0.307))
-    wheel = Body("wheel", inertia=Inertia(1.0, (0.1, 0.1, 0.1), com=(0.5, 0.0, 0.0)))
-    scene = Scene("stop", (wheel,), 1.0, joints=(pin,), clock=Clock(0.02, 25))
-    batch = draw_batch(scene, [0])
-    exact = solve(scene, batch, cache=False)
-    stopped, on = exact.time > 0.307, np.array((0.0, 1.0, 0.0))
-
-    def figure(passed_by: float, step: float) -> float:
-        off = dataclasses.replace(
-            exact, position=exact.position + passed_by * stopped[None, :, None, None] * on
-        )
-        method = METHODS["euler_reduced"][0]
-        places, _ = consistency(scene, batch, [off] * 3, exact, method, step=step)
-        return float(places.figure[0])
-
-    assert figure(1e-5, step=2e-5) < 3.0
-    assert figure(1e-5, step=0.0) > 100.0
-    assert figure(1e-4, step=2e-5) > 3.0
 
 
 def test_a_wrong_limit_shows_though_the_order_cannot_be_measured(pendulum: Any) -> None:
