@@ -341,7 +341,8 @@ def causes(folder: Path, shards: Iterable[Path]) -> Counter[str]:
 
 def cause_of(reason: str) -> str:
     """Return the check that failed first, or "ended early", from the text of a reason."""
-    return re.sub(r"^ended at frame \d+$", "ended early", reason.split(":")[0])
+    cause = re.match(rf"(?:{TOGETHER}: )?[^:]*", reason)
+    return re.sub(r"^ended at frame \d+$", "ended early", cause[0] if cause else reason)
 
 
 def _join_scene(folder: Path) -> None:

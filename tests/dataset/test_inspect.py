@@ -18,6 +18,7 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.text import encoded
 from mbds_xsim.commands.data import summary_blocks
 from mbds_xsim.dataset.read import load_dataset
+from mbds_xsim.dataset.shard import cause_of
 from mbds_xsim.dataset.summary import draw_paths, summaries
 from mbds_xsim.report.terminal import print_blocks
 from mbds_xsim.report.themed import INTERVALS
@@ -26,6 +27,18 @@ from tests.dataset.conftest import Make
 from tests.fuzz.campaign import run_command
 
 SET = "1pendulum/mujoco-matched"
+
+
+@pytest.mark.parametrize(
+    ("reason", "cause"),
+    [
+        ("kinematics: 3, allowed 1", "kinematics"),
+        ("together: mass of rod: relative error 0.1", "together: mass of rod"),
+        ("ended at frame 7", "ended early"),
+    ],
+)
+def test_a_cause_is_the_check_that_failed(reason: str, cause: str) -> None:
+    assert cause_of(reason) == cause
 
 
 def test_counts_and_figures_are_those_of_the_files(whole: Path) -> None:
