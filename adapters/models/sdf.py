@@ -34,7 +34,10 @@ _VERSIONS = ("1.5", "1.6", "1.7", "1.8", "1.9", "1.10", "1.11")
 _FRAMES = ("relative_to", "expressed_in", "frame", "placement_frame", "degrees", "rotation_format")
 _PLAIN = ("", "0", "false", "euler_rpy")
 """Values of these attributes that change nothing."""
-_ONE = "DART's parser takes one joint per link, and only between existing links"
+_ONE = (
+    "DART's parser takes one joint per link, and only between existing links; if it closes a loop, "
+    "add it to the scene file as one of [[joints]]"
+)
 _INERTIAL = (
     "<inertial><mass>1</mass><inertia><ixx>1</ixx><ixy>0</ixy><ixz>0</ixz><iyy>1</iyy><iyz>0</iyz>"
     "<izz>1</izz></inertia></inertial>"

@@ -224,6 +224,7 @@ def test_a_joint_that_closes_a_loop_is_told(here: Path) -> None:
     assert [joint.name for joint in imported.scene.joints] == ["pivot"]
     dropped = [f for f in imported.fates if f.element == "joint" and f.outcome == "dropped"]
     assert [(fate.places, fate.moves) for fate in dropped] == [(("second",), True)]
+    assert "add it to the scene file as one of [[joints]]" in dropped[0].reason
 
 
 @pytest.mark.parametrize(
