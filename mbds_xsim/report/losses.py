@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -12,9 +13,11 @@ from mbds_xsim.report.catalogue import scene_row
 from mbds_xsim.report.draw import scene_figure
 from mbds_xsim.scene.imported import FIXED, Fate, Imported, Outcome, Written
 from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Scene
 
 _MARKS: dict[Outcome, blocks.Mark] = {"kept": "pass", "approximated": "warn", "dropped": "fail"}
 _MOST = 3  # places that a table names
+_WIDE, _ENDLESS = 4 * math.pi, 1000.0  # [rad]: two turns; limits that stand for none
 _POSE = "The model at its reference pose"  # bodies are ellipsoids of their inertia
 
 
@@ -49,11 +52,21 @@ def present(imported: Imported, command: str) -> blocks.Report:
         title=imported.file,
         what="imported",
         description=f"{imported.format}, read by {imported.reader}: {size}"
-        + "".join(f"; fixed in the world: {places}" for places in fixed),
+        + "".join(f"; fixed in the world: {places}" for places in fixed)
+        + _wide_limits(imported.scene),
         conclusion=conclusion(imported),
         blocks=(*loss_blocks(imported), *blocks.plots(_POSE, [scene_figure(imported.scene)])),
         command=command,
     )
+
+
+def _wide_limits(scene: Scene) -> str:
+    """Name the first hinge with limits of over two turns either way: they may be in degrees."""
+    for joint in scene.joints:
+        low, high = joint.limits or (0.0, 0.0)
+        if joint.kind == "hinge" and min(-low, high) > _WIDE and max(-low, high) < _ENDLESS:
+            return f"; limits in radians, of over two turns: {joint.name}, {low:g} to {high:g}"
+    return ""
 
 
 def conclusion(imported: Imported) -> str:
