@@ -147,7 +147,7 @@ class Drive:
     """Largest torque [N·m] or force [N], either way; None if unlimited."""
     limit_loss: str = ""
     """Reason why a limit of the file is not kept."""
-    target: str = "at its command of 0"
+    target: str = "at its command nearest to 0"
     """Description of the target, for the report."""
 
 
