@@ -28,6 +28,10 @@ _AS_IS = "on the joint, as it is"
 _NOTES = {"limits": "stops of the joint, which give nothing of a speed back"}
 _SCALAR = "the scene description has it for hinges and sliders alone"
 _NOTHING = Mass(0.0, np.zeros(3), np.zeros((3, 3)))
+_CLOSINGS: dict[str, tuple[Outcome, str]] = {
+    "joint": ("kept", "a joint that closes a loop"),
+    "equality": ("approximated", "a rigid joint that closes a loop; the engine's own is soft"),
+}
 _TIES_NOTHING = "it holds what does not move, or is not there"
 _NO_LINE = "its ends are at one point at the reference pose, or its force law is negative"
 _ROUNDING = 1e-24  # inertia that rounding of centres of mass leaves, over mass times the reach²
@@ -248,14 +252,14 @@ class _Builder:
     def _close(self, closing: Closing) -> None:
         ends = self._ends(closing.parts)
         if ends is None:
-            self._report("dropped", "equality", _TIES_NOTHING, closing.name, moves=False)
+            self._report("dropped", closing.element, _TIES_NOTHING, closing.name, moves=False)
             return
         name = _unique(closing.name, self._taken)
         axis = None if closing.axis is None else closing.axis.tolist()
         anchor = closing.anchor.tolist()
         self.tables["joints"].append(Joint(name, closing.kind, *ends, anchor=anchor, axis=axis))
-        reason = "a rigid joint that closes a loop, where the engine's own is soft"
-        self._report("approximated", "equality", reason, closing.name)
+        outcome, reason = _CLOSINGS[closing.element]
+        self._report(outcome, closing.element, reason, closing.name)
 
     def _draw(self, line: Line) -> None:
         ends = self._ends(line.parts)

@@ -94,6 +94,10 @@ class Part:
     """Whether the file names it."""
 
 
+CLOSES = "its joint closes a loop"
+"""Reason why limits, and what acts in a joint, are dropped."""
+
+
 @dataclass(frozen=True, eq=False)
 class Closing:
     """A joint that closes a loop."""
@@ -105,6 +109,8 @@ class Closing:
     """Anchor in W at the reference pose [m], shape (3,)."""
     axis: Array | None = None
     """Axis of a hinge or slider in W at the reference pose, shape (3,)."""
+    element: str = "joint"
+    """Element of the format that states it; equalities of MJCF are soft."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,8 +23,20 @@ from mbds_xsim.simulate.adapter import version_of
 from .assembling import assemble
 from .fates import LABELS, NO_FOLLOWER, fates_of, labelled, lost_mimic
 from .graph import check_circles, check_unique
-from .parts import Freedom, Mass, ModelCoupling, Part, Parts, Property, Solid, Solids, bounded
+from .parts import (
+    Closing,
+    Freedom,
+    Mass,
+    ModelCoupling,
+    Part,
+    Parts,
+    Property,
+    Solid,
+    Solids,
+    bounded,
+)
 from .sdf_bodies import REPORTED, masses_of, number, numbers, pair, shapes_of
+from .sdf_closings import closing_of, lost_of
 from .source import read_source
 
 _KINDS = {"RevoluteJoint": "hinge", "PrismaticJoint": "slider", "BallJoint": "ball",
@@ -34,10 +46,7 @@ _VERSIONS = ("1.5", "1.6", "1.7", "1.8", "1.9", "1.10", "1.11")
 _FRAMES = ("relative_to", "expressed_in", "frame", "placement_frame", "degrees", "rotation_format")
 _PLAIN = ("", "0", "false", "euler_rpy")
 """Values of these attributes that change nothing."""
-_ONE = (
-    "DART's parser takes one joint per link, and only between existing links; if it closes a loop, "
-    "add it to the scene file as one of [[joints]]"
-)
+_ONE = "DART's parser takes one joint per link, and only between existing links"
 _INERTIAL = (
     "<inertial><mass>1</mass><inertia><ixx>1</ixx><ixy>0</ixy><ixz>0</ixz><iyy>1</iyy><iyz>0</iyz>"
     "<izz>1</izz></inertia></inertial>"
@@ -84,11 +93,18 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
     parts: list[Part] = []
     shapes: list[Solid] = []
     fates: list[Fate] = []
+    closings: list[Closing] = []
     for skeleton, element, link_masses in zip(skeletons, models, masses, strict=True):
-        fates += [*_skipped_joints(skeleton, element), *_defaults(skeleton, element)]
+        fates += _defaults(skeleton, element)
         skeleton.setPositions(np.zeros(skeleton.getNumDofs()))
         first = len(parts)
         parts += _parts(skeleton, first, link_masses)
+        for joint in _skipped_joints(skeleton, element):
+            if (closing := closing_of(joint, element, parts, first)) is None:
+                fates.append(Fate("joint", (), "dropped", _ONE, True, (joint.get("name", ""),)))
+            else:
+                closings.append(closing)
+                fates += lost_of(joint)
         shapes += shapes_of(element, parts[first:], first) if ground else ()
     name = models[0].get("name") or path.stem
     solids = Solids("collision", tuple(shapes), pair) if ground else None
@@ -101,6 +117,7 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
         name,
         tuple(parts),
         _gravity(root, fates),
+        tuple(closings),
         couplings=couplings,
         labels=LABELS["sdf"],
         solids=solids,
@@ -275,8 +292,8 @@ def _check_tree(model: Element) -> None:
     check_circles(model, above)
 
 
-def _skipped_joints(skeleton: Any, model: Element) -> Iterator[Fate]:
-    """Report joints that DART's parser skips; raise InputError if it skips links."""
+def _skipped_joints(skeleton: Any, model: Element) -> Iterator[Element]:
+    """Yield joints that DART's parser skips; raise InputError if it skips links."""
     nodes = skeleton.getBodyNodes()
     links, joints = {n.getName() for n in nodes}, {n.getParentJoint().getName() for n in nodes}
     for link in model.findall("link"):
@@ -287,8 +304,8 @@ def _skipped_joints(skeleton: Any, model: Element) -> Iterator[Fate]:
                 "that are links of the model or world"
             )
     for joint in model.findall("joint"):
-        if (name := joint.get("name", "")) not in joints:
-            yield Fate("joint", (), "dropped", _ONE, True, (name,))
+        if joint.get("name", "") not in joints:
+            yield joint
 
 
 def _parts(skeleton: Any, first: int, masses: Mapping[str, Mass]) -> Iterator[Part]:

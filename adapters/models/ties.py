@@ -41,7 +41,7 @@ class Ties:
                 continue
             (first, point, _), (second, _, _) = self._ends(e)
             name = self._name("EQUALITY", e).removesuffix(" 0")
-            closing = Closing(name, kind, (first - 1, second - 1), point)
+            closing = Closing(name, kind, (first - 1, second - 1), point, element="equality")
             if kind == "fixed":
                 yield closing
                 continue
@@ -56,7 +56,7 @@ class Ties:
                 continue
             first_point, second_point = (ball.anchor for ball in balls)
             middle, axis = (first_point + second_point) / 2, second_point - first_point
-            yield Closing(balls[0].name, "hinge", balls[0].parts, middle, axis)
+            yield Closing(balls[0].name, "hinge", balls[0].parts, middle, axis, element="equality")
 
     def couplings(self) -> Iterator[ModelCoupling]:
         """Yield the joints that follow another."""

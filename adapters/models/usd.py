@@ -18,7 +18,7 @@ from mbds_xsim.scene.imported import Fate, Imported
 from .assembling import assemble
 from .fates import fates_of_stage
 from .graph import Tie, tree_of
-from .parts import FAR, Drive, Freedom, Line, Mass, Part, Parts, Solids, bounded
+from .parts import CLOSES, FAR, Drive, Freedom, Line, Mass, Part, Parts, Solids, bounded
 from .source import check_inside
 from .usd_bodies import Shapes, Stage, mass_of, matrix_of
 
@@ -28,7 +28,6 @@ _GAP = 1e-5  # largest gap of a joint's frames over the extent, and of turns [ra
 _LABELS = {"limits": ("Physics…Joint", "physics:lowerLimit"), "drive": ("drive", "")}
 _KINDS = {"RevoluteJoint": "hinge", "PrismaticJoint": "slider", "SphericalJoint": "ball",
           "FixedJoint": "fixed", "D6Joint": "several"}  # fmt: skip
-_CLOSES = "its joint closes a loop"
 _GRAVITY = 9.81  # [m/s²]
 _NO_SCENE = (
     f"there is none: gravity is the schema's default, {_GRAVITY} m/s² down the axis of the stage"
@@ -126,9 +125,9 @@ class _Reading(Stage):
         self.limited = bool(limited)
         element, attribute = _LABELS["limits"]
         for name in (name for name, freedom in limited if freedom not in kept):
-            self.fates.append(Fate(element, (attribute,), "dropped", _CLOSES, True, (name,)))
+            self.fates.append(Fate(element, (attribute,), "dropped", CLOSES, True, (name,)))
         for name in (drive.joint for drive in self._drives if drive.joint not in kept):
-            self.fates.append(Fate("drive", (), "dropped", _CLOSES, True, (name,)))
+            self.fates.append(Fate("drive", (), "dropped", CLOSES, True, (name,)))
 
     def _gravity(self) -> Array:
         pulls = [
