@@ -26,6 +26,8 @@ SHOWN: dict[str, dict[str, str]] = {
     "package.urdf": {"mujoco": "", "pybullet": "", "dart": ""},
     "inertia-turned.sdf": {"dart": "inertia"},
     "continuous.sdf": {"dart": "existence"},
+    "loop.sdf": {"dart": "loop"},
+    "loop.xml": {"pybullet": "loop", "dart": "loop"},
     "damping.xml": {"pybullet": "damping"},
     "armature.xml": {"pybullet": "armature", "dart": "armature"},
     "spring.xml": {"pybullet": "stiffness", "dart": "stiffness"},

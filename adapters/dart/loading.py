@@ -28,7 +28,7 @@ def load(path: Path, floating: bool) -> ModelFacts:
     """Read a URDF, SDF or MJCF file; see `mbds_xsim.simulate.registry`."""
     import dartpy
 
-    utils = dartpy.utils
+    utils, loops = dartpy.utils, 0
     if path.suffix.lower() == ".urdf":
         root = utils.DartLoaderRootJointType
         options = utils.DartLoaderOptions()
@@ -46,8 +46,10 @@ def load(path: Path, floating: bool) -> ModelFacts:
     else:
         parser = utils.SdfParser if path.suffix.lower() == ".sdf" else utils.MjcfParser
         world = parser.readWorld(str(path))
-        count = world.getNumSkeletons() if world is not None else 0
-        skeletons = [world.getSkeleton(k) for k in range(count)]
+        if world is None:
+            raise InputError("it gives no world")
+        skeletons = [world.getSkeleton(k) for k in range(world.getNumSkeletons())]
+        loops = world.getConstraintSolver().getNumConstraints()
     if not skeletons or None in skeletons:
         raise InputError("it gives no skeleton")
     for skeleton in skeletons:  # DART starts it inside the limits, even if 0 lies outside
@@ -57,7 +59,7 @@ def load(path: Path, floating: bool) -> ModelFacts:
     joints = tuple(joint for node in nodes for joint in _joints(node))
     mimic = dartpy.dynamics.ActuatorType.MIMIC
     couplings = sum(node.getParentJoint().getActuatorType() == mimic for node in nodes)
-    return ModelFacts(f"DART {version_of('dartpy')}", links, joints, couplings)
+    return ModelFacts(f"DART {version_of('dartpy')}", links, joints, couplings, loops)
 
 
 def _link(node: Any) -> LinkFacts:

@@ -247,4 +247,5 @@ class Parts:
             ),
             tuple(freedom.facts for part, _ in parts for freedom in part.freedoms if freedom.named),
             len(self.couplings),
+            len(self.closings),
         )

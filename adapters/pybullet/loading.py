@@ -40,8 +40,8 @@ def load(path: Path, floating: bool) -> ModelFacts:
             raise InputError(str(error)) from error
         links = tuple(link for body in bodies for link in _links(ask, body))
         joints = tuple(joint for body in bodies for joint in _joints(ask, body))
-        version = ask("getAPIVersion")()
-    return ModelFacts(f"PyBullet (API {version})", links, joints)
+        version, loops = ask("getAPIVersion")(), ask("getNumConstraints")()
+    return ModelFacts(f"PyBullet (API {version})", links, joints, loops=loops)
 
 
 def _links(ask: Ask, body: int) -> Iterator[LinkFacts]:

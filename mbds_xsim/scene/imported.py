@@ -90,6 +90,8 @@ class ModelFacts(msgspec.Struct, frozen=True):
     joints: tuple[JointFacts, ...] = ()
     couplings: int = 0
     """Number of joints that follow another."""
+    loops: int = 0
+    """Number of constraints that close loops."""
 
 
 class Written(msgspec.Struct, frozen=True):

@@ -54,7 +54,7 @@ class Difference(msgspec.Struct, frozen=True):
     among: int
     """Number of links or joints that were compared."""
     first: str
-    """Name of the first one with another value; empty for couplings."""
+    """Name of the first one with another value; empty for couplings and loops."""
     read: str
     """Value in the engine."""
     stated: str
@@ -164,9 +164,12 @@ def _differences(read: ModelFacts, imported: Imported) -> Iterator[Difference]:
     yield from _field("joints", "limits", turning, lambda joint: _sides(joint.limits or ()))
     limited = [pair for pair in turning if _sides(pair[0].limits or ())]
     yield from _field("joints", "enforcement of limits", limited, lambda j: float(j.enforced))
-    if facts.couplings > read.couplings:
-        lost = facts.couplings - read.couplings
-        yield Difference("coupling", "joints", lost, facts.couplings, "", "none", "follows another")
+    for field, stated, kept, words in (
+        ("coupling", facts.couplings, read.couplings, "follows another"),
+        ("loop", facts.loops, read.loops, "closes it"),
+    ):
+        if stated > kept:
+            yield Difference(field, "joints", stated - kept, stated, "", "none", words)
 
 
 def _pair_by_name(stated: Sequence[T], read: Sequence[T]) -> list[tuple[T, T | None]]:
@@ -276,8 +279,11 @@ def divergence(imported: Imported, read: ModelFacts) -> float | None:
 
     Returns:
         RMS distance after 1 s [m] of the points that are the bodies' centres of mass in the file;
-        None if one of the models has no motion, for example because bodies lack inertia.
+        None if one of the models has no motion, for example because bodies lack inertia, or if
+        loops or couplings are lost, as then the two have no starts in common.
     """
+    if read.loops < imported.facts.loops or read.couplings < imported.facts.couplings:
+        return None
     stated = msgspec.structs.replace(imported.scene, clock=_CLOCK)
     try:
         other = _scene_of(stated, imported, read)
