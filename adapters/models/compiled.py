@@ -19,7 +19,7 @@ from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
 
-from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.errors import InputError, check_name
 from mbds_xsim.base.frame import optional
 from mbds_xsim.scene.imported import Fate, Imported, ModelFacts
 
@@ -148,8 +148,14 @@ def _mechanics(mujoco: Any, root: Element, path: Path, tags: set[str]) -> Any:
     """Return the spec of a URDF reduced to elements with the given tags."""
     check_unique(root, "link")
     above = defaultdict[str, list[str]](list)
+    links = [link.get("name", "") for link in root.findall("link")]
     for joint in root.findall("joint"):
         _check_axis(joint)
+        name = joint.get("name", "")
+        for end in (*joint.findall("parent"), *joint.findall("child")):
+            check_name(f"link of the joint {name!r}", end.get("link", ""), [*links, "world"])
+        if any(mimic.get("joint") == name for mimic in joint.findall("mimic")):
+            raise InputError(f"joint {name!r} follows itself, allowed is another")
         for child in joint.findall("child"):
             above[child.get("link", "")] += (p.get("link", "") for p in joint.findall("parent"))
     check_circles(root, above)

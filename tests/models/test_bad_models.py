@@ -82,6 +82,14 @@ _BAD = {
     "text": (f'<robot name="r">\n{_LINKS.format("fixed", _WORDS)}</robot>', "line 2"),
     "joint": (f'<robot name="r">{_LINKS.format("screw", "")}</robot>', "invalid joint type"),
     "links": (_SLIDES.format("0 1 0").replace('"b"', '"a"'), "'r' has two links called 'a', allow"),
+    "link": (
+        _SLIDES.format("0 1 0").replace('parent link="a"', 'parent link="aa"'),
+        "no link of the joint 'j' is called 'aa'; did you mean 'a'?",
+    ),
+    "itself": (
+        _SLIDES.format("0 1 0").replace("<axis", '<mimic joint="j"/><axis'),
+        "joint 'j' follows itself, allowed is another",
+    ),
     "circle": (
         _SLIDES.format("0 1 0").replace('parent link="a"', 'parent link="b"'),
         "joints of <robot> 'r' hold links in a circle: 'b', 'b'; let one of them have another chi",
