@@ -256,8 +256,9 @@ class _Builder:
             return
         name = _unique(closing.name, self._taken)
         axis = None if closing.axis is None else closing.axis.tolist()
-        anchor = closing.anchor.tolist()
-        self.tables["joints"].append(Joint(name, closing.kind, *ends, anchor=anchor, axis=axis))
+        with located(f"joint {name!r}"):
+            joint = Joint(name, closing.kind, *ends, anchor=closing.anchor.tolist(), axis=axis)
+        self.tables["joints"].append(joint)
         outcome, reason = _CLOSINGS[closing.element]
         self._report(outcome, closing.element, reason, closing.name)
 

@@ -237,6 +237,7 @@ class Parts:
     def facts(self, reader: str) -> ModelFacts:
         """Return facts about named joints and named links that move, fixed to another or not."""
         owners = (self.parts[k].name if k >= 0 else "" for k in self.owners[:-1])
+        holds = (closing.parts for closing in self.closings)
         parts = [(part, body) for part, body in zip(self.parts, owners, strict=True) if body]
         return ModelFacts(
             reader,
@@ -247,5 +248,5 @@ class Parts:
             ),
             tuple(freedom.facts for part, _ in parts for freedom in part.freedoms if freedom.named),
             len(self.couplings),
-            len(self.closings),
+            sum(self.owners[one] != self.owners[other] for one, other in holds),
         )

@@ -24,6 +24,7 @@ from .assembling import assemble
 from .fates import LABELS, NO_FOLLOWER, fates_of, labelled, lost_mimic
 from .graph import check_circles, check_unique
 from .parts import (
+    CLOSES,
     Closing,
     Freedom,
     Mass,
@@ -104,11 +105,11 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
                 fates.append(Fate("joint", (), "dropped", _ONE, True, (joint.get("name", ""),)))
             else:
                 closings.append(closing)
-                fates += lost_of(joint)
+                fates += lost_of(joint) if closing.axis is not None else ()
         shapes += shapes_of(element, parts[first:], first) if ground else ()
     name = models[0].get("name") or path.stem
     solids = Solids("collision", tuple(shapes), pair) if ground else None
-    axes = _unique_axes(parts)
+    axes = _unique_axes(parts, closings)
     couplings = tuple(mimic for mimic in mimics if axes >= {mimic.joint, mimic.follows})
     lost = [mimic for mimic in mimics if mimic not in couplings]
     known = _joint_names(models)
@@ -122,17 +123,19 @@ def read(path: Path, folder: Path, floating: bool, ground: bool) -> Imported:
         labels=LABELS["sdf"],
         solids=solids,
     )
-    reported = labelled("sdf", model.stated) | dict.fromkeys(REPORTED if ground else (), True)
+    lost_tags = {fate.element for fate in fates if fate.reason == CLOSES}
+    stated = model.stated | {key for key, (tag, _) in LABELS["sdf"].items() if tag in lost_tags}
+    reported = labelled("sdf", stated) | dict.fromkeys(REPORTED if ground else (), True)
     _mark(root)
     fates += fates_of(root, reported, touching=ground)
     reader = f"DART {version_of('dartpy')}"
     return assemble(model, file=path.name, kind="SDF", reader=reader, fates=fates)
 
 
-def _unique_axes(parts: list[Part]) -> set[str]:
+def _unique_axes(parts: list[Part], closings: list[Closing]) -> set[str]:
     """Return the hinges and sliders whose name no other joint has, be it in another model."""
     freedoms = [each for part in parts for each in part.freedoms]
-    counts = Counter(each.name for each in freedoms)
+    counts = Counter([*(each.name for each in freedoms), *(each.name for each in closings)])
     return {each.name for each in freedoms if each.axis.any() and counts[each.name] == 1}
 
 
@@ -293,9 +296,11 @@ def _check_tree(model: Element) -> None:
 
 
 def _skipped_joints(skeleton: Any, model: Element) -> Iterator[Element]:
-    """Yield joints that DART's parser skips; raise InputError if it skips links."""
-    nodes = skeleton.getBodyNodes()
-    links, joints = {n.getName() for n in nodes}, {n.getParentJoint().getName() for n in nodes}
+    """Yield joints that DART's parser skips; raise InputError if it skips links.
+
+    They are not told by name, as it calls the free joint of a link without one "root".
+    """
+    links = {node.getName() for node in skeleton.getBodyNodes()}
     for link in model.findall("link"):
         if (name := link.get("name", "")) not in links:
             raise InputError(
@@ -304,7 +309,9 @@ def _skipped_joints(skeleton: Any, model: Element) -> Iterator[Element]:
                 "that are links of the model or world"
             )
     for joint in model.findall("joint"):
-        if joint.get("name", "") not in joints:
+        if (child := joint.findtext("child", "")) in links:
+            links.remove(child)
+        else:
             yield joint
 
 

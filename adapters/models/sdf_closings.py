@@ -17,7 +17,7 @@ from .sdf_bodies import number, numbers, pose
 _KINDS = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slider", "ball": "ball",
           "fixed": "fixed"}  # fmt: skip
 """Kinds of joints by type, of the types that may close a loop."""
-_LAWS = ("damping", "friction", "spring_stiffness")
+_LAWS = ("damping", "friction", "spring_stiffness", "spring_reference")
 
 
 def closing_of(joint: Element, model: Element, parts: Sequence[Part], first: int) -> Closing | None:
@@ -35,7 +35,7 @@ def closing_of(joint: Element, model: Element, parts: Sequence[Part], first: int
     if below >= 0:
         place, turn = parts[below].position, rotation.matrix(parts[below].orientation)
     offset, axes = pose(joint)
-    in_model = joint.findtext("axis/use_parent_model_frame") in ("1", "true")
+    in_model = joint.findtext("axis/use_parent_model_frame", "").lower() in ("1", "true")
     frame = pose(model)[1] if in_model else turn @ axes
     axis = frame @ numbers(joint, "axis/xyz", (0.0, 0.0, 1.0))
     turning = axis if kind in ("hinge", "slider") else None

@@ -216,64 +216,6 @@ def test_a_mimic_that_nothing_reads_is_told(here: Path, place: str, kept: int) -
     assert [(fate.element, fate.outcome) for fate in unknown] == [("mimic", "dropped")]
 
 
-_LINK = '<link name="{}"><pose>{}</pose>' + _INERTIA.format(0.0) + "</link>"
-_JOINT = (
-    '<joint name="{}" type="{}"><parent>{}</parent><child>{}</child><pose>{}</pose>'
-    "<axis><xyz>0 1 0</xyz>{}</axis></joint>"
-)
-_OPEN = (
-    "<pose>0 0 5 0 0 0.4</pose>"
-    + _LINK.format("crank", "0 0 0 0 0 0")
-    + _LINK.format("coupler", "0 0 0.2 0 0 0")
-    + _LINK.format("rocker", "0.5 0 0.2 0 0.3 0")
-    + _JOINT.format("a", "revolute", "world", "crank", "0 0 0 0 0 0", "")
-    + _JOINT.format("b", "revolute", "crank", "coupler", "0 0 0 0 0 0", "")
-    + _JOINT.format("c", "revolute", "coupler", "rocker", "0 0 0 0 0 0", "")
-)
-_SPAN = "<limit><lower>-1</lower><upper>2</upper></limit>"
-
-
-@pytest.mark.parametrize(
-    ("kind", "laws", "lost"),
-    [
-        ("revolute", "", []),
-        ("ball", "", []),
-        ("revolute", f"{_SPAN}<dynamics><damping>0.1</damping></dynamics>", ["damping", "lower"]),
-    ],
-)
-def test_a_joint_that_closes_a_loop_is_read(
-    here: Path, kind: str, laws: str, lost: list[str]
-) -> None:
-    """DART's parser keeps the first joint of a link, and skips any other."""
-    pin = _JOINT.format("d", kind, "world", "rocker", "0.1 0 -0.3 0 0 0", laws)
-    imported = _read(here, _OPEN + pin, "1.7")
-
-    mechanism = Mechanism.of(imported.scene)
-    (loop,) = mechanism.loops
-    turn, lean = (
-        rotation.matrix(rotation.from_vector(np.array(v))) for v in ([0, 0, 0.4], [0, 0.3, 0])
-    )
-    anchor = np.array([0, 0, 5]) + turn @ ([0.5, 0, 0.2] + lean @ [0.1, 0, -0.3])
-    assert (loop.name, loop.parent, loop.child) == ("d", -1, 2)
-    np.testing.assert_allclose(loop.anchor, anchor, atol=1e-12)
-    if kind == "revolute":
-        np.testing.assert_allclose(loop.axis, turn @ [0, 1, 0], atol=1e-12)
-    dropped = [f for f in imported.fates if f.outcome == "dropped" and f.moves]
-    assert [(fate.element, fate.places) for fate in dropped] == [(key, ("d",)) for key in lost]
-
-
-@pytest.mark.parametrize(("kind", "child"), [("universal", "rocker"), ("fixed", "nothing")])
-def test_a_skipped_joint_that_cannot_close_a_loop_is_told(
-    here: Path, kind: str, child: str
-) -> None:
-    more = "<axis2><xyz>0 0 1</xyz></axis2>" if kind == "universal" else ""
-    pin = _JOINT.format("d", kind, "world", child, "0 0 0 0 0 0", "")
-    imported = _read(here, _OPEN + pin.replace("</joint>", f"{more}</joint>"), "1.7")
-
-    told = [f for f in imported.fates if f.element == "joint" and f.outcome == "dropped"]
-    assert [fate.places for fate in told] == [("d",)]
-
-
 @pytest.mark.parametrize(
     ("kind", "limit", "span"),
     [
