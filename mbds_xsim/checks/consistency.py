@@ -269,8 +269,8 @@ def _off_peaks(figure: Array, beside: Mask | None) -> Array:
     if beside is None:
         return figure
     around = np.pad(figure, ((0, 0), (1, 1)), constant_values=np.nan)
-    lowered = np.fmin(figure, np.fmax(around[:, :-2], around[:, 2:]))
-    return np.where(beside[:, : figure.shape[1]], lowered, figure)
+    highest = np.fmax(around[:, :-2], around[:, 2:])
+    return np.where(beside[:, : figure.shape[1]] & (figure > highest), highest, figure)
 
 
 def _unsteady(before: Extrapolation, after: Extrapolation, finest: Array, floor: Array) -> Array:
