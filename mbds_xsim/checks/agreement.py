@@ -48,9 +48,10 @@ def particle_error(mechanism: Mechanism, trajectory: Trajectory, reference: Traj
 def second(frame: float) -> int:
     """Return the number of the frame that stands for 1 s: the nearest, but never the start.
 
-    A scene may end before it. `frame` is the interval between frames [s].
+    It is the earlier of two that are equally near, be `frame` rounded up or down. A scene may end
+    before it. `frame` is the interval between frames [s].
     """
-    return max(1, round(1.0 / frame))
+    return max(1, round((1.0 - 1e-9) / frame))
 
 
 def agreement_time(error: Array, time: Array, length: float) -> Array:

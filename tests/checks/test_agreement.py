@@ -67,6 +67,15 @@ def test_the_frame_that_stands_for_1_s_is_the_nearest_but_not_the_start(frame: f
     assert abs(times[1] - 1.0) <= np.abs(times - 1.0).min() + 1e-9
 
 
+@pytest.mark.parametrize(("frame", "place"), [(0.4, 2), (0.08, 12), (0.016, 62), (2 / 7, 3)])
+def test_the_frame_that_stands_for_1_s_does_not_depend_on_rounding(
+    frame: float, place: int
+) -> None:
+    """Some studies know the interval as a product or difference."""
+    near = (frame, np.nextafter(frame, 0.0), np.nextafter(frame, 1.0))
+    assert [agreement.second(each) for each in near] == [place] * 3
+
+
 def test_the_agreement_time_is_the_first_crossing_of_one_per_cent() -> None:
     time = np.array([0.0, 0.1, 0.2, 0.3])
     error = np.array([[0, 0.01, 0.03, 0.0], [0, 0.01, 0.02, 0.02], [0, NAN, NAN, NAN]])
