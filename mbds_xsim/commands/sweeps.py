@@ -175,7 +175,7 @@ def stability(
     value: _Value = None,
     step: _Step = None,
     quick: _Quick = False,
-    limit: _CellLimit = 30.0,
+    limit: _CellLimit = _LIMIT,
     fresh: _Fresh = False,
     cache: shared.CacheUse = True,
     workers: shared.WorkerCount = None,
@@ -198,7 +198,8 @@ def stability(
             to,
             {"STUDY": studies, "--engines": engines, "--models": models, "--methods": methods}
             | {"--settings": settings, "--value": value, "--step": step, "--quick": quick}
-            | {"--fresh": fresh, "--workers": workers, "--out": out},
+            | {"--limit": limit != _LIMIT, "--fresh": fresh, "--no-cache": not cache}
+            | {"--workers": workers, "--out": out},
         )
         return
     to.check(out=out and out / "map.json")

@@ -166,6 +166,8 @@ def test_the_studies_are_listed(run: CommandLine) -> None:
         ("--settings", "native"),
         ("--fresh",),
         ("--workers", "1"),
+        ("--limit", "60"),
+        ("--no-cache",),
     ],
 )
 def test_the_list_of_studies_takes_no_other_options(
