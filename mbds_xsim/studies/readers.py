@@ -70,7 +70,8 @@ class EngineReading(msgspec.Struct, frozen=True):
     differences: tuple[Difference, ...]
     moved_m: float | None = None
     """RMS distance of the bodies after 1 s between the motion as read and that of the file [m];
-    None if the file is refused, or if no motion is found within half a minute."""
+    None if the file is refused, if loops or couplings are lost, or if no motion is found within
+    half a minute."""
 
     @property
     def alike(self) -> bool:
