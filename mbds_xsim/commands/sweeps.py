@@ -224,8 +224,7 @@ def stability(
         )
         for study in map(study_named, studies or STUDIES)
     ]
-    able = _able(plans, to, named=bool(studies))
-    _write([_mapped(plan, to, out, single=single) for plan in able], to)
+    _write([_mapped(plan, to, out, single=single) for plan in _able(plans, to, studies)], to)
 
 
 def _list_studies(to: shared.Outputs, others: Mapping[str, object]) -> None:
@@ -244,10 +243,10 @@ def _refuse(options: Mapping[str, object], why: str) -> None:
             raise InputError(f"{name}: got it, but {why}; leave it out")
 
 
-def _able(plans: list[SurveyPlan], to: shared.Outputs, *, named: bool) -> list[SurveyPlan]:
+def _able(plans: list[SurveyPlan], to: shared.Outputs, named: list[str] | None) -> list[SurveyPlan]:
     """Return the plans that can run, and name the others before any runs.
 
-    A study that was asked for by name must be among them.
+    If studies are named, all must be among them.
     """
     from mbds_xsim.studies.stability.survey import simulators_of
 
