@@ -61,10 +61,10 @@ def present(imported: Imported, command: str) -> blocks.Report:
 
 
 def _wide_limits(scene: Scene) -> str:
-    """Name the first hinge with limits of over two turns either way: they may be in degrees."""
+    """Name the first hinge with a limit of over two turns: it may be in degrees."""
     for joint in scene.joints:
         low, high = joint.limits or (0.0, 0.0)
-        if joint.kind == "hinge" and min(-low, high) > _WIDE and max(-low, high) < _ENDLESS:
+        if joint.kind == "hinge" and _WIDE < max(-low, high) < _ENDLESS:
             return f"; limits in radians, of over two turns: {joint.name}, {low:g} to {high:g}"
     return ""
 

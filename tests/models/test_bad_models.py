@@ -192,16 +192,19 @@ def test_what_is_fixed_in_the_world_with_its_mass_is_named(run: CommandLine, her
     assert "fixed" not in run("import", "heavy.urdf", "--floating").out
 
 
-@pytest.mark.parametrize(("limit", "named"), [(90, True), (12.5, False), (1e4, False)])
+@pytest.mark.parametrize(
+    ("low", "high", "named"),
+    [(-90, 90, True), (0, 90, True), (-12.5, 12.5, False), (-1e4, 1e4, False)],
+)
 def test_limits_of_many_turns_are_named(
-    limit: float, named: bool, run: CommandLine, here: Path
+    low: float, high: float, named: bool, run: CommandLine, here: Path
 ) -> None:
     """Limits of a URDF in degrees are allowed, and hold nothing."""
-    stops = f'<limit lower="{-limit}" upper="{limit}" effort="1" velocity="1"/></joint>'
+    stops = f'<limit lower="{low}" upper="{high}" effort="1" velocity="1"/></joint>'
     text = _SLIDES.format("0 1 0").replace("prismatic", "revolute").replace("</joint>", stops)
     (here / "arm.urdf").write_text(text)
 
-    words = "limits in radians, of over two turns: j, -90 to 90"
+    words = f"limits in radians, of over two turns: j, {low:g} to {high:g}"
     assert (words in " ".join(run("import", "arm.urdf").out.split())) == named
 
 
