@@ -20,7 +20,7 @@ from .fates import fates_of_stage
 from .graph import Tie, tree_of
 from .parts import CLOSES, FAR, Drive, Freedom, Line, Mass, Part, Parts, Solids, bounded
 from .source import check_inside
-from .usd_bodies import Shapes, Stage, mass_of, matrix_of
+from .usd_bodies import Shapes, Stage, mass_of, matrix_of, written
 
 _UNLIMITED = 3e38  # limit of a drive; single precision has no larger number
 _LARGEST_FILE = 64 * 10**6  # bytes
@@ -131,7 +131,7 @@ class _Reading(Stage):
 
     def _gravity(self) -> Array:
         pulls = [
-            self.up @ np.array(scene.gravityDirection) * scene.gravityMagnitude * self.metre
+            written(scene.gravityMagnitude) * self.metre * (self.up @ scene.gravityDirection)
             for scene in self.all("Scene")
         ]
         if not pulls:

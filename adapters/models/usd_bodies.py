@@ -67,6 +67,11 @@ class Stage:
         return self.up @ matrix[3, :3] * self.metre, self.up @ axes.T
 
 
+def written(number: float) -> float:
+    """Return a number of single precision as the file states it: 0.7 and not 0.69999999."""
+    return float(str(np.float32(number)))
+
+
 def mass_of(stage: Stage, body: Any) -> Mass:
     """Return mass, centre of mass and inertia in the body's frame, in SI units.
 
@@ -218,9 +223,8 @@ class Shapes:
         return Pair(friction, restitution, self._apart(*sides) if floor is not None else "")
 
     def _coefficient(self, shape: Any, key: str) -> float | None:
-        """Return a number of single precision as the material states it: 0.7 and not 0.69999999."""
         material = next((m for p in shape.materials if (m := self._materials.get(p))), None)
-        return None if material is None else float(str(np.float32(getattr(material, key))))
+        return None if material is None else written(getattr(material, key))
 
     def _with_body(self, shape: Any) -> list[Any]:
         body = self._bodies.get(shape.rigidBody)
