@@ -83,6 +83,8 @@ class PinocchioRun(Run):
         q[:, 0], u[:, 0] = start_q, start_u
         rows, system = np.arange(len(batch)), self._dynamics
         for k in range(batch.steps):
+            if not len(rows):
+                break
             here, rate = q[rows, k], u[rows, k]
             self._hold(batch, rows, k)
             # A motion that blows up may overflow before it is left out.

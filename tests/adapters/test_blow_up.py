@@ -1,4 +1,4 @@
-"""One trajectory of a batch blows up: it ends with the reason, and the other goes on."""
+"""A trajectory that blows up ends with the reason, alone or beside another, which goes on."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_what_blows_up_ends_and_what_is_stepped_beside_it_goes_on(
     batch.position[slack] = (1.0, 0.0, 0.0)
 
     with adapter.open(scene, Settings(method, scene.clock.frame)) as run:
-        motion = run.rollout(batch)
+        motion, alone = run.rollout(batch), run.rollout(batch[[stretched]])
 
     rounding = 1e-7 if adapter.methods[method].single else 0.0
     assert np.abs(motion.position[slack] - [1.0, 0.0, 0.0]).max() <= rounding
@@ -43,5 +43,6 @@ def test_what_blows_up_ends_and_what_is_stepped_beside_it_goes_on(
     assert motion.failures[slack] is None
     assert end is not None
     assert end.reason
+    assert alone.failures == (end,)
     assert np.isnan(motion.position[stretched, end.frame :]).all()
     assert np.isfinite(motion.position[stretched, : end.frame]).all()
