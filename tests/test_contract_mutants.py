@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint
 from mbds_xsim.scene.scene import Scene
-from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.scene.state import STATES, Batch, Trajectory
 from mbds_xsim.simulate.adapter import Adapter, Settings
 from mbds_xsim.simulate.claims import RTOL, Feature, Option
 from mbds_xsim.simulate.registry import load_adapter
@@ -83,6 +84,103 @@ def test_a_wrong_adapter_fails(
     test(load_adapter(name), _case(case))
     with pytest.raises(AssertionError, match=case):
         test(_mutant(name, **defect), _case(case))
+
+
+def _each(motion: Trajectory, change: Callable[[str, Array], Array]) -> Trajectory:
+    arrays: dict[str, Any] = {key: change(key, getattr(motion, key)) for key in STATES}
+    return dataclasses.replace(motion, **arrays)
+
+
+def _short_numbers(_: Scene, __: Batch, ___: float, motion: Trajectory) -> Trajectory:
+    return _each(motion, lambda _, values: values.astype(np.float32))
+
+
+def _lost_rates(_: Scene, __: Batch, ___: float, motion: Trajectory) -> Trajectory:
+    motion.angular_velocity[:, 20:] = np.nan
+    return motion
+
+
+def _milliseconds(_: Scene, __: Batch, ___: float, motion: Trajectory) -> Trajectory:
+    return dataclasses.replace(motion, time=1000.0 * motion.time)
+
+
+def _used_up(batch: Batch) -> Batch:
+    given = dataclasses.replace(batch, force=batch.force.copy())
+    batch.force[:] = 0.0
+    return given
+
+
+@pytest.mark.parametrize(
+    ("defect", "told"),
+    [
+        ({"motion": _short_numbers}, "gave position as float32"),
+        ({"motion": _lost_rates}, "RK4 on pushed: NaN or infinity, without a Failure"),
+        ({"motion": _milliseconds}, "gave frame 1 the time 20 s, not 0.02 s"),
+        ({"inputs": _used_up}, "RK4 on pushed: rollout changes force of the batch it is given"),
+        ({"inputs": _reversed_forces}, "which shorter steps do not reduce"),
+    ],
+)
+def test_what_an_adapter_does_wrong_is_named(defect: dict[str, Any], told: str) -> None:
+    mutant = _mutant("mujoco", **defect)
+    mutant.methods = {"RK4": mutant.methods["RK4"]}  # type: ignore[misc]
+    with pytest.raises((AssertionError, ValueError), match=told):
+        _POSITIONS(mutant, _case("pushed"))
+
+
+def _first_alone(batch: Batch) -> Batch:
+    return batch[[0] * len(batch)]
+
+
+def _whole_clock(batch: Batch) -> Batch:
+    rest = ((0, 0), (0, 50 - batch.steps), (0, 0))
+    force, torque = np.pad(batch.force, (*rest, (0, 0))), np.pad(batch.torque, rest)
+    return dataclasses.replace(batch, force=force, torque=torque)
+
+
+_HELD: dict[tuple[str, tuple[int, ...]], Array] = {}
+
+
+def _held(_: Scene, __: Batch, ___: float, motion: Trajectory) -> Trajectory:
+    """Return the same arrays every time."""
+
+    def held(key: str, values: Array) -> Array:
+        array = _HELD.setdefault((key, values.shape), np.empty_like(values))
+        array[:] = values
+        return array
+
+    return _each(motion, held)
+
+
+@pytest.mark.parametrize(
+    ("defect", "test", "told"),
+    [
+        (
+            {"inputs": _first_alone},
+            _SUITE.test_trajectories_of_a_batch_do_not_touch_each_other,
+            "trajectory 1, beside the other",
+        ),
+        (
+            {"motion": _held},
+            _SUITE.test_trajectories_of_a_batch_do_not_touch_each_other,
+            "a result is overwritten later",
+        ),
+        ({"inputs": _whole_clock}, _SUITE.test_a_shorter_batch_ends_earlier, r"\(1, 51, 1, 3\)"),
+    ],
+)
+def test_batches_of_which_an_adapter_takes_another_part_fail(
+    defect: dict[str, Any], test: Callable[[Adapter], None], told: str
+) -> None:
+    test(load_adapter("mujoco"))
+    with pytest.raises(AssertionError, match=told):
+        test(_mutant("mujoco", **defect))
+
+
+def test_an_order_that_is_not_reached_fails() -> None:
+    mutant = _mutant("mujoco")
+    mutant.methods = {"RK4": dataclasses.replace(mutant.methods["RK4"], order=5)}  # type: ignore[misc]
+
+    with pytest.raises(AssertionError, match="RK4 is of lower order than declared"):
+        _SUITE.test_declared_orders_are_not_beaten_everywhere(mutant)
 
 
 def test_a_hinge_torque_without_its_reaction_fails(engine: str) -> None:

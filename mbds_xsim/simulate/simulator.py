@@ -247,7 +247,7 @@ class EngineMethod(Simulator):
             copies = start[[0] * self.together]
             trajectory, wall, cpu = stopwatch(lambda: run.rollout(copies), often=often)
             return Simulated(
-                checked(trajectory, copies)[:1],
+                checked(trajectory, copies, scene.clock.frame)[:1],
                 wall,
                 cpu,
                 simulated_s=scene.clock.frame * start.steps * self.together,

@@ -36,6 +36,7 @@ _EACH = 2e-4
 """Upper bound on the time of a step per body in any engine [s]; the slowest measured is Exudyn in
 `particlecar` with 1.4e-4. Work that is short by this bound is not measured beforehand."""
 _STEPS = 50
+_SAME_TIME = 1e-9  # largest difference of a frame's time from its own, relative to it
 _PATIENCE = 20.0  # time limit for those steps [s]
 
 
@@ -75,7 +76,7 @@ def simulate(scene: Scene, batch: Batch, engine: str, settings: Settings) -> Sim
         loaded = time.perf_counter()
         readback = _read_back(run, batch)
         trajectory, (wall,), (cpu,) = stopwatch(
-            lambda: checked(run.rollout(batch), batch), often=False
+            lambda: checked(run.rollout(batch), batch, scene.clock.frame), often=False
         )
         return Simulation(
             trajectory=trajectory,
@@ -105,19 +106,31 @@ def stopwatch(work: Callable[[], Made], *, often: bool) -> tuple[Made, Seconds, 
     return result, tuple(walls), tuple(cpus)
 
 
-def checked(trajectory: Trajectory, batch: Batch) -> Trajectory:
+def checked(trajectory: Trajectory, batch: Batch, frame: float) -> Trajectory:
     """Check a rollout's trajectory against the contract of `Run`, and return it in standard form.
 
     Frames from a failure on become NaN, whatever an adapter left in them; signs of quaternions are
     continuous from the start, whichever an engine gives.
 
+    Args:
+        trajectory: The trajectory.
+        batch: The batch that was simulated.
+        frame: Frame interval of the scene [s].
+
     Raises:
-        ValueError: An array has the wrong shape or type, or the failures are invalid.
+        ValueError: An array has the wrong shape or type, a frame has another time than its own, or
+            the failures are invalid.
     """
     rows = (len(batch), batch.steps + 1, batch.position.shape[1])
     _check_array("gave", trajectory, "time", rows[1:2])
     for name, size in (("position", 3), *_TURNS_AND_RATES):
         _check_array("gave", trajectory, name, (*rows, size))
+    due = frame * np.arange(batch.steps + 1.0)
+    late = ~np.isclose(trajectory.time, due, rtol=_SAME_TIME, atol=_SAME_TIME * frame)
+    if late.any():
+        k = int(late.argmax())
+        msg = f"the adapter gave frame {k} the time {trajectory.time[k]:.9g} s, not {due[k]:.9g} s"
+        raise ValueError(msg)
     ends: object = trajectory.failures
     sound = isinstance(ends, tuple) and all(end is None or _says_when(end) for end in ends)
     if not sound or len(trajectory.failures) != len(batch):

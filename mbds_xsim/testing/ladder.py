@@ -13,6 +13,7 @@ from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import rounding
 from mbds_xsim.simulate.adapter import Adapter, Settings
 from mbds_xsim.simulate.claims import RTOL, Method
+from mbds_xsim.simulate.timed import checked
 from mbds_xsim.testing.case import Case
 
 STEPS_PER_FRAME = (4, 8, 16)
@@ -62,10 +63,14 @@ def rolled(
     settings = case_settings(adapter, case, adapter.methods[method], steps_per_frame)
     if rtol is not None:
         settings = dataclasses.replace(settings, options={**settings.options, RTOL: rtol})
-    batch = draw_batch(case.scene, [0])
+    batch, given = (draw_batch(case.scene, [0]) for _ in range(2))
     with adapter.open(case.scene, settings) as run:
-        motion = run.rollout(batch)
+        motion = checked(run.rollout(batch), batch, case.scene.clock.frame)
     assert motion.failures == (None,), f"{method} on {case.name}: {motion.failures[0]}"
+    assert motion.finite.all(), f"{method} on {case.name}: NaN or infinity, without a Failure"
+    for name, values in vars(given).items():
+        same = np.array_equal(values, getattr(batch, name))
+        assert same, f"{method} on {case.name}: rollout changes {name} of the batch it is given"
     return batch, motion
 
 

@@ -172,7 +172,8 @@ def _carried_out(
         sound = _simulated(None, scene, batch, engine, settings)
         motion = change.motion(scene, batch, settings.step, sound.trajectory)
         run = cast(Run, SimpleNamespace(rollout=lambda _: motion))
-        return dataclasses.replace(sound, trajectory=checked(run.rollout(batch), batch))
+        recorded = checked(run.rollout(batch), batch, scene.clock.frame)
+        return dataclasses.replace(sound, trajectory=recorded)
     adapter = Faulty(load_adapter(engine), change)
     loading = mock.patch("mbds_xsim.simulate.timed.load_adapter", return_value=adapter)
     with change.native(engine), loading:

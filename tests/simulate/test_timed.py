@@ -134,7 +134,7 @@ def _sound() -> tuple[Batch, Trajectory]:
 
 
 def _given(trajectory: object, batch: Batch) -> Trajectory:
-    return checked(cast(Trajectory, trajectory), batch)
+    return checked(cast(Trajectory, trajectory), batch, 0.02)
 
 
 def test_frames_from_a_failure_on_are_not_numbers() -> None:
@@ -158,6 +158,9 @@ def test_frames_from_a_failure_on_are_not_numbers() -> None:
         ({"velocity": np.zeros((3, 5, 2, 3), dtype=np.float32)}, "velocity as float32"),
         ({"angular_velocity": [[0.0]]}, "angular_velocity as <class 'list'>"),
         ({"time": np.zeros(4)}, r"time as float64 \(4,\), not as float64 \(5,\)"),
+        ({"time": 20.0 * np.arange(5.0)}, r"frame 1 the time 20 s, not 0\.02 s"),
+        ({"time": 0.02 * np.arange(1.0, 6.0)}, r"frame 0 the time 0\.02 s, not 0 s"),
+        ({"time": np.full(5, np.nan)}, "frame 0 the time nan s, not 0 s"),
         ({"failures": (None,)}, "failures .* for each trajectory"),
         ({"failures": ("late", None, None)}, "failures .* for each trajectory"),
         ({"failures": (Failure(2, cast("str", 5)), None, None)}, "failures .* for each trajectory"),

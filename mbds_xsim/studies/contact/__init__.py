@@ -77,7 +77,7 @@ class ContactBench:
         """Simulate a batch; velocities are as recorded. All are NaN if the engine cannot do it."""
         try:
             with load_adapter(self.engine).open(scene, self.settings) as run:
-                return checked(run.rollout(batch), batch)
+                return checked(run.rollout(batch), batch, scene.clock.frame)
         except Unsupported as refusal:
             time = scene.clock.frame * np.arange(batch.steps + 1, dtype=np.float64)
             return Trajectory.empty(time, len(batch), len(scene.bodies), Failure(0, str(refusal)))
