@@ -109,8 +109,8 @@ def stopwatch(work: Callable[[], Made], *, often: bool) -> tuple[Made, Seconds, 
 def checked(trajectory: Trajectory, batch: Batch, frame: float) -> Trajectory:
     """Check a rollout's trajectory against the contract of `Run`, and return it in standard form.
 
-    Frames from a failure on become NaN, whatever an adapter left in them; signs of quaternions are
-    continuous from the start, whichever an engine gives.
+    Frames from a failure on become NaN, whatever an adapter left in them; its reason is one line.
+    Signs of quaternions are continuous from the start, whichever an engine gives.
 
     Args:
         trajectory: The trajectory.
@@ -138,7 +138,10 @@ def checked(trajectory: Trajectory, batch: Batch, frame: float) -> Trajectory:
         raise ValueError(msg)
     whole = trajectory.cut_at_failures()
     orientation = rotation.continuous(whole.orientation, batch.orientation)
-    failures = tuple(e and dataclasses.replace(e, reason=in_utf8(e.reason)) for e in whole.failures)
+    failures = tuple(
+        end and dataclasses.replace(end, reason=in_utf8(" ".join(end.reason.split())))
+        for end in whole.failures
+    )
     return dataclasses.replace(whole, orientation=orientation, failures=failures)
 
 

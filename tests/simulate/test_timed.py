@@ -139,7 +139,7 @@ def _given(trajectory: object, batch: Batch) -> Trajectory:
 
 def test_frames_from_a_failure_on_are_not_numbers() -> None:
     batch, whole = _sound()
-    failures = (None, FirstImpact.at(2, 0.03), Failure(99, "no \udcff.xml"))
+    failures = (None, FirstImpact.at(2, 0.03), Failure(99, "no\n  \udcff.xml\n"))
 
     cut = _given(dataclasses.replace(whole, failures=failures), batch)
 
