@@ -152,7 +152,8 @@ class Run(ABC):
 
         Frame 0 is the start as the engine holds it. A blow-up, NaN, engine warning or silent
         clamp ends that trajectory with a `Failure`; it never raises and never affects the others.
-        The result's arrays are the caller's. Calling again starts afresh: same batch, same bits.
+        The result's arrays are the caller's, and the batch's stay as they are. Calling again starts
+        afresh: same batch, same bits.
         """
 
     @abstractmethod

@@ -136,8 +136,8 @@ class Method:
     loop_velocity_order: int | None = None
     """Order of the velocities in that case; None if the same as that of the positions."""
     velocity_lag: float = 0.0
-    """Lag of recorded velocities, which belong to (frame time + lag · step): −½ for leapfrog. In
-    contact its size may be smaller, if an adapter divides steps."""
+    """Lag of recorded velocities, which belong to (frame time + lag · step): −½ for leapfrog and
+    semi-implicit Euler. In contact its size may be smaller, if an adapter divides steps."""
     own: bool = True
     """Whether the engine itself steps. A search for matched settings never takes a method that the
     toolkit steps, since it says nothing about the engine's stepping."""

@@ -52,7 +52,7 @@ _ORDER_MARGIN = 0.2
 _PROPORTION = 0.8
 # Least share of the first error that is left if steps do not matter, and of what is known of the
 # answer that shows an order.
-_STUCK, _RESOLVED = 0.9, 0.1
+_STUCK, _RESOLVED = 0.5, 0.1
 _LATER = 10  # frame of a case's motion from which another trajectory starts
 _NUMBER = re.compile(r"[-+]?\d+\.\d*(?:e[-+]?\d+)?")
 
@@ -84,7 +84,7 @@ class AdapterContract(ContactContract, CollisionContract):
             assert met or order > declared - _ORDER_MARGIN, (
                 f"{adapter.name} {method.name} on {case.name}: declared order {declared}, "
                 f"measured {order:.2f} from errors {errors}"
-                f"{', which shorter steps do not reduce: another motion, or rounded' * stuck}"
+                f"{', which shorter steps hardly reduce: another motion, or rounding' * stuck}"
             )
             assert errors[-1] < 0.2, f"{method.name} on {case.name}: converges to a wrong answer"
 
