@@ -101,7 +101,9 @@ class AdapterContract(ContactContract, CollisionContract):
             for case in able:
                 order, errors = measured_order(adapter, case, method.name)
                 excess.append(order - method.order_for(case.scene))
-                if errors[0] > _RESOLVED * answer_known_to(case, method):
+                known = answer_known_to(case, method)
+                # The answer is met in any case, and yet the order can be measured.
+                if errors[-1] < known < errors[0] / _RESOLVED:
                     resolved.append(excess[-1])
             assert excess, f"{method.name} can run none of the telling cases"
             assert min(excess) < 0.8, f"{method.name} is of higher order than declared: {excess}"
