@@ -175,6 +175,17 @@ def test_batches_of_which_an_adapter_takes_another_part_fail(
         test(_mutant("mujoco", **defect))
 
 
+def test_a_trajectory_that_is_lost_among_others_on_the_ground_fails() -> None:
+    def lost(_: Scene, __: Batch, ___: float, motion: Trajectory) -> Trajectory:
+        motion.position[1, 20:] = np.nan
+        return motion
+
+    with pytest.raises(AssertionError, match=r"RK4 on .*: NaN or infinity, without a Failure"):
+        _SUITE.test_on_the_ground_bodies_follow_the_answer(
+            _mutant("mujoco", motion=lost), "slide to roll"
+        )
+
+
 def test_an_order_that_is_not_reached_fails() -> None:
     mutant = _mutant("mujoco")
     mutant.methods = {"RK4": dataclasses.replace(mutant.methods["RK4"], order=5)}  # type: ignore[misc]

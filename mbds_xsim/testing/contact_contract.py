@@ -34,6 +34,7 @@ from mbds_xsim.simulate.claims import ContactScales
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.testing.collision_cases import TWO, Flying, balls, collided, cradle, gate, swings
 from mbds_xsim.testing.contact_cases import CONTACT_CASES, RESTITUTIONS, ball, gaps, rebound_heights
+from mbds_xsim.testing.ladder import whole_motion
 
 _G = -GRAVITY[2]
 _COARSER = 4
@@ -316,8 +317,7 @@ def _simulate(
     batch = draw_batch(scene, [0]) if batch is None else batch
     settings = settings or _settings(adapter, scene)
     with adapter.open(scene, settings) as run:
-        motion = run.rollout(batch)
-    assert motion.failures == (None,) * len(batch), f"{settings.method}: {motion.failures}"
+        motion = whole_motion(run, batch, scene, settings.method)
     lag = settings.step if adapter.methods[settings.method].order == 1 else 0.0
     scales = adapter.contact_scales(settings)
     return ContactScales(max(scales.time, lag), scales.slip), motion

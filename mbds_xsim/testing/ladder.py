@@ -9,9 +9,10 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import rounding
-from mbds_xsim.simulate.adapter import Adapter, Settings
+from mbds_xsim.simulate.adapter import Adapter, Run, Settings
 from mbds_xsim.simulate.claims import RTOL, Method
 from mbds_xsim.simulate.timed import checked
 from mbds_xsim.testing.case import Case
@@ -63,15 +64,22 @@ def rolled(
     settings = case_settings(adapter, case, adapter.methods[method], steps_per_frame)
     if rtol is not None:
         settings = dataclasses.replace(settings, options={**settings.options, RTOL: rtol})
-    batch, given = (draw_batch(case.scene, [0]) for _ in range(2))
+    batch = draw_batch(case.scene, [0])
     with adapter.open(case.scene, settings) as run:
-        motion = checked(run.rollout(batch), batch, case.scene.clock.frame)
-    assert motion.failures == (None,), f"{method} on {case.name}: {motion.failures[0]}"
-    assert motion.finite.all(), f"{method} on {case.name}: NaN or infinity, without a Failure"
-    for name, values in vars(given).items():
+        return batch, whole_motion(run, batch, case.scene, method)
+
+
+def whole_motion(run: Run, batch: Batch, scene: Scene, method: str) -> Trajectory:
+    """Roll a batch out; assert that it reaches its end in finite numbers, and is not changed."""
+    given = {name: values.copy() for name, values in vars(batch).items()}
+    motion = checked(run.rollout(batch), batch, scene.clock.frame)
+    where = f"{method} on {scene.name}"
+    assert motion.failures == (None,) * len(batch), f"{where}: {motion.failures}"
+    assert motion.finite.all(), f"{where}: NaN or infinity, without a Failure"
+    for name, values in given.items():
         same = np.array_equal(values, getattr(batch, name))
-        assert same, f"{method} on {case.name}: rollout changes {name} of the batch it is given"
-    return batch, motion
+        assert same, f"{where}: rollout changes {name} of the batch it is given"
+    return motion
 
 
 def _error(case: Case, motion: Trajectory) -> float:
