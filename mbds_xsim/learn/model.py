@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import chdir, contextmanager, redirect_stdout, suppress
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, ClassVar, Literal, Self, final
 
@@ -16,6 +14,7 @@ from torch import Tensor
 from mbds_xsim.base.errors import InputError, Unsupported, check_name
 from mbds_xsim.learn.graph import Graph, check_edges
 from mbds_xsim.learn.layers import TensorModule
+from mbds_xsim.learn.plugins import in_a_line, located_in, of_another_package
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Motions, Sample, Start
 from mbds_xsim.simulate.registry import registered
@@ -169,19 +168,6 @@ def trainable() -> list[str]:
     return names
 
 
-@contextmanager
-def of_another_package() -> Iterator[None]:
-    """Run another package's code so that it cannot change the folder or exit the process.
-
-    Its prints go to stderr, because a program may parse the output of a command.
-    """
-    try:
-        with chdir(os.curdir), redirect_stdout(sys.stderr):
-            yield
-    except SystemExit as error:
-        raise RuntimeError(f"it exits with {error.code!r}") from error
-
-
 def load_model(name: str) -> type[LearnedModel]:
     """Find a model's class by name.
 
@@ -195,8 +181,8 @@ def load_model(name: str) -> type[LearnedModel]:
         with of_another_package():
             kind = points[name].load()
     except Exception as error:  # another package's code
-        reason = " ".join(f"{type(error).__name__}: {error}".split())
-        msg = f"the model {name} cannot be used: {reason}; repair or uninstall {points[name].value}"
+        place = points[name].value
+        msg = f"the model {name} cannot be used: {in_a_line(error)}; repair or uninstall {place}"
         raise InputError(msg) from error
     if lack := _lack(kind):
         raise InputError(f"the model {name} cannot be used: {points[name].value} {lack}")
@@ -243,14 +229,13 @@ def build(
     with torch.random.fork_rng([]):
         torch.default_generator.manual_seed(seed)
         try:
-            with of_another_package():
+            with located_in(kind), of_another_package():
                 return kind(graph, statistics, kind.tracks.get(track)).in_precision()
         except Exception as error:
             if isinstance(error, InputError) or kind.__module__.startswith("mbds_xsim."):
                 raise
-            reason = " ".join(f"{type(error).__name__}: {error}".split())
-            msg = f"{kind.__module__}:{kind.__name__} fails on scene {graph.scene.name!r}: {reason}"
-            raise Unsupported(msg) from error
+            msg = f"{kind.__module__}:{kind.__name__} fails on scene {graph.scene.name!r}: "
+            raise Unsupported(msg + in_a_line(error)) from error
 
 
 def refusal(name: str, graph: Graph, *, track: str | None = None) -> str:
@@ -300,10 +285,9 @@ def roll(model: LearnedModel, start: Start, inputs: KnownInputs) -> Tensor:
     block = len(start)
     if start.history.device.type == "cpu":
         block = max(1, _NODES // model.graph.node_count)
-    parts = range(0, len(start), block)
-    return torch.cat(
-        [go_on(model, model.begin(start[k : k + block]), inputs[k : k + block]) for k in parts]
-    )
+    parts = [slice(k, k + block) for k in range(0, len(start), block)]
+    with located_in(type(model)):
+        return torch.cat([go_on(model, model.begin(start[k]), inputs[k]) for k in parts])
 
 
 def go_on(model: LearnedModel, state: Tensor, inputs: KnownInputs) -> Tensor:

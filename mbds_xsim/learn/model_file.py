@@ -25,7 +25,8 @@ from torch.nn.modules.module import register_module_parameter_registration_hook
 from mbds_xsim.base.errors import InputError, UnknownName
 from mbds_xsim.base.files import check_regular, path_of, write_whole
 from mbds_xsim.learn.graph import Graph, check_edges
-from mbds_xsim.learn.model import LearnedModel, load_model, of_another_package
+from mbds_xsim.learn.model import LearnedModel, load_model
+from mbds_xsim.learn.plugins import of_another_package
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.scene.file import write_scene
 from mbds_xsim.scene.scene import Scene
@@ -43,9 +44,9 @@ def save_model(
     settings: Any,
     statistics: Statistics,
     /,
-    **facts: str,
+    **facts: object,
 ) -> None:
-    """Write a model with its registered name, settings, statistics, and facts of its training."""
+    """Write a model with its registered name, settings, statistics, and facts, kept as text."""
     whole = {
         "format": _FORMAT,
         "name": name,
@@ -54,7 +55,7 @@ def save_model(
         "settings": msgspec.json.encode(settings).decode(),
         "statistics": statistics.to_state(),
         "parameters": model.state_dict(),
-        "facts": facts,
+        "facts": {key: str(value) for key, value in facts.items()},
     }
     write_stored(path, whole)
 
@@ -156,6 +157,11 @@ def _other_code(path: Path, error: Exception) -> InputError:
 def read_facts(path: str | Path) -> dict[str, str]:
     """Read only the facts of a model's file, or raise InputError."""
     return _read(path_of("path", path)).facts
+
+
+def read_name(path: Path) -> str:
+    """Read only the registered name of a file's model, or raise InputError."""
+    return _read(path).name
 
 
 class _Whole(msgspec.Struct, frozen=True):

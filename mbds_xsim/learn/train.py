@@ -21,6 +21,7 @@ from torch import Tensor
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.learn.model import LearnedModel, roll
 from mbds_xsim.learn.model_file import array, arrays, read_stored, write_stored
+from mbds_xsim.learn.plugins import located_in
 from mbds_xsim.learn.recipe import (
     SETTLED,
     WITHOUT_END,
@@ -136,7 +137,9 @@ def train(
     device = sample.position.device
     with torch.random.fork_rng([device] if device.type == "cuda" else []):
         while not loop.training.ended:
-            loop.judge(sample, loop.learn(training))
+            with located_in(type(model)):
+                loss = loop.learn(training)
+            loop.judge(sample, loss)
             if checkpoint is not None:
                 loop.save(checkpoint)
             if tell is not None:

@@ -9,7 +9,8 @@ from __future__ import annotations
 import glob
 import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,8 +23,9 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.learn.graph import Graph, RowBundle
 from mbds_xsim.learn.model import TRIVIAL, LearnedModel, load_model, roll
-from mbds_xsim.learn.model_file import read_model
+from mbds_xsim.learn.model_file import read_model, read_name
 from mbds_xsim.learn.particles import ParticleMotion
+from mbds_xsim.learn.plugins import in_a_line
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Start
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import Scene
@@ -124,6 +126,17 @@ class TrainedModel:
         self.check_scene(scene)
         return read_model(self.path)[0]
 
+    @contextmanager
+    def named_in_errors(self) -> Iterator[None]:
+        """Raise InputError with the model's file for an error that its code raises."""
+        try:
+            yield
+        except (InputError, MemoryError):
+            raise
+        except Exception as error:
+            msg = f"{self.path or self.model}: testing it failed: {in_a_line(error)}; repair it, "
+            raise InputError(msg + "or remove its file") from error
+
     def check_scene(self, scene: Scene) -> None:
         """Raise InputError for data of another scene."""
         if self.trained_on != scene:
@@ -155,7 +168,7 @@ def trained_model(path: Path) -> TrainedModel:
     return TrainedModel(
         model=path.parent.name,
         training=f"{facts['training']}-{facts['variant']}",
-        engines=tuple(facts["train_engines"].split(",")),
+        engines=tuple(map(str.strip, facts["train_engines"].split(","))),
         variant=facts["variant"],
         seed=seed,
         path=path.resolve(),
@@ -168,7 +181,7 @@ def trained_model(path: Path) -> TrainedModel:
         interval=interval,
         bodies=model.needs_bodies,
         budget=tuple((key, facts[key]) for key in _ALIKE if key in facts),
-        facts=facts,
+        facts=facts | {"model": read_name(path)},
         trained_on=model.graph.scene,
         named=path,
     )

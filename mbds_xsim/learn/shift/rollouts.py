@@ -138,7 +138,8 @@ def _test(scene: Scene, paths: Paths, domains: Sequence[Domain], plan: RolloutPl
             if all(map(read_figures, own)):
                 continue
             model = load(trained)
-            figures = figures_on(model, motions(model.dtype), **dataclasses.asdict(plan))
+            with trained.named_in_errors():
+                figures = figures_on(model, motions(model.dtype), **dataclasses.asdict(plan))
             for path, part in zip(own, figures.split(len(group)), strict=True):
                 part.write(path)
 

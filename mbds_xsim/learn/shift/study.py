@@ -18,8 +18,9 @@ from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.files import check_writable
 from mbds_xsim.base.isolate import USUAL, Conduct
-from mbds_xsim.learn.model import of_another_package, refusal, rollout, trainable
+from mbds_xsim.learn.model import refusal, rollout, trainable
 from mbds_xsim.learn.particles import EXPLODED, LOST
+from mbds_xsim.learn.plugins import of_another_package
 from mbds_xsim.learn.shift.answers import answers_by_interval, answers_of
 from mbds_xsim.learn.shift.contact import from_contact
 from mbds_xsim.learn.shift.domains import (
@@ -328,7 +329,7 @@ def _predicted(
     """Return predicted positions, starting with the last known frame."""
     model = trained.load(evaluation.test.scene)
     motions = domain.motions(model.dtype)[rows]
-    with of_another_package():
+    with trained.named_in_errors(), of_another_package():
         predicted = rollout(model, motions, steps=horizon)
     positions = torch.cat([motions.position[:, HISTORY - 1 : HISTORY], predicted], dim=1)
     return np.asarray(positions.double().numpy())
