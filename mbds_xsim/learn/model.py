@@ -113,7 +113,7 @@ class PointModel(LearnedModel):
         if self.change == "acceleration":  # semi-implicit Euler in units of frames
             displacement = state[:, -1] - state[:, -2] + displacement
         # Along axes in which the scene does not move, the network's output is ignored.
-        after = state[:, -1] + displacement * self.graph.moving.to(state)
+        after = state[:, -1] + displacement.to(state.dtype) * self.graph.moving.to(state)
         return torch.cat([state[:, 1:], after[:, None]], dim=1)
 
     @final

@@ -96,3 +96,17 @@ def test_a_change_for_one_particle_is_not_that_of_all(analytic: Analytic) -> Non
     model = _OneForAll(motions.graph, Statistics.of(motions), None)
     with pytest.raises(ValueError, match=r"predict gave the shape \(4, 1, 3\), needed is \(4, 6"):
         rollout(model, motions)
+
+
+class _Double(Hold):
+    """Model that predicts in a higher precision than that of its inputs."""
+
+    def predict(self, history: Tensor, inputs: KnownInputs) -> Tensor:
+        return super().predict(history, inputs).double()
+
+
+def test_the_precision_of_a_change_does_not_become_that_of_the_state(analytic: Analytic) -> None:
+    motions = analytic("6pendulum", _uniform)
+    sample = motions.take(torch.arange(4))
+    model = _Double(motions.graph, Statistics.of(motions), None)
+    assert model.advance(sample.start.history.float(), sample.inputs.at(0)).dtype == torch.float32
