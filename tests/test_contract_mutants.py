@@ -194,6 +194,18 @@ def test_an_order_that_is_not_reached_fails() -> None:
         _SUITE.test_declared_orders_are_not_beaten_everywhere(mutant)
 
 
+def test_an_order_that_a_tolerance_hides_is_not_judged() -> None:
+    """Errors that level off, as with loops closed to a tolerance, show no order."""
+
+    def shifted(_: Scene, __: Batch, ___: float, motion: Trajectory) -> Trajectory:
+        motion.position[:, 1:] += 2e-10
+        return motion
+
+    mutant = _mutant("mujoco", motion=shifted)
+    mutant.methods = {"RK4": mutant.methods["RK4"]}  # type: ignore[misc]
+    _SUITE.test_declared_orders_are_not_beaten_everywhere(mutant)
+
+
 def test_a_hinge_torque_without_its_reaction_fails(engine: str) -> None:
     with no_reaction(engine), pytest.raises(AssertionError, match="flywheel"):
         _POSITIONS(load_adapter(engine), _case("flywheel"))

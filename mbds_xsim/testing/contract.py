@@ -51,8 +51,8 @@ _ORDER_MARGIN = 0.2
 # An adaptive method's error is roughly proportional to its tolerance.
 _PROPORTION = 0.8
 # Least share of the first error that is left if steps do not matter, and of what is known of the
-# answer that shows an order.
-_STUCK, _RESOLVED = 0.5, 0.1
+# answer that shows an order; least order that shows, and what it differs by from step to step.
+_STUCK, _RESOLVED, _SHOWN = 0.5, 0.1, 0.5
 _LATER = 10  # frame of a case's motion from which another trajectory starts
 _NUMBER = re.compile(r"[-+]?\d+\.\d*(?:e[-+]?\d+)?")
 
@@ -103,7 +103,7 @@ class AdapterContract(ContactContract, CollisionContract):
                 excess.append(order - method.order_for(case.scene))
                 known = answer_known_to(case, method)
                 # The answer is met in any case, and yet the order can be measured.
-                if errors[-1] < known < errors[0] / _RESOLVED:
+                if errors[-1] < known < errors[0] / _RESOLVED and _steady(errors):
                     resolved.append(excess[-1])
             assert excess, f"{method.name} can run none of the telling cases"
             assert min(excess) < 0.8, f"{method.name} is of higher order than declared: {excess}"
@@ -297,6 +297,12 @@ _COARSE, _FINER, _ = STEPS_PER_FRAME
 def _opened(adapter: Adapter, case: Case, steps_per_frame: int) -> Run:
     settings = case_settings(adapter, case, _first(adapter, case), steps_per_frame)
     return adapter.open(case.scene, settings)
+
+
+def _steady(errors: list[float]) -> bool:
+    """Return whether errors fall alike with each halving of the step: rounding does not."""
+    halvings = -np.diff(np.log2(np.maximum(errors, 1e-300)))
+    return bool(np.ptp(halvings) < _SHOWN < halvings.min())
 
 
 def _refusing(adapter: Adapter) -> Iterator[tuple[str, Mapping[Feature, str]]]:
