@@ -131,7 +131,7 @@ class TrainedModel:
         """Raise InputError with the model's file for an error that its code raises."""
         try:
             yield
-        except (InputError, MemoryError):
+        except (InputError, MemoryError, torch.OutOfMemoryError):
             raise
         except Exception as error:
             msg = f"{self.path or self.model}: testing it failed: {in_a_line(error)}; repair it, "

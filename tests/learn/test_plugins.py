@@ -102,3 +102,21 @@ def test_the_file_of_a_model_that_cannot_be_tested_is_named(
         f"{trained.path}: testing it failed: ValueError: no such thing (line {_PREDICTED} of "
         f"{file}); repair it, or remove its file"
     )
+
+
+@pytest.mark.usefixtures("apart")
+@pytest.mark.parametrize(
+    ("where", "error"),
+    [("_joined", OSError("disk")), ("figures_on", torch.OutOfMemoryError("of the device"))],
+)
+def test_data_or_memory_that_fail_are_not_called_the_models_error(
+    where: str, error: Exception, tmp_path: Path, studied: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(rollouts, where, fail)
+    test, trained = load_paired(studied / "data", SCENE), _saved(tmp_path, studied)
+    places = {(trained, domain.name): tmp_path / domain.name for domain in test.domains}
+    with pytest.raises(type(error), match=str(error)):
+        rollouts._test(test.scene, places, test.domains, rollouts.RolloutPlan(3))

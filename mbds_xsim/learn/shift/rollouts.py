@@ -138,8 +138,9 @@ def _test(scene: Scene, paths: Paths, domains: Sequence[Domain], plan: RolloutPl
             if all(map(read_figures, own)):
                 continue
             model = load(trained)
+            shown = motions(model.dtype)
             with trained.named_in_errors():
-                figures = figures_on(model, motions(model.dtype), **dataclasses.asdict(plan))
+                figures = figures_on(model, shown, **dataclasses.asdict(plan))
             for path, part in zip(own, figures.split(len(group)), strict=True):
                 part.write(path)
 
