@@ -129,7 +129,8 @@ def checked(trajectory: Trajectory, batch: Batch, frame: float) -> Trajectory:
     late = ~np.isclose(trajectory.time, due, rtol=_SAME_TIME, atol=_SAME_TIME * frame)
     if late.any():
         k = int(late.argmax())
-        msg = f"the adapter gave frame {k} the time {trajectory.time[k]:.9g} s, not {due[k]:.9g} s"
+        got = trajectory.time[k]
+        msg = f"the adapter gave frame {k} the time {got:.12g} s, not {due[k]:.12g} s"
         raise ValueError(msg)
     ends: object = trajectory.failures
     sound = isinstance(ends, tuple) and all(end is None or _says_when(end) for end in ends)

@@ -160,6 +160,7 @@ def test_frames_from_a_failure_on_are_not_numbers() -> None:
         ({"time": np.zeros(4)}, r"time as float64 \(4,\), not as float64 \(5,\)"),
         ({"time": 20.0 * np.arange(5.0)}, r"frame 1 the time 20 s, not 0\.02 s"),
         ({"time": 0.02 * np.arange(1.0, 6.0)}, r"frame 0 the time 0\.02 s, not 0 s"),
+        ({"time": (0.02 + 5e-11) * np.arange(5.0)}, r"1 the time 0\.02000000005 s, not 0\.02 s"),
         ({"time": np.full(5, np.nan)}, "frame 0 the time nan s, not 0 s"),
         ({"failures": (None,)}, "failures .* for each trajectory"),
         ({"failures": ("late", None, None)}, "failures .* for each trajectory"),

@@ -71,6 +71,16 @@ def test_what_would_take_too_long_is_listed(scene: Scene) -> None:
     assert "predicted 0 s" not in curve.points[1].reason
 
 
+def test_a_predicted_time_of_minutes_is_in_whole_seconds(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mbds_xsim.studies.tradeoff.study.rollout_cost", lambda *_: 1234.4)
+    choice = Choice.parse(engines="mujoco")
+    study = tradeoff_with_rows(scene, choice=choice, starts=1, conduct=HERE)[0]
+
+    assert "predicted 1234 s a start" in curve_of(study, "mujoco RK4").points[-1].reason
+
+
 def test_steps_go_on_until_the_budget_is_kept_tenfold(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:

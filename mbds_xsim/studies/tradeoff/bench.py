@@ -225,7 +225,8 @@ class StartBench:
 
     def too_slow(self, simulator: Simulator, count: int, predicted: float) -> Measurement:
         """Return the row of a point whose predicted time exceeds the limit."""
-        reason = f"predicted {predicted:.3g} s a start, limit {self.limit:g} s"
+        digits = ".0f" if predicted >= 1.0 else ".2g"
+        reason = f"predicted {predicted:{digits}} s a start, limit {self.limit:g} s"
         row = self._bare(Job(simulator, count, 0))
         return msgspec.structs.replace(row, key="", kind="too slow", reason=reason)
 
