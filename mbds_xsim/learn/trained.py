@@ -181,7 +181,7 @@ def trained_model(path: Path) -> TrainedModel:
         interval=interval,
         bodies=model.needs_bodies,
         budget=tuple((key, facts[key]) for key in _ALIKE if key in facts),
-        facts=facts | {"model": read_name(path)},
+        facts=facts | {"model": facts.get("model") or read_name(path)},
         trained_on=model.graph.scene,
         named=path,
     )
