@@ -103,8 +103,7 @@ Pinocchio's reading of URDF. What an engine has otherwise than the file says is 
 
 *Verdicts* are on half a second of motion from three starts, at the engines' presets (`matched`,
 without a search for better settings), with a minute of processor time for each engine and for the
-reference. Most verdicts, and the distances after 1 s on the wheels' pages, are of an earlier run
-than the rest, of the same files and releases of engines.
+reference. Verdicts are of an earlier run than the rest, of the same files and releases of engines.
 """
 
 
