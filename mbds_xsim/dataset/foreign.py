@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from mbds_xsim.base import bounds
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError, located
+from mbds_xsim.base.text import counted
 from mbds_xsim.dataset.hdf5 import (
     check_sources,
     datasets_in,
@@ -121,13 +122,13 @@ def completed(origin: Provenance, foreign: Foreign) -> Provenance:
     if origin.index is not None:
         if len(origin.index) != total:
             raise InputError(
-                f"--index: got {len(origin.index)} numbers, allowed for {foreign.source} are "
-                f"{total}, one a trajectory"
+                f"--index: got {counted(len(origin.index), 'number')}, allowed for "
+                f"{foreign.source} is one a trajectory, {total}"
             )
         facts["index"] = origin.index[first : first + foreign.count]
     elif len(index := foreign.facts.get("index", range(foreign.count))) != foreign.count:
-        msg = f"{foreign.source}: index: got {len(index)} numbers, allowed is one a trajectory"
-        raise InputError(msg)
+        msg = f"{foreign.source}: index: got {counted(len(index), 'number')}"
+        raise InputError(f"{msg}, allowed is one a trajectory")
     default = {} if origin.index is None else {"seed": 0}
     known, frame = Provenance(**(default | foreign.facts | facts)), foreign.scene.clock.frame
     if (known.step_s or 0.0) > frame * (1.0 + _SAME_FRAME):

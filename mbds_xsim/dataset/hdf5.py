@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.text import on_a_line
 from mbds_xsim.dataset.layout import (
     ATTRIBUTE_DEFAULTS,
     ATTRIBUTES,
@@ -163,13 +162,12 @@ def attributes_of(path: Path) -> dict[str, Any]:
     if not _is(attrs.get("format"), FORMAT):
         msg = f"{path} is HDF5, but no {FORMAT} file: its attribute 'format' does not say so"
         raise InputError(msg)
-    version = attrs.get("layout_version")
-    if not isinstance(version, int) or version > VERSION:
-        got = on_a_line(str(version))[:60]
-        msg = f"{path} has layout version {got}, this program reads up to {VERSION}; install"
+    context = f"{path}: attribute ", "; get the file again"
+    version = attribute("layout_version", attrs, *context)
+    if version > VERSION:
+        msg = f"{path} has layout version {version}, this program reads up to {VERSION}; install"
         raise InputError(f"{msg} a newer mbds-xsim")
     required = [key for key in ATTRIBUTES if key in _JOINT or not _is(attrs.get("kind"), "joint")]
-    context = f"{path}: attribute ", "; get the file again"
     with_defaults = ATTRIBUTE_DEFAULTS | attrs
     return attrs | {key: attribute(key, with_defaults, *context) for key in required}
 

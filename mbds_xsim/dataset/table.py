@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.text import on_a_line
+from mbds_xsim.base.text import counted, on_a_line
 from mbds_xsim.dataset.layout import FIELDS
 from mbds_xsim.dataset.points import Points, axis_sizes
 from mbds_xsim.scene.scene import Scene
@@ -114,13 +114,14 @@ def read_csv(
     rows = list(csv.reader(line for line in lines if line and not line.startswith(_COMMENT)))
     if len(rows) < 3:
         raise InputError(
-            f"{path}: got {max(len(rows) - 1, 0)} frames, allowed is a line of names and 2 or more"
+            f"{path}: got {counted(max(len(rows) - 1, 0), 'frame')}, "
+            "allowed is a line of names and 2 or more"
         )
     names = [name.strip() for name in rows[0]]
     for frame, row in enumerate(rows[1:]):
         if any(cell.strip() for cell in row[len(names) :]):
-            msg = f"{path}: frame {frame}: got {len(row)} cells, allowed are {len(names)}, as names"
-            raise InputError(msg)
+            msg = f"{path}: frame {frame}: got {counted(len(row), 'cell')}"
+            raise InputError(f"{msg}, allowed are {len(names)}, as names")
     arrays, columns = dict[str, NDArray[Any]](), dict[str, list[_Column]]()
     for group in (_TIME, *_sort_columns(scene, names, str(path))):
         frames = rows[1:-1] if FIELDS[group.name].per_step else rows[1:]

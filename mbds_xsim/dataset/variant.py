@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.text import counted
 from mbds_xsim.base.versions import CHECKS
 from mbds_xsim.dataset.hdf5 import attributes_of, variant_files
 from mbds_xsim.dataset.layout import AUDIT_SAMPLE, FORMAT, ONE_SIZE, SHARED, SUFFIX, VERSION
@@ -191,7 +192,8 @@ def unpaired(variants: Iterable[Variant], trajectories: int, out: Path) -> Itera
     for file in sorted(file for file in beside if file.with_suffix("") not in asked):
         count = _read(lambda path: load_dataset(path).attributes, file)["count"]
         if count != trajectories:
-            yield f"{file}: {count} trajectories, now asked for are {trajectories}; {ONE_SIZE}"
+            got = counted(count, "trajectory")
+            yield f"{file}: {got}, now asked for: {trajectories}; {ONE_SIZE}"
 
 
 def _is_complete(item: Item, path: Path) -> bool:
@@ -201,8 +203,8 @@ def _is_complete(item: Item, path: Path) -> bool:
     _check_same(attrs, recipe, f"{path} was made differently")
     if attrs.get("count", 0) > item.count:
         raise InputError(
-            f"{path} holds {attrs['count']} trajectories, needed are {item.count}: it is from a "
-            f"larger set or another version; ask for {_allowed(path)}, or name another --out"
+            f"{path} holds {counted(attrs['count'], 'trajectory')}, needed: {item.count}; it is "
+            f"from a larger set or another version; ask for {_allowed(path)}, or name another --out"
         )
     return bool(attrs["count"] == item.count)
 

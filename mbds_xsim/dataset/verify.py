@@ -18,6 +18,7 @@ import numpy as np
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.frame import frame_of
 from mbds_xsim.base.isolate import LIMIT, USUAL, Conduct, Crash, Task, run_tasks
+from mbds_xsim.base.text import counted
 from mbds_xsim.dataset.card import CARD, CROISSANT, descriptions, missing_lines
 from mbds_xsim.dataset.hdf5 import (
     CONTENT,
@@ -173,7 +174,8 @@ def _unequal(file: Path, facts: dict[Path, dict[str, Any]]) -> Iterator[str]:
     }
     largest = max(sizes, key=sizes.__getitem__, default=file)
     if file in sizes and sizes[file] < sizes[largest]:
-        yield f"{sizes[file]} trajectories, but {largest.name} has {sizes[largest]}: {ONE_SIZE}"
+        own = counted(sizes[file], "trajectory")
+        yield f"{own}, but {largest.name} has {sizes[largest]}: {ONE_SIZE}"
 
 
 def recheck(path: Path, kind: str, resimulated: int = 0, seed: int = 0) -> FileReport:

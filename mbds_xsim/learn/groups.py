@@ -20,6 +20,7 @@ import torch
 
 from mbds_xsim.base.arrays import Index
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.text import counted
 from mbds_xsim.dataset.paired import check_alike, numbers_in
 from mbds_xsim.dataset.read import Dataset, joined_files, load_dataset
 from mbds_xsim.learn.window import HISTORY, Motions
@@ -110,10 +111,10 @@ def _check(group: TrainingGroup) -> None:
     for split in ("train", "validation"):
         if not len(group.numbers(split)) or frames <= HISTORY:
             paths = ", ".join(str(file.path) for file in group.data.values())
+            got = counted(len(group.numbers(split)), "trajectory")
             raise InputError(
-                f"{paths}: {len(group.numbers(split))} trajectories of {frames} frames for "
-                f"{split} that all engines have, needed are at least 1 of {HISTORY + 1}; "
-                "generate more"
+                f"{paths}: {got} of {frames} frames for {split} that all engines have, "
+                f"needed are at least 1 of {HISTORY + 1}; generate more"
             )
 
 

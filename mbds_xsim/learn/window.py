@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.text import counted
 from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.learn.graph import Graph, RowBundle
 from mbds_xsim.scene.sampling import has_known_forces
@@ -126,8 +127,8 @@ class Motions(RowBundle):
         frames = int(data.attributes["steps"]) + 1
         if not len(chosen) or frames <= HISTORY:
             raise InputError(
-                f"{data.path}: {len(chosen)} trajectories of {frames} frames for {split}, needed "
-                f"are at least 1 of {HISTORY + 1}; generate more"
+                f"{data.path}: {counted(len(chosen), 'trajectory')} of {frames} frames for "
+                f"{split}, needed are at least 1 of {HISTORY + 1}; generate more"
             )
         names = names_read(data, bodies=bodies)
         graph = Graph.of(data.scene)

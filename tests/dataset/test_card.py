@@ -100,7 +100,7 @@ def test_parts_that_differ_between_files_are_told(make: Make, tmp_path: Path) ->
     progress = Silence()
     make(tmp_path, settings="native", trajectories=FEW + 4, progress=progress)
     (line,) = progress.notices
-    assert "mujoco-matched.h5: 6 trajectories, now asked for are 10; load_pairs, train" in line
+    assert "mujoco-matched.h5: 6 trajectories, now asked for: 10; load_pairs, train" in line
     matched, native = (
         load_dataset(tmp_path / "1pendulum" / f"mujoco-{one}.h5") for one in ("matched", "native")
     )

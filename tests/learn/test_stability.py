@@ -166,7 +166,12 @@ def test_values_that_hold_are_told_as_ranges(sweep: Survey) -> None:
 def test_a_model_whose_process_ends_is_told_by_that(sweep: Survey) -> None:
     model = sweep.panels[1]
     crashed = msgspec.structs.replace(
-        model.cells[0][0], outcome="crashed", told="process", broke_s=None, ended_s=None
+        model.cells[0][0],
+        outcome="crashed",
+        told="process",
+        reason="ValueError: no",
+        broke_s=None,
+        ended_s=None,
     )
     swept = msgspec.structs.replace(
         sweep, panels=(msgspec.structs.replace(model, cells=((crashed,), *model.cells[1:])),)
@@ -174,7 +179,7 @@ def test_a_model_whose_process_ends_is_told_by_that(sweep: Survey) -> None:
 
     (_, text), _ = words.stable_ranges(swept)
 
-    assert text.endswith("; at 0 m/s crashed, told by the process, by its end")
+    assert text.endswith("; at 0 m/s crashed, told by the process, by its end: ValueError: no")
 
 
 def test_no_steps_are_said_to_be_tried_where_models_are_alone(sweep: Survey) -> None:

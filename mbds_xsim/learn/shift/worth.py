@@ -17,6 +17,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.text import counted
 from mbds_xsim.learn.shift.domains import REFERENCE
 from mbds_xsim.learn.shift.evaluation import ENGINE, Evaluation
 from mbds_xsim.learn.shift.gaps import Draws, Look, trainings_of
@@ -126,7 +127,7 @@ def _answer_after_contact(shift: Shift) -> Iterator[Answer]:
 def _unsure(words: Mapping[str, str]) -> str:
     """State of how many data it cannot be told whether they harm, if there are any."""
     count = sum(word == UNTOLD for word in words.values())
-    return f"; of {count} others it {UNTOLD}" if count else ""
+    return f"; of {counted(count, 'other')} it {UNTOLD}" if count else ""
 
 
 def _cheapest(shift: Shift, harms: Sequence[Harm], place: int, when: str) -> str:

@@ -116,7 +116,8 @@ def _describe_stability(cells: Sequence[MapCell], sweep: Survey) -> str:
     if beyond is None:
         return text
     who = _REPORTERS[beyond.told].partition(":")[0]
-    return f"{text}; at {text_of(beyond.value, sweep.unit)} {outcome_text(beyond)}, told by {who}"
+    text += f"; at {text_of(beyond.value, sweep.unit)} {outcome_text(beyond)}, told by {who}"
+    return f"{text}: {beyond.reason}" if beyond.outcome == "crashed" else text
 
 
 def _runs(cells: Sequence[MapCell], holds: Callable[[MapCell], bool], sweep: Survey) -> str:
