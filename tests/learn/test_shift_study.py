@@ -22,6 +22,7 @@ from mbds_xsim.learn.trained import Selection, find_models
 from mbds_xsim.learn.window import HISTORY
 from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene
 from mbds_xsim.simulate.registry import load_scene
+from mbds_xsim.studies.shift.present import answers
 from mbds_xsim.studies.shift.tables import nearness, tables
 from mbds_xsim.studies.shift.worth import costs_of
 from tests.learn.shifts import ENGINES, SCENE, SEEDS, STEPS, TRAININGS, shift_of, train
@@ -105,8 +106,10 @@ def test_restarted_engines_keep_their_own_motion(shift: Shift) -> None:
 
 
 def test_models_that_are_not_there_are_said_so(shift: Shift) -> None:
-    none = "no trained model of it was tested"
-    assert shift.left_out == dict.fromkeys(set(trainable()) - {"gns"}, none)
+    none = "no trained model was tested"
+    others = sorted(set(trainable()) - {"gns"})
+    assert shift.left_out == dict.fromkeys(others, none)
+    assert (f"{', '.join(others)} left out", f"{none}.") in answers(shift)
     assert refusal("gns", Graph.of(load_scene("balldrop"))) == ""
     assert "contact" in refusal("hgnn", Graph.of(load_scene("balldrop")))
     flat = Inertia(1.0, moments=(1.0, 1.0, 2.0))

@@ -258,7 +258,7 @@ def _left_out(evaluation: Evaluation) -> dict[str, str]:
         )
     for name in sorted(set(trainable()) - {entry.kind for entry in evaluation.entries}):
         why = refusal(name, evaluation.test.graph)
-        reasons[name] = why or "no trained model of it was tested"
+        reasons[name] = why or "no trained model was tested"
     return reasons
 
 

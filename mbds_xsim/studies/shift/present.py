@@ -71,7 +71,10 @@ def _blocks(shift: Shift, samples: Samples | None, *, played: bool) -> Iterator[
 def answers(shift: Shift) -> Iterator[tuple[str, str]]:
     """Yield the questions with their answers, then what was left out and why."""
     yield from ((answer.question, f"{answer.answer}.") for answer in shift.answers)
-    yield from ((f"{name} left out", f"{reason}.") for name, reason in shift.left_out.items())
+    names: dict[str, list[str]] = {}
+    for name, reason in shift.left_out.items():
+        names.setdefault(reason, []).append(name)
+    yield from ((f"{', '.join(those)} left out", f"{why}.") for why, those in names.items())
 
 
 def protocol(shift: Shift) -> str:
