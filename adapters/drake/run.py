@@ -70,11 +70,11 @@ class DrakeRun(Run):
             np.full((len(batch), batch.steps + 1, *part.shape[1:]), np.nan)
             for part in self._start(batch)
         )
-        failures = [
-            self._simulate(batch, row, q[row], v[row], turns[row]) for row in range(len(batch))
-        ]
         # A motion that blows up may overflow before it is cut off.
         with np.errstate(over="ignore", invalid="ignore"):
+            failures = [
+                self._simulate(batch, row, q[row], v[row], turns[row]) for row in range(len(batch))
+            ]
             bodies = to_bodies(self._mechanism, self._coordinates.to_links(q, v, turns))
             return until_blow_up(self._mechanism, bodies, failures)
 

@@ -66,6 +66,8 @@ class DrakeStepper:
         self._simulator.Initialize()
 
     def _put(self, q: Array, v: Array, turns: Array) -> None:
+        if not (np.isfinite(q).all() and np.isfinite(v).all()):
+            raise ValueError("a coordinate or rate is not finite")  # Drake would end the process
         self._plant.SetPositions(self.context, q)
         self._plant.SetVelocities(self.context, v)
         self.turns = turns / norm(turns)[:, None]

@@ -8,7 +8,7 @@ import pytest
 
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.simulate.adapter import Settings
-from mbds_xsim.simulate.registry import installed_engines, load_adapter
+from mbds_xsim.simulate.registry import installed_engines, load_adapter, load_scene
 from mbds_xsim.testing import CASES
 
 
@@ -46,3 +46,31 @@ def test_what_blows_up_ends_and_what_is_stepped_beside_it_goes_on(
     assert alone.failures == (end,)
     assert np.isnan(motion.position[stretched, end.frame :]).all()
     assert np.isfinite(motion.position[stretched, : end.frame]).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "method"),
+    [
+        ("drake", "runge_kutta5"),
+        ("drake", "semi-implicit-euler"),
+        ("mujoco-warp", "RK4"),
+        ("pinocchio", "forward-dynamics-RK4"),
+    ],
+)
+def test_balls_that_turn_too_fast_end_the_trajectory_and_not_the_process(
+    name: str, method: str
+) -> None:
+    if name not in installed_engines():
+        pytest.skip(f"{name} is not installed")
+    scene = load_scene("6pendulum")
+    batch = draw_batch(scene, [2])
+    batch.velocity[:] *= 10.0
+    batch.angular_velocity[:] *= 10.0
+
+    with load_adapter(name).open(scene, Settings(method, scene.clock.frame)) as run:
+        motion = run.rollout(batch)
+
+    (end,) = motion.failures
+    assert end is not None
+    assert "speed passes" in end.reason or "not finite" in end.reason
+    assert np.isnan(motion.position[0, end.frame :]).all()
