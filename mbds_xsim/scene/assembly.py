@@ -153,14 +153,18 @@ def _assemble_pose(mechanism: Mechanism, start: BodyStates) -> BodyStates:
     strides = min(int(np.ceil(needed)), _MOST_STRIDES)
     for k in range(1, strides + 1):
         goal = [(joint, target * k / strides) for joint, target in targets]
-        start = _close(mechanism, start, goal, again=k == strides)
+        start = _close(mechanism, start, goal, share=k / strides)
     return start
 
 
-def _close(mechanism: Mechanism, start: BodyStates, goal: _Goal, *, again: bool) -> BodyStates:
-    """Take Newton steps until loops close and joints meet their goal; `again` adds one step."""
+def _close(mechanism: Mechanism, start: BodyStates, goal: _Goal, *, share: float) -> BodyStates:
+    """Take Newton steps until loops close and joints meet their goal, and one more at the start.
+
+    `share` is the part of the way from the reference pose to the start.
+    """
     tolerance = _CLOSED * max(1.0, mechanism.scene.length)
     rows, residual, owner = _pose_rows(mechanism, start, goal)
+    again = share == 1.0
     for _ in range(_NEWTON_STEPS):
         off = np.abs(residual).max(initial=0.0)
         if off < tolerance and not (again and off > 0.0):
@@ -180,8 +184,9 @@ def _close(mechanism: Mechanism, start: BodyStates, goal: _Goal, *, again: bool)
     name, way = _owner_name(mechanism, int(owner[worst])), "a length, an anchor or a joint's start"
     if name.startswith("couplings"):
         way = "the offset or a joint's start, so that no coupled hinge starts past half a turn"
+    place = "the start" if share == 1.0 else f"{100 * share:.3g} % of the way to the start"
     raise SceneError(
-        f"{name} cannot be closed: the start leaves it off by {abs(residual[worst]):.3g} m or rad, "
+        f"{name} cannot be closed: {place} leaves it off by {abs(residual[worst]):.3g} m or rad, "
         f"allowed is {tolerance:.0e}; change {way}"
     )
 
