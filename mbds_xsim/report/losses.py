@@ -53,7 +53,8 @@ def present(imported: Imported, command: str) -> blocks.Report:
         what="imported",
         description=f"{imported.format}, read by {imported.reader}: {size}"
         + "".join(f"; fixed in the world: {places}" for places in fixed)
-        + _wide_limits(imported.scene),
+        + _wide_limits(imported.scene)
+        + _far_target(imported.scene),
         conclusion=conclusion(imported),
         blocks=(*loss_blocks(imported), *blocks.plots(_POSE, [scene_figure(imported.scene)])),
         command=command,
@@ -66,6 +67,18 @@ def _wide_limits(scene: Scene) -> str:
         low, high = joint.limits or (0.0, 0.0)
         if joint.kind == "hinge" and _WIDE < max(-low, high) < _ENDLESS:
             return f"; limits in radians, of over two turns: {joint.name}, {low:g} to {high:g}"
+    return ""
+
+
+def _far_target(scene: Scene) -> str:
+    """Name the first servo that pulls past its joint's limits: MJCF has no ranges in degrees."""
+    limits = {joint.name: joint.limits for joint in scene.joints if joint.limits}
+    for servo in scene.servos:
+        low, high = limits.get(servo.joint, (-math.inf, math.inf))
+        target = servo.position[0]
+        if servo.stiffness and not low <= target <= high:
+            span = f"{low:g} to {high:g}"
+            return f"; a servo's target past its joint's limits {span}: {servo.joint}, {target:g}"
     return ""
 
 

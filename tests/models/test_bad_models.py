@@ -208,6 +208,19 @@ def test_limits_of_many_turns_are_named(
     assert (words in " ".join(run("import", "arm.urdf").out.split())) == named
 
 
+@pytest.mark.parametrize(("span", "named"), [("-30 -24", True), ("-.9 -.4", False)])
+def test_a_target_past_its_joint_s_limits_is_named(
+    span: str, named: bool, run: CommandLine, here: Path
+) -> None:
+    """MJCF's limits of hinges are in degrees, its ranges of commands are not."""
+    body = '<body><joint name="j" range="-60 60"/><geom size=".1"/></body>'
+    servo = f'<actuator><position joint="j" kp="9" ctrlrange="{span}"/></actuator>'
+    (here / "arm.xml").write_text(_MJCF.format(body, servo))
+
+    words = "a servo's target past its joint's limits -1.0472 to 1.0472: j, -24"
+    assert (words in " ".join(run("import", "arm.xml").out.split())) == named
+
+
 @pytest.mark.parametrize("ending", ["xml", "urdf", "sdf", "usda"])
 def test_a_name_that_is_not_utf8_is_refused(ending: str, run: CommandLine, here: Path) -> None:
     """Readers accept no such name, and a scene file could not contain it."""
