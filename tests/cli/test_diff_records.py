@@ -176,3 +176,28 @@ def test_flags_are_words_and_only_times_are_in_seconds(compare: Compare) -> None
     assert entry["settings"] == [{"what": "passed", "old": True, "new": False}]
     assert entry["figures"] == []
     assert {one["what"]: one["unit"] for one in entry["timings"]} == {"bytes": "1", "wall_s": "s"}
+
+
+def test_a_training_that_took_another_time_is_the_same(compare: Compare) -> None:
+    """Its file keeps the time, so that the checksum is another; that is a setting of one model."""
+    runs = {"gns/mujoco-s0": {"steps_per_s": "50.0", "best_error": "1e-06"}}
+    model = {"model": "gns", "training": "mujoco", "content": "3f"}
+    domain = {"engine": "mujoco", "cost_s": 0.002}
+    result = {"schema": "mbds-xsim/shift/1", "runs": runs, "models": [model], "domains": [domain]}
+
+    def edit(new: Json) -> None:
+        new["runs"]["gns/mujoco-s0"]["steps_per_s"] = "100.0"
+        new["domains"][0]["cost_s"] = 0.009
+
+    _, diff = compare(result, edit)
+    assert diff["verdict"] == "same"
+    (scene,) = diff["scenes"]
+    units = {one["what"]: one["unit"] for entry in scene["entries"] for one in entry["timings"]}
+    assert units == {"steps_per_s": "1", "cost_s": "s"}
+
+    _, diff = compare(result, lambda new: new["models"][0].update(content="4a"))
+    (entry,) = diff["scenes"][0]["entries"]
+    assert (entry["name"], entry["settings"]) == (
+        "models gns mujoco",
+        [{"what": "content", "old": "3f", "new": "4a"}],
+    )

@@ -22,7 +22,8 @@ FACTOR = 1.5
 """Largest factor between two times at which they count as the same."""
 
 _ROUNDING = 1e-14  # figures that differ by less are the same, whatever their unit
-_NO_TIME = re.compile(r"core|rate|bytes|_mb\b")  # figures other than times that the machine decides
+# Figures other than times that the machine decides.
+_NO_TIME = re.compile(r"core|rate|bytes|_mb\b|_per_s\b")
 _NUMBER = re.compile(r"\d[\d.]*(e[+-]?\d+)?( ?[mµn]?[ms]\b)?")
 
 

@@ -11,10 +11,11 @@ from mbds_xsim.studies.diff import FAILING, Entry, PhysicalFigure, Value, View
 _ABOUT = ("scene", "scenes", "study")
 _SAMPLE = ("seed", "trajectories", "index", "budget", "limit_s", "duration_s", "length_m")
 _CIRCUMSTANCES = ("versions", "machine", "workers")
-_TIMINGS = re.compile(r"wall|cpu|core|setup|elapsed|rate|seconds|bytes|_mb\b")
+_TIMINGS = re.compile(r"wall|cpu|core|setup|elapsed|rate|seconds|bytes|_mb\b|_per_s\b|^cost_s\b")
 """Pattern of the names of figures that the machine decides."""
+_DECIMAL = re.compile(r"-?\d{1,15}(\.\d{1,20})?(e[+-]\d{1,3})?")
 _REASONS = ("reasons", "reason", "failures", "left_out")
-_NO_LABEL = (*_REASONS, "verdict", "note")
+_NO_LABEL = (*_REASONS, "verdict", "note", "content")
 """Texts that are results, or made of results, so that they do not tell which record it is."""
 
 
@@ -65,17 +66,22 @@ def _entry(own: Mapping[str, Any]) -> Entry:
     leaves = dict(_leaves({key: own[key] for key in own if key not in _REASONS}))
     passed = own.get("passed", own.get("ok"))
     failed = passed is False or own.get("verdict") == "fail"
-    numbers = {
-        k: v for k, v in leaves.items() if isinstance(v, int | float) and not isinstance(v, bool)
-    }
+    numbers = {k: float(v) for k, v in leaves.items() if v is not None and _is_number(v)}
     return Entry(
         verdict=str(own.get("verdict", "" if passed is None else "pass" if passed else "fail")),
         rank=FAILING * failed if passed is not None or "verdict" in own else None,
         settings={k: v for k, v in leaves.items() if k not in numbers and k != "verdict"},
         reasons=tuple(str(v) for k, v in _leaves({k: own[k] for k in own if k in _REASONS}) if v),
-        figures={k: PhysicalFigure(float(v)) for k, v in numbers.items() if not _TIMINGS.search(k)},
-        timings={k: float(v) for k, v in numbers.items() if _TIMINGS.search(k)},
+        figures={k: PhysicalFigure(v) for k, v in numbers.items() if not _TIMINGS.search(k)},
+        timings={k: v for k, v in numbers.items() if _TIMINGS.search(k)},
     )
+
+
+def _is_number(value: Value) -> bool:
+    """Return whether a value is a number, or text of one: facts of models are texts."""
+    if isinstance(value, str):
+        return _DECIMAL.fullmatch(value) is not None
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _leaves(tree: object, name: str = "") -> Iterator[tuple[str, Value]]:
